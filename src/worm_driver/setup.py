@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Package definition, read by colcon (ament_python)."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "worm_driver"
+EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
+]
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Driver, recorder and virtual robot of the worm: servos, power sensor, bags.",
+    license="Apache-2.0",
+    maintainer="The worm robot maintainers",
+    maintainer_email="maintainers@worm.invalid",
+    packages=find_packages(),
+    package_data={NAME: ["config/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
+        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+    ],
+    entry_points={"console_scripts": EXECUTABLES},
+)

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+# Only for the ROS wheels of PyPI, passed as CMAKE_PROJECT_worm_msgs_INCLUDE by ./worm build.
+# The Python targets that those wheels export name include folders of the machine that built the
+# wheels; CMake refuses a target whose include folder does not exist. The folders are not needed
+# here (this machine's Python and NumPy are found anew), so the ones that do not exist are dropped.
+
+cmake_policy(SET CMP0057 NEW)
+find_package(ament_cmake REQUIRED)
+foreach(package action_msgs builtin_interfaces rosidl_default_runtime service_msgs std_msgs
+    unique_identifier_msgs)
+  find_package(${package} REQUIRED)
+endforeach()
+
+get_property(targets DIRECTORY PROPERTY IMPORTED_TARGETS)
+foreach(target IN LISTS targets)
+  get_target_property(folders ${target} INTERFACE_INCLUDE_DIRECTORIES)
+  if(NOT folders)
+    continue()
+  endif()
+  set(existing "")
+  foreach(folder IN LISTS folders)
+    if(folder MATCHES "\\$<" OR EXISTS "${folder}")
+      list(APPEND existing "${folder}")
+    endif()
+  endforeach()
+  set_target_properties(${target} PROPERTIES INTERFACE_INCLUDE_DIRECTORIES "${existing}")
+endforeach()

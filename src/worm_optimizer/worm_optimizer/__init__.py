@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robust gaits for the worm, and the bring-up of its node graph."""
