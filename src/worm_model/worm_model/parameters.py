@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of the worm robot and the file that holds them.
+
+The keys are those of the parameter table of the paper (``tab1``) in SI units, with two that the
+table lacks: ``pitch`` is in it, ``initial_length`` is not and was calibrated (see `Parameters`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+STANDARD_GRAVITY = 9.80665  # m/s², exact by definition (CGPM 1901)
+
+
+class ParameterError(ValueError):
+    """A parameter or a parameter file is not admissible; the message says which and why."""
+
+
+def _row(default: float, unit: str, low: float, high: float, paper: str) -> float:
+    """One row of the table: its default and, as metadata, its unit, admissible range and symbol."""
+    metadata = {"unit": unit, "low": low, "high": high, "paper": paper}
+    return field(default=default, metadata=metadata)  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The worm in its pipe, SI units. The defaults are the values of the paper's table ``tab1``.
+
+    ``initial_length`` (L0) is missing from the paper; 0.2952 m is this project's calibration: with it
+    the price-of-robustness cliff lies where the paper found it, at 3.4 mm. It sets the groove phase
+    and so decides how many grooves a cycle gains.
+
+    Raises `ParameterError` if a value is not a finite number, lies outside its admissible range (a range of
+    orders of magnitude, there to catch wrong units), or if values exclude each other.
+    """
+
+    rear_mass: float = _row(0.429, "kg", 1e-3, 1e2, "M1")
+    front_mass: float = _row(0.429, "kg", 1e-3, 1e2, "M2")
+    unstressed_length: float = _row(0.300, "m", 1e-2, 1e1, "L_free")
+    initial_length: float = _row(0.2952, "m", 1e-2, 1e1, "L0")
+    bellows_stiffness: float = _row(968.8, "N/m", 1.0, 1e6, "k_b")
+    bellows_damping: float = _row(862.4, "N·s/m", 0.0, 1e6, "c_b")
+    viscous_friction: float = _row(86.97, "N·s/m", 1e-2, 1e5, "η")
+    pitch: float = _row(0.0173, "m", 1e-3, 0.2, "d")
+    engaged_stiffness: float = _row(1833.1, "N/m", 1.0, 1e6, "k_eng")
+    disengaged_stiffness: float = _row(442.0, "N/m", 1.0, 1e6, "k_dis")
+    switching_threshold: float = _row(0.0175, "m", 5e-4, 0.2, "p_sw")
+    clearance: float = _row(0.00753, "m", 0.0, 0.1, "δ_c")
+    time_constant: float = _row(0.155, "s", 1e-3, 1e1, "τ")
+    gain: float = _row(0.860, "1", 1e-2, 1e1, "K")
+    slack: float = _row(0.008, "m", 0.0, 0.1, "δ_s")
+    idle_power: float = _row(0.82, "W", 0.0, 1e3, "P_idle")
+    power_factor: float = _row(3.22, "1", 1e-2, 1e3, "α_P")
+
+    def __post_init__(self) -> None:
+        for row in dataclasses.fields(self):
+            object.__setattr__(self, row.name, _checked(row, getattr(self, row.name)))
+        if 2.0 * self.switching_threshold < self.pitch:
+            # A fin that switches lands a pitch back: below its lower threshold, it would switch for ever.
+            raise ParameterError(
+                f"switching_threshold: {self.switching_threshold:g} m is less than half the pitch "
+                f"({self.pitch:g} m): a fin that switches would switch back at once, without end"
+            )
+        if 2.0 * self.switching_threshold <= self.clearance:
+            raise ParameterError(
+                f"clearance: {self.clearance:g} m is not below twice the switching_threshold "
+                f"({self.switching_threshold:g} m): the fins would never touch the grooves"
+            )
+
+    @property
+    def mass(self) -> float:
+        """Total mass of both modules, kg."""
+        return self.rear_mass + self.front_mass
+
+    def replace(self, **changes: float) -> Parameters:
+        """A copy with some values changed; raises `ParameterError` as the constructor does."""
+        unknown = set(changes) - set(KEYS)
+        if unknown:
+            raise ParameterError(_unknown_key(sorted(unknown)[0]))
+        return dataclasses.replace(self, **changes)
+
+    def as_dict(self) -> dict[str, float]:
+        """The values by key, in the order of the table."""
+        return dataclasses.asdict(self)
+
+
+def _checked(row: dataclasses.Field[float], value: Any) -> float:
+    unit, low, high = (row.metadata[key] for key in ("unit", "low", "high"))
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        try:  # numpy scalars and the like; text and None are refused below
+            value = value.item()
+        except AttributeError:
+            raise ParameterError(f"{row.name}: {value!r} is not a number (unit: {unit})") from None
+    if not math.isfinite(value):
+        raise ParameterError(f"{row.name}: {value} is not a finite number (unit: {unit})")
+    if not low <= value <= high:
+        raise ParameterError(
+            f"{row.name}: {value:g} {unit} is outside {low:g} to {high:g} {unit}; "
+            f"is it in another unit? ({row.metadata['paper']} of the paper is {row.default:g} {unit})"
+        )
+    return float(value)
+
+
+KEYS: tuple[str, ...] = tuple(row.name for row in dataclasses.fields(Parameters))
+UNITS: Mapping[str, str] = {
+    row.name: row.metadata["unit"] for row in dataclasses.fields(Parameters)
+}
+SYMBOLS: Mapping[str, str] = {
+    row.name: row.metadata["paper"] for row in dataclasses.fields(Parameters)
+}
+PAPER = Parameters()
+
+
+@dataclass(frozen=True)
+class ParameterFile:
+    """What a parameter file holds: the values, their 95 % intervals and where they come from.
+
+    ``intervals`` maps a key to (low, high) in the key's unit; ``provenance`` is free (bags and their
+    hashes, code version, seed); both may be empty.
+    """
+
+    parameters: Parameters = PAPER
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _unknown_key(key: str) -> str:
+    close = difflib.get_close_matches(key, KEYS, n=1)
+    hint = f"did you mean {close[0]}?" if close else f"known keys: {', '.join(KEYS)}"
+    return f"{key}: no such parameter; {hint}"
+
+
+def _parse_intervals(content: Any) -> dict[str, tuple[float, float]]:
+    if not isinstance(content, Mapping):
+        raise ParameterError("intervals: expected a mapping from parameter keys to [low, high]")
+    intervals = {}
+    for key, bounds in content.items():
+        if key not in KEYS:
+            raise ParameterError(f"intervals: {_unknown_key(str(key))}")
+        try:
+            low, high = (float(bound) for bound in bounds)
+        except (TypeError, ValueError):
+            raise ParameterError(
+                f"intervals: {key}: expected [low, high] in {UNITS[key]}"
+            ) from None
+        if not low <= high:
+            raise ParameterError(f"intervals: {key}: low {low:g} is not below high {high:g}")
+        intervals[key] = (low, high)
+    return intervals
+
+
+def parse_parameter_file(content: Any) -> ParameterFile:
+    """Makes a `ParameterFile` of a parsed YAML document; a missing key means the paper's value.
+
+    Raises `ParameterError` on an unknown key, a value that is not admissible or a malformed section.
+    """
+    if content is None:
+        content = {}
+    if not isinstance(content, Mapping):
+        raise ParameterError("expected a mapping such as 'rear_mass: 0.429'")
+    values = dict(content)
+    intervals = _parse_intervals(values.pop("intervals", None) or {})
+    provenance = values.pop("provenance", None) or {}
+    if not isinstance(provenance, Mapping):
+        raise ParameterError("provenance: expected a mapping")
+    return ParameterFile(
+        PAPER.replace(**{str(k): v for k, v in values.items()}), intervals, dict(provenance)
+    )
+
+
+def load_parameter_file(path: str | Path) -> ParameterFile:
+    """Reads a parameter file (YAML). An empty path means the paper's values.
+
+    Raises `ParameterError` whose message starts with the path.
+    """
+    if not str(path):
+        return ParameterFile()
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        return parse_parameter_file(content)
+    except OSError as error:
+        raise ParameterError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise ParameterError(f"{path}: is not a text file") from None
+    except yaml.YAMLError as error:
+        where = getattr(error, "problem_mark", None)
+        line = f" at line {where.line + 1}" if where else ""
+        raise ParameterError(f"{path}: is not valid YAML{line}") from None
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from None
+
+
+def load_parameters(path: str | Path) -> Parameters:
+    """The values of a parameter file; see `load_parameter_file`."""
+    return load_parameter_file(path).parameters
+
+
+def format_parameter_file(content: ParameterFile) -> str:
+    """The text of a parameter file, each value with its unit and symbol as a comment."""
+    lines = [
+        f"{key}: {value!r}  # {UNITS[key]}, {SYMBOLS[key]}"
+        for key, value in content.parameters.as_dict().items()
+    ]
+    extra: dict[str, Any] = {}
+    if content.intervals:
+        extra["intervals"] = {
+            key: list(map(float, bounds)) for key, bounds in content.intervals.items()
+        }
+    if content.provenance:
+        extra["provenance"] = dict(content.provenance)
+    text = "\n".join(lines) + "\n"
+    return text + (yaml.safe_dump(extra, sort_keys=False, allow_unicode=True) if extra else "")
+
+
+def write_parameter_file(path: str | Path, content: ParameterFile) -> None:
+    """Writes a new parameter file; raises `FileExistsError` rather than overwrite one."""
+    with Path(path).open("x", encoding="utf-8") as file:
+        file.write(format_parameter_file(content))
