@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Processes that are started together and of which none is left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+POLL_PERIOD_S = 0.02
+GRACE_S = 10.0  # from an interrupt to a kill; a driver brings its gait to rest within a cycle
+_LIBC = ctypes.CDLL(None, use_errno=True)
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+class ProcessError(RuntimeError):
+    """A process could not be started, ended too early or did not do in time what it should."""
+
+
+def executable_command(package: str, executable: str) -> list[str]:
+    """The command line of an installed executable, found as `ros2 run` finds it.
+
+    Raises `ProcessError` if the package or the executable is not installed.
+    """
+    try:
+        prefix = Path(get_package_prefix(package))
+    except PackageNotFoundError:
+        raise ProcessError(f"package {package} is not installed: build the workspace") from None
+    path = prefix / "lib" / package / executable
+    if not path.is_file():
+        raise ProcessError(f"package {package} has no executable {executable}: looked for {path}")
+    return [sys.executable, str(path)]
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float) -> bool:
+    """Poll until the condition holds; false if it does not within the timeout (s)."""
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(POLL_PERIOD_S)
+    return True
+
+
+class Process:
+    """One running process in a session of its own, its output in a file."""
+
+    def __init__(
+        self, name: str, command: Sequence[str], log: Path, env: Mapping[str, str]
+    ) -> None:
+        self.name = name
+        self._log = log
+        with log.open("wb") as output:
+            self._popen = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=dict(env),
+                start_new_session=True,
+                preexec_fn=_interrupt_when_parent_dies,
+            )
+
+    @property
+    def pid(self) -> int:
+        """Process id, which is also the id of its process group."""
+        return self._popen.pid
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs."""
+        return self._popen.poll()
+
+    def output(self) -> str:
+        """What it has written so far, standard output and standard error together."""
+        return self._log.read_text(errors="replace")
+
+    def last_line(self) -> str:
+        """The last line of its output that is not empty."""
+        lines = [line for line in self.output().splitlines() if line.strip()]
+        return lines[-1] if lines else "(no output)"
+
+    def wait_for_line(self, pattern: str, timeout_s: float) -> re.Match[str]:
+        """Wait until a line of the output matches; raises `ProcessError` if it does not."""
+        expression = re.compile(pattern, re.MULTILINE)
+        wait_for(
+            lambda: bool(expression.search(self.output())) or self.exit_code is not None, timeout_s
+        )
+        match = expression.search(self.output())
+        if match is None:
+            raise ProcessError(
+                f"{self.name}: {self._state()} without {pattern!r}: {self.last_line()}"
+            )
+        return match
+
+    def wait(self, timeout_s: float) -> int:
+        """Wait for its end and return the exit code; raises `ProcessError` at the timeout."""
+        try:
+            return self._popen.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            message = f"{self.name} still runs after {timeout_s:g} s: {self.last_line()}"
+            raise ProcessError(message) from None
+
+    def interrupt(self) -> None:
+        """Ask it to end, as Ctrl-C does."""
+        self.signal(signal.SIGINT)
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send a signal to its whole process group; none is left to get it, nothing happens."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, number)
+
+    def _state(self) -> str:
+        code = self.exit_code
+        return "still runs" if code is None else f"ended with exit status {code}"
+
+
+class ProcessGroup:
+    """Processes that end with this context, in the reverse order of their start."""
+
+    def __init__(self, log_folder: Path, env: Mapping[str, str] | None = None) -> None:
+        self.log_folder = log_folder
+        self.processes: dict[str, Process] = {}
+        self._env = dict(os.environ if env is None else env)
+
+    def start(self, name: str, command: Sequence[str]) -> Process:
+        """Start a process under a name that no other has had."""
+        if name in self.processes:
+            raise ProcessError(f"there is a process {name} already")
+        process = Process(name, command, self.log_folder / f"{name}.log", self._env)
+        self.processes[name] = process
+        return process
+
+    def check(self) -> None:
+        """Raise `ProcessError` if a process has ended with an error."""
+        for process in self.processes.values():
+            if process.exit_code not in (None, 0):
+                raise ProcessError(f"{process.name} {process._state()}: {process.last_line()}")
+
+    def stop(self, grace_s: float = GRACE_S) -> None:
+        """Interrupt all, wait, and kill what is left of each process group."""
+        for process in reversed(self.processes.values()):
+            if process.exit_code is None:
+                process.interrupt()
+                with contextlib.suppress(ProcessError):
+                    process.wait(grace_s)
+            process.signal(signal.SIGKILL)
+
+    def __enter__(self) -> ProcessGroup:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+
+def _interrupt_when_parent_dies() -> None:
+    # Even a killed parent, which cannot stop anything any more, leaves no process behind.
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGINT)

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The architecture, as a table of who may import what."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from fnmatch import fnmatch
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted(path for path in (ROOT / "src").glob("*/*/**/*.py") if path.parts[-2] != "launch")
+
+LICENSE_LINE = "# SPDX-License-Identifier: Apache-2.0\n"
+
+# Which of our packages a package may import beside itself.
+PACKAGES = {
+    "worm_driver": {"worm_msgs"},
+    "worm_model": {"worm_msgs"},
+    "worm_optimizer": {"worm_model", "worm_msgs"},
+}
+
+# Libraries that only the files named here may import; the rest of the code does not know them.
+NODES = ["*_node.py", "ros_*.py"]
+CONFINED = {
+    "rclpy": NODES,
+    "rcl_interfaces": NODES,
+    "worm_msgs": NODES,
+    "std_msgs": NODES,
+    "std_srvs": NODES,
+    "sensor_msgs": NODES,
+    "diagnostic_msgs": NODES,
+    "lifecycle_msgs": NODES,
+    "visualization_msgs": NODES,
+    "geometry_msgs": NODES,
+    "builtin_interfaces": NODES,
+    "dynamixel_sdk": ["worm_driver/servo_bus.py"],
+    "smbus2": ["worm_driver/i2c.py"],
+    "pymoo": ["worm_optimizer/problem.py", "worm_optimizer/search.py"],
+    "numba": ["worm_model/kernel/*.py"],
+    "mcap": ["worm_driver/recorder.py", "worm_model/bags*.py", "worm_model/bags/*.py"],
+    "mcap_ros2": ["worm_model/bags*.py", "worm_model/bags/*.py"],
+    "rosbags": ["worm_model/bags*.py", "worm_model/bags/*.py"],
+    "launch": [],
+    "launch_ros": [],
+    "domain_coordinator": [],
+    "colcon_core": [],
+    "torch": [],
+}
+
+
+def name_of(path: Path) -> str:
+    """worm_model/bags.py for src/worm_model/worm_model/bags.py."""
+    return str(path.relative_to(ROOT / "src").relative_to(path.relative_to(ROOT / "src").parts[0]))
+
+
+def imports(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and top-level package of each absolute import, those inside functions included."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name.split(".")[0]) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.lineno, node.module.split(".")[0]
+
+
+def may_import(name: str, library: str) -> bool:
+    patterns = CONFINED.get(library)
+    return patterns is None or any(
+        fnmatch(name, pattern) or fnmatch(Path(name).name, pattern) for pattern in patterns
+    )
+
+
+def test_there_are_sources():
+    assert {path.relative_to(ROOT / "src").parts[0] for path in SOURCES} == set(PACKAGES)
+
+
+def test_packages_import_only_what_the_table_allows():
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line} imports {library}"
+        for path in SOURCES
+        for package in [path.relative_to(ROOT / "src").parts[0]]
+        for line, library in imports(path)
+        if library.startswith("worm_") and library not in PACKAGES[package] | {package}
+    ]
+    assert wrong == []
+
+
+def test_libraries_are_imported_only_where_they_belong():
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line} imports {library}"
+        for path in SOURCES
+        for line, library in imports(path)
+        if not may_import(name_of(path), library)
+    ]
+    assert wrong == []
+
+
+def test_product_code_knows_nothing_of_the_reference_material():
+    wrong = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in sorted((ROOT / "src").rglob("*"))
+        if path.is_file() and path.suffix in {".py", ".yaml", ".xml", ".cfg", ".cmake", ".txt"}
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if "shared/" in line
+    ]
+    assert wrong == []
+
+
+def test_every_python_file_names_its_license():
+    files = [
+        path
+        for folder in ("src", "tests", "benchmarks")
+        for path in sorted((ROOT / folder).rglob("*.py"))
+    ]
+    without = [
+        str(path.relative_to(ROOT))
+        for path in files
+        if not path.read_text(encoding="utf-8").startswith(
+            "# SPDX-License-Identifier: Apache-2.0\n"
+        )
+    ]
+    assert without == []
+
+
+@pytest.mark.parametrize("package", sorted(PACKAGES))
+def test_the_manifest_names_the_packages_that_are_imported(package: str):
+    ros = {"rclpy", "ament_index_python", "rcl_interfaces", "std_srvs", "builtin_interfaces"}
+    manifest = (ROOT / "src" / package / "package.xml").read_text(encoding="utf-8")
+    imported = {
+        library
+        for path in SOURCES
+        if path.relative_to(ROOT / "src").parts[0] == package
+        for _, library in imports(path)
+        if library in ros or library.endswith("_msgs") or library.startswith("worm_")
+    }
+    missing = [name for name in sorted(imported - {package}) if f">{name}<" not in manifest]
+    assert missing == []
+
+
+@pytest.mark.parametrize("package", sorted(PACKAGES))
+def test_every_executable_has_its_main(package: str):
+    setup = ast.parse((ROOT / "src" / package / "setup.py").read_text(encoding="utf-8"))
+    entries = next(
+        ast.literal_eval(node.value)
+        for node in ast.walk(setup)
+        if isinstance(node, ast.AnnAssign)
+        and isinstance(node.target, ast.Name)
+        and node.target.id == "EXECUTABLES"
+        and node.value is not None
+    )
+    for entry in entries:
+        module, function = entry.split("=")[1].strip().split(":")
+        file = ROOT / "src" / package / Path(*module.split("."))
+        path = file.with_suffix(".py") if file.with_suffix(".py").exists() else file / "__init__.py"
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        assert function in names, f"{entry}: no {function} in {path.relative_to(ROOT)}"
+
+
+def test_the_core_runs_without_ros():
+    """Importing the simulator must not import a middleware."""
+    code = (
+        "import sys, worm_model.parameters, worm_model.gait, worm_model.actuation\n"
+        "sys.exit(any(name.split('.')[0] in {'rclpy', 'worm_msgs'} for name in sys.modules))"
+    )
+    environment = {"PYTHONPATH": str(ROOT / "src/worm_model"), "PATH": "/usr/bin:/bin"}
+    assert subprocess.run([sys.executable, "-c", code], env=environment).returncode == 0

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What integration tests use to start, watch and call real nodes."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+
+from worm_optimizer.bringup.processes import Process, ProcessGroup, executable_command
+
+NAMESPACE = "/worm"
+TIMEOUT_S = 30.0  # generous: only a failure waits for so long
+LATCHED = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+
+class Processes(ProcessGroup):
+    """The processes of one test."""
+
+    def start_executable(
+        self, package: str, executable: str, *arguments: str, name: str | None = None
+    ) -> Process:
+        """Start install/PACKAGE/lib/PACKAGE/EXECUTABLE."""
+        return self.start(
+            name or executable, [*executable_command(package, executable), *arguments]
+        )
+
+    def start_node(
+        self, package: str, executable: str, *arguments: str, **parameters: object
+    ) -> Process:
+        """Start an executable in the worm's namespace, with ROS parameters."""
+        ros = ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
+        for key, value in parameters.items():
+            ros += ["-p", f"{key}:={value}"]
+        return self.start_executable(package, executable, *arguments, *ros)
+
+
+class Probe:
+    """A node in the worm's namespace whose every wait has a deadline."""
+
+    def __init__(self, domain: int) -> None:
+        self._context = rclpy.Context()
+        self._context.init(domain_id=domain)
+        self.node = rclpy.create_node("probe", context=self._context, namespace=NAMESPACE)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+
+    def close(self) -> None:
+        """End the node and its context."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def wait_for(
+        self, condition: Callable[[], Any], what: str, timeout_s: float = TIMEOUT_S
+    ) -> Any:
+        """Spin until the condition is true and return its value; fail at the deadline."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            value = condition()
+            if value:
+                return value
+            assert time.monotonic() < deadline, f"no {what} within {timeout_s:g} s"
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def collect(self, kind: type, topic: str, qos: QoSProfile | int = 1000) -> list[Any]:
+        """Subscribe; the returned list grows with the messages."""
+        messages: list[Any] = []
+        self.node.create_subscription(kind, topic, messages.append, qos)
+        return messages
+
+    def result(self, future: Future, what: str, timeout_s: float = TIMEOUT_S) -> Any:
+        """Spin until a future is done and return its result."""
+        self.wait_for(future.done, what, timeout_s)
+        return future.result()
+
+    def call(self, kind: type, name: str, request: Any, timeout_s: float = TIMEOUT_S) -> Any:
+        """Call a service once it is there and return its response."""
+        client = self.node.create_client(kind, name)
+        self.wait_for(client.service_is_ready, f"service {name}", timeout_s)
+        return self.result(client.call_async(request), f"response of {name}", timeout_s)
+
+    def send_goal(
+        self,
+        kind: type,
+        name: str,
+        goal: Any,
+        feedback: Callable[[Any], None] | None = None,
+        timeout_s: float = TIMEOUT_S,
+    ) -> Any:
+        """Send a goal once the action server is there and return the goal handle."""
+        client = ActionClient(self.node, kind, name)
+        self.wait_for(client.server_is_ready, f"action {name}", timeout_s)
+        sent = client.send_goal_async(goal, feedback_callback=feedback)
+        return self.result(sent, f"answer of {name}", timeout_s)

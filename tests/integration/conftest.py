@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures of the tests with real processes over real DDS."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from harness import Probe, Processes
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.integration)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item):
+    """Show the output of the started processes with a failure."""
+    report = yield
+    processes = getattr(item, "funcargs", {}).get("processes")
+    if report.failed and processes is not None:
+        report.sections += [
+            (f"output of {process.name}", process.output())
+            for process in processes.processes.values()
+        ]
+    return report
+
+
+@pytest.fixture
+def processes(ros_domain: int, tmp_path: Path) -> Iterator[Processes]:
+    """Starts installed executables; none outlives the test."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    with Processes(folder) as group:
+        yield group
+
+
+@pytest.fixture
+def probe(ros_domain: int) -> Iterator[Probe]:
+    """A node of the test's own: subscriptions, service and action calls with deadlines."""
+    probe = Probe(ros_domain)
+    yield probe
+    probe.close()
