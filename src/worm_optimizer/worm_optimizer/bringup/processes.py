@@ -99,7 +99,7 @@ class Process:
         match = expression.search(self.output())
         if match is None:
             raise ProcessError(
-                f"{self.name}: {self._state()} without {pattern!r}: {self.last_line()}"
+                f"{self.name} {self._state()} without {pattern!r}: {self.last_line()}"
             )
         return match
 

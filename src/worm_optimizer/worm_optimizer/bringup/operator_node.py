@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an operator does with the robot, as blocking calls with deadlines; for the demo's process."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.action import ActionClient
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from worm_msgs.action import RunGait
+from worm_msgs.msg import Gait, GaitPrediction
+from worm_msgs.srv import RequestGait
+
+DISCOVERY_TIMEOUT_S = 30.0
+CALL_TIMEOUT_S = 10.0
+OPTIMIZER_TIMEOUT_S = 90.0  # it may still be searching its front
+SPIN_S = 0.05
+_NEXT = {
+    State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
+    State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
+}
+
+
+class OperatorError(RuntimeError):
+    """A node did not answer in time, or refused."""
+
+
+class OperatorNode(Node):
+    """Calls the services and actions of the driver and the optimizer in its own namespace.
+
+    ``check`` is called while waiting and may raise, such as when a node's process has died.
+    """
+
+    def __init__(self, namespace: str, check: Callable[[], None]) -> None:
+        super().__init__("operator", namespace=namespace)
+        self._check = check
+
+    def others(self, settle_s: float) -> list[str]:
+        """Full names of the nodes in this namespace other than this one, after a time of listening."""
+        self._wait(lambda: False, settle_s)
+        namespace = self.get_namespace()
+        return [
+            f"{namespace}/{name}"
+            for name, space in self.get_node_names_and_namespaces()
+            if space == namespace and name != self.get_name()
+        ]
+
+    def activate(self, node: str) -> None:
+        """Configure and activate a lifecycle node; raises `OperatorError` if it does not get there."""
+        while (state := self._state(node)).id != State.PRIMARY_STATE_ACTIVE:
+            if state.id not in _NEXT:
+                raise OperatorError(f"{node} is in state {state.label}, cannot be activated")
+            self._change(node, _NEXT[state.id])
+
+    def deactivate(self, node: str) -> None:
+        """Deactivate a lifecycle node, which turns the torque of a driver off."""
+        self._change(node, Transition.TRANSITION_DEACTIVATE)
+
+    def request_cruise(self) -> GaitPrediction:
+        """Ask the optimizer for its most economical forward gait."""
+        request = RequestGait.Request(objective=RequestGait.Request.CRUISE, direction=Gait.FORWARD)
+        response = self._call(RequestGait, "request_gait", request, OPTIMIZER_TIMEOUT_S)
+        if not response.success:
+            raise OperatorError(f"the optimizer has no gait: {response.message}")
+        return response.prediction
+
+    def run_gait(
+        self, gait: Gait, cycles: int, progress: Callable[[RunGait.Feedback], None]
+    ) -> RunGait.Result:
+        """Run a gait to its end; raises `OperatorError` if it is refused or fails."""
+        client = ActionClient(self, RunGait, "run_gait")
+        if not self._wait(client.server_is_ready, DISCOVERY_TIMEOUT_S):
+            raise OperatorError("no action run_gait")
+        goal = RunGait.Goal(gait=gait, cycles=cycles)
+        sent = client.send_goal_async(goal, lambda message: progress(message.feedback))
+        handle = self._result(sent, "run_gait", CALL_TIMEOUT_S)
+        if not handle.accepted:
+            raise OperatorError("the driver refuses the gait: its log says why")
+        duration = cycles / gait.frequency
+        answer = self._result(handle.get_result_async(), "run_gait", 2.0 * duration + 30.0)
+        if not answer.result.success:
+            raise OperatorError(f"the gait failed: {answer.result.message}")
+        return answer.result
+
+    def stop(self) -> None:
+        """Stop the robot at once."""
+        response = self._call(Trigger, "stop", Trigger.Request(), CALL_TIMEOUT_S)
+        if not response.success:
+            raise OperatorError(f"the driver did not stop: {response.message}")
+
+    def _state(self, node: str) -> State:
+        request = GetState.Request()
+        return self._call(GetState, f"{node}/get_state", request, CALL_TIMEOUT_S).current_state
+
+    def _change(self, node: str, transition: int) -> None:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        if not self._call(ChangeState, f"{node}/change_state", request, CALL_TIMEOUT_S).success:
+            raise OperatorError(f"{node} failed to change its state: its log says why")
+
+    def _call(self, kind: Any, name: str, request: Any, timeout_s: float) -> Any:
+        client: Client = self.create_client(kind, name)
+        try:
+            if not self._wait(client.service_is_ready, DISCOVERY_TIMEOUT_S):
+                raise OperatorError(f"no service {name}")
+            return self._result(client.call_async(request), name, timeout_s)
+        finally:
+            self.destroy_client(client)
+
+    def _result(self, future: Future, name: str, timeout_s: float) -> Any:
+        if not self._wait(future.done, timeout_s):
+            raise OperatorError(f"no answer from {name} within {timeout_s:g} s")
+        return future.result()
+
+    def _wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self._check()
+            rclpy.spin_once(self, timeout_sec=SPIN_S)
+        return True

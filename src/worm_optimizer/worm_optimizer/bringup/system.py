@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node graph as data: config/system.yaml, read by the launch file and by the demo alike."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
+
+MODES = ("robot", "virtual", "replay")
+_SYSTEM_KEYS = {"namespace", "settings", "nodes"}
+_NODE_KEYS = {
+    "package",
+    "executable",
+    "modes",
+    "ready",
+    "lifecycle",
+    "arguments",
+    "parameters",
+    "remappings",
+}
+
+
+class SystemFileError(ValueError):
+    """A system file is malformed, or a setting that it knows nothing of was given."""
+
+
+@dataclass(frozen=True)
+class NodeDescription:
+    """One node: what runs, under which name, with which arguments, parameters and remappings.
+
+    ``ready`` is what a line of its output starts with once the nodes after it may start; empty when
+    they need not wait. A ``lifecycle`` node is to be configured and activated.
+    """
+
+    name: str
+    package: str
+    executable: str
+    ready: str = ""
+    lifecycle: bool = False
+    arguments: tuple[str, ...] = ()
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    remappings: Mapping[str, str] = field(default_factory=dict)
+
+    def command_arguments(self, namespace: str) -> list[str]:
+        """The arguments that tell the executable all of this without a launch system."""
+        result = [*self.arguments, "--ros-args"]
+        result += ["-r", f"__ns:=/{namespace}", "-r", f"__node:={self.name}"]
+        for source, target in self.remappings.items():
+            result += ["-r", f"{source}:={target}"]
+        for key, value in self.parameters.items():
+            # JSON is YAML: "1" stays a string and 1.0 a float
+            result += ["-p", f"{key}:={json.dumps(value)}"]
+        return result
+
+
+@dataclass(frozen=True)
+class System:
+    """The nodes of one mode, in the order in which they start, and their common namespace."""
+
+    namespace: str
+    nodes: tuple[NodeDescription, ...]
+
+    def node(self, name: str) -> NodeDescription:
+        """The node of a name; raises `KeyError` if this mode has none."""
+        return {node.name: node for node in self.nodes}[name]
+
+
+@dataclass(frozen=True)
+class SystemFile:
+    """A parsed system file: settings with their defaults, and nodes that refer to them as {name}."""
+
+    path: Path
+    namespace: str
+    settings: Mapping[str, str]
+    nodes: Mapping[str, Mapping[str, Any]]
+
+    def system(self, mode: str, **settings: str) -> System:
+        """The system of a mode, with some settings other than their defaults.
+
+        Raises `SystemFileError` on an unknown mode or setting.
+        """
+        if mode not in MODES:
+            raise SystemFileError(f"mode {mode!r}: choose one of {', '.join(MODES)}")
+        unknown = sorted(set(settings) - set(self.settings))
+        if unknown:
+            known = ", ".join(self.settings)
+            raise SystemFileError(f"no setting {unknown[0]!r} in {self.path}: there are {known}")
+        values = {**self.settings, **settings}
+        return System(
+            self.namespace,
+            tuple(
+                self._node(name, content, mode, values)
+                for name, content in self.nodes.items()
+                if mode in content.get("modes", MODES)
+            ),
+        )
+
+    def _node(
+        self, name: str, content: Mapping[str, Any], mode: str, values: Mapping[str, str]
+    ) -> NodeDescription:
+        parameters = _of_mode(content.get("parameters", {}), mode)
+        try:
+            return NodeDescription(
+                name=name,
+                package=content["package"],
+                executable=content["executable"],
+                ready=content.get("ready", ""),
+                lifecycle=content.get("lifecycle", False),
+                arguments=tuple(str(_fill(word, values)) for word in content.get("arguments", ())),
+                parameters={key: _fill(value, values) for key, value in parameters.items()},
+                remappings=dict(content.get("remappings", {})),
+            )
+        except KeyError as error:
+            raise SystemFileError(f"{self.path}: node {name}: no setting or key {error}") from None
+
+
+def load_system_file(path: str | Path) -> SystemFile:
+    """Read a system file; raises `SystemFileError`, whose message names the path and the key."""
+    path = Path(path)
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, yaml.YAMLError) as error:
+        raise SystemFileError(f"{path}: {error}") from None
+    if not isinstance(content, Mapping) or set(content) != _SYSTEM_KEYS:
+        raise SystemFileError(f"{path}: expected the keys {', '.join(sorted(_SYSTEM_KEYS))}")
+    for name, node in content["nodes"].items():
+        unknown = sorted(set(node) - _NODE_KEYS)
+        if unknown:
+            known = ", ".join(sorted(_NODE_KEYS))
+            raise SystemFileError(f"{path}: node {name}: unknown key {unknown[0]}, known: {known}")
+    settings = {key: str(value) for key, value in content["settings"].items()}
+    return SystemFile(path, content["namespace"], settings, content["nodes"])
+
+
+def _of_mode(parameters: Mapping[str, Any], mode: str) -> dict[str, Value]:
+    """The parameters common to all modes (those with a plain value) and those of one mode."""
+    common = {key: value for key, value in parameters.items() if key not in MODES}
+    return {**common, **parameters.get(mode, {})}
+
+
+def _fill(value: Value, values: Mapping[str, str]) -> Value:
+    return value.format_map(values) if isinstance(value, str) else value

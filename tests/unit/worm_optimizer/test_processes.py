@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Started processes: what they say, how they end, and that none is left."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from worm_optimizer.bringup.processes import (
+    ProcessError,
+    ProcessGroup,
+    executable_command,
+    wait_for,
+)
+
+OBEDIENT = """
+    import signal, sys, time
+    def end(*_):
+        print("ending", flush=True)
+        sys.exit(0)
+    signal.signal(signal.SIGINT, end)
+    print("ready: here", flush=True)
+    while True:
+        time.sleep(0.1)
+"""
+DEAF = """
+    import signal, subprocess, sys, time
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    print("child", child.pid, flush=True)
+    time.sleep(600)
+"""
+
+
+def python(code: str) -> list[str]:
+    return [sys.executable, "-c", textwrap.dedent(code)]
+
+
+def is_running(pid: int) -> bool:
+    state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True)
+    return bool(state.stdout.strip()) and not state.stdout.startswith("Z")
+
+
+def test_a_process_ends_on_the_interrupt_at_the_end_of_the_group(tmp_path):
+    with ProcessGroup(tmp_path) as group:
+        process = group.start("one", python(OBEDIENT))
+        assert process.wait_for_line(r"^ready: (\w+)", 20.0)[1] == "here"
+        group.check()
+    assert process.exit_code == 0
+    assert process.last_line() == "ending"
+
+
+def test_a_deaf_process_is_killed_with_its_children(tmp_path):
+    group = ProcessGroup(tmp_path)
+    process = group.start("deaf", python(DEAF))
+    child = int(process.wait_for_line(r"^child (\d+)", 20.0)[1])
+    group.stop(grace_s=0.1)
+    assert process.wait(5.0) == -signal.SIGKILL
+    assert wait_for(lambda: not is_running(child), 5.0)
+
+
+def test_a_failed_process_is_reported_with_its_last_line(tmp_path):
+    with ProcessGroup(tmp_path) as group:
+        process = group.start("bad", python("import sys; sys.exit('no such port')"))
+        process.wait(20.0)
+        with pytest.raises(ProcessError, match="bad ended with exit status 1: no such port"):
+            group.check()
+        with pytest.raises(ProcessError, match="bad ended with exit status 1 without 'ready'"):
+            process.wait_for_line("ready", 20.0)
+
+
+def test_waiting_ends_at_the_deadline(tmp_path):
+    with ProcessGroup(tmp_path) as group:
+        process = group.start("one", python(OBEDIENT))
+        process.wait_for_line("ready", 20.0)
+        with pytest.raises(ProcessError, match="still runs without 'never'"):
+            process.wait_for_line("never", 0.05)
+        with pytest.raises(ProcessError, match="one still runs after"):
+            process.wait(0.05)
+        with pytest.raises(ProcessError, match="there is a process one already"):
+            group.start("one", python(OBEDIENT))
+
+
+def test_nothing_outlives_a_killed_parent(tmp_path):
+    parent = f"""
+        import pathlib, sys, time
+        from worm_optimizer.bringup.processes import ProcessGroup
+        group = ProcessGroup(pathlib.Path({str(tmp_path)!r}))
+        process = group.start("one", {python(OBEDIENT)!r})
+        process.wait_for_line("ready", 20.0)
+        print(process.pid, flush=True)
+        time.sleep(600)
+    """
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(python(parent), stdout=subprocess.PIPE, text=True, env=environment) as it:
+        assert it.stdout is not None
+        pid = int(it.stdout.readline())
+        it.kill()
+    assert wait_for(lambda: not is_running(pid), 10.0)
+
+
+def test_an_executable_that_is_not_there_is_named():
+    with pytest.raises(ProcessError, match="package no_such_package is not installed"):
+        executable_command("no_such_package", "node")
