@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults that the virtual robot shows on request, each with a start, a length and a target."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Final
+
+# Faults of status packets: each spoils `count` packets.
+NO_ANSWER: Final = "no_answer"
+CORRUPTED_CRC: Final = "corrupted_crc"
+TRUNCATED: Final = "truncated"
+DUPLICATED: Final = "duplicated"
+LATE: Final = "late"
+ERROR_NUMBER: Final = "error"
+# Faults of servos, of the serial port and of the power sensor: each lasts `duration`.
+VANISHED: Final = "vanished"
+STALLED: Final = "stalled"
+OVERLOAD: Final = "overload"
+OVERHEATING: Final = "overheating"
+INPUT_VOLTAGE: Final = "input_voltage"
+UNPLUGGED: Final = "unplugged"
+I2C_NACK: Final = "i2c_nack"
+I2C_TIMEOUT: Final = "i2c_timeout"
+INA219_OVERFLOW: Final = "ina219_overflow"
+INA219_SATURATION: Final = "ina219_saturation"
+INA219_RESET: Final = "ina219_reset"
+
+
+@dataclass(frozen=True)
+class FaultKind:
+    """What a fault does, and its count, duration (s) and value when nobody says."""
+
+    text: str
+    count: int = 0
+    duration: float = math.inf
+    value: float = 0.0
+
+
+KINDS: dict[str, FaultKind] = {
+    NO_ANSWER: FaultKind("status packets are lost", count=1),
+    CORRUPTED_CRC: FaultKind("status packets come with a wrong checksum", count=1),
+    TRUNCATED: FaultKind("status packets end early", count=1),
+    DUPLICATED: FaultKind("status packets come twice", count=1),
+    LATE: FaultKind("status packets come value seconds late", count=1, value=0.045),
+    ERROR_NUMBER: FaultKind("status packets carry error number value (1 to 7)", count=1, value=1),
+    VANISHED: FaultKind("a servo loses its supply, and boots when it has it again", duration=1.0),
+    STALLED: FaultKind("a servo's shaft is blocked", duration=1.0),
+    OVERLOAD: FaultKind("a servo reports overload until it is rebooted", duration=0.1),
+    OVERHEATING: FaultKind("a servo is 100 degrees too hot", duration=1.0),
+    INPUT_VOLTAGE: FaultKind("a servo's supply is at value volts", duration=1.0, value=4.0),
+    UNPLUGGED: FaultKind("the serial port disappears, and comes back", duration=1.0),
+    I2C_NACK: FaultKind("the power sensor does not acknowledge", count=1),
+    I2C_TIMEOUT: FaultKind("the I2C bus hangs for value seconds, then fails", count=1, value=0.1),
+    INA219_OVERFLOW: FaultKind(
+        "value amperes more than the sensor's range, its overflow bit set", duration=0.2, value=6.0
+    ),
+    INA219_SATURATION: FaultKind(
+        "value amperes more than the sensor's range, no overflow bit", duration=0.2, value=6.0
+    ),
+    INA219_RESET: FaultKind("the sensor browns out and forgets its settings", count=1),
+}
+
+
+class FaultError(ValueError):
+    """A fault that cannot be; the message says what to write instead."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One request.
+
+    name: a key of KINDS. target: servo id, None for any. start: s of the virtual robot's clock.
+    duration: s, inf for as long as the count lasts. count: packets or transactions, 0 for as many
+    as the duration holds. value: see KINDS.
+    """
+
+    name: str
+    target: int | None = None
+    start: float = 0.0
+    duration: float = math.inf
+    count: int = 0
+    value: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.name not in KINDS:
+            raise FaultError(f"no fault {self.name!r}: choose one of {', '.join(KINDS)}")
+        if not (self.start >= 0 and self.duration >= 0 and self.count >= 0):
+            raise FaultError(f"fault {self.name}: start, duration and count must not be negative")
+        if not math.isfinite(self.value):
+            raise FaultError(f"fault {self.name}: value must be a finite number")
+        if self.name == ERROR_NUMBER and self.value not in range(1, 8):
+            raise FaultError(f"fault {self.name}: value must be an error number from 1 to 7")
+
+    def delayed(self, time: float) -> "Fault":
+        """The same fault, later by a time (s)."""
+        return replace(self, start=self.start + time)
+
+    def hits(self, target: int | None) -> bool:
+        """Whether a servo is meant."""
+        return self.target is None or self.target == target
+
+
+def make_fault(
+    name: str,
+    *,
+    target: int | None = None,
+    start: float = 0.0,
+    duration: float | None = None,
+    count: int | None = None,
+    value: float | None = None,
+) -> Fault:
+    """A fault whose missing arguments take the kind's defaults. Raises FaultError."""
+    kind = KINDS.get(name)
+    if kind is None:
+        return Fault(name)  # says which names there are
+    if count is None:
+        count = kind.count if duration is None else 0
+    if duration is None:
+        duration = math.inf if count else kind.duration
+    return Fault(name, target, start, duration, count, kind.value if value is None else value)
+
+
+def parse_fault(text: str) -> Fault:
+    """A fault from ``NAME[:KEY=VALUE,…][@SECONDS]`` with keys target, duration, count, value.
+
+    Raises FaultError.
+    """
+    head, _, start = text.partition("@")
+    name, _, options = head.partition(":")
+    numbers: dict[str, float] = {}
+    try:
+        if start:
+            numbers["start"] = float(start)
+        for option in filter(None, options.split(",")):
+            key, _, value = option.partition("=")
+            if key not in ("target", "duration", "count", "value"):
+                raise FaultError(
+                    f"fault {text!r}: no option {key!r} (target, duration, count, value)"
+                )
+            numbers[key] = int(value) if key in ("target", "count") else float(value)
+    except ValueError as error:
+        if isinstance(error, FaultError):
+            raise
+        raise FaultError(f"fault {text!r}: write NAME[:KEY=VALUE,…][@SECONDS]") from error
+    return make_fault(name, **numbers)  # type: ignore[arg-type]
+
+
+class FaultBoard:
+    """The faults asked for, and which of them strike at a time."""
+
+    def __init__(self, faults: Iterable[Fault] = ()) -> None:
+        self._left: list[tuple[Fault, int]] = []
+        for fault in faults:
+            self.add(fault)
+
+    def add(self, fault: Fault) -> None:
+        """Asks for one more fault."""
+        self._left.append((fault, fault.count))
+
+    def clear(self) -> None:
+        """Ends all faults."""
+        self._left.clear()
+
+    def active(self, name: str, time: float, target: int | None = None) -> Fault | None:
+        """The fault of a name that strikes a target at a time (s), None if none does."""
+        if not self._left:
+            return None
+        for fault, _ in self._left:
+            if fault.name == name and fault.hits(target) and _strikes(fault, time):
+                return fault
+        return None
+
+    def take(self, name: str, time: float, target: int | None = None) -> Fault | None:
+        """Like active(), and uses one of the fault's count up."""
+        fault = self.active(name, time, target)
+        if fault is not None:
+            index = next(i for i, (other, _) in enumerate(self._left) if other is fault)
+            left = self._left[index][1] - 1
+            if left == 0:
+                del self._left[index]
+            else:
+                self._left[index] = (fault, left)
+        return fault
+
+    def forget_past(self, time: float) -> None:
+        """Drops faults that are over."""
+        self._left = [(f, left) for f, left in self._left if time <= f.start + f.duration]
+
+
+def _strikes(fault: Fault, time: float) -> bool:
+    return fault.start <= time <= fault.start + fault.duration

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An INA219 at register level: conversions on a clock, integer arithmetic of SBOS448G.
+
+The chip is told shunt voltage and bus voltage (V) at each step of the virtual robot and converts
+what it saw on average in each conversion's window.
+"""
+
+import math
+from dataclasses import dataclass
+from random import Random
+
+CONFIGURATION, SHUNT, BUS, POWER, CURRENT, CALIBRATION = range(6)
+POWER_ON_CONFIGURATION = 0x399F
+
+_RESET_BIT = 0x8000
+_CONVERSION_READY = 0x0002
+_OVERFLOW = 0x0001
+_SHUNT_LSB = 10e-6  # V
+_BUS_LSB = 4e-3  # V
+_BUS_PIN_LIMIT = 26.0  # V, in the 32 V range too
+_BASE_TIMES = (84e-6, 148e-6, 276e-6, 532e-6)  # 9, 10, 11, 12 bit
+_UNAVERAGED = 532e-6  # s, one 12-bit conversion
+
+
+@dataclass(frozen=True)
+class Converter:
+    """What an ADC field of the configuration means: time (s), samples averaged, lost low bits."""
+
+    time: float
+    samples: int
+    lost_bits: int
+
+
+def converter(field: int) -> Converter:
+    """The meaning of a 4-bit ADC field (BADC or SADC)."""
+    if field & 0x8:
+        samples = 1 << (field & 0x7)
+        return Converter(_UNAVERAGED * samples, samples, 0)
+    bits = field & 0x3
+    return Converter(_BASE_TIMES[bits], 1, 3 - bits)
+
+
+@dataclass(frozen=True)
+class AdcNoise:
+    """Standard deviation of one conversion (V) at the shunt and at the bus pin."""
+
+    shunt: float
+    bus: float
+
+
+class Ina219:
+    """The chip. Registers are 16-bit raw values; times in s, never going back."""
+
+    def __init__(self, noise: AdcNoise, random: Random) -> None:
+        self._noise = noise
+        self._random = random
+        self._time = 0.0
+        self._forced_overflow = False
+        self.power_on()
+
+    def power_on(self) -> None:
+        """All registers as after power-up; calibration 0, so that current and power read 0."""
+        self._registers = [POWER_ON_CONFIGURATION, 0, 0, 0, 0, 0]
+        self._ready = False
+        self._math_overflow = False
+        self._restart()
+
+    def force_overflow(self, *, forced: bool) -> None:
+        """Raises the overflow bit from outside, whatever the arithmetic says."""
+        self._forced_overflow = forced
+
+    # --- the bus side -------------------------------------------------------------------------
+
+    def read(self, register: int) -> int:
+        """A register's value; pointers beyond the last register read 0."""
+        if register > CALIBRATION:
+            return 0
+        value = self._registers[register]
+        if register == BUS:
+            value |= _CONVERSION_READY * self._ready
+            value |= _OVERFLOW * (self._math_overflow or self._forced_overflow)
+        if register == POWER:
+            self._ready = False
+        return value
+
+    def write(self, register: int, value: int) -> None:
+        """Sets a register; writes to measured ones are ignored, as the chip does."""
+        if register == CONFIGURATION:
+            if value & _RESET_BIT:
+                self.power_on()
+                return
+            self._registers[CONFIGURATION] = value & 0x3FFF
+            self._ready = False
+            self._restart()
+        elif register == CALIBRATION:
+            self._registers[CALIBRATION] = value & 0xFFFE  # bit 0 is a void bit, always 0
+            self._compute()
+
+    # --- the analogue side ----------------------------------------------------------------------
+
+    def _restart(self) -> None:
+        """Reads the configuration and begins its first conversion."""
+        configuration = self._registers[CONFIGURATION]
+        mode = configuration & 0x7
+        self._continuous = mode > 4
+        self._sequence = [channel for channel, bit in ((SHUNT, 1), (BUS, 2)) if mode & bit]
+        self._shunt_adc = converter(configuration >> 3 & 0xF)
+        self._bus_adc = converter(configuration >> 7 & 0xF)
+        self._shunt_limit = 4000 << (configuration >> 11 & 0x3)  # counts, 40 mV times the gain
+        self._bus_limit = 8000 if configuration & 0x2000 else 4000  # counts, 32 V or 16 V
+        self._begin(0, self._time)
+
+    def _begin(self, index: int, time: float) -> None:
+        self._index = index
+        if index >= len(self._sequence):
+            self._end = math.inf
+            return
+        adc = self._shunt_adc if self._sequence[index] == SHUNT else self._bus_adc
+        self._end = time + adc.time
+        self._sum = 0.0
+        self._weight = 0.0
+
+    def advance(self, time: float, shunt_voltage: float, bus_voltage: float) -> None:
+        """Shows the chip what stood at its pins since the last call until a time."""
+        start = self._time
+        while self._end <= time:
+            self._observe(self._end - start, shunt_voltage, bus_voltage)
+            start = self._end
+            self._convert(shunt_voltage, bus_voltage)
+        self._observe(time - start, shunt_voltage, bus_voltage)
+        self._time = time
+
+    def _observe(self, duration: float, shunt_voltage: float, bus_voltage: float) -> None:
+        if self._end != math.inf:
+            seen = shunt_voltage if self._sequence[self._index] == SHUNT else bus_voltage
+            self._sum += seen * duration
+            self._weight += duration
+
+    def _convert(self, shunt_voltage: float, bus_voltage: float) -> None:
+        is_shunt = self._sequence[self._index] == SHUNT
+        present = shunt_voltage if is_shunt else bus_voltage
+        mean = self._sum / self._weight if self._weight > 0 else present
+        if is_shunt:
+            self._registers[SHUNT] = self._shunt_counts(mean) & 0xFFFF
+        else:
+            self._registers[BUS] = self._bus_counts(mean) << 3
+        if self._index + 1 < len(self._sequence):
+            self._begin(self._index + 1, self._end)
+            return
+        self._compute()
+        self._ready = True
+        self._begin(0 if self._continuous else len(self._sequence), self._end)
+
+    def _shunt_counts(self, voltage: float) -> int:
+        adc = self._shunt_adc
+        noise = self._random.gauss(0.0, self._noise.shunt / math.sqrt(adc.samples))
+        counts = round((voltage + noise) / _SHUNT_LSB) >> adc.lost_bits << adc.lost_bits
+        return min(max(counts, -self._shunt_limit), self._shunt_limit)
+
+    def _bus_counts(self, voltage: float) -> int:
+        adc = self._bus_adc
+        noise = self._random.gauss(0.0, self._noise.bus / math.sqrt(adc.samples))
+        seen = min(voltage + noise, _BUS_PIN_LIMIT)
+        counts = round(seen / _BUS_LSB) >> adc.lost_bits << adc.lost_bits
+        return min(max(counts, 0), self._bus_limit)
+
+    def _compute(self) -> None:
+        """Current = Shunt x Calibration / 4096, Power = Current x Bus / 5000, in integers."""
+        shunt = _signed(self._registers[SHUNT])
+        product = shunt * self._registers[CALIBRATION]
+        current = abs(product) // 4096 * (1 if product >= 0 else -1)
+        power = abs(current) * (self._registers[BUS] >> 3) // 5000
+        self._math_overflow = not -0x8000 <= current <= 0x7FFF or power > 0xFFFF
+        self._registers[CURRENT] = current & 0xFFFF
+        self._registers[POWER] = power & 0xFFFF
+
+
+def _signed(raw: int) -> int:
+    return raw - 0x10000 if raw & 0x8000 else raw

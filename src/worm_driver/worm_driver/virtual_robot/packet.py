@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dynamixel Protocol 2.0 packets as a servo sees them: checksum, byte stuffing, framing.
+
+Written from the ROBOTIS e-manual, without the SDK, so that agreement with it means something.
+"""
+
+import re
+from dataclasses import dataclass
+from enum import IntEnum
+
+HEADER = b"\xff\xff\xfd"
+BROADCAST_ID = 0xFE
+HIGHEST_ID = 0xFC
+STATUS = 0x55
+ALERT = 0x80  # bit 7 of the error byte: look at Hardware Error Status
+
+_PREFIX = HEADER + b"\x00"
+_OVERHEAD = 7  # header, reserved byte, id, length
+_LONGEST = 1024  # bytes after the length field; more than any instruction of ours needs
+_BARE_HEADER = re.compile(rb"\xff\xff\xfd(?!\xfd)")
+
+
+class Instruction(IntEnum):
+    """Instruction codes that a servo of the X series obeys."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    FACTORY_RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
+
+
+class Error(IntEnum):
+    """Error numbers of a status packet, bits 6 to 0 of its error byte (numbers, not flags)."""
+
+    NONE = 0
+    RESULT_FAIL = 1
+    INSTRUCTION = 2
+    CRC = 3
+    DATA_RANGE = 4
+    DATA_LENGTH = 5
+    DATA_LIMIT = 6
+    ACCESS = 7
+
+
+@dataclass(frozen=True)
+class Packet:
+    """An instruction packet, unstuffed.
+
+    instruction is the byte on the wire (it may be none of Instruction's); intact tells whether the
+    checksum was right.
+    """
+
+    servo_id: int
+    instruction: int
+    parameters: bytes
+    intact: bool = True
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for high_byte in range(256):
+        remainder = high_byte << 8
+        for _ in range(8):
+            remainder = (remainder << 1) ^ (0x8005 if remainder & 0x8000 else 0)
+        table.append(remainder & 0xFFFF)
+    return tuple(table)
+
+
+_CRC_TABLE = _crc_table()
+
+
+def crc16(data: bytes, crc: int = 0) -> int:
+    """CRC-16 of the protocol: polynomial 0x8005, most significant bit first, no final xor."""
+    for byte in data:
+        crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
+    return crc
+
+
+def stuff(body: bytes) -> bytes:
+    """The body (instruction to last parameter) with 0xFD after each FF FF FD."""
+    return body.replace(HEADER, HEADER + b"\xfd")
+
+
+def unstuff(body: bytes) -> bytes:
+    """The inverse of stuff()."""
+    return body.replace(HEADER + b"\xfd", HEADER)
+
+
+def frame(servo_id: int, body: bytes) -> bytes:
+    """A whole packet around a body that is already stuffed."""
+    packet = _PREFIX + bytes([servo_id]) + (len(body) + 2).to_bytes(2, "little") + body
+    return packet + crc16(packet).to_bytes(2, "little")
+
+
+def instruction_packet(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """The bytes of an instruction packet."""
+    return frame(servo_id, stuff(bytes([instruction]) + parameters))
+
+
+def status_packet(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
+    """The bytes of a status packet; error is the whole error byte with the alert bit."""
+    return frame(servo_id, stuff(bytes([STATUS, error]) + parameters))
+
+
+def fast_status_packet(answers: list[tuple[int, int, bytes]], asked: list[int]) -> bytes:
+    """The one status packet of a Fast Sync Read or Fast Bulk Read, which is not stuffed.
+
+    answers: (error byte, servo id, data) of each servo in the order of the request.
+    asked: number of data bytes of every servo asked for. With fewer answers the packet ends early,
+    as on the wire when a servo is silent.
+    """
+    length = 1 + sum(size + 4 for size in asked)
+    packet = _PREFIX + bytes([BROADCAST_ID]) + length.to_bytes(2, "little") + bytes([STATUS])
+    crc = crc16(packet)
+    for error, servo_id, data in answers:
+        part = bytes([error, servo_id]) + data
+        crc = crc16(part, crc)
+        tail = crc.to_bytes(2, "little")
+        packet += part + tail
+        crc = crc16(tail, crc)  # the next servo's checksum covers all bytes before it
+    return packet
+
+
+class InstructionReader:
+    """Finds instruction packets in a stream of bytes.
+
+    A real servo drops a packet whose bytes pause for more than 1.5 ms. A pseudo-terminal hands over
+    bytes when the reader is scheduled, so the allowed gap is an argument (s).
+    """
+
+    def __init__(self, allowed_gap: float) -> None:
+        self._allowed_gap = allowed_gap
+        self._pending = b""
+        self._last_time = 0.0
+
+    def feed(self, data: bytes, time: float) -> list[Packet]:
+        """The packets that these bytes, received at a time (s), complete."""
+        if self._pending and time - self._last_time > self._allowed_gap:
+            self._pending = b""
+        self._pending += data
+        self._last_time = time
+        packets = []
+        while (packet := self._next()) is not None:
+            packets.append(packet)
+        return packets
+
+    def _next(self) -> Packet | None:
+        while True:
+            start = self._pending.find(HEADER)
+            if start < 0:
+                self._pending = self._pending[-2:]  # may be the start of a header
+                return None
+            self._pending = self._pending[start:]
+            if len(self._pending) < _OVERHEAD:
+                return None
+            length = int.from_bytes(self._pending[5:7], "little")
+            if self._pending[3] != 0 or not 3 <= length <= _LONGEST:
+                self._pending = self._pending[1:]
+                continue
+            end = _OVERHEAD + length
+            if len(self._pending) < end:
+                return None
+            body = self._pending[_OVERHEAD : end - 2]
+            bare = _BARE_HEADER.search(body)
+            if bare is not None:
+                # A header inside the body: the receiver takes it for the start of the next packet.
+                self._pending = self._pending[_OVERHEAD + bare.start() :]
+                continue
+            return self._take(end, body)
+
+    def _take(self, end: int, body: bytes) -> Packet:
+        raw, self._pending = self._pending[:end], self._pending[end:]
+        intact = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
+        plain = unstuff(body)
+        return Packet(raw[4], plain[0], plain[1:], intact)
