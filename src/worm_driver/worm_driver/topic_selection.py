@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which topics a recording takes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+
+class SelectionError(ValueError):
+    """Nothing, or nothing sensible, was selected."""
+
+
+@dataclass(frozen=True)
+class TopicSelection:
+    """Topics by name, by regular expression, or all.
+
+    Attributes:
+        names: full topic names, taken whatever else is said.
+        everything: all topics that are not hidden.
+        regex: further topics, searched for anywhere in the full name; empty: none.
+        exclude: what `everything` and `regex` leave out, searched for likewise; empty: nothing.
+        hidden: `everything` and `regex` may take hidden topics too, such as an action's feedback.
+    """
+
+    names: frozenset[str] = frozenset()
+    everything: bool = False
+    regex: str = ""
+    exclude: str = ""
+    hidden: bool = False
+
+    def __post_init__(self) -> None:
+        if not (self.names or self.everything or self.regex):
+            raise SelectionError("no topics: name some, or give --regex or --all")
+        for pattern in (self.regex, self.exclude):
+            try:
+                re.compile(pattern)
+            except re.error as error:
+                raise SelectionError(f"{pattern!r} is not a regular expression: {error}") from None
+
+    def takes(self, topic: str) -> bool:
+        """Whether a topic of that full name is recorded."""
+        if topic in self.names:
+            return True
+        if not self.hidden and any(part.startswith("_") for part in topic.split("/")):
+            return False
+        if self.exclude and re.search(self.exclude, topic):
+            return False
+        return self.everything or bool(self.regex and re.search(self.regex, topic))
