@@ -16,7 +16,7 @@ from worm_optimizer.bringup.system import (
 SHIPPED = Path(__file__).resolve().parents[3] / "src/worm_optimizer/config/system.yaml"
 MINIMAL = {
     "namespace": "worm",
-    "settings": {"port": "/dev/bus"},
+    "settings": {"port": {"default": "/dev/bus", "description": "a bus"}},
     "nodes": {
         "driver": {
             "package": "p",
@@ -80,6 +80,7 @@ def test_command_arguments_keep_the_types_of_parameters():
         ),
         ({"nodes": {"twin": {"package": "p"}}}, "twin: no setting or key 'executable'"),
         ({"settings": {}}, "driver: no setting or key 'port'"),
+        ({"settings": {"port": {"default": "x"}}}, "a setting has a default and a description"),
         ({"more": 1}, "expected the keys"),
     ],
 )

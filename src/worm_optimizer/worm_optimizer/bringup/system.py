@@ -73,12 +73,20 @@ class System:
 
 
 @dataclass(frozen=True)
+class Setting:
+    """What may differ from start to start, such as the path of a device."""
+
+    default: str
+    description: str
+
+
+@dataclass(frozen=True)
 class SystemFile:
-    """A parsed system file: settings with their defaults, and nodes that refer to them as {name}."""
+    """A parsed system file: settings, and nodes that refer to them as {name}."""
 
     path: Path
     namespace: str
-    settings: Mapping[str, str]
+    settings: Mapping[str, Setting]
     nodes: Mapping[str, Mapping[str, Any]]
 
     def system(self, mode: str, **settings: str) -> System:
@@ -92,7 +100,8 @@ class SystemFile:
         if unknown:
             known = ", ".join(self.settings)
             raise SystemFileError(f"no setting {unknown[0]!r} in {self.path}: there are {known}")
-        values = {**self.settings, **settings}
+        defaults = {name: setting.default for name, setting in self.settings.items()}
+        values = {**defaults, **settings}
         return System(
             self.namespace,
             tuple(
@@ -135,7 +144,10 @@ def load_system_file(path: str | Path) -> SystemFile:
         if unknown:
             known = ", ".join(sorted(_NODE_KEYS))
             raise SystemFileError(f"{path}: node {name}: unknown key {unknown[0]}, known: {known}")
-    settings = {key: str(value) for key, value in content["settings"].items()}
+    try:
+        settings = {name: Setting(**value) for name, value in content["settings"].items()}
+    except TypeError:
+        raise SystemFileError(f"{path}: a setting has a default and a description") from None
     return SystemFile(path, content["namespace"], settings, content["nodes"])
 
 
