@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiles the kernel into its cache, so that nothing compiles later: ``python -m worm_model.warm_up``."""
+
+from worm_model.batch import evaluate_gaits
+from worm_model.gait import Gait
+from worm_model.simulator import Locomotion, evaluate_gait, simulate
+
+
+def main() -> None:
+    """Calls every entry of the kernel once."""
+    gait = Gait(0.07, 0.2)
+    evaluate_gait(gait)
+    evaluate_gaits([0.07, 0.08], 0.2)
+    trajectory = simulate(gait, cycles=1)
+    trajectory.at([0.0])
+    trajectory.events()
+    model = Locomotion()
+    model.follow(model.start(), [0.1, 0.2], [-0.001, -0.002])
+
+
+if __name__ == "__main__":
+    main()
