@@ -8,6 +8,7 @@ from setuptools import find_packages, setup
 NAME = "worm_driver"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
     "virtual_robot = worm_driver.virtual_robot.virtual_robot_node:main",
+    "driver_node = worm_driver.driver_node:main",
     "record = worm_driver.record_node:main",
 ]
 

@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lifecycle node ``driver``: ROS on one side, the robot's loop on the other, nothing of its own in between.
+
+configure opens and checks everything, activate enables the torque; deactivate, cleanup, shutdown, SIGINT, SIGTERM and
+an escaped exception bring the gait to rest and release the servos.
+"""
+
+import signal
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from types import FrameType
+from typing import TypeVar
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from worm_driver import ros_messages, ros_parameters
+from worm_driver.diagnostics import offline_report
+from worm_driver.errors import DriverError
+from worm_driver.hardware import Hardware
+from worm_driver.ros_messages import ClockPair
+from worm_driver.run_action import RunGaitAction
+from worm_driver.telemetry import Snapshot
+from worm_msgs.msg import BodyLength, GaitState, Power, Tracker
+
+T = TypeVar("T")
+
+#: s, how long the interpreter lets a thread run before another may; the default of 5 ms would be half a cycle
+_SWITCH_INTERVAL = 0.0005
+
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class DriverNode(LifecycleNode):
+    """See the module."""
+
+    def __init__(self) -> None:
+        super().__init__("driver")
+        ros_parameters.declare(self)
+        self._hardware: Hardware | None = None
+        self._latest: Snapshot | None = None
+        self._shown: tuple[object, ...] | None = None
+        self._offline_reason = ""
+        self._joint_states = self.create_publisher(JointState, "joint_states", 10)
+        self._commanded = self.create_publisher(BodyLength, "body_length/commanded", 10)
+        self._cable = self.create_publisher(BodyLength, "body_length/cable", 10)
+        self._power = self.create_publisher(Power, "power", 10)
+        self._gait_state = self.create_publisher(GaitState, "gait_state", _LATCHED)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._action = RunGaitAction(self, lambda: self._hardware)
+        self.create_subscription(Tracker, "tracker", self._on_tracker, 100)
+        self.create_service(Trigger, "stop", self._on_stop)
+        self.create_service(Trigger, "home", self._on_home)
+        self.create_service(Trigger, "reboot", self._on_reboot)
+        self._fresh = self.create_guard_condition(self._publish)
+        self.create_timer(1.0, self._publish_diagnostics)
+
+    # --- lifecycle -----------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Opens and checks everything; FAILURE, with the reason in the log and the diagnostics, if it cannot."""
+        try:
+            settings = ros_parameters.settings(self)
+            self._hardware = Hardware(settings, self._wake)
+        except DriverError as error:
+            return self._failed("configure", error)
+        self._offline_reason = ""
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Enables the torque."""
+        try:
+            self._do(lambda hardware, now: hardware.robot.activate(now))
+        except (DriverError, TimeoutError) as error:
+            return self._failed("activate", error)
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Brings the gait to rest and releases the servos."""
+        try:
+            self._release()
+        except (DriverError, TimeoutError) as error:
+            self._failed("deactivate", error)
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Closes everything."""
+        self.close("the driver is cleaned up")
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Brings the gait to rest, releases the servos and closes everything."""
+        self.close("the driver shuts down")
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Releases and closes everything, so that the driver can be configured again."""
+        self.close("a transition failed")
+        super().on_error(state)
+        return TransitionCallbackReturn.SUCCESS
+
+    def close(self, reason: str) -> None:
+        """Brings the robot to rest, releases and closes it; needs no ROS, and is harmless when nothing is open."""
+        hardware, self._hardware = self._hardware, None
+        if hardware is None:
+            return
+        for problem in hardware.close(reason):
+            self.get_logger().error(f"on release: {problem}")
+        self._action.abandon(reason)
+        self._publish_all(hardware)
+
+    def autostart(self) -> None:
+        """Configures and activates, where the parameter asks for it. Raises DriverError when it fails."""
+        if not self.get_parameter("autostart").value:
+            return
+        for trigger in (self.trigger_configure, self.trigger_activate):
+            if trigger() != TransitionCallbackReturn.SUCCESS:
+                raise DriverError(self._offline_reason)
+
+    def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
+        self._offline_reason = str(error)
+        self.get_logger().error(f"cannot {what}: {error}")
+        return TransitionCallbackReturn.FAILURE
+
+    def _release(self) -> None:
+        hardware = self._hardware
+        if hardware is None:
+            return
+        self._do(
+            lambda hardware, now: hardware.robot.begin_release(now, "the driver is deactivated")
+        )
+        end = time.monotonic() + hardware.release_time
+        while not self._do(lambda hardware, _: hardware.robot.released) and time.monotonic() < end:
+            self._publish()
+        for problem in self._do(lambda hardware, _: hardware.robot.release()):
+            self.get_logger().error(f"on release: {problem}")
+
+    # --- services ------------------------------------------------------------------------------
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(
+            response,
+            lambda hardware, now: hardware.robot.stop(now, "the service stop was called"),
+            "stopped, and holding",
+        )
+
+    def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(
+            response,
+            lambda hardware, _: hardware.robot.home(),
+            "the present cable length is the initial one",
+        )
+
+    def _on_reboot(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(
+            response,
+            lambda hardware, _: hardware.robot.reboot(),
+            "servos with a hardware error were restarted; home before the next activation",
+        )
+
+    def _answer(
+        self,
+        response: Trigger.Response,
+        action: Callable[[Hardware, float], object],
+        done: str,
+    ) -> Trigger.Response:
+        try:
+            self._do(action)
+            response.success, response.message = True, done
+        except (DriverError, TimeoutError) as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _do(self, action: Callable[[Hardware, float], T]) -> T:
+        """Has something done between two cycles. Raises DriverError, TimeoutError."""
+        hardware = self._hardware
+        if hardware is None:
+            raise DriverError("the driver is not configured")
+        answer: Future[T] = hardware.loop.submit(lambda now: action(hardware, now))
+        return answer.result(timeout=2.0)
+
+    # --- telemetry -----------------------------------------------------------------------------
+
+    def _wake(self) -> None:
+        """From the I/O thread: there is something to publish. Without a ROS context there is nothing to wake."""
+        try:
+            self._fresh.trigger()
+        except RuntimeError:
+            return
+
+    def _publish(self) -> None:
+        if self._hardware is not None:
+            self._publish_all(self._hardware)
+
+    def _publish_all(self, hardware: Hardware) -> None:
+        clocks = ClockPair.read(lambda: self.get_clock().now().nanoseconds)
+        while hardware.samples:
+            sample = hardware.samples.popleft()
+            self._action.on_power(sample)
+            self._power.publish(ros_messages.power(sample, clocks))
+        while hardware.snapshots:
+            self._publish_snapshot(hardware, hardware.snapshots.popleft(), clocks)
+
+    def _publish_snapshot(self, hardware: Hardware, snapshot: Snapshot, clocks: ClockPair) -> None:
+        self._latest = snapshot
+        initial = hardware.settings.body.initial_length
+        self._joint_states.publish(ros_messages.joint_state(hardware.joint_names, snapshot, clocks))
+        if snapshot.commanded == snapshot.commanded:
+            self._commanded.publish(
+                ros_messages.body_length(
+                    BodyLength.COMMANDED, snapshot.command_time, snapshot.commanded, initial, clocks
+                )
+            )
+        if snapshot.cable == snapshot.cable:
+            self._cable.publish(
+                ros_messages.body_length(
+                    BodyLength.CABLE, snapshot.read_time, snapshot.cable, initial, clocks
+                )
+            )
+        self._show_gait_state(snapshot, clocks)
+        self._action.on_snapshot(snapshot)
+
+    def _show_gait_state(self, snapshot: Snapshot, clocks: ClockPair) -> None:
+        player = snapshot.player
+        run = player.active_run
+        shown = (
+            snapshot.active,
+            player.phase,
+            player.message,
+            run and (run.number, run.onset, run.cycle(snapshot.command_time)),
+        )
+        if shown != self._shown:
+            self._shown = shown
+            self._gait_state.publish(ros_messages.gait_state(snapshot, clocks))
+
+    def _on_tracker(self, message: Tracker) -> None:
+        clocks = ClockPair.read(lambda: self.get_clock().now().nanoseconds)
+        self._action.on_position(clocks.monotonic(message.header.stamp), message.rear_position)
+
+    def _publish_diagnostics(self) -> None:
+        stamp = self.get_clock().now().to_msg()
+        hardware, latest = self._hardware, self._latest
+        if hardware is None or latest is None:
+            reports = [offline_report("not configured", self._offline_reason)]
+        else:
+            reports = hardware.report(latest)
+            self._check_loop(hardware)
+        self._diagnostics.publish(ros_messages.diagnostics(reports, stamp))
+
+    def _check_loop(self, hardware: Hardware) -> None:
+        if not hardware.loop.alive:
+            failure = hardware.loop.failure
+            raise RuntimeError(f"the servo bus thread has ended: {failure}") from failure
+
+
+def main(args: list[str] | None = None) -> int:
+    """Runs the driver until SIGINT or SIGTERM; the servos are released on every way out."""
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    asked: list[int] = []
+
+    def on_signal(number: int, _: FrameType | None) -> None:
+        asked.append(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, on_signal)
+    node = None
+    try:
+        node = DriverNode()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        node.autostart()
+        while not asked:
+            executor.spin_once(timeout_sec=0.05)
+    except DriverError as error:
+        print(f"driver: {error}", file=sys.stderr)  # noqa: T201
+        return 1
+    finally:
+        if node is not None:
+            node.close("the driver ends")
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A gait as the driver plays it (paper, eq:problem_formulation_gait), and what the robot can bear."""
+
+import math
+from dataclasses import dataclass
+
+from worm_driver.errors import LimitError
+
+FORWARD = 1
+REVERSE = -1
+
+
+@dataclass(frozen=True)
+class Gait:
+    """A sinusoidal gait; SI. Nothing is checked here, as limits belong to a robot: see GaitLimits."""
+
+    stroke: float
+    frequency: float
+    direction: int = FORWARD
+    margin: float = 0.0
+
+    def length_change(self, time: float) -> float:
+        """u_cmd (m, never positive) at a time (s) after the onset."""
+        return -self.stroke / 2 * (1.0 - math.cos(2 * math.pi * self.frequency * time))
+
+    @property
+    def peak_speed(self) -> float:
+        """Largest speed of the cable, m/s."""
+        return math.pi * self.frequency * self.stroke
+
+
+@dataclass(frozen=True)
+class GaitLimits:
+    """What may be asked of a robot; SI.
+
+    Attributes:
+        max_stroke: m.
+        max_frequency: Hz.
+        max_cable_speed: m/s, already the least of the parameter and of the servos' velocity limits.
+        max_cycles: of one run.
+    """
+
+    max_stroke: float
+    max_frequency: float
+    max_cable_speed: float
+    max_cycles: int = 1000
+
+    def check(self, gait: Gait, cycles: int) -> None:
+        """Raises LimitError, which says what is wrong and what would be right."""
+        for name in ("stroke", "frequency", "margin"):
+            value = getattr(gait, name)
+            if not math.isfinite(value):
+                raise LimitError(f"the gait's {name} is {value}, not a number that can be played")
+        if not 0.0 < gait.stroke <= self.max_stroke:
+            raise LimitError(
+                f"stroke {gait.stroke:g} m is outside (0, {self.max_stroke:g}] m (limits.max_stroke_m)"
+            )
+        if not 0.0 < gait.frequency <= self.max_frequency:
+            raise LimitError(
+                f"frequency {gait.frequency:g} Hz is outside (0, {self.max_frequency:g}] Hz "
+                "(limits.max_frequency_Hz)"
+            )
+        if gait.margin < 0.0:
+            raise LimitError(f"margin {gait.margin:g} m is negative")
+        if gait.direction not in (FORWARD, REVERSE):
+            raise LimitError(f"direction must be 1 (forward) or -1 (reverse), not {gait.direction}")
+        if not 1 <= cycles <= self.max_cycles:
+            raise LimitError(f"cycles must be 1 to {self.max_cycles}, not {cycles}")
+        if gait.peak_speed > self.max_cable_speed:
+            raise LimitError(
+                f"the cable would reach {gait.peak_speed:.4f} m/s, the robot's limit is "
+                f"{self.max_cable_speed:.4f} m/s: stroke times frequency at most "
+                f"{self.max_cable_speed / math.pi:.4f} m/s"
+            )

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of a run, by the paper's protocol: the last three whole cycles, idle power from the first ten samples.
+
+Times are monotonic, in s. A figure that cannot be had is NaN, with a reason in words; none is made up from part of
+the data, as what is missing is seldom missing at random (a sensor overflows where the power is largest).
+"""
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from worm_driver.gait_player import Run
+from worm_driver.ina219 import PowerSample, SampleStatus
+from worm_driver.settings import Body
+
+STANDARD_GRAVITY = 9.80665
+AVERAGED_CYCLES = 3
+IDLE_SAMPLES = 10
+
+#: s, the farthest that two tracker samples may lie apart to tell a position between them (30 Hz, two lost)
+_TRACKER_GAP = 0.12
+#: share of the power samples that must be valid
+_VALID_SHARE = 0.9
+
+
+@dataclass
+class RunRecord:
+    """What is collected while a run goes on.
+
+    Attributes:
+        positions: (time s, x1 m) of the tracker, in order; occluded samples are not in it.
+        power: every sample of the power sensor, in order.
+    """
+
+    positions: list[tuple[float, float]] = field(default_factory=list)
+    power: list[PowerSample] = field(default_factory=list)
+
+    def position_at(self, time: float) -> float:
+        """x1 (m) at a time, between the two samples around it; NaN where there are none close enough."""
+        after = bisect_left(self.positions, (time, -math.inf))
+        if after == len(self.positions):
+            return math.nan
+        t1, x1 = self.positions[after]
+        if t1 == time:
+            return x1
+        if after == 0:
+            return math.nan
+        t0, x0 = self.positions[after - 1]
+        if t1 - t0 > _TRACKER_GAP:
+            return math.nan
+        return x0 + (x1 - x0) * (time - t0) / (t1 - t0)
+
+    def latest_power(self) -> float:
+        """W, of the latest valid sample; NaN without one."""
+        for sample in reversed(self.power):
+            if sample.status is SampleStatus.VALID:
+                return sample.power
+        return math.nan
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Measured figures of a run; SI. reasons: why figures are missing, in words."""
+
+    cycles_completed: int
+    cycles_averaged: int
+    speed: float
+    power: float
+    cost_of_transport: float
+    idle_power: float
+    reasons: tuple[str, ...]
+
+
+def figures(run: Run, record: RunRecord, body: Body) -> Figures:
+    """The figures of a run that has ended."""
+    assert run.end is not None
+    completed = run.cycles_completed(run.end)
+    averaged = min(AVERAGED_CYCLES, completed)
+    idle_power, idle_reason = _idle_power(run, record.power)
+    if run.onset is None or averaged == 0:
+        nan = math.nan
+        return Figures(
+            completed, 0, nan, nan, nan, idle_power, _given("no cycle was completed", idle_reason)
+        )
+    end = run.onset + completed / run.gait.frequency
+    start = end - averaged / run.gait.frequency
+    speed, speed_reason = _speed(run, record, start, end)
+    power, power_reason = _mean_power(record.power, start, end)
+    cost, cost_reason = _cost_of_transport(power, speed, body)
+    reasons = _given(speed_reason, power_reason, cost_reason, idle_reason)
+    return Figures(completed, averaged, speed, power, cost, idle_power, reasons)
+
+
+def distance(run: Run, record: RunRecord) -> float:
+    """Displacement of x1 along the gait's direction since the onset (m); NaN without a tracker."""
+    if run.onset is None or not record.positions:
+        return math.nan
+    return run.gait.direction * (record.positions[-1][1] - record.position_at(run.onset))
+
+
+def _given(*reasons: str) -> tuple[str, ...]:
+    return tuple(reason for reason in reasons if reason)
+
+
+def _speed(run: Run, record: RunRecord, start: float, end: float) -> tuple[float, str]:
+    if not record.positions:
+        return math.nan, "no speed: the topic tracker was silent"
+    displacement = record.position_at(end) - record.position_at(start)
+    if math.isnan(displacement):
+        return (
+            math.nan,
+            "no speed: the tracker did not see the robot at the averaged cycles' start or end",
+        )
+    return run.gait.direction * displacement / (end - start), ""
+
+
+def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tuple[float, str]:
+    window = [sample for sample in samples if start <= sample.time <= end]
+    if not window:
+        return math.nan, "no power: there is no power sensor"
+    overflows = sum(sample.status is SampleStatus.OVERFLOW for sample in window)
+    if overflows:
+        return math.nan, f"no power: {overflows} samples overflowed the sensor's range"
+    powers = [sample.power for sample in window if sample.status is SampleStatus.VALID]
+    if len(powers) < _VALID_SHARE * len(window):
+        return math.nan, f"no power: only {len(powers)} of {len(window)} samples are valid"
+    return math.fsum(powers) / len(powers), ""
+
+
+def _cost_of_transport(power: float, speed: float, body: Body) -> tuple[float, str]:
+    """COT = P / (m g |v|)."""
+    if math.isnan(power) or math.isnan(speed):
+        return math.nan, ""
+    if speed == 0.0:
+        return math.nan, "no cost of transport: the robot stood still"
+    return power / (body.mass * STANDARD_GRAVITY * abs(speed)), ""
+
+
+def _idle_power(run: Run, samples: Sequence[PowerSample]) -> tuple[float, str]:
+    """Mean of the first ten valid samples at rest (eq:Pidle_est)."""
+    if run.rest_start is None:
+        return math.nan, "no idle power: the rest did not begin"
+    end = math.inf if run.onset is None else run.onset
+    powers = [
+        sample.power
+        for sample in samples
+        if run.rest_start <= sample.time < end and sample.status is SampleStatus.VALID
+    ]
+    if len(powers) < IDLE_SAMPLES:
+        return (
+            math.nan,
+            f"no idle power: {len(powers)} valid samples at rest, {IDLE_SAMPLES} are needed",
+        )
+    return math.fsum(powers[:IDLE_SAMPLES]) / IDLE_SAMPLES, ""

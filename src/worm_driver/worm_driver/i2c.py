@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The I2C bus: 16-bit registers of one device, through smbus2. The only module that imports it.
+
+SMBus words travel low byte first, and the chips of this robot send the high byte first: the swap is done here, once,
+in both directions. A bus belongs to one thread, as smbus2 has no lock.
+"""
+
+import contextlib
+import errno
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import smbus2
+
+from worm_driver.errors import PowerSensorError
+from worm_driver.virtual_robot.smbus import SocketSMBus
+
+
+class WordBus(Protocol):
+    """What is used of smbus2.SMBus."""
+
+    def read_word_data(self, i2c_addr: int, register: int) -> int:
+        """One word, low byte first."""
+
+    def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
+        """Writes one word, low byte first."""
+
+    def close(self) -> None:
+        """Gives the bus back."""
+
+
+@dataclass(frozen=True)
+class I2CDevice:
+    """A device of big-endian 16-bit registers at an address of a bus."""
+
+    bus: WordBus
+    bus_name: str
+    address: int
+
+    def read(self, register: int) -> int:
+        """A register, unsigned. Raises PowerSensorError."""
+        try:
+            return swap(self.bus.read_word_data(self.address, register))
+        except OSError as error:
+            raise PowerSensorError(self._explain(error)) from error
+
+    def write(self, register: int, value: int) -> None:
+        """Sets a register. Raises PowerSensorError."""
+        try:
+            self.bus.write_word_data(self.address, register, swap(value))
+        except OSError as error:
+            raise PowerSensorError(self._explain(error)) from error
+
+    def close(self) -> None:
+        """Gives the bus back; harmless when it is gone."""
+        with contextlib.suppress(OSError):
+            self.bus.close()
+
+    def _explain(self, error: OSError) -> str:
+        where = f"I2C device 0x{self.address:02X} on bus {self.bus_name}"
+        remedy = {
+            errno.EREMOTEIO: "does not acknowledge: check its power, wiring and address "
+            f"(i2cdetect -y {self.bus_name})",
+            errno.ENXIO: "does not acknowledge: check its power, wiring and address",
+            errno.ETIMEDOUT: "timed out: a device holds the bus, switch its power off and on",
+            errno.EBUSY: "belongs to a kernel driver: unbind ina2xx (hwmon)",
+        }.get(error.errno or 0, f"failed: {error}")
+        return f"{where} {remedy}"
+
+
+def swap(word: int) -> int:
+    """Exchanges the two bytes of a word."""
+    return (word & 0xFF) << 8 | word >> 8
+
+
+def open_device(bus: str, address: int) -> I2CDevice:
+    """Opens the device at an address.
+
+    Args:
+        bus: number ("1"), device ("/dev/i2c-1"), or the unix socket of a virtual robot.
+        address: 7-bit address.
+
+    Raises:
+        PowerSensorError: the bus is missing or forbidden; the message says what to do.
+    """
+    try:
+        return I2CDevice(_open_bus(bus), bus, address)
+    except FileNotFoundError as error:
+        raise PowerSensorError(
+            f"I2C bus {bus} does not exist: enable I2C (dtparam=i2c_arm=on), or set the parameter i2c_bus"
+        ) from error
+    except PermissionError as error:
+        raise PowerSensorError(
+            f"no permission for I2C bus {bus}: sudo usermod -aG i2c $USER, then log in again"
+        ) from error
+    except OSError as error:
+        raise PowerSensorError(f"I2C bus {bus} cannot be opened: {error}") from error
+
+
+def _open_bus(bus: str) -> WordBus:
+    if bus.isdecimal():
+        return smbus2.SMBus(int(bus))
+    if stat.S_ISSOCK(Path(bus).stat().st_mode):
+        return SocketSMBus(bus)
+    return smbus2.SMBus(bus)

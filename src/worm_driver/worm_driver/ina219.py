@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""INA219 power sensor (TI SBOS448G), read so that no wrong number gets through.
+
+Current is the shunt voltage over the shunt's resistance, which needs no calibration register. That register is
+written all the same, for two things that only it gives: the chip's overflow bit works with it, and it reads back 0
+after a brown-out, which is looked at with every sample.
+"""
+
+import enum
+import math
+from dataclasses import dataclass
+
+from worm_driver.errors import ConfigurationError, PowerSensorError
+from worm_driver.i2c import I2CDevice
+
+CONFIGURATION, SHUNT, BUS, POWER, CALIBRATION = 0, 1, 2, 3, 5  # register addresses; 4 is Current
+
+RESET = 0x8000
+POWER_ON_CONFIGURATION = 0x399F
+#: 32 V range, shunt +-320 mV, 8 samples each (8.5 ms a conversion pair), continuous
+RUNNING_CONFIGURATION = 0b0011_1101_1101_1111
+
+SHUNT_LSB_V = 10e-6
+BUS_LSB_V = 4e-3
+#: full scale of the shunt voltage at +-320 mV
+SHUNT_FULL_SCALE = 32_000
+
+_OVERFLOW_BIT = 0b01
+_READY_BIT = 0b10
+
+
+class SampleStatus(enum.Enum):
+    """Whether a sample is a measurement, or why it is none."""
+
+    VALID = "valid"
+    OVERFLOW = "overflow"
+    NOT_READY = "not ready"
+    BUS_ERROR = "bus error"
+    SENSOR_RESET = "sensor reset"
+
+
+@dataclass(frozen=True)
+class PowerSample:
+    """One look at the sensor; the values are NaN unless the status is VALID.
+
+    Attributes:
+        time: s, monotonic.
+        status: VALID, or why there is no value.
+        bus_voltage: V.
+        current: A.
+    """
+
+    time: float
+    status: SampleStatus
+    bus_voltage: float = math.nan
+    current: float = math.nan
+
+    @property
+    def power(self) -> float:
+        """Source power, W."""
+        return self.bus_voltage * self.current
+
+
+@dataclass(frozen=True)
+class INA219:
+    """The sensor on its shunt.
+
+    Attributes:
+        device: where it is.
+        shunt_resistance: ohm.
+        calibration: the calibration register's value, see calibration_for.
+    """
+
+    device: I2CDevice
+    shunt_resistance: float
+    calibration: int
+
+    def start(self) -> None:
+        """Resets the chip, checks that it is one and how its bytes travel, and sets it up.
+
+        Raises:
+            PowerSensorError: no answer, another chip, or swapped bytes.
+        """
+        self.device.write(CONFIGURATION, RESET)
+        found = self.device.read(CONFIGURATION)
+        if found != POWER_ON_CONFIGURATION:
+            where = f"the device 0x{self.device.address:02X} on I2C bus {self.device.bus_name}"
+            if found == 0x9F39:
+                raise PowerSensorError(
+                    f"{where} sends its bytes swapped: an SMBus adapter swaps words already"
+                )
+            raise PowerSensorError(
+                f"{where} is no INA219: configuration after reset is 0x{found:04X}, not 0x399F; "
+                "check the parameter i2c_address"
+            )
+        self.set_up()
+
+    def set_up(self) -> None:
+        """Writes the settings and reads them back. Raises PowerSensorError."""
+        self.device.write(CONFIGURATION, RUNNING_CONFIGURATION)
+        self.device.write(CALIBRATION, self.calibration)
+        if not self.is_set_up():
+            raise PowerSensorError("the INA219 does not keep its settings: check its supply")
+
+    def is_set_up(self) -> bool:
+        """Whether the chip holds its settings. Raises PowerSensorError."""
+        return (
+            self.device.read(CALIBRATION) == self.calibration
+            and self.device.read(CONFIGURATION) == RUNNING_CONFIGURATION
+        )
+
+    def sample(self, time: float) -> PowerSample:
+        """One sample, taken at ``time`` (s, monotonic). A chip that lost its settings gets them back."""
+        try:
+            return self._sample(time)
+        except PowerSensorError:
+            return PowerSample(time, SampleStatus.BUS_ERROR)
+
+    def _sample(self, time: float) -> PowerSample:
+        bus = self.device.read(BUS)
+        shunt = _signed(self.device.read(SHUNT))
+        calibration = self.device.read(CALIBRATION)
+        if calibration != self.calibration:
+            self.set_up()
+            return PowerSample(time, SampleStatus.SENSOR_RESET)
+        if not bus & _READY_BIT:
+            return PowerSample(time, SampleStatus.NOT_READY)
+        self.device.read(POWER)  # clears the ready bit
+        if bus & _OVERFLOW_BIT or abs(shunt) >= SHUNT_FULL_SCALE:
+            return PowerSample(time, SampleStatus.OVERFLOW)
+        current = shunt * SHUNT_LSB_V / self.shunt_resistance
+        return PowerSample(time, SampleStatus.VALID, (bus >> 3) * BUS_LSB_V, current)
+
+
+def calibration_for(shunt_resistance: float, max_current: float) -> int:
+    """The calibration register for a shunt (ohm) and the largest current (A) to be told from an overflow.
+
+    Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768; bit 0 is always 0.
+
+    Raises:
+        ConfigurationError: the current does not fit the shunt's +-320 mV, or the register.
+    """
+    if not (shunt_resistance > 0.0 and max_current > 0.0):
+        raise ConfigurationError("shunt_resistance_ohm and max_current_A must be positive")
+    if max_current * shunt_resistance > 0.32 * (1.0 + 1e-9):
+        raise ConfigurationError(
+            f"{max_current:g} A through {shunt_resistance:g} ohm is over the INA219's 320 mV: "
+            f"at most {0.32 / shunt_resistance:g} A, or a smaller shunt"
+        )
+    value = int(0.04096 / (max_current / 32768 * shunt_resistance)) & 0xFFFE
+    if not 0 < value <= 0xFFFE:
+        raise ConfigurationError(
+            f"max_current_A {max_current:g} is too small for {shunt_resistance:g} ohm: raise it"
+        )
+    return value
+
+
+def _signed(word: int) -> int:
+    return word - 0x1_0000 if word & 0x8000 else word

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Control tables of the Dynamixel X series, as data.
+
+One frozen row per register, one table per servo model. Names are the e-manual's, in lower case; scales turn a raw
+value into the unit beside it. Sources: ROBOTIS e-manual (control table of each model) and the ``.model`` files of
+DynamixelSDK, which give 0.0239691227 rad/s for the velocity unit that the manual rounds to 0.229 rpm.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+TICKS_PER_TURN = 4096
+#: goal range of extended position mode, ticks (e-manual, operating mode 4)
+EXTENDED_POSITION_LIMIT = 1_048_575
+
+VELOCITY_MODE = 1
+POSITION_MODE = 3
+EXTENDED_POSITION_MODE = 4
+
+#: value of bus_watchdog once it has expired (e-manual, bus watchdog: -1)
+WATCHDOG_EXPIRED = -1
+
+#: bits of hardware_error_status
+HARDWARE_ERRORS: Mapping[int, str] = MappingProxyType(
+    {
+        0: "input voltage",
+        2: "overheating",
+        3: "encoder",
+        4: "electrical shock",
+        5: "overload",
+    }
+)
+
+
+@dataclass(frozen=True)
+class Register:
+    """One row of a control table: ``value = raw * scale`` in ``unit``."""
+
+    name: str
+    address: int
+    size: int
+    signed: bool = False
+    scale: float = 1.0
+    unit: str = "1"
+
+    @property
+    def end(self) -> int:
+        """The address after the register's last byte."""
+        return self.address + self.size
+
+
+@dataclass(frozen=True)
+class ServoModel:
+    """A servo model: the number that it answers to a ping, and its control table by register name."""
+
+    number: int
+    name: str
+    minimum_firmware: int
+    registers: Mapping[str, Register] = field(repr=False)
+
+    @property
+    def measures_current(self) -> bool:
+        """False where the servo reports an estimated load ratio in place of a current."""
+        return "present_current" in self.registers
+
+    def __getitem__(self, name: str) -> Register:
+        return self.registers[name]
+
+
+_RAD = 2 * math.pi / TICKS_PER_TURN
+_RAD_S = 0.0239691227
+_RAD_S2 = 214.577 * 2 * math.pi / 3600
+_PWM = 0.00113
+
+_COMMON = (
+    Register("model_number", 0, 2),
+    Register("firmware_version", 6, 1),
+    Register("id", 7, 1),
+    Register("baud_rate", 8, 1),
+    Register("return_delay_time", 9, 1, scale=2e-6, unit="s"),
+    Register("drive_mode", 10, 1),
+    Register("operating_mode", 11, 1),
+    Register("homing_offset", 20, 4, True, _RAD, "rad"),
+    Register("temperature_limit", 31, 1, unit="degC"),
+    Register("max_voltage_limit", 32, 2, scale=0.1, unit="V"),
+    Register("min_voltage_limit", 34, 2, scale=0.1, unit="V"),
+    Register("pwm_limit", 36, 2, scale=_PWM),
+    Register("velocity_limit", 44, 4, scale=_RAD_S, unit="rad/s"),
+    Register("max_position_limit", 48, 4, scale=_RAD, unit="rad"),
+    Register("min_position_limit", 52, 4, scale=_RAD, unit="rad"),
+    Register("shutdown", 63, 1),
+    Register("torque_enable", 64, 1),
+    Register("led", 65, 1),
+    Register("status_return_level", 68, 1),
+    Register("hardware_error_status", 70, 1),
+    Register("bus_watchdog", 98, 1, True, 0.02, "s"),
+    Register("goal_pwm", 100, 2, True, _PWM),
+    Register("goal_velocity", 104, 4, True, _RAD_S, "rad/s"),
+    Register("profile_acceleration", 108, 4, scale=_RAD_S2, unit="rad/s2"),
+    Register("profile_velocity", 112, 4, scale=_RAD_S, unit="rad/s"),
+    Register("goal_position", 116, 4, True, _RAD, "rad"),
+    Register("realtime_tick", 120, 2, scale=1e-3, unit="s"),
+    Register("moving", 122, 1),
+    Register("moving_status", 123, 1),
+    Register("present_pwm", 124, 2, True, _PWM),
+    Register("present_velocity", 128, 4, True, _RAD_S, "rad/s"),
+    Register("present_position", 132, 4, True, _RAD, "rad"),
+    Register("velocity_trajectory", 136, 4, True, _RAD_S, "rad/s"),
+    Register("position_trajectory", 140, 4, True, _RAD, "rad"),
+    Register("present_input_voltage", 144, 2, scale=0.1, unit="V"),
+    Register("present_temperature", 146, 1, unit="degC"),
+)
+
+
+def _current(scale: float) -> tuple[Register, ...]:
+    return (
+        Register("current_limit", 38, 2, scale=scale, unit="A"),
+        Register("goal_current", 102, 2, True, scale, "A"),
+        Register("present_current", 126, 2, True, scale, "A"),
+    )
+
+
+_LOAD = (Register("present_load", 126, 2, True, 1e-3),)
+
+
+def _table(*own: Register) -> Mapping[str, Register]:
+    return MappingProxyType({row.name: row for row in (*_COMMON, *own)})
+
+
+XL330_M288 = ServoModel(1200, "XL330-M288-T", 38, _table(*_current(1e-3)))
+XL430_W250 = ServoModel(1060, "XL430-W250-T", 38, _table(*_LOAD))
+XM430_W350 = ServoModel(1020, "XM430-W350-T", 38, _table(*_current(2.69e-3)))
+
+MODELS: Mapping[int, ServoModel] = MappingProxyType(
+    {m.number: m for m in (XL330_M288, XL430_W250, XM430_W350)}
+)
+
+#: the rows that lie at the same address in every model, for exchanges that address several models at once
+COMMON: Mapping[str, Register] = _table()
+
+
+def hardware_error_text(status: int) -> str:
+    """The faults named by a hardware_error_status byte, in words."""
+    names = [name for bit, name in HARDWARE_ERRORS.items() if status >> bit & 1]
+    return ", ".join(names) if names else f"unknown fault 0x{status:02X}"

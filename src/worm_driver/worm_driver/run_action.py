@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The action run_gait: goals in, feedback and measured figures out.
+
+A goal that cannot be played is accepted and aborted at once, since a rejection has no room for the reason.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.node import Node
+from rclpy.task import Future
+
+from worm_driver.errors import DriverError
+from worm_driver.gait import Gait
+from worm_driver.gait_metrics import Figures, RunRecord, distance, figures
+from worm_driver.gait_player import Ending, Phase, Run
+from worm_driver.hardware import Hardware
+from worm_driver.ina219 import PowerSample
+from worm_driver.ros_messages import gait_from
+from worm_driver.telemetry import Snapshot
+from worm_msgs.action import RunGait
+
+#: s between two feedback messages
+_FEEDBACK_PERIOD = 0.2
+#: s after a run's end that the tracker gets for its next sample
+_TRACKER_PATIENCE = 0.3
+
+
+@dataclass
+class _Current:
+    """The run that is being played, and the goal that asked for it."""
+
+    goal: ServerGoalHandle
+    number: int
+    done: Future
+    record: RunRecord
+    next_feedback: float = -math.inf
+    snapshot: Snapshot | None = None
+
+
+class RunGaitAction:
+    """Serves run_gait on a node; everything happens in the node's executor thread.
+
+    Args:
+        node: that serves.
+        hardware: gives what is open, or None while nothing is.
+    """
+
+    def __init__(self, node: Node, hardware: Callable[[], Hardware | None]):
+        self._node = node
+        self._hardware = hardware
+        self._current: _Current | None = None
+        self._server = ActionServer(
+            node,
+            RunGait,
+            "run_gait",
+            self._execute,
+            cancel_callback=self._on_cancel,
+        )
+
+    def on_position(self, time_s: float, rear_position: float) -> None:
+        """Takes a tracker sample (s monotonic, m) into the run's record."""
+        if self._current is not None and math.isfinite(rear_position):
+            self._current.record.positions.append((time_s, rear_position))
+
+    def on_power(self, sample: PowerSample) -> None:
+        """Takes a power sample into the run's record."""
+        if self._current is not None:
+            self._current.record.power.append(sample)
+
+    def on_snapshot(self, snapshot: Snapshot) -> None:
+        """Gives feedback, and ends the goal when its run has ended."""
+        current = self._current
+        run = snapshot.player.run
+        if current is None or run is None or run.number != current.number:
+            return
+        if run.ending is None:
+            self._give_feedback(current, run, snapshot)
+        elif not current.done.done() and self._tracker_is_through(current, run, snapshot):
+            current.done.set_result(run)
+
+    def abandon(self, reason: str) -> None:
+        """Ends the goal of a run that nothing plays any more."""
+        if self._current is not None and not self._current.done.done():
+            self._current.done.set_result(reason)
+
+    def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        hardware = self._hardware()
+        if hardware is not None and self._current is not None and self._current.goal == goal:
+            hardware.loop.submit(hardware.robot.cancel)
+        return CancelResponse.ACCEPT
+
+    async def _execute(self, goal: ServerGoalHandle) -> RunGait.Result:
+        gait, cycles = gait_from(goal.request.gait), goal.request.cycles
+        try:
+            current = self._begin(goal, gait, cycles)
+        except (DriverError, TimeoutError) as error:
+            self._node.get_logger().warning(f"gait refused: {error}")
+            goal.abort()
+            return _no_result(str(error))
+        outcome = await current.done
+        self._current = None
+        return self._finish(current, outcome)
+
+    def _begin(self, goal: ServerGoalHandle, gait: Gait, cycles: int) -> _Current:
+        hardware = self._hardware()
+        if hardware is None:
+            raise DriverError("the driver is not configured: configure and activate it first")
+        started = hardware.loop.submit(lambda now: hardware.robot.start(now, gait, cycles))
+        number = started.result(timeout=1.0)
+        self._current = _Current(goal, number, Future(), RunRecord())
+        return self._current
+
+    def _finish(self, current: _Current, outcome: Run | str) -> RunGait.Result:
+        goal = current.goal
+        if isinstance(outcome, str):
+            goal.abort()
+            return _no_result(outcome)
+        hardware = self._hardware()
+        body = hardware.settings.body if hardware is not None else None
+        if body is None:
+            goal.abort()
+            return _no_result("the driver was cleaned up during the run")
+        result = _result(outcome, figures(outcome, current.record, body))
+        if outcome.ending is Ending.COMPLETED:
+            goal.succeed()
+        elif outcome.ending is Ending.CANCELLED and goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        self._node.get_logger().info(f"run {outcome.number}: {result.message}")
+        return result
+
+    def _give_feedback(self, current: _Current, run: Run, snapshot: Snapshot) -> None:
+        now = snapshot.command_time
+        if now < current.next_feedback:
+            return
+        current.next_feedback = now + _FEEDBACK_PERIOD
+        record = current.record
+        current.goal.publish_feedback(
+            RunGait.Feedback(
+                cycle=run.cycle(now),
+                elapsed=_elapsed(run, snapshot),
+                distance=distance(run, record),
+                power=record.latest_power(),
+            )
+        )
+
+    @staticmethod
+    def _tracker_is_through(current: _Current, run: Run, snapshot: Snapshot) -> bool:
+        """Whether the tracker has reported beyond the run's end, or has had its time."""
+        assert run.end is not None
+        positions = current.record.positions
+        seen = bool(positions) and positions[-1][0] >= run.end
+        return seen or snapshot.command_time > run.end + _TRACKER_PATIENCE
+
+
+def _elapsed(run: Run, snapshot: Snapshot) -> float:
+    """Time (s) since the onset; until then minus the time that has been rested."""
+    if run.onset is not None:
+        return snapshot.command_time - run.onset
+    resting = snapshot.player.phase is Phase.RESTING
+    return -(snapshot.command_time - snapshot.player.since) if resting else -0.0
+
+
+def _result(run: Run, found: Figures) -> RunGait.Result:
+    endings = {
+        Ending.COMPLETED: f"completed {found.cycles_completed} cycles",
+        Ending.CANCELLED: f"cancelled, at rest after {found.cycles_completed} cycles",
+        Ending.STOPPED: f"stopped: {run.reason}",
+        Ending.FAILED: f"fault: {run.reason}",
+        None: "unfinished",
+    }
+    return RunGait.Result(
+        success=run.ending is Ending.COMPLETED,
+        message="; ".join((endings[run.ending], *found.reasons)),
+        cycles_completed=found.cycles_completed,
+        cycles_averaged=found.cycles_averaged,
+        speed=found.speed,
+        power=found.power,
+        cost_of_transport=found.cost_of_transport,
+        idle_power=found.idle_power,
+    )
+
+
+def _no_result(message: str) -> RunGait.Result:
+    nan = math.nan
+    return RunGait.Result(
+        message=message, speed=nan, power=nan, cost_of_transport=nan, idle_power=nan
+    )

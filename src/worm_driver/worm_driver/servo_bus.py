@@ -1,0 +1,400 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The servo bus: Dynamixel Protocol 2.0 through dynamixel_sdk. The only module that imports it.
+
+What version 4.1.0 of the SDK does behind its caller's back is put right here:
+
+- it sends packets unstuffed, and takes stuffing out wrongly: ``_PacketHandler``;
+- it measures timeouts by the wall clock, spins while it waits, and reads on for ever while bytes keep coming:
+  ``BusPort``;
+- it takes a late answer for the answer to the next question: after a failed exchange the line is drained, an answer
+  must have the length that was asked for, and blocks with the servo's clock are checked by ``tick_clock``;
+- its GroupSyncRead forgets error and alert bytes, and loses good answers with a missing one: ``sync_read``;
+- its busy flag sticks after an exception, and is no lock: ``_exchange``;
+- it opens a port that another program uses: ``BusPort.setupPort``.
+"""
+
+import contextlib
+import select
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import serial
+from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PortHandler, Protocol2PacketHandler
+
+from worm_driver import serial_port
+from worm_driver.encoding import pack, unpack
+from worm_driver.errors import (
+    BusError,
+    ConfigurationError,
+    CorruptReplyError,
+    NoReplyError,
+    PortError,
+    StatusError,
+)
+from worm_driver.registers import COMMON, Register
+from worm_driver.stuffing import stuff, unstuff
+
+BROADCAST = 254
+
+_INSTRUCTION = 7  # index of the first byte that stuffing covers
+_LENGTH = 5
+_ID = 4
+_ERROR = 8
+_PARAMETERS = 9
+_ALERT = 0x80
+_ERROR_TEXT = {
+    1: "could not carry the instruction out",
+    2: "does not know the instruction",
+    3: "received a wrong CRC",
+    4: "refuses the value: out of range",
+    5: "refuses the length of the data",
+    6: "refuses the value: beyond its limit register",
+    7: "refuses the access (read-only, undefined, or EEPROM while torque is on)",
+}
+
+
+@dataclass(frozen=True)
+class Identity:
+    """A servo's answer to a ping."""
+
+    model_number: int
+    firmware: int
+
+
+@dataclass(frozen=True)
+class Reply:
+    """A servo's part of a sync read.
+
+    Attributes:
+        data: the block that was asked for, in register order.
+        alert: the servo reports a hardware error (see hardware_error_status).
+        error: error number of the status packet, 0 for none.
+    """
+
+    data: bytes
+    alert: bool
+    error: int
+
+
+@dataclass(frozen=True)
+class BusCounters:
+    """How often something went wrong since the port was opened."""
+
+    exchanges: int = 0
+    timeouts: int = 0
+    corrupt: int = 0
+    errors: int = 0
+    retries: int = 0
+    stale: int = 0
+
+
+class BusPort(PortHandler):
+    """The SDK's port: monotonic time, waiting without spinning, exclusive.
+
+    Args:
+        path: serial device.
+        baud_rate: bit/s.
+        latency: s, how long the adapter may hold an answer back.
+        clock: s, monotonic.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        baud_rate: int,
+        latency: float = 0.001,
+        clock: Callable[[], float] = time.monotonic,
+    ):
+        super().__init__(path)
+        self.is_open = False
+        self.baudrate = baud_rate
+        self._latency_ms = latency * 1e3
+        self._clock = clock
+
+    def getCurrentTime(self) -> float:  # noqa: N802 (the SDK's name)
+        """Now, ms: immune to a step of the wall clock."""
+        return self._clock() * 1e3
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+        """Starts the wait for an answer of a length: its time on the wire, twice the latency, and 2 ms."""
+        self.setPacketTimeoutMillis(
+            self.tx_time_per_byte * packet_length + 2 * self._latency_ms + 2.0
+        )
+
+    @property
+    def remaining(self) -> float:
+        """What is left of the wait, s; 0 when it is over."""
+        return max(0.0, self.packet_timeout - self.getTimeSinceStart()) * 1e-3
+
+    @property
+    def quiet_time(self) -> float:
+        """How long the line must be silent before nothing late can be on its way, s."""
+        return (2 * self._latency_ms + 2.0) * 1e-3
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        """Up to ``length`` bytes; sleeps until some are there or the wait is over."""
+        if length <= 0 or not self._wait(self.remaining):
+            return b""
+        return self.ser.read(length)
+
+    def discard_until_quiet(self, longest: float) -> None:
+        """Throws bytes away until none came for the quiet time, for at most ``longest`` s."""
+        end = self._clock() + longest
+        while self._clock() < end and self._wait(self.quiet_time):
+            self.ser.read(4096)
+
+    def _wait(self, timeout: float) -> bool:
+        if timeout <= 0.0:
+            return False
+        return bool(select.select([self.ser.fileno()], [], [], timeout)[0])
+
+    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
+        """Opens the device for this process alone."""
+        if self.is_open:
+            self.closePort()
+        self.ser = serial.Serial(self.port_name, cflag_baud, timeout=0, exclusive=True)
+        self.is_open = True
+        serial_port.refuse_other_openers(self.ser.fileno())
+        with contextlib.suppress(
+            OSError, ValueError, AttributeError
+        ):  # not every tty has the ioctl
+            self.ser.set_low_latency_mode(True)
+        self.ser.reset_input_buffer()
+        self.tx_time_per_byte = 10 * 1000.0 / cflag_baud
+        return True
+
+    def closePort(self) -> None:  # noqa: N802
+        """Closes the device, and lets others open it."""
+        if self.is_open:
+            self.is_open = False
+            serial_port.admit_other_openers(self.ser.fileno())
+            self.ser.close()
+
+
+class _PacketHandler(Protocol2PacketHandler):
+    """The SDK's packet handler with byte stuffing that reaches the wire."""
+
+    def addStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
+        """Stuffs in place: the SDK drops what this returns, and sends the list that it passed."""
+        end = _INSTRUCTION + (packet[_LENGTH] | packet[_LENGTH + 1] << 8) - 2
+        body = stuff(bytes(packet[_INSTRUCTION:end]))
+        packet[_INSTRUCTION:] = [*body, 0, 0]
+        packet[_LENGTH], packet[_LENGTH + 1] = (len(body) + 2) & 0xFF, (len(body) + 2) >> 8
+        return packet
+
+    def removeStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
+        """The packet without its stuffing, and without bytes that followed it."""
+        end = _INSTRUCTION + (packet[_LENGTH] | packet[_LENGTH + 1] << 8) - 2
+        body = unstuff(bytes(packet[_INSTRUCTION:end]))
+        head = list(packet[:_INSTRUCTION])
+        head[_LENGTH], head[_LENGTH + 1] = (len(body) + 2) & 0xFF, (len(body) + 2) >> 8
+        return [*head, *body, *packet[end : end + 2]]
+
+
+@dataclass
+class ServoBus:
+    """Exchanges with the servos on one port, with a retry budget. Values are raw.
+
+    Every method raises PortError when the port is gone. The object may be handed from thread to thread; two threads
+    at once are kept apart by a lock.
+
+    Attributes:
+        port: an open port.
+        retries: how often a failed exchange is repeated.
+    """
+
+    port: BusPort
+    retries: int = 1
+    counters: BusCounters = field(default_factory=BusCounters)
+    _handler: _PacketHandler = field(default_factory=_PacketHandler)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @staticmethod
+    def open(path: str, baud_rate: int, latency: float = 0.001, retries: int = 1) -> "ServoBus":
+        """Opens a serial port exclusively.
+
+        Raises:
+            PortError: it is missing, forbidden or in use; the message says what to do.
+            ConfigurationError: the SDK does not know the baud rate.
+        """
+        port = BusPort(path, baud_rate, latency)
+        try:
+            if not port.openPort():
+                raise ConfigurationError(
+                    f"baud rate {baud_rate} is not one that the SDK can set: see addr 8 (baud_rate)"
+                )
+        except OSError as error:  # SerialException is one
+            raise PortError(serial_port.explain_open_failure(path, error)) from error
+        return ServoBus(port, retries)
+
+    def close(self) -> None:
+        """Closes the port; harmless when it is closed or gone."""
+        with contextlib.suppress(OSError):
+            self.port.closePort()
+
+    def ping(self, servo: int) -> Identity:
+        """Model number and firmware of a servo. Raises BusError."""
+        packet = [0] * 10
+        packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 3, 1
+        data = self._command(servo, packet, 3)
+        return Identity(data[0] | data[1] << 8, data[2])
+
+    def read(self, servo: int, register: Register) -> int:
+        """A register's raw value. Raises BusError."""
+        packet = [0] * 14
+        packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 7, 2
+        packet[8:12] = [*register.address.to_bytes(2, "little"), register.size, 0]
+        return unpack(register, self._command(servo, packet, register.size))
+
+    def write(self, servo: int, register: Register, raw: int) -> None:
+        """Sets a register, acknowledged by the servo. Raises BusError."""
+        packet = [0] * (12 + register.size)
+        packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 5 + register.size, 3
+        packet[8:-2] = [*register.address.to_bytes(2, "little"), *pack(register, raw)]
+        self._command(servo, packet, 0)
+
+    def reboot(self, servo: int) -> None:
+        """Restarts a servo: torque and turn count are gone afterwards. Raises BusError."""
+        packet = [0] * 10
+        packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 3, 8
+        self._command(servo, packet, 0)
+
+    def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
+        """Sets a register of several servos at once; no servo acknowledges. Raises PortError."""
+        if not values:
+            return
+        parameters = [
+            byte for servo, raw in values.items() for byte in (servo, *pack(register, raw))
+        ]
+        with self._exchange() as handler:
+            result = handler.syncWriteTxOnly(
+                self.port, register.address, register.size, parameters, len(parameters)
+            )
+        self._check_sent(result)
+
+    def sync_read(self, start: int, size: int, servos: Sequence[int]) -> dict[int, Reply]:
+        """A block of the control table of several servos; a servo that did not answer well is left out.
+
+        One attempt and no retry: the caller knows what a repetition is worth. Raises PortError.
+        """
+        replies: dict[int, Reply] = {}
+        with self._exchange() as handler:
+            self._check_sent(
+                handler.syncReadTx(self.port, start, size, list(servos), len(servos), False)
+            )
+            self.port.setPacketTimeout((11 + size) * len(servos))
+            while len(replies) < len(servos) and self.port.remaining > 0.0:
+                packet = self._receive(handler)
+                if packet is None:
+                    continue
+                servo, reply = packet[_ID], _reply(packet)
+                if servo in servos and len(reply.data) == size:
+                    replies.setdefault(servo, reply)
+                elif servo in servos:
+                    self._count(errors=1)
+        if len(replies) < len(servos):
+            self._count(timeouts=1)
+            self.drain()
+        return replies
+
+    def torque_off_all(self) -> None:
+        """Takes the torque off every servo on the bus, by broadcast and without an answer. Raises PortError."""
+        with self._exchange() as handler:
+            torque = COMMON["torque_enable"]
+            self._check_sent(handler.writeTxOnly(self.port, BROADCAST, torque.address, 1, [0]))
+
+    def drain(self) -> None:
+        """Waits until nothing late can arrive any more, and forgets what did. Raises PortError."""
+        with self._exchange():
+            self.port.discard_until_quiet(longest=5 * self.port.quiet_time)
+
+    def count_stale(self) -> None:
+        """Notes an answer that was older than its question."""
+        self._count(stale=1)
+
+    def _command(self, servo: int, packet: list[int], size: int) -> bytes:
+        for attempt in range(self.retries + 1):
+            if attempt:
+                self._count(retries=1)
+            try:
+                return self._attempt(servo, list(packet), size)
+            except (NoReplyError, CorruptReplyError):
+                self.drain()
+                if attempt == self.retries:
+                    raise
+        raise AssertionError("unreachable")
+
+    def _attempt(self, servo: int, packet: list[int], size: int) -> bytes:
+        with self._exchange() as handler:
+            self._check_sent(handler.txPacket(self.port, packet))
+            self.port.setPacketTimeout(11 + size)
+            corrupt = False
+            while self.port.remaining > 0.0:
+                answer = self._receive(handler)
+                if answer is not None and answer[_ID] == servo:
+                    return self._content(servo, _reply(answer), size)
+                corrupt = corrupt or self._saw_bytes
+        if corrupt:
+            raise CorruptReplyError(f"servo {servo} answers garbled on {self.port.port_name}")
+        self._count(timeouts=1)
+        raise NoReplyError(
+            f"servo {servo} does not answer on {self.port.port_name} at {self.port.baudrate} baud: "
+            "check its power, its cable, its id and the baud rate"
+        )
+
+    def _content(self, servo: int, reply: Reply, size: int) -> bytes:
+        if reply.error:
+            self._count(errors=1)
+            text = _ERROR_TEXT.get(reply.error, f"answers with error number {reply.error}")
+            raise StatusError(f"servo {servo} {text}", reply.error)
+        if len(reply.data) != size:
+            self._count(corrupt=1)
+            raise CorruptReplyError(
+                f"servo {servo} answered {len(reply.data)} bytes where {size} were asked for"
+            )
+        return reply.data
+
+    _saw_bytes: bool = False
+
+    def _receive(self, handler: _PacketHandler) -> list[int] | None:
+        """The next intact status packet within the wait, or None."""
+        try:
+            packet, result = handler.rxPacket(self.port, False)
+        except IndexError:  # the SDK indexes beyond what a garbled length left it
+            packet, result = [0], None
+        self._saw_bytes = bool(packet)
+        if result == COMM_SUCCESS and len(packet) >= _PARAMETERS + 2:
+            return packet
+        if packet:
+            self._count(corrupt=1)
+        return None
+
+    @contextlib.contextmanager
+    def _exchange(self) -> Iterator[_PacketHandler]:
+        with self._lock:
+            self._count(exchanges=1)
+            try:
+                yield self._handler
+            except OSError as error:
+                raise PortError(
+                    f"servo bus {self.port.port_name} is gone ({error}): plug it in again, then "
+                    "deactivate, clean up and configure the driver"
+                ) from error
+            finally:
+                self.port.is_using = False
+
+    def _check_sent(self, result: int) -> None:
+        if result != COMM_SUCCESS:
+            cause = "bytes were left over" if result == COMM_TX_FAIL else f"SDK result {result}"
+            raise BusError(f"cannot send on {self.port.port_name}: {cause}")
+
+    def _count(self, **more: int) -> None:
+        now = self.counters
+        self.counters = replace(now, **{name: getattr(now, name) + n for name, n in more.items()})
+
+
+def _reply(packet: Sequence[int]) -> Reply:
+    error = packet[_ERROR]
+    return Reply(bytes(packet[_PARAMETERS:-2]), bool(error & _ALERT), error & ~_ALERT)

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Decides from what the servos report whether the robot may go on: pure, one look per cycle."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+from worm_driver.registers import TICKS_PER_TURN, WATCHDOG_EXPIRED, hardware_error_text
+
+_NONE: Mapping[int, int] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a deviation becomes a fault.
+
+    Attributes:
+        missed_cycles: cycles in a row without an answer.
+        max_current: A, of a cable servo.
+        overcurrent_cycles: cycles in a row above it.
+        following_error: m, of the cable behind its command.
+        following_cycles: cycles in a row beyond it.
+    """
+
+    missed_cycles: int = 3
+    max_current: float = 2.0
+    overcurrent_cycles: int = 5
+    following_error: float = 0.015
+    following_cycles: int = 5
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What has been going on for how many cycles in a row, by servo."""
+
+    missed: Mapping[int, int] = field(default_factory=lambda: _NONE)
+    overcurrent: Mapping[int, int] = field(default_factory=lambda: _NONE)
+    following: int = 0
+
+
+@dataclass(frozen=True)
+class Health:
+    """The registers that say whether a servo is still what it was set up to be."""
+
+    torque: int
+    led: int
+    hardware_error: int
+    watchdog: int
+
+
+def missed(counts: Counts, silent: frozenset[int], asked: frozenset[int]) -> Counts:
+    """Counts after a cycle in which some of the servos asked did not answer."""
+    return replace(
+        counts, missed={s: counts.missed.get(s, 0) + 1 if s in silent else 0 for s in asked}
+    )
+
+
+def overcurrent(counts: Counts, currents: Mapping[int, float], limits: Limits) -> Counts:
+    """Counts after a look at the currents (A) of the cable servos that answered."""
+    now = dict(counts.overcurrent)
+    for servo, current in currents.items():
+        now[servo] = now.get(servo, 0) + 1 if abs(current) > limits.max_current else 0
+    return replace(counts, overcurrent=now)
+
+
+def following(counts: Counts, error: float, limits: Limits) -> Counts:
+    """Counts after a look at the following error (m); NaN is no error."""
+    return replace(
+        counts, following=counts.following + 1 if abs(error) > limits.following_error else 0
+    )
+
+
+def fault_in_counts(counts: Counts, limits: Limits) -> str | None:
+    """The fault that the counts amount to, in words."""
+    for servo, cycles in counts.missed.items():
+        if cycles >= limits.missed_cycles:
+            return f"servo {servo} has not answered for {cycles} cycles: check its power and cable"
+    for servo, cycles in counts.overcurrent.items():
+        if cycles >= limits.overcurrent_cycles:
+            return f"servo {servo} draws more than {limits.max_current:g} A: the cable is blocked or overloaded"
+    if counts.following >= limits.following_cycles:
+        return f"the cable is more than {limits.following_error * 1e3:g} mm off its command: it is blocked"
+    return None
+
+
+def fault_in_health(servo: int, health: Health, *, is_cable: bool) -> str | None:
+    """The fault that a servo's health registers show while its torque should be on, in words."""
+    if health.hardware_error:
+        return f"servo {servo} reports {hardware_error_text(health.hardware_error)}"
+    if health.watchdog == WATCHDOG_EXPIRED:
+        return f"the bus watchdog of servo {servo} has expired: the command stream was interrupted"
+    if not health.torque or not health.watchdog or (is_cable and not health.led):
+        return f"servo {servo} has restarted: its torque is off" + (
+            " and its turn count is lost" if is_cable else ""
+        )
+    return None
+
+
+def turn_count_jumped(before: int, after: int, elapsed: float, fastest: float) -> bool:
+    """Whether a position (ticks) has changed by more than the servo can turn, so that its count was folded.
+
+    Args:
+        before: ticks.
+        after: ticks.
+        elapsed: s between the two.
+        fastest: rad/s.
+    """
+    possible = 2.0 * fastest * elapsed / math.tau * TICKS_PER_TURN + TICKS_PER_TURN / 8
+    return abs(after - before) > possible
