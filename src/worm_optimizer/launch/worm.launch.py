@@ -28,7 +28,8 @@ def generate_launch_description() -> LaunchDescription:
     content = load_system_file(SYSTEM_FILE)
     arguments = [DeclareLaunchArgument("mode", default_value="virtual", choices=list(MODES))]
     arguments += [
-        DeclareLaunchArgument(name, default_value=value) for name, value in content.settings.items()
+        DeclareLaunchArgument(name, default_value=row.default, description=row.description)
+        for name, row in content.settings.items()
     ]
     return LaunchDescription([*arguments, OpaqueFunction(function=_start, args=[content])])
 

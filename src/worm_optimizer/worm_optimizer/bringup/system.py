@@ -122,7 +122,7 @@ class SystemFile:
                 executable=content["executable"],
                 ready=content.get("ready", ""),
                 lifecycle=content.get("lifecycle", False),
-                arguments=tuple(str(_fill(word, values)) for word in content.get("arguments", ())),
+                arguments=_arguments(content.get("arguments", {}), values),
                 parameters={key: _fill(value, values) for key, value in parameters.items()},
                 remappings=dict(content.get("remappings", {})),
             )
@@ -155,6 +155,12 @@ def _of_mode(parameters: Mapping[str, Any], mode: str) -> dict[str, Value]:
     """The parameters common to all modes (those with a plain value) and those of one mode."""
     common = {key: value for key, value in parameters.items() if key not in MODES}
     return {**common, **parameters.get(mode, {})}
+
+
+def _arguments(options: Mapping[str, str], values: Mapping[str, str]) -> tuple[str, ...]:
+    """Options with their values; an option without one is left out."""
+    filled = {option: str(_fill(value, values)) for option, value in options.items()}
+    return tuple(word for option, value in filled.items() if value for word in (option, value))
 
 
 def _fill(value: Value, values: Mapping[str, str]) -> Value:
