@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
+import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,7 +28,7 @@ class ParameterError(ValueError):
 def _row(default: float, unit: str, low: float, high: float, paper: str) -> float:
     """One row of the table: its default and, as metadata, its unit, admissible range and symbol."""
     metadata = {"unit": unit, "low": low, "high": high, "paper": paper}
-    return field(default=default, metadata=metadata)  # type: ignore[no-any-return]
+    return field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True)
@@ -94,11 +95,8 @@ class Parameters:
 
 def _checked(row: dataclasses.Field[float], value: Any) -> float:
     unit, low, high = (row.metadata[key] for key in ("unit", "low", "high"))
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        try:  # numpy scalars and the like; text and None are refused below
-            value = value.item()
-        except AttributeError:
-            raise ParameterError(f"{row.name}: {value!r} is not a number (unit: {unit})") from None
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise ParameterError(f"{row.name}: {value!r} is not a number (unit: {unit})")
     if not math.isfinite(value):
         raise ParameterError(f"{row.name}: {value} is not a finite number (unit: {unit})")
     if not low <= value <= high:

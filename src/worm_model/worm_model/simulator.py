@@ -107,8 +107,11 @@ def evaluate_gait(
 
 @dataclass(frozen=True)
 class Event:
-    """A fin leaves its region: ``time`` s, ``fin`` 1 (rear) or 2 (front), ``direction`` +1 or −1 along x;
-    ``switched`` if its anchor moved by a pitch, else it met or left a ridge."""
+    """A fin leaves its region at ``time`` s.
+
+    ``fin`` is 1 (rear) or 2 (front), ``direction`` +1 or −1 along x; ``switched`` if its anchor moved by
+    a pitch, else the fin met or left a ridge.
+    """
 
     time: float
     fin: int
@@ -160,8 +163,8 @@ def _motions(samples: Array, parameters: Parameters, energy: Array | None = None
         cable_force=force,
         rear_force=samples[:, march.REAR_FORCE],
         front_force=samples[:, march.FRONT_FORCE],
-        rear_anchor=rear * parameters.pitch,
-        front_anchor=front * parameters.pitch,
+        rear_anchor=np.multiply(rear, parameters.pitch, dtype=np.float64),
+        front_anchor=np.multiply(front, parameters.pitch, dtype=np.float64),
         rear_groove=rear,
         front_groove=front,
         power=power,
@@ -341,8 +344,9 @@ class Locomotion:
         final = LocomotionState(
             float(knots[-1]),
             float(np.polynomial.polynomial.polyval(last, forms[:, -1])),
-            *after,
-            switches=state.switches + int(ledger[march.SWITCHES]),
+            *(after.y, after.rate),
+            *(after.rear_groove, after.front_groove, after.rear_region, after.front_region),
+            state.switches + int(ledger[march.SWITCHES]),
         )
         return final, _motions(samples, self.parameters)
 

@@ -51,8 +51,11 @@ class Reading(NamedTuple):
 
 
 class Horizon(NamedTuple):
-    """What is known of the time ahead: nothing happens before ``earliest``; at ``time`` at the latest
-    the event ``stop`` has, or, if that is NOTHING or END, the look-out ends."""
+    """What is known of the time ahead.
+
+    Nothing happens before ``earliest``; at ``time`` at the latest the event ``stop`` has happened, or,
+    if that is NOTHING or END, the look-out ends there.
+    """
 
     earliest: float
     time: float

@@ -222,8 +222,8 @@ def _open_bill(force_side: float, rate_side: float, stage: Stage, b: Basis, wave
 @njit(cache=True, forceinline=True)
 def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -> Motion:
     """Motion once a fin has left its region: in the neighbouring one, or a groove on (eq:A1_switch)."""
-    front = stop == FRONT_HIGH or stop == FRONT_LOW
-    direction = 1 if stop == REAR_HIGH or stop == FRONT_HIGH else -1
+    front = stop in (FRONT_HIGH, FRONT_LOW)
+    direction = 1 if stop in (REAR_HIGH, FRONT_HIGH) else -1
     region = motion.front_region if front else motion.rear_region
     groove = motion.front_groove if front else motion.rear_groove
     if region == CLEAR:
@@ -361,7 +361,7 @@ def march(
         offset += duration
         y = value(stage.mode.y, b)
         y_rate = value(derivative(stage.mode.y, stage.mode.roots, segment.wave), b)
-        if stop == END or stop == NOTHING:
+        if stop in (END, NOTHING):
             ledger[CHATTER] = 1.0 if stop == NOTHING else ledger[CHATTER]
             return Motion(
                 y,

@@ -188,8 +188,11 @@ def evaluate(
     averaged: int,
     result: np.ndarray,
 ) -> None:
-    """Fills a result row: mean advance of x1 a cycle in m along the direction, mean power in W, the least
-    advance of an averaged cycle in m, switches in the whole run, and whether the run gave up."""
+    """Fills a result row for a gait.
+
+    Its entries: mean advance of x1 a cycle in m along the direction, mean power in W, least advance of an
+    averaged cycle in m, switches in the whole run, and whether the run gave up.
+    """
     boundaries = np.empty((cycles + 1, 2))
     ledger = np.zeros(LEDGER_SIZE)
     nothing = np.empty((0, SAMPLE_COLUMNS))

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stated smoothing of a sampled length, from which power is predicted.
+
+Motion never needs the derivative of a measured length, the cable force does (eq:Fc), and so does power.
+At every time asked for, a parabola is fitted by least squares to the samples within a window (a
+Savitzky–Golay filter for any sampling); its value and slope there are the length and its rate. With
+a centred window of half-width h the slope of a sinusoid of angular frequency ω comes out short by
+the factor 1 − (ωh)²/10. Against the exact energy of a gait, the default h and a 30 Hz camera come out
+short by 0.3 % at 0.15 Hz, 0.7 % at 0.2 Hz and 3 % at 0.4 Hz (a test holds these numbers).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+HALF_WINDOW = 0.15  # s: nine or ten samples of a 30 Hz camera
+FEWEST_SAMPLES = 4  # in a window; a parabola through three would follow the noise
+_CHUNK = 4096  # times that are fitted at once
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """A smoothed signal: ``time`` s, ``value`` and its derivative ``rate`` per s, each of shape (n,)."""
+
+    time: Array
+    value: Array
+    rate: Array
+
+    def cubic(self) -> tuple[Array, Array]:
+        """(breaks (n,), coefficients (4, n − 1)), the cubics through values and rates, constant first."""
+        step = np.diff(self.time)
+        rise = np.diff(self.value) / step
+        start, end = self.rate[:-1], self.rate[1:]
+        coefficients = [
+            self.value[:-1],
+            start,
+            (3.0 * rise - 2.0 * start - end) / step,
+            (start + end - 2.0 * rise) / step**2,
+        ]
+        return self.time, np.array(coefficients)
+
+
+def smooth(
+    times: ArrayLike,
+    values: ArrayLike,
+    at: ArrayLike | None = None,
+    before: float = HALF_WINDOW,
+    after: float = HALF_WINDOW,
+) -> Smoothed:
+    """Fits a parabola to the samples within [t − before, t + after] around every time t of ``at``.
+
+    ``times`` (n,) in s, ascending; ``values`` (n,), NaN where a sample is missing; ``at`` (m,) in s, by
+    default ``times``; ``after=0`` makes a causal filter. Where a window holds fewer than FEWEST_SAMPLES,
+    value and rate are NaN: a gap is not bridged. Raises ValueError for times that do not ascend.
+    """
+    time, value = np.asarray(times, dtype=float), np.asarray(values, dtype=float)
+    target = time if at is None else np.atleast_1d(np.asarray(at, dtype=float))
+    if time.shape != value.shape or time.ndim != 1 or np.any(np.diff(time) < 0.0):
+        raise ValueError("times must ascend and be as many as the values")
+    present = np.isfinite(value)
+    time, value = time[present], value[present]
+    fits = [
+        _fit(time, value, target[k : k + _CHUNK], before, after)
+        for k in range(0, target.size, _CHUNK)
+    ]
+    fitted = np.concatenate(fits, axis=1) if fits else np.empty((2, 0))
+    return Smoothed(target, fitted[0], fitted[1])
+
+
+def _fit(time: Array, value: Array, at: Array, before: float, after: float) -> Array:
+    """(2, m): value and slope at every time of ``at``."""
+    rounding = 1e-9
+    first = np.searchsorted(time, at - before - rounding)
+    last = np.searchsorted(time, at + after + rounding)
+    if not time.size or not at.size:
+        return np.full((2, at.size), np.nan)
+    index = first[:, np.newaxis] + np.arange(max(int((last - first).max()), 1))
+    inside = index < last[:, np.newaxis]
+    index = np.minimum(index, time.size - 1)
+    scale = max(before, after)
+    t = np.where(inside, (time[index] - at[:, np.newaxis]) / scale, 0.0)
+    reference = value[np.minimum(first, time.size - 1)]
+    y = np.where(inside, value[index] - reference[:, np.newaxis], 0.0)
+    powers = np.stack([inside.astype(float), t, t * t])
+    normal = np.einsum("iab,jab->aij", powers, powers)
+    moments = np.einsum("iab,ab->ai", powers, y)
+    enough = (last - first >= FEWEST_SAMPLES) & (np.linalg.cond(normal) < 1e10)
+    solution = np.full((at.size, 3), np.nan)
+    solution[enough] = np.linalg.solve(normal[enough], moments[enough][..., np.newaxis])[..., 0]
+    return np.stack([solution[:, 0] + reference, solution[:, 1] / scale])
