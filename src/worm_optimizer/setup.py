@@ -7,6 +7,7 @@ from setuptools import find_packages, setup
 
 NAME = "worm_optimizer"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
+    "optimizer_node = worm_optimizer.optimizer_node:main",
 ]
 
 setup(

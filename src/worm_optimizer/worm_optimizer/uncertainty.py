@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenarios: draws of the parameters within their uncertainty, with the groove phase known or not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_model.closed_form import front_groove, groove_phase
+from worm_model.parameters import ParameterFile, Parameters
+from worm_optimizer.task import Array
+
+# 95 % half-widths relative to the value, of the parameters that decide the motion, for those without an
+# interval in the parameter file. They are this project's judgement, not the paper's: what careful
+# weighing, a caliper, a force gauge and a camera give. The others touch the power only.
+DEFAULT_HALF_WIDTHS: Mapping[str, float] = {
+    "rear_mass": 0.01,
+    "front_mass": 0.01,
+    "pitch": 0.005,
+    "viscous_friction": 0.20,
+    "engaged_stiffness": 0.10,
+    "disengaged_stiffness": 0.10,
+    "switching_threshold": 0.03,
+    "clearance": 0.05,
+    "time_constant": 0.10,
+    "gain": 0.02,
+    "slack": 0.05,
+}
+
+_NORMAL_95 = 1.959963984540054  # standard deviations within which a normal variable lies in 95 %
+_MOST_DEVIATIONS = 4.0  # draws are cut there, so that none leaves the admissible range
+
+
+@dataclass(frozen=True)
+class Scenarios:
+    """Equally likely parameter sets: ``overrides`` maps parameter keys to arrays of shape (n,)."""
+
+    overrides: Mapping[str, Array]
+
+    def __len__(self) -> int:
+        return len(self.overrides["initial_length"])
+
+
+def half_widths(content: ParameterFile) -> dict[str, tuple[float, float]]:
+    """95 % reach below and above each value, by key: the file's intervals, else the stated defaults."""
+    values = content.parameters.as_dict()
+    reach = {}
+    for key, width in DEFAULT_HALF_WIDTHS.items():
+        low, high = content.intervals.get(
+            key, (values[key] * (1.0 - width), values[key] * (1.0 + width))
+        )
+        reach[key] = (max(values[key] - low, 0.0), max(high - values[key], 0.0))
+    return reach
+
+
+def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
+    """Draws of the parameters at the file's groove phase φ, to within its initial_length's interval.
+
+    The phase is held and not the length: φ = L0 − n·d, so that seventeen times a pitch's error would
+    otherwise pass for a phase. Deviations are normal, with a width of its own on either side.
+    """
+    overrides = _draws(content, samples, seed)
+    start = content.parameters.initial_length
+    low, high = content.intervals.get("initial_length", (start, start))
+    deviate = _deviates(samples, seed, stream=1)
+    trim = np.where(
+        deviate > 0.0, deviate * max(high - start, 0.0), deviate * max(start - low, 0.0)
+    )
+    phase = groove_phase(content.parameters) + trim
+    return Scenarios({**overrides, **_at_phase(content.parameters, overrides["pitch"], phase)})
+
+
+def phase_unknown(content: ParameterFile, samples: int, seed: int) -> Scenarios:
+    """The same draws with the groove phase uniform over a pitch."""
+    overrides = _draws(content, samples, seed)
+    turn = np.random.default_rng([seed, 2]).uniform(-0.5, 0.5, samples)
+    phase = turn * overrides["pitch"]
+    return Scenarios({**overrides, **_at_phase(content.parameters, overrides["pitch"], phase)})
+
+
+def every_phase(parameters: Parameters, count: int = 64) -> Scenarios:
+    """The parameters as they are at ``count`` groove phases, evenly over a pitch."""
+    turn = (np.arange(count) + 0.5) / count - 0.5
+    pitch = np.full(count, parameters.pitch)
+    return Scenarios(_at_phase(parameters, pitch, turn * parameters.pitch))
+
+
+def _at_phase(parameters: Parameters, pitch: Array, phase: Array) -> dict[str, Array]:
+    return {"initial_length": front_groove(parameters) * pitch + phase}
+
+
+def _deviates(samples: int, seed: int, stream: int) -> Array:
+    """Normal deviates scaled such that 1 is the 95 % bound."""
+    normal = np.random.default_rng([seed, stream]).standard_normal(samples)
+    return np.clip(normal, -_MOST_DEVIATIONS, _MOST_DEVIATIONS) / _NORMAL_95
+
+
+def _draws(content: ParameterFile, samples: int, seed: int) -> dict[str, Array]:
+    values = content.parameters.as_dict()
+    draws = {}
+    for stream, (key, (below, above)) in enumerate(half_widths(content).items(), start=10):
+        deviate = _deviates(samples, seed, stream)
+        drawn = values[key] + np.where(deviate > 0.0, deviate * above, deviate * below)
+        draws[key] = np.maximum(drawn, 0.1 * values[key])
+    # What `Parameters` demands of every set: a fin that switches must stay where it lands.
+    least = np.maximum(0.5 * draws["pitch"], 0.5 * draws["clearance"]) * 1.001
+    draws["switching_threshold"] = np.maximum(draws["switching_threshold"], least)
+    return draws
