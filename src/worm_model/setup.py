@@ -7,6 +7,8 @@ from setuptools import find_packages, setup
 
 NAME = "worm_model"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
+    "evaluate_gait = worm_model.evaluate_gait:main",
+    "phase_map = worm_model.phase_map:main",
 ]
 
 setup(
