@@ -138,7 +138,7 @@ class Endpoints:
         self._wake_reader, self._wake_writer = socket.socketpair()
 
     def now(self) -> float:
-        """S on the robot's clock."""
+        """Time (s) on the robot's clock."""
         return self._clock() - self._start
 
     # --- life ---------------------------------------------------------------------------------

@@ -174,7 +174,7 @@ class Plant:
         )
 
     def electrical_power(self, state: PlantState) -> float:
-        """W at the source (eq:power_model), without noise."""
+        """Power (W) at the source (eq:power_model), without noise."""
         return self.parameters.idle_power + self.parameters.power_factor * state.mechanical_power
 
     def _slack(self, state: PlantState, cable: float) -> tuple[bool, float]:

@@ -18,9 +18,10 @@ from worm_driver.virtual_robot.control_table import (
 from worm_driver.virtual_robot.faults import FaultBoard
 from worm_driver.virtual_robot.i2c_line import I2cLine
 from worm_driver.virtual_robot.ina219_chip import AdcNoise, Ina219
+from worm_driver.virtual_robot.measurement import OVERLOAD_ERROR
 from worm_driver.virtual_robot.motor import PULSES_PER_RADIAN
 from worm_driver.virtual_robot.plant import FORWARD, LOOSE, REVERSE, Plant, make_grooves
-from worm_driver.virtual_robot.servo import OVERLOAD_ERROR, Servo
+from worm_driver.virtual_robot.servo import Servo
 from worm_driver.virtual_robot.settings import (
     CableServoSettings,
     FinServoSettings,
@@ -31,7 +32,8 @@ from worm_driver.virtual_robot.settings import (
 from worm_driver.virtual_robot.smbus_frames import Answer, Request
 from worm_driver.virtual_robot.tracker import Tracker, TrackerSample
 
-_HOUSEKEEPING = 0.005  # s between looks at faults and protections
+_HOUSEKEEPING = 0.005  # s between looks at faults
+_SUPERVISION = 0.050  # s between the servos' looks at their protections
 _TOO_HOT = 100.0  # degC that the fault of that name adds
 
 
@@ -61,6 +63,7 @@ class VirtualRobot:
         self._extra_current = 0.0
         self._steps = 0
         self._next_housekeeping = 0.0
+        self._next_supervision = 0.0
         self.bus_voltage = settings.supply.voltage
         self._set_laws()
 
@@ -80,7 +83,7 @@ class VirtualRobot:
 
     @property
     def time(self) -> float:
-        """S since the start, of the last step."""
+        """Time (s) of the last step, 0 at the start."""
         return self._steps * self.settings.step
 
     def advance(self, time: float) -> None:
@@ -127,7 +130,7 @@ class VirtualRobot:
 
     @property
     def cable_change(self) -> float:
-        """M of cable that the servos have paid out since the start; wound in is negative."""
+        """Cable (m) that the servos have paid out since the start; wound in is negative."""
         wound = sum(
             item.sign * (servo.shaft_angle - item.start_angle) * item.spool_radius
             for item, servo in self._cable
@@ -167,7 +170,10 @@ class VirtualRobot:
         self._next_housekeeping = time + _HOUSEKEEPING
         for servo in self.servos:
             self._surround(servo, time)
-            servo.supervise(_HOUSEKEEPING)
+        if time >= self._next_supervision:
+            self._next_supervision = time + _SUPERVISION
+            for servo in self.servos:
+                servo.supervise(_SUPERVISION)
         self._disturb_sensor(time)
         self.board.forget_past(time)
 

@@ -22,7 +22,7 @@ class TrackerSample:
 
     @property
     def length(self) -> float:
-        """M between the modules; NaN where a marker is hidden."""
+        """Distance (m) between the modules; NaN where a marker is hidden."""
         return self.front_position - self.rear_position
 
 
