@@ -90,7 +90,7 @@ def _when_ready(
 
     def on_output(event: ProcessIO) -> list[LaunchDescriptionEntity]:
         lines = event.text.decode(errors="replace").splitlines()
-        if waiting and any(line.startswith(ready) for line in lines):
+        if waiting and any(ready in line for line in lines):
             return waiting.pop()
         return []
 

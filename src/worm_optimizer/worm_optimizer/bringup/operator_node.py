@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import rclpy
@@ -22,7 +22,8 @@ from worm_msgs.srv import RequestGait
 
 DISCOVERY_TIMEOUT_S = 30.0
 CALL_TIMEOUT_S = 10.0
-OPTIMIZER_TIMEOUT_S = 90.0  # it may still be searching its front
+OPTIMIZER_TIMEOUT_S = 120.0  # it may still be searching its front
+REQUEST_PERIOD_S = 1.0
 SPIN_S = 0.05
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
@@ -44,15 +45,27 @@ class OperatorNode(Node):
         super().__init__("operator", namespace=namespace)
         self._check = check
 
-    def others(self, settle_s: float) -> list[str]:
-        """Full names of the nodes in this namespace other than this one, after a time of listening."""
-        self._wait(lambda: False, settle_s)
-        namespace = self.get_namespace()
-        return [
-            f"{namespace}/{name}"
-            for name, space in self.get_node_names_and_namespaces()
-            if space == namespace and name != self.get_name()
-        ]
+    def wait_for_nodes(self, names: Iterable[str]) -> None:
+        """Wait until these nodes are there; raises `OperatorError` if they are not, or if there are others.
+
+        A node of the same name or namespace in this ROS domain means that another worm runs, and
+        commands would reach both.
+        """
+        expected = sorted({*names, self.get_name()})
+        self._wait(lambda: set(expected) <= set(self._names()), DISCOVERY_TIMEOUT_S)
+        found = sorted(self._names())
+        missing = [name for name in expected if name not in found]
+        if missing:
+            raise OperatorError(f"no node {missing[0]} within {DISCOVERY_TIMEOUT_S:g} s")
+        if found != expected:
+            raise OperatorError(
+                f"another worm runs in this ROS domain: the nodes of {self.get_namespace()} are "
+                f"{', '.join(found)}; end it, or set ROS_DOMAIN_ID to another number for one of them"
+            )
+
+    def _names(self) -> list[str]:
+        nodes = self.get_node_names_and_namespaces()
+        return [name for name, namespace in nodes if namespace == self.get_namespace()]
 
     def activate(self, node: str) -> None:
         """Configure and activate a lifecycle node; raises `OperatorError` if it does not get there."""
@@ -65,13 +78,22 @@ class OperatorNode(Node):
         """Deactivate a lifecycle node, which turns the torque of a driver off."""
         self._change(node, Transition.TRANSITION_DEACTIVATE)
 
-    def request_cruise(self) -> GaitPrediction:
-        """Ask the optimizer for its most economical forward gait."""
+    def request_cruise(self, progress: Callable[[str], None]) -> GaitPrediction:
+        """Ask the optimizer for its most economical forward gait, again until it has a front.
+
+        ``progress`` gets the reason why there is no gait yet. Raises `OperatorError` with the last
+        reason when there is none in time.
+        """
         request = RequestGait.Request(objective=RequestGait.Request.CRUISE, direction=Gait.FORWARD)
-        response = self._call(RequestGait, "request_gait", request, OPTIMIZER_TIMEOUT_S)
-        if not response.success:
-            raise OperatorError(f"the optimizer has no gait: {response.message}")
-        return response.prediction
+        deadline = time.monotonic() + OPTIMIZER_TIMEOUT_S
+        while True:
+            response = self._call(RequestGait, "request_gait", request, CALL_TIMEOUT_S)
+            if response.success:
+                return response.prediction
+            if time.monotonic() > deadline:
+                raise OperatorError(f"the optimizer has no gait: {response.message}")
+            progress(response.message)
+            self._wait(lambda: False, REQUEST_PERIOD_S)
 
     def run_gait(
         self, gait: Gait, cycles: int, progress: Callable[[RunGait.Feedback], None]

@@ -19,6 +19,7 @@ _NODE_KEYS = {
     "package",
     "executable",
     "modes",
+    "needs",
     "ready",
     "lifecycle",
     "arguments",
@@ -35,7 +36,7 @@ class SystemFileError(ValueError):
 class NodeDescription:
     """One node: what runs, under which name, with which arguments, parameters and remappings.
 
-    ``ready`` is what a line of its output starts with once the nodes after it may start; empty when
+    ``ready`` is what a line of its output contains once the nodes after it may start; empty when
     they need not wait. A ``lifecycle`` node is to be configured and activated.
     """
 
@@ -107,7 +108,7 @@ class SystemFile:
             tuple(
                 self._node(name, content, mode, values)
                 for name, content in self.nodes.items()
-                if mode in content.get("modes", MODES)
+                if mode in content.get("modes", MODES) and _is_wanted(content, values)
             ),
         )
 
@@ -155,6 +156,11 @@ def _of_mode(parameters: Mapping[str, Any], mode: str) -> dict[str, Value]:
     """The parameters common to all modes (those with a plain value) and those of one mode."""
     common = {key: value for key, value in parameters.items() if key not in MODES}
     return {**common, **parameters.get(mode, {})}
+
+
+def _is_wanted(content: Mapping[str, Any], values: Mapping[str, str]) -> bool:
+    """Whether the setting that a node needs, if any, has a value."""
+    return "needs" not in content or bool(values[content["needs"]])
 
 
 def _arguments(options: Mapping[str, str], values: Mapping[str, str]) -> tuple[str, ...]:
