@@ -1,0 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags: the only modules that know MCAP and rosbag2. Everyone else sees typed arrays and records.
+
+`opening.open_bag` gives a `bag.Bag`, whose messages are iterated lazily, whoever wrote it; `run_reader.read_run` gives
+the worm's topics as arrays (`worm_model.run.Run`); `writer.BagWriter` writes; `recovery.recover` mends.
+Whatever is wrong with a bag is an `errors.BagError` of one line.
+"""

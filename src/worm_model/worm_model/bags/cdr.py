@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CDR messages to and from columns of numbers, thousands at a time.
+
+All messages of a topic whose strings and sequences have the same lengths have the same layout: their numbers lie at
+the same offsets and are taken out, or put in, as columns of one array. Only the first message of each layout is walked
+through field by field. Encoding is plain CDR (XCDR1, as ROS 2 uses it): numbers are aligned to their size, counted
+from behind the four bytes of the encapsulation header.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
+
+from worm_model.bags.errors import BagError
+
+HEADER_BYTES = 4
+BIG, LITTLE = b"\x00\x00", b"\x00\x01"  # representation identifiers of plain CDR
+LITTLE_HEADER = LITTLE + b"\x00\x00"
+_CODES = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1"} | {
+    f"{kind}{bits}": f"{kind[0]}{bits // 8}"
+    for kind in ("int", "uint", "float")
+    for bits in (8, 16, 32, 64)
+}
+
+Fields = list[tuple[str, Any]]
+Types = Mapping[str, Fields]
+
+
+@lru_cache(maxsize=256)
+def parse_types(type_name: str, definition: str, definition_format: str) -> Types:
+    """Fields of a type and of all that it needs.
+
+    Raises:
+        BagError: the definition cannot be read.
+    """
+    try:
+        if definition_format == "ros2idl":
+            found: dict[str, Any] = {}
+            for part in definition.split("=" * 80 + "\n"):
+                idl = part.split("\n", 1)[1] if part.startswith("IDL:") else part
+                found.update(get_types_from_idl(idl) if idl.strip() else {})
+        else:
+            found = get_types_from_msg(definition, type_name)
+    except (TypesysError, ValueError, KeyError, IndexError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise BagError(f"the definition of {type_name} cannot be read: {reason}") from None
+    return {name: list(fields) for name, (_, fields) in found.items()}
+
+
+@dataclass
+class _Cursor:
+    """Where the walk through a message is, and what it has found. Offsets are from the first byte of the message.
+
+    Attributes:
+        numbers: (code, offset, count) by path; count None for a single number.
+        texts: (offset, length) of the characters by path, without their terminator.
+        words: (offset, value) of the lengths.
+    """
+
+    position: int = HEADER_BYTES
+    numbers: dict[str, tuple[str, int, int | None]] = field(default_factory=dict)
+    texts: dict[str, tuple[int, int]] = field(default_factory=dict)
+    words: list[tuple[int, int]] = field(default_factory=list)
+
+    def align(self, size: int) -> None:
+        self.position += -(self.position - HEADER_BYTES) % size
+
+    def advance(self, size: int) -> None:
+        self.position += size
+
+    def number(self, path: str, code: str, count: int | None) -> None:
+        size = np.dtype(code).itemsize
+        if count != 0:  # nothing is aligned for no elements
+            self.align(size)
+        self.numbers[path] = (code, self.position, count)
+        self.advance(size * (1 if count is None else count))
+
+    def word(self, path: str, empty: int) -> int:
+        """Length of a string (terminator included) or sequence; `empty` is that of one that is not given."""
+        self.align(4)
+        value = self.length(path, empty)
+        self.words.append((self.position, value))
+        self.advance(4)
+        return value
+
+    def text(self, path: str) -> None:
+        length = self.word(path, empty=1)
+        self.texts[path] = (self.position, max(length - 1, 0))
+        self.advance(length)
+
+    def length(self, path: str, empty: int) -> int:
+        """Value of a length word, `empty` where nothing is known of it."""
+        raise NotImplementedError
+
+
+@dataclass
+class _ReadCursor(_Cursor):
+    """Takes lengths from a message, and never leaves it."""
+
+    data: bytes = b""
+    order: str = "<"
+
+    def advance(self, size: int) -> None:
+        self.position += size
+        if self.position > len(self.data):
+            raise BagError("a message is shorter than its type says")
+
+    def length(self, path: str, empty: int) -> int:  # noqa: ARG002 - a message says all lengths
+        if self.position + 4 > len(self.data):
+            raise BagError("a message is shorter than its type says")
+        value: int = struct.unpack_from(f"{self.order}I", self.data, self.position)[0]
+        return value
+
+
+@dataclass
+class _WriteCursor(_Cursor):
+    """Takes lengths from what is to be written: texts, and counts of sequences."""
+
+    lengths: Mapping[str, int] = field(default_factory=dict)
+
+    def length(self, path: str, empty: int) -> int:
+        return self.lengths.get(path, empty)
+
+
+def _walk(types: Types, type_name: str, prefix: str, cursor: _Cursor) -> None:
+    if type_name not in types:
+        raise BagError(f"the definition of {type_name} is missing")
+    if not types[type_name]:
+        cursor.advance(1)  # an empty message is a byte long
+    for name, description in types[type_name]:
+        _walk_field(types, description, f"{prefix}{name}", cursor)
+
+
+def _walk_field(types: Types, description: Any, path: str, cursor: _Cursor) -> None:
+    kind, argument = description
+    if kind == Nodetype.NAME:
+        _walk(types, argument, f"{path}.", cursor)
+    elif kind == Nodetype.BASE:
+        _walk_base(argument[0], path, None, cursor)
+    else:
+        element, size = argument
+        count = size if kind == Nodetype.ARRAY else cursor.word(path, empty=0)
+        if element[0] == Nodetype.BASE and element[1][0] in _CODES:
+            _walk_base(element[1][0], path, count, cursor)
+        else:
+            for index in range(count):
+                _walk_field(types, element, f"{path}[{index}]", cursor)
+
+
+def _walk_base(base: str, path: str, count: int | None, cursor: _Cursor) -> None:
+    if base in _CODES:
+        cursor.number(path, _CODES[base], count)
+    elif base == "string":
+        cursor.text(path)
+    else:
+        raise BagError(f"{path} is a {base}, which cannot be decoded")
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Fields of many messages, one array a field.
+
+    Attributes:
+        numbers: by path such as ``header.stamp.sec``; shape (messages,) or, for arrays, (messages, count). A field that
+            some messages lack (sequences of differing lengths) is an object array with None where it is missing.
+        texts: by path, one string a message; None where it is missing.
+    """
+
+    numbers: dict[str, NDArray[Any]]
+    texts: dict[str, list[str | None]]
+
+
+def decode(messages: Sequence[bytes], type_name: str, types: Types) -> Columns:
+    """Columns of messages of one type.
+
+    Raises:
+        BagError: a message is not plain CDR, or not of that type.
+    """
+    columns = Columns({}, {})
+    waiting = np.arange(len(messages))
+    sizes = np.array([len(data) for data in messages], dtype=np.int64)
+    while len(waiting):
+        template = messages[waiting[0]]
+        cursor = _template_cursor(template, type_name, types)
+        candidates = waiting[sizes[waiting] == len(template)]
+        block = np.frombuffer(b"".join([messages[i] for i in candidates]), np.uint8)
+        block = block.reshape(len(candidates), len(template))
+        same = _same_layout(block, cursor, template)
+        _take(columns, cursor, block[same], candidates[same], len(messages))
+        waiting = np.setdiff1d(waiting, candidates[same], assume_unique=True)
+    return columns
+
+
+def _template_cursor(template: bytes, type_name: str, types: Types) -> _ReadCursor:
+    if template[:2] not in (BIG, LITTLE):
+        raise BagError(
+            f"a message of {type_name} is not plain CDR: it begins with {template[:4]!r}"
+        )
+    cursor = _ReadCursor(data=template, order="<" if template[:2] == LITTLE else ">")
+    _walk(types, type_name, "", cursor)
+    return cursor
+
+
+def _same_layout(block: NDArray[np.uint8], cursor: _Cursor, template: bytes) -> NDArray[np.bool_]:
+    """Which rows have the representation and all lengths of the template."""
+    fixed = [0, 1] + [offset + i for offset, _ in cursor.words for i in range(4)]
+    expected = np.frombuffer(template, np.uint8)[fixed]
+    same: NDArray[np.bool_] = (block[:, fixed] == expected).all(axis=1)
+    return same
+
+
+def _take(
+    columns: Columns,
+    cursor: _ReadCursor,
+    block: NDArray[np.uint8],
+    rows: NDArray[np.int64],
+    total: int,
+) -> None:
+    for path, (code, offset, count) in cursor.numbers.items():
+        dtype = np.dtype(code)
+        size = dtype.itemsize * (1 if count is None else count)
+        raw = np.ascontiguousarray(block[:, offset : offset + size])
+        stored = dtype.newbyteorder("<" if cursor.order == "<" else ">")
+        values = raw.view(stored).astype(dtype)
+        if count is None:
+            values = values.reshape(len(rows))
+        _place(columns.numbers, path, values, rows, total)
+    for path, (offset, length) in cursor.texts.items():
+        texts = columns.texts.setdefault(path, [None] * total)
+        for row, characters in zip(rows, block[:, offset : offset + length], strict=True):
+            texts[row] = characters.tobytes().decode(errors="replace")
+
+
+def _place(
+    found: dict[str, NDArray[Any]],
+    path: str,
+    values: NDArray[Any],
+    rows: NDArray[np.int64],
+    total: int,
+) -> None:
+    """Put the values of some rows into a column, which has a plain shape as long as all rows agree on it."""
+    if len(rows) == total:
+        found[path] = values
+        return
+    if path not in found:
+        found[path] = np.full(total, None, dtype=object)
+    column = found[path]
+    for row, value in zip(rows, values, strict=True):
+        column[row] = value
+    if all(value is not None for value in column) and len({np.shape(v) for v in column}) == 1:
+        found[path] = np.array(list(column), dtype=values.dtype)
+
+
+def encode(
+    count: int,
+    type_name: str,
+    types: Types,
+    numbers: Mapping[str, NDArray[Any] | float],
+    texts: Mapping[str, str | Sequence[str]],
+) -> list[bytes]:
+    """Messages of one type from columns; what is not given is zero or empty.
+
+    Args:
+        count: number of messages.
+        numbers: by path; one value for all messages, shape (count,), or (count, k) for a sequence of k numbers.
+        texts: by path; one text for all messages, or one a message. A sequence of texts is given by its elements'
+            paths, ``name[0]`` and so on.
+
+    Raises:
+        BagError: the type has no such field.
+    """
+    encoded = {
+        path: text.encode() if isinstance(text, str) else None for path, text in texts.items()
+    }
+    varying = [path for path, text in encoded.items() if text is None]
+    keys = list(zip(*(texts[path] for path in varying), strict=True)) if varying else [()] * count
+    messages: list[bytes] = [b""] * count
+    for key in dict.fromkeys(keys):
+        rows = [row for row, other in enumerate(keys) if other == key]
+        constant = {path: text for path, text in encoded.items() if text is not None}
+        constant |= {path: text.encode() for path, text in zip(varying, key, strict=True)}
+        part = {
+            path: values[rows] if isinstance(values, np.ndarray) else values
+            for path, values in numbers.items()
+        }
+        for row, data in zip(
+            rows, _encode_alike(len(rows), type_name, types, part, constant), strict=True
+        ):
+            messages[row] = data
+    return messages
+
+
+def _encode_alike(
+    count: int,
+    type_name: str,
+    types: Types,
+    numbers: Mapping[str, NDArray[Any] | float],
+    texts: Mapping[str, bytes],
+) -> list[bytes]:
+    """Messages that share all texts, hence one layout."""
+    cursor = _WriteCursor(lengths=_lengths(numbers, texts))
+    _walk(types, type_name, "", cursor)
+    unknown = (numbers.keys() - cursor.numbers.keys()) | (texts.keys() - cursor.texts.keys())
+    if unknown:
+        raise BagError(f"{type_name} has no field {sorted(unknown)[0]}")
+    block = np.zeros((count, cursor.position), np.uint8)
+    block[:, :HEADER_BYTES] = np.frombuffer(LITTLE_HEADER, np.uint8)
+    for offset, value in cursor.words:
+        block[:, offset : offset + 4] = np.frombuffer(struct.pack("<I", value), np.uint8)
+    for path, text in texts.items():
+        offset, length = cursor.texts[path]
+        block[:, offset : offset + length] = np.frombuffer(text, np.uint8)
+    for path, values in numbers.items():
+        code, offset, elements = cursor.numbers[path]
+        shape = (count,) if elements is None else (count, elements)
+        column = np.broadcast_to(np.asarray(values), shape).astype(np.dtype(code).newbyteorder("<"))
+        raw = np.ascontiguousarray(column).view(np.uint8).reshape(count, -1)
+        block[:, offset : offset + raw.shape[1]] = raw
+    whole = block.tobytes()
+    return [whole[i * cursor.position : (i + 1) * cursor.position] for i in range(count)]
+
+
+def _lengths(
+    numbers: Mapping[str, NDArray[Any] | float], texts: Mapping[str, bytes]
+) -> dict[str, int]:
+    """Length words of texts (with their terminator) and of sequences (by their columns or elements)."""
+    lengths = {path: len(text) + 1 for path, text in texts.items()}
+    for path, values in numbers.items():
+        if np.ndim(values) == 2:
+            lengths[path] = np.shape(values)[1]
+    for path in texts:
+        if path.endswith("]"):
+            sequence = path.rpartition("[")[0]
+            lengths[sequence] = lengths.get(sequence, 0) + 1
+    return lengths

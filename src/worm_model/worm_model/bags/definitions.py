@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Message definitions for bags that are written here, and for those that carry none.
+
+Reading needs nothing installed: a bag carries its definitions. Writing does, and takes those of worm_msgs from
+where they are defined: from the workspace that is sourced (AMENT_PREFIX_PATH), else from the checkout that this package
+lies in or was installed from with ``pip install --editable``. Standard types come with `rosbags`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from worm_model.bags.bag import Topic
+from worm_model.bags.cdr import Types
+from worm_model.bags.errors import BagError
+
+PACKAGE = "worm_msgs"
+SEPARATOR = "=" * 80
+
+
+def _folders() -> Iterator[Path]:
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix, "share", PACKAGE, "msg")
+    yield Path(__file__).resolve().parents[3] / PACKAGE / "msg"
+
+
+def definition_files() -> dict[str, Path]:
+    """Paths of worm_msgs' message definitions by type name.
+
+    Raises:
+        BagError: they are nowhere to be found.
+    """
+    for folder in _folders():
+        files = sorted(folder.glob("*.msg"))
+        if files:
+            return {f"{PACKAGE}/msg/{path.stem}": path for path in files}
+    raise BagError(
+        f"the definitions of {PACKAGE} are not installed; source the workspace, or install worm_model "
+        "from its checkout with pip install --editable"
+    )
+
+
+@lru_cache(maxsize=1)
+def _store() -> Typestore:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for type_name, path in definition_files().items():
+        store.register(get_types_from_msg(path.read_text(encoding="utf-8"), type_name))
+    return store
+
+
+@lru_cache(maxsize=1)
+def installed_types() -> Types:
+    """Fields of all types of worm_msgs and of the standard packages of ROS 2 Jazzy, by type name.
+
+    Raises:
+        BagError: worm_msgs is nowhere to be found.
+    """
+    return {name: list(fields) for name, (_, fields) in _store().fielddefs.items()}
+
+
+@lru_cache(maxsize=64)
+def topic_of(name: str, type_name: str) -> Topic:
+    """A topic that can be written: definition with all that it needs, and type hash.
+
+    Raises:
+        BagError: the type is not known.
+    """
+    store = _store()
+    if type_name not in store.fielddefs:
+        raise BagError(f"{type_name} is neither in {PACKAGE} nor a standard type")
+    definition = _definition(store, type_name)
+    metadata = (("offered_qos_profiles", ""), ("topic_type_hash", store.hash_rihs01(type_name)))
+    return Topic(name, type_name, 0, definition, "ros2msg", "cdr", metadata)
+
+
+def _definition(store: Typestore, type_name: str) -> str:
+    """``ros2msg`` text; worm_msgs' own texts keep their comments, which hold the units."""
+    generated, _ = store.generate_msgdef(type_name, ros_version=2)
+    files = definition_files()
+    first, *others = generated.split(f"{SEPARATOR}\nMSG: ")
+    parts = [files[type_name].read_text(encoding="utf-8") if type_name in files else first]
+    for other in others:
+        name, text = other.split("\n", 1)
+        path = files.get(name.replace("/", "/msg/"))
+        parts.append(
+            f"{SEPARATOR}\nMSG: {name}\n{path.read_text(encoding='utf-8') if path else text}"
+        )
+    return "\n".join(part.rstrip("\n") + "\n" for part in parts)

@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The exception of everything that has to do with bags."""
+
+from __future__ import annotations
+
+
+class BagError(ValueError):
+    """A bag cannot be read or written; the message is one line that says what is missing and what to do."""

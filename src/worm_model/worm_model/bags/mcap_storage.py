@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag that lies in one or several MCAP files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from worm_model.bags.bag import AttachedFile, Message, Topic
+from worm_model.bags.errors import BagError
+from worm_model.bags.mcap_file import McapFile, merge
+
+
+class McapStorage:
+    """Reads MCAP files as one.
+
+    Args:
+        files: the open files; closed with the storage.
+
+    Raises:
+        BagError: the files contradict each other.
+    """
+
+    def __init__(self, files: Sequence[McapFile]) -> None:
+        self._files = files
+        self.topics = _topics(files)
+        self.span = _span(files)
+        self.metadata = {
+            record.name: dict(record.metadata)
+            for file in files
+            for record in file.contents.metadata
+        }
+
+    def close(self) -> None:
+        """Close the files."""
+        for file in self._files:
+            file.close()
+
+    def attachments(self) -> Iterator[AttachedFile]:
+        """Files kept inside, each once even if every MCAP file repeats it."""
+        seen = set()
+        for file in self._files:
+            for record in file.attachments():
+                attached = AttachedFile(record.name, record.media_type, record.data)
+                if attached not in seen:
+                    seen.add(attached)
+                    yield attached
+
+    def batches(self, topics: frozenset[str]) -> Iterator[list[Message]]:
+        """Messages of some topics by rising log time."""
+        names = [
+            {number: channel.topic for number, channel in f.contents.channels.items()}
+            for f in self._files
+        ]
+        wanted = [
+            frozenset(number for number, topic in known.items() if topic in topics)
+            for known in names
+        ]
+        for batch in merge(list(zip(self._files, wanted, strict=True))):
+            yield [
+                Message(names[index][raw.channel], raw.log_time, raw.data, raw.publish_time)
+                for index, raw in batch
+            ]
+
+
+def _topics(files: Sequence[McapFile]) -> tuple[Topic, ...]:
+    found: dict[str, Topic] = {}
+    for file in files:
+        for number, channel in sorted(file.contents.channels.items()):
+            schema = file.contents.schemas.get(channel.schema_id)
+            known = found.get(channel.topic)
+            if known and schema and known.type_name != schema.name:
+                raise BagError(
+                    f"{file.path}: {channel.topic} is both {known.type_name} and {schema.name}"
+                )
+            count = file.contents.counts.get(number, 0)
+            found[channel.topic] = Topic(
+                name=channel.topic,
+                type_name=schema.name if schema else "",
+                count=count + (known.count if known else 0),
+                definition=schema.data.decode(errors="replace") if schema else "",
+                definition_format=schema.encoding if schema else "",
+                encoding=channel.message_encoding,
+                metadata=known.metadata if known else tuple(channel.metadata.items()),
+            )
+    return tuple(found[name] for name in sorted(found))
+
+
+def _span(files: Sequence[McapFile]) -> tuple[int, int]:
+    extents = [extent for file in files for extent in file.contents.extents]
+    if not extents:
+        return 0, 0
+    return min(extent.start for extent in extents), max(extent.end for extent in extents)

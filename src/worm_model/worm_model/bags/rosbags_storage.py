@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag in a format that only `rosbags` reads here: sqlite3, and rosbag2's compressed files or messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from types import MappingProxyType
+
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
+from rosbags.rosbag2 import Reader
+
+from worm_model.bags.bag import AttachedFile, Message, Topic
+from worm_model.bags.errors import BagError
+
+BATCH = 1000
+_FORMATS = MappingProxyType(
+    {
+        MessageDefinitionFormat.MSG: "ros2msg",
+        MessageDefinitionFormat.IDL: "ros2idl",
+        MessageDefinitionFormat.NONE: "",
+    }
+)
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Turn whatever the library raises at foreign content into a BagError: it asserts, too."""
+    try:
+        yield
+    except Exception as error:  # noqa: BLE001
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise BagError(f"{path} cannot be read: {reason}") from None
+
+
+class RosbagsStorage:
+    """Reads through `rosbags`, which offers neither metadata records nor attachments.
+
+    Args:
+        path: rosbag2 directory or sqlite3 file.
+
+    Raises:
+        BagError: it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with _explained(path):
+            self._reader = Reader(path)
+            self._reader.open()
+            self.topics = tuple(sorted(map(_topic, self._reader.connections), key=lambda t: t.name))
+            empty = not self._reader.message_count
+            self.span = (0, 0) if empty else (self._reader.start_time, self._reader.end_time - 1)
+        self.metadata: dict[str, dict[str, str]] = {}
+
+    def close(self) -> None:
+        """Close the files."""
+        self._reader.close()
+
+    def attachments(self) -> Iterator[AttachedFile]:
+        """None."""
+        return iter(())
+
+    def batches(self, topics: frozenset[str]) -> Iterator[list[Message]]:
+        """Messages of some topics by rising log time; the sending time is not known and taken for the same."""
+        with _explained(self._path):
+            wanted = [c for c in self._reader.connections if c.topic in topics]
+            found = (
+                Message(connection.topic, time, bytes(data), time)
+                for connection, time, data in self._reader.messages(wanted)
+            )
+        while True:
+            with _explained(self._path):
+                batch = list(islice(found, BATCH))
+            if not batch:
+                return
+            yield batch
+
+
+def _topic(connection: Connection) -> Topic:
+    extension = connection.ext
+    encoding = extension.serialization_format if isinstance(extension, ConnectionExtRosbag2) else ""
+    return Topic(
+        name=connection.topic,
+        type_name=connection.msgtype,
+        count=connection.msgcount,
+        definition=connection.msgdef.data,
+        definition_format=_FORMATS[connection.msgdef.format],
+        encoding=encoding,
+        metadata=(("topic_type_hash", connection.digest),),
+    )

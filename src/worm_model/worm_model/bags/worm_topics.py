@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The worm's topics in a bag: found by the end of their name and their type, under any namespace."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from worm_model.bags.bag import Topic
+from worm_model.bags.errors import BagError
+
+BODY_LENGTH = "worm_msgs/msg/BodyLength"
+TRACKER = "worm_msgs/msg/Tracker"
+POWER = "worm_msgs/msg/Power"
+GAIT_STATE = "worm_msgs/msg/GaitState"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+TWIN_STATE = "worm_msgs/msg/TwinState"
+TWIN_RESIDUALS = "worm_msgs/msg/TwinResiduals"
+
+TYPES = {
+    "body_length/commanded": BODY_LENGTH,
+    "body_length/cable": BODY_LENGTH,
+    "body_length/estimated": BODY_LENGTH,
+    "body_length/measured": BODY_LENGTH,
+    "tracker": TRACKER,
+    "power": POWER,
+    "gait_state": GAIT_STATE,
+    "joint_states": JOINT_STATE,
+    "twin/state": TWIN_STATE,
+    "twin/residuals": TWIN_RESIDUALS,
+}
+
+
+def find_topic(topics: Iterable[Topic], name: str, namespace: str = "") -> Topic | None:
+    """The topic that carries one of the worm's names (a key of TYPES), or None.
+
+    Args:
+        topics: of a bag.
+        name: relative name, such as ``body_length/measured``.
+        namespace: only in this one, such as ``/worm``; empty: in whichever there is.
+
+    Raises:
+        BagError: several topics fit, as when a bag holds two robots.
+    """
+    ending = f"{namespace.rstrip('/')}/{name}" if namespace else f"/{name}"
+    found = [
+        topic
+        for topic in topics
+        if topic.type_name == TYPES[name]
+        and (
+            topic.name.lstrip("/") == ending.lstrip("/")
+            if namespace
+            else f"/{topic.name}".endswith(ending)
+        )
+    ]
+    if len(found) > 1:
+        names = ", ".join(sorted(topic.name for topic in found))
+        raise BagError(f"several topics could be {name}: {names}; choose with --namespace")
+    return found[0] if found else None

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One run of the worm as typed arrays: what was commanded, measured and played, whoever recorded it.
+
+Stamps are acquisition stamps in ns since the epoch (int64, shape (n,)), in the order of reception; other quantities
+are SI units, float64 of shape (n,) unless said otherwise. A topic that was not recorded has no samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+Codes = NDArray[np.int64]
+
+RUNNING = 3  # GaitState.RUNNING
+POWER_VALID = 0  # Power.VALID
+
+
+def seconds(stamp: Stamps, origin: int) -> Array:
+    """Stamps as s since an origin (ns since the epoch); exact to a ns for months around it."""
+    return (stamp - origin).astype(np.float64) * 1e-9
+
+
+def _stamps() -> Stamps:
+    return np.empty(0, np.int64)
+
+
+def _array() -> Array:
+    return np.empty(0)
+
+
+@dataclass(frozen=True)
+class LengthSamples:
+    """Body lengths from one source: `length` m, and `length_change` m, negative in contraction."""
+
+    stamp: Stamps = field(default_factory=_stamps)
+    length: Array = field(default_factory=_array)
+    length_change: Array = field(default_factory=_array)
+
+
+@dataclass(frozen=True)
+class TrackerSamples:
+    """Positions along the pipe, x1 of the rear and x2 of the front module, m; NaN while a marker is occluded."""
+
+    stamp: Stamps = field(default_factory=_stamps)
+    rear_position: Array = field(default_factory=_array)
+    front_position: Array = field(default_factory=_array)
+
+
+@dataclass(frozen=True)
+class PowerSamples:
+    """Source-side electrical power W, bus voltage V and current A; NaN where `status` is not POWER_VALID."""
+
+    stamp: Stamps = field(default_factory=_stamps)
+    status: Codes = field(default_factory=_stamps)
+    bus_voltage: Array = field(default_factory=_array)
+    current: Array = field(default_factory=_array)
+    power: Array = field(default_factory=_array)
+
+
+@dataclass(frozen=True)
+class GaitStates:
+    """What the driver did: `state` as GaitState has it, the gait, and its `onset` (ns since the epoch, 0: unknown)."""
+
+    stamp: Stamps = field(default_factory=_stamps)
+    state: Codes = field(default_factory=_stamps)
+    stroke: Array = field(default_factory=_array)
+    frequency: Array = field(default_factory=_array)
+    direction: Codes = field(default_factory=_stamps)
+    margin: Array = field(default_factory=_array)
+    onset: Stamps = field(default_factory=_stamps)
+    cycle: Codes = field(default_factory=_stamps)
+    cycles: Codes = field(default_factory=_stamps)
+
+
+@dataclass(frozen=True)
+class JointSamples:
+    """Servo states: `position` rad, `velocity` rad/s, `effort` A or ratio, each of shape (n, len(names)) or (n, 0)."""
+
+    names: tuple[str, ...] = ()
+    stamp: Stamps = field(default_factory=_stamps)
+    position: Array = field(default_factory=_array)
+    velocity: Array = field(default_factory=_array)
+    effort: Array = field(default_factory=_array)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run: `origin` is its least stamp (ns since the epoch), 0 if it has no samples at all."""
+
+    origin: int = 0
+    commanded: LengthSamples = field(default_factory=LengthSamples)
+    cable: LengthSamples = field(default_factory=LengthSamples)
+    estimated: LengthSamples = field(default_factory=LengthSamples)
+    measured: LengthSamples = field(default_factory=LengthSamples)
+    tracker: TrackerSamples = field(default_factory=TrackerSamples)
+    power: PowerSamples = field(default_factory=PowerSamples)
+    gait_state: GaitStates = field(default_factory=GaitStates)
+    joint_states: JointSamples = field(default_factory=JointSamples)
