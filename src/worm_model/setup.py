@@ -9,6 +9,9 @@ NAME = "worm_model"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
     "evaluate_gait = worm_model.evaluate_gait:main",
     "phase_map = worm_model.phase_map:main",
+    "export = worm_model.export:main",
+    "import_lab = worm_model.import_lab:main",
+    "recover = worm_model.recover:main",
 ]
 
 setup(

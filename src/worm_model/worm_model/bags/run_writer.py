@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes a run's arrays as the messages that the driver and the tracker publish."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.bags.cdr import encode
+from worm_model.bags.definitions import installed_types, topic_of
+from worm_model.bags.worm_topics import TYPES
+from worm_model.bags.writer import BagWriter
+from worm_model.run import LengthSamples, Run, Stamps
+
+Numbers = Mapping[str, NDArray[Any] | float]
+LENGTH_SOURCES = {"commanded": 0, "cable": 1, "estimated": 2, "measured": 3}  # BodyLength.source
+
+
+def write_run(writer: BagWriter, run: Run, namespace: str = "/worm") -> None:
+    """Append a run's samples by rising stamp; each is taken to be received and sent at its stamp.
+
+    Raises:
+        BagError: the definitions of worm_msgs are not installed.
+    """
+    series = {name: (stamp, numbers) for name, stamp, numbers in _series(run) if len(stamp)}
+    messages = []
+    for order, (name, (stamp, numbers)) in enumerate(series.items()):
+        topic = topic_of(f"{namespace.rstrip('/')}/{name}", TYPES[name])
+        writer.add_topic(topic)
+        payloads = encode_stamped(TYPES[name], stamp, numbers)
+        messages += [
+            (time, order, row, topic.name, data)
+            for row, (time, data) in enumerate(zip(stamp.tolist(), payloads, strict=True))
+        ]
+    for time, _, _, topic_name, data in sorted(messages, key=lambda m: m[:3]):
+        writer.write(topic_name, data, time, time)
+
+
+def encode_stamped(
+    type_name: str, stamp: Stamps, numbers: Numbers, texts: Mapping[str, Any] | None = None
+) -> list[bytes]:
+    """CDR messages of a type with a header, from stamps (ns since the epoch) and columns."""
+    header = {"header.stamp.sec": stamp // 10**9, "header.stamp.nanosec": stamp % 10**9}
+    return encode(len(stamp), type_name, installed_types(), {**header, **numbers}, texts or {})
+
+
+def _series(run: Run) -> list[tuple[str, Stamps, Numbers]]:
+    """Name, stamps and columns of each topic."""
+    lengths = [_length(name, getattr(run, name)) for name in LENGTH_SOURCES]
+    tracker, power = run.tracker, run.power
+    return [
+        _gait_states(run),
+        *lengths,
+        (
+            "tracker",
+            tracker.stamp,
+            {"rear_position": tracker.rear_position, "front_position": tracker.front_position},
+        ),
+        (
+            "power",
+            power.stamp,
+            {
+                "status": power.status,
+                "bus_voltage": power.bus_voltage,
+                "current": power.current,
+                "power": power.power,
+            },
+        ),
+    ]
+
+
+def _length(name: str, samples: LengthSamples) -> tuple[str, Stamps, Numbers]:
+    numbers: Numbers = {
+        "source": float(LENGTH_SOURCES[name]),
+        "length": samples.length,
+        "length_change": samples.length_change,
+    }
+    return f"body_length/{name}", samples.stamp, numbers
+
+
+def _gait_states(run: Run) -> tuple[str, Stamps, Numbers]:
+    states = run.gait_state
+    numbers: Numbers = {
+        "state": states.state,
+        "gait.stroke": states.stroke,
+        "gait.frequency": states.frequency,
+        "gait.direction": states.direction,
+        "gait.margin": states.margin,
+        "onset.sec": np.asarray(states.onset) // 10**9,
+        "onset.nanosec": np.asarray(states.onset) % 10**9,
+        "cycle": states.cycle,
+        "cycles": states.cycles,
+    }
+    return "gait_state", states.stamp, numbers

@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Raw logs of a lab, one CSV file an instrument, as a run.
+
+A run's folder holds ``camera.csv`` (time_s, x1_m, x2_m; an empty position is an occluded marker), ``power.csv``
+(time_s, bus_voltage_V, current_A) and ``servo.csv`` (time_s, goal_ticks; positive ticks shorten the body); any of
+them may be missing, not all. Times are s from the start of the recording. ``runs.json`` beside the folder, or in
+it, tells each run's gait (stroke_m, frequency_Hz; direction and margin_m where they are not 1 and 0).
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.gait import FORWARD, Gait, GaitError
+from worm_model.run import (
+    RUNNING,
+    GaitStates,
+    LengthSamples,
+    PowerSamples,
+    Run,
+    Stamps,
+    TrackerSamples,
+)
+
+TICKS_PER_TURN = 4096  # Dynamixel X series, ROBOTIS e-manual
+RESTING = 2  # GaitState.RESTING
+FILES = {
+    "camera.csv": ("time_s", "x1_m", "x2_m"),
+    "power.csv": ("time_s", "bus_voltage_V", "current_A"),
+    "servo.csv": ("time_s", "goal_ticks"),
+}
+GAITS_FILE = "runs.json"
+
+
+class LabError(ValueError):
+    """A lab's folder cannot be used; the message is one line that says where and why."""
+
+
+@dataclass(frozen=True)
+class LabSettings:
+    """What the logs do not say.
+
+    Attributes:
+        epoch: stamp of t = 0, ns since the epoch.
+        onset: when the gait starts, s.
+        spool_radius: of the cable servo, m.
+        initial_length: L0, m; None: the camera's median before the onset, else `fallback_length`.
+        fallback_length: L0 where no camera saw the body at rest, m.
+    """
+
+    epoch: int
+    onset: float = 2.0
+    spool_radius: float = 0.012
+    initial_length: float | None = None
+    fallback_length: float = 0.2952
+
+
+@dataclass(frozen=True)
+class LabRun:
+    """A lab's run.
+
+    Attributes:
+        run: its samples.
+        gait: that was played; None if the folder does not tell.
+        initial_length: L0 that the lengths count from, m.
+        checksums: SHA-256 of the files that it was made from, by name.
+    """
+
+    run: Run
+    gait: Gait | None
+    initial_length: float
+    checksums: Mapping[str, str]
+
+
+def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
+    """Read a run's folder.
+
+    Raises:
+        LabError: a file is missing or not as described above.
+    """
+    if not folder.is_dir():
+        raise LabError(f"{folder} is not a folder; expected one with {', '.join(FILES)}")
+    tables = {
+        name: read_table(folder / name, columns)
+        for name, columns in FILES.items()
+        if (folder / name).exists()
+    }
+    if not tables:
+        raise LabError(f"{folder} holds none of {', '.join(FILES)}")
+    gait = read_gait(folder)
+    length = _initial_length(tables.get("camera.csv"), settings)
+    run = Run(
+        origin=settings.epoch,
+        commanded=_commanded(tables.get("servo.csv"), length, settings),
+        measured=_measured(tables.get("camera.csv"), length, settings),
+        tracker=_tracker(tables.get("camera.csv"), settings),
+        power=_power(tables.get("power.csv"), settings),
+        gait_state=_gait_states(gait, max(t["time_s"][-1] for t in tables.values()), settings),
+    )
+    checksums = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in tables}
+    return LabRun(run, gait, length, checksums)
+
+
+Table = Mapping[str, NDArray[np.float64]]
+
+
+def read_table(path: Path, columns: tuple[str, ...]) -> Table:
+    """Columns of a CSV file by name; an empty cell is NaN. The first column is time, which must rise.
+
+    Raises:
+        LabError: a column is missing, a cell is not a number, or the time does not rise.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.DictReader(stream)
+            header = [name.strip() for name in reader.fieldnames or []]
+            reader.fieldnames = header
+            missing = [name for name in columns if name not in header]
+            if missing:
+                raise LabError(
+                    f"{path} has no column {missing[0]}; its first line is {','.join(header)!r}"
+                )
+            rows = [
+                [_number(row[name], path, reader.line_num, name) for name in columns]
+                for row in reader
+            ]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise LabError(f"{path} cannot be read: {error}") from None
+    if not rows:
+        raise LabError(f"{path} has no rows")
+    values = np.array(rows)
+    time = values[:, 0]
+    wrong = np.flatnonzero(~(np.diff(time) > 0.0))
+    if not np.isfinite(time).all() or len(wrong):
+        line = int(wrong[0]) + 3 if len(wrong) else 2
+        raise LabError(f"{path}, near line {line}: {columns[0]} does not rise")
+    return {name: values[:, index] for index, name in enumerate(columns)}
+
+
+def _number(text: str | None, path: Path, line: int, name: str) -> float:
+    if text is None:
+        raise LabError(f"{path}, line {line}: {name} is missing: the line is cut off")
+    try:
+        value = float(text) if text.strip() else math.nan
+    except ValueError:
+        raise LabError(f"{path}, line {line}: {name} is {text!r}, not a number") from None
+    if math.isinf(value):
+        raise LabError(f"{path}, line {line}: {name} is infinite")
+    return value
+
+
+def read_gait(folder: Path) -> Gait | None:
+    """The gait of a run's folder by runs.json, None without one.
+
+    Raises:
+        LabError: runs.json lacks the run, or its gait is not one.
+    """
+    path = next(
+        (p for p in (folder / GAITS_FILE, folder.resolve().parent / GAITS_FILE) if p.is_file()),
+        None,
+    )
+    if path is None:
+        return None
+    name = folder.resolve().name
+    try:
+        entry: Any = json.loads(path.read_text(encoding="utf-8"))[name]
+        return Gait(
+            float(entry["stroke_m"]),
+            float(entry["frequency_Hz"]),
+            int(entry.get("direction", FORWARD)),
+            float(entry.get("margin_m", 0.0)),
+        )
+    except KeyError as error:
+        raise LabError(f"{path} lacks {error} of {name}") from None
+    except GaitError as error:
+        raise LabError(f"{path}: the gait of {name} is not one: {error}") from None
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise LabError(f"{path} is not a list of gaits by run: {error}") from None
+
+
+def _initial_length(camera: Table | None, settings: LabSettings) -> float:
+    if settings.initial_length is not None:
+        return settings.initial_length
+    if camera is not None:
+        at_rest = camera["time_s"] < settings.onset
+        lengths = (camera["x2_m"] - camera["x1_m"])[at_rest]
+        seen = lengths[np.isfinite(lengths)]
+        if len(seen):
+            return float(np.median(seen))
+    return settings.fallback_length
+
+
+def _stamp(table: Table, settings: LabSettings) -> Stamps:
+    nanoseconds: Stamps = np.rint(table["time_s"] * 1e9).astype(np.int64)
+    return nanoseconds + settings.epoch
+
+
+def _commanded(table: Table | None, initial_length: float, settings: LabSettings) -> LengthSamples:
+    if table is None:
+        return LengthSamples()
+    turns = table["goal_ticks"] / TICKS_PER_TURN
+    change = -turns * 2.0 * math.pi * settings.spool_radius
+    present = np.isfinite(change)
+    stamp = _stamp(table, settings)
+    return LengthSamples(stamp[present], initial_length + change[present], change[present])
+
+
+def _measured(table: Table | None, initial_length: float, settings: LabSettings) -> LengthSamples:
+    """As the tracker publishes it: a hidden marker gives no length."""
+    if table is None:
+        return LengthSamples()
+    length = table["x2_m"] - table["x1_m"]
+    seen = np.isfinite(length)
+    stamp = _stamp(table, settings)
+    return LengthSamples(stamp[seen], length[seen], length[seen] - initial_length)
+
+
+def _tracker(table: Table | None, settings: LabSettings) -> TrackerSamples:
+    if table is None:
+        return TrackerSamples()
+    return TrackerSamples(_stamp(table, settings), table["x1_m"], table["x2_m"])
+
+
+def _power(table: Table | None, settings: LabSettings) -> PowerSamples:
+    if table is None:
+        return PowerSamples()
+    voltage, current = table["bus_voltage_V"], table["current_A"]
+    power = voltage * current
+    bus_error = 3  # Power.BUS_ERROR: the logger has a line but no reading
+    status = np.where(np.isfinite(power), 0, bus_error)
+    return PowerSamples(_stamp(table, settings), status.astype(np.int64), voltage, current, power)
+
+
+def _gait_states(gait: Gait | None, end: float, settings: LabSettings) -> GaitStates:
+    """At rest from the start, then a message at each cycle's start, as the driver publishes them."""
+    if gait is None:
+        return GaitStates()
+    cycles = max(math.ceil((end - settings.onset) * gait.frequency), 0)
+    begins = settings.onset + np.arange(cycles) / gait.frequency
+    times = np.concatenate([[0.0], begins])
+    stamp: Stamps = np.rint(times * 1e9).astype(np.int64) + settings.epoch
+    count = len(times)
+    cycle = np.arange(count)
+    onset = settings.epoch + round(settings.onset * 1e9)
+    return GaitStates(
+        stamp=stamp,
+        state=np.where(cycle == 0, RESTING, RUNNING),
+        stroke=np.full(count, gait.stroke),
+        frequency=np.full(count, gait.frequency),
+        direction=np.full(count, gait.direction),
+        margin=np.full(count, gait.margin),
+        onset=np.where(cycle == 0, 0, onset),
+        cycle=cycle,
+        cycles=np.full(count, cycles),
+    )
