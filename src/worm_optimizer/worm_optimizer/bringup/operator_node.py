@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import rclpy
@@ -13,12 +15,15 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from worm_model import gait as model
 from worm_msgs.action import RunGait
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
+from worm_optimizer.prediction import Prediction
 
 DISCOVERY_TIMEOUT_S = 30.0
 CALL_TIMEOUT_S = 10.0
@@ -33,6 +38,18 @@ _NEXT = {
 
 class OperatorError(RuntimeError):
     """A node did not answer in time, or refused."""
+
+
+@contextmanager
+def operator(namespace: str, check: Callable[[], None]) -> Iterator[OperatorNode]:
+    """An operator's node with a ROS context of its own, in which signals stay Python's."""
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = OperatorNode(namespace, check)
+        yield node
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
 
 
 class OperatorNode(Node):
@@ -78,7 +95,7 @@ class OperatorNode(Node):
         """Deactivate a lifecycle node, which turns the torque of a driver off."""
         self._change(node, Transition.TRANSITION_DEACTIVATE)
 
-    def request_cruise(self, progress: Callable[[str], None]) -> GaitPrediction:
+    def request_cruise(self, progress: Callable[[str], None]) -> Prediction:
         """Ask the optimizer for its most economical forward gait, again until it has a front.
 
         ``progress`` gets the reason why there is no gait yet. Raises `OperatorError` with the last
@@ -89,21 +106,28 @@ class OperatorNode(Node):
         while True:
             response = self._call(RequestGait, "request_gait", request, CALL_TIMEOUT_S)
             if response.success:
-                return response.prediction
+                return _prediction_of(response.prediction)
             if time.monotonic() > deadline:
                 raise OperatorError(f"the optimizer has no gait: {response.message}")
             progress(response.message)
             self._wait(lambda: False, REQUEST_PERIOD_S)
 
-    def run_gait(
-        self, gait: Gait, cycles: int, progress: Callable[[RunGait.Feedback], None]
-    ) -> RunGait.Result:
-        """Run a gait to its end; raises `OperatorError` if it is refused or fails."""
+    def run_gait(self, gait: model.Gait, cycles: int, progress: Callable[[int], None]) -> None:
+        """Run a gait to its end; raises `OperatorError` if it is refused or fails.
+
+        ``progress`` gets the number of cycles begun.
+        """
         client = ActionClient(self, RunGait, "run_gait")
         if not self._wait(client.server_is_ready, DISCOVERY_TIMEOUT_S):
             raise OperatorError("no action run_gait")
-        goal = RunGait.Goal(gait=gait, cycles=cycles)
-        sent = client.send_goal_async(goal, lambda message: progress(message.feedback))
+        goal = RunGait.Goal(cycles=cycles)
+        goal.gait = Gait(
+            stroke=gait.stroke,
+            frequency=gait.frequency,
+            direction=gait.direction,
+            margin=gait.margin,
+        )
+        sent = client.send_goal_async(goal, lambda message: progress(message.feedback.cycle))
         handle = self._result(sent, "run_gait", CALL_TIMEOUT_S)
         if not handle.accepted:
             raise OperatorError("the driver refuses the gait: its log says why")
@@ -111,7 +135,6 @@ class OperatorNode(Node):
         answer = self._result(handle.get_result_async(), "run_gait", 2.0 * duration + 30.0)
         if not answer.result.success:
             raise OperatorError(f"the gait failed: {answer.result.message}")
-        return answer.result
 
     def stop(self) -> None:
         """Stop the robot at once."""
@@ -150,3 +173,12 @@ class OperatorNode(Node):
             self._check()
             rclpy.spin_once(self, timeout_sec=SPIN_S)
         return True
+
+
+def _prediction_of(message: GaitPrediction) -> Prediction:
+    gait = message.gait
+    values = {
+        row.name: getattr(gait if hasattr(gait, row.name) else message, row.name)
+        for row in dataclasses.fields(Prediction)
+    }
+    return Prediction(**values)

@@ -11,9 +11,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
+from types import FrameType, TracebackType
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
@@ -125,6 +125,22 @@ class Process:
         return "still runs" if code is None else f"ended with exit status {code}"
 
 
+@contextlib.contextmanager
+def termination_as_interrupt() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP raise `KeyboardInterrupt`, as SIGINT does, so that nothing is left behind."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 class ProcessGroup:
     """Processes that end with this context, in the reverse order of their start."""
 
@@ -147,14 +163,24 @@ class ProcessGroup:
             if process.exit_code not in (None, 0):
                 raise ProcessError(f"{process.name} {process._state()}: {process.last_line()}")
 
+    def end(self, name: str, grace_s: float = GRACE_S) -> None:
+        """Interrupt one and wait; raises `ProcessError` if it does not end, or ends with an error."""
+        process = self.processes[name]
+        process.interrupt()
+        process.wait(grace_s)
+        self.check()
+
     def stop(self, grace_s: float = GRACE_S) -> None:
-        """Interrupt all, wait, and kill what is left of each process group."""
-        for process in reversed(self.processes.values()):
-            if process.exit_code is None:
-                process.interrupt()
-                with contextlib.suppress(ProcessError):
-                    process.wait(grace_s)
-            process.signal(signal.SIGKILL)
+        """Interrupt all, one after the other, and kill what is left of each process group."""
+        try:
+            for process in reversed(self.processes.values()):
+                if process.exit_code is None:
+                    process.interrupt()
+                    with contextlib.suppress(ProcessError):
+                        process.wait(grace_s)
+        finally:  # also on an impatient second Ctrl-C
+            for process in self.processes.values():
+                process.signal(signal.SIGKILL)
 
     def __enter__(self) -> ProcessGroup:
         return self

@@ -4,21 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from worm_optimizer.bringup.figures import Figures
 
 _WIDTH = 34
-
-
-@dataclass(frozen=True)
-class Figures:
-    """What one source says of a gait.
-
-    ``speed`` in m/s along +x, ``power`` the mean source power in W, ``cost_of_transport`` 1.
-    """
-
-    speed: float
-    power: float
-    cost_of_transport: float
 
 
 def relative_difference(value: float, reference: float) -> float:

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The part of the demo with a robot in it: from the first process to a closed recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from worm_optimizer.bringup.operator_node import OperatorNode, operator
+from worm_optimizer.bringup.processes import ProcessError, ProcessGroup, executable_command
+from worm_optimizer.bringup.system import System
+from worm_optimizer.prediction import Prediction
+
+READY_TIMEOUT_S = 30.0
+CYCLES = 5
+
+Say = Callable[[str], None]
+
+
+def drive(system: System, logs: Path, say: Say) -> Prediction:
+    """Bring a system up, request a gait, run five cycles of it, and bring everything to its end.
+
+    The bag is whole afterwards, and no process is left, whatever happens. Returns what the
+    optimizer predicted. Raises `ProcessError` or `OperatorError` with the stage that failed.
+    """
+    with ProcessGroup(logs) as group:
+        _start(group, system, say)
+        with operator(system.namespace, group.check) as node:
+            prediction = _run_gait(node, system, say)
+        say("stopping the nodes")
+    _check_ends(group)
+    return prediction
+
+
+def _start(group: ProcessGroup, system: System, say: Say) -> None:
+    """Start the nodes in their order, waiting for those that say when they are ready."""
+    for node in system.nodes:
+        say(f"starting {node.name}: {node.package} {node.executable}")
+        command = executable_command(node.package, node.executable)
+        process = group.start(node.name, [*command, *node.command_arguments(system.namespace)])
+        if node.ready:
+            process.wait_for_line(node.ready, READY_TIMEOUT_S)
+
+
+def _run_gait(node: OperatorNode, system: System, say: Say) -> Prediction:
+    node.wait_for_nodes(description.name for description in system.nodes)
+    prediction = node.request_cruise(lambda reason: say(f"requesting a gait: {reason}"))
+    gait = prediction.gait
+    say(
+        f"the optimizer answers: stroke {1e3 * gait.stroke:.1f} mm, frequency "
+        f"{gait.frequency:.3f} Hz, margin {1e3 * gait.margin:.1f} mm"
+    )
+    for description in system.nodes:
+        if description.lifecycle:
+            say(f"activating {description.name}")
+            node.activate(description.name)
+    say(f"running {CYCLES} cycles, {CYCLES / gait.frequency:.0f} s")
+    node.run_gait(gait, CYCLES, _once_per_cycle(say))
+    node.stop()
+    node.deactivate("driver")
+    say("the robot has stopped, its torque is off")
+    return prediction
+
+
+def _once_per_cycle(say: Say) -> Callable[[int], None]:
+    told = {0}
+
+    def progress(cycle: int) -> None:
+        if cycle not in told:
+            told.add(cycle)
+            say(f"cycle {cycle} of {CYCLES}")
+
+    return progress
+
+
+def _check_ends(group: ProcessGroup) -> None:
+    for process in group.processes.values():
+        if process.exit_code != 0:
+            raise ProcessError(
+                f"{process.name} did not end in order (exit status {process.exit_code}): "
+                f"{process.last_line()}"
+            )

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Speed, power and cost of transport of a recorded gait, of the robot and of a twin alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.run import RUNNING, GaitStates
+
+STANDARD_GRAVITY = 9.80665  # m/s², as in the cost of transport of the paper
+AVERAGED_CYCLES = 3  # the last ones: the paper's protocol
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+class RecordingError(ValueError):
+    """A recording lacks what a comparison needs."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What one source says of a gait.
+
+    ``speed`` in m/s along +x, ``power`` the mean source power in W, ``cost_of_transport`` 1.
+    """
+
+    speed: float
+    power: float
+    cost_of_transport: float
+
+
+@dataclass(frozen=True)
+class Window:
+    """The averaged cycles of a run, from the point of rest before them to the one after, in ns."""
+
+    start: int
+    end: int
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return (self.end - self.start) / 1e9
+
+
+def averaged_window(states: GaitStates) -> Window:
+    """The last three cycles of the last gait that was run; raises `RecordingError` if none was."""
+    running = np.flatnonzero((states.state == RUNNING) & (states.onset > 0))
+    if running.size == 0:
+        raise RecordingError("the recording has no gait that was run")
+    last = running[-1]
+    period_ns = 1e9 / states.frequency[last]
+    cycles = int(states.cycles[last])
+    onset = int(states.onset[last])
+    averaged = min(AVERAGED_CYCLES, cycles)
+    return Window(
+        onset + round((cycles - averaged) * period_ns),
+        onset + round(cycles * period_ns),
+    )
+
+
+def figures(
+    position: tuple[Stamps, Array], energy: tuple[Stamps, Array], mass: float, window: Window
+) -> Figures:
+    """Figures of a window from samples (stamps, values) of x1 in m and of energy in J.
+
+    Values between samples are interpolated, samples that are NaN are skipped. Raises
+    `RecordingError` if the samples do not reach over the window.
+    """
+    speed = _change(*position, window, "position") / window.duration
+    power = _change(*energy, window, "energy") / window.duration
+    with np.errstate(divide="ignore"):
+        cost = float(np.divide(power, mass * STANDARD_GRAVITY * abs(speed)))
+    return Figures(speed, power, cost)
+
+
+def accumulate(stamps: Stamps, power: Array) -> tuple[Stamps, Array]:
+    """Energy (J) at each valid sample of a power (W), by the trapezoidal rule."""
+    valid = np.isfinite(power)
+    stamps, power = stamps[valid], power[valid]
+    steps = np.diff(stamps) * 1e-9 * 0.5 * (power[1:] + power[:-1])
+    return stamps, np.concatenate(([0.0], np.cumsum(steps)))[: stamps.size]
+
+
+def _change(stamps: Stamps, values: Array, window: Window, name: str) -> float:
+    valid = np.isfinite(values)
+    stamps, values = stamps[valid], values[valid]
+    if stamps.size == 0 or stamps[0] > window.start or stamps[-1] < window.end:
+        raise RecordingError(f"the recording has no {name} over the averaged cycles")
+    seconds = (stamps - window.start) * 1e-9
+    first, last = np.interp([0.0, window.duration], seconds, values)
+    return float(last - first)
