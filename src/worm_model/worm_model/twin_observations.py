@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compares what the instruments say with the twin, once the twin has come to their stamps."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import replace
+
+from worm_model.parameters import Parameters
+from worm_model.twin_anchors import cycle_at, observe_anchors
+from worm_model.twin_records import (
+    NANOSECONDS,
+    MeasuredLength,
+    Notice,
+    PowerSample,
+    ResidualRecord,
+    Severity,
+    TrackerSample,
+)
+from worm_model.twin_residuals import (
+    LENGTH,
+    POSITION,
+    POWER,
+    count_energy,
+    observe,
+    record,
+)
+from worm_model.twin_settings import TwinSettings
+from worm_model.twin_state import Observation, Sight, TwinState
+from worm_model.twin_track import HISTORY_S, Knot, positions_at, power_at
+
+TOP_SPEED = 0.15  # m/s; no gait of the paper's box is faster
+
+Comparison = tuple[TwinState, list[ResidualRecord], list[Notice]]
+
+
+def compare(state: TwinState, parameters: Parameters, settings: TwinSettings) -> Comparison:
+    """Judges the observations whose time has come; the rest stays, but for what is out of reach."""
+    records: list[ResidualRecord] = []
+    notices: list[Notice] = []
+    staying: list[Observation] = []
+    # A power waits for its settled prediction, a position does not: each stream keeps its own order.
+    for sample in state.observations:
+        judged = _judge(state, sample, parameters, settings)
+        if judged is not None:
+            state, found, told = judged
+            records += found
+            notices += told
+        elif not _out_of_reach(state, sample):
+            staying.append(sample)
+    return replace(state, observations=tuple(staying)), records, notices
+
+
+def _out_of_reach(state: TwinState, sample: Observation) -> bool:
+    newest = state.streams.now_ns
+    before_run = sample.stamp_ns < state.run.start_ns
+    return before_run or newest - sample.stamp_ns > 2.0 * HISTORY_S * NANOSECONDS
+
+
+def _judge(
+    state: TwinState, sample: Observation, parameters: Parameters, settings: TwinSettings
+) -> Comparison | None:
+    if isinstance(sample, TrackerSample):
+        return _judge_position(state, sample, parameters, settings)
+    if isinstance(sample, PowerSample):
+        return _judge_power(state, sample, settings)
+    return _judge_length(state, sample, settings)
+
+
+def _judge_power(
+    state: TwinState, sample: PowerSample, settings: TwinSettings
+) -> Comparison | None:
+    predicted = None if state.track is None else power_at(state.track, sample.stamp_ns)
+    if predicted is None:
+        return None
+    power, energy = predicted
+    residual = sample.power - power
+    monitor = count_energy(state.monitor, sample.stamp_ns, sample.power)
+    monitor = observe(monitor, POWER, sample.stamp_ns, residual, settings.power_scale_W)
+    found = record(
+        monitor, settings, sample.stamp_ns, power=residual, energy=monitor.energy - energy
+    )
+    return replace(state, monitor=monitor), [found], []
+
+
+def _judge_length(
+    state: TwinState, sample: MeasuredLength, settings: TwinSettings
+) -> Comparison | None:
+    change = _estimate_at(state.estimates, sample.stamp_ns)
+    if change is None:
+        return None
+    residual = sample.length - state.run.initial_length - change
+    monitor = observe(state.monitor, LENGTH, sample.stamp_ns, residual, settings.length_scale_m)
+    found = record(monitor, settings, sample.stamp_ns, length=residual)
+    return replace(state, monitor=monitor), [found], []
+
+
+def _estimate_at(estimates: Sequence[Knot], stamp_ns: int) -> float | None:
+    k = bisect_left(estimates, stamp_ns, key=_stamp)
+    if k == len(estimates):
+        return None
+    after = estimates[k]
+    if after.stamp_ns == stamp_ns:
+        return after.length_change
+    if k == 0:
+        return None
+    before = estimates[k - 1]
+    share = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
+    return before.length_change + share * (after.length_change - before.length_change)
+
+
+def _stamp(knot: Knot) -> int:
+    return knot.stamp_ns
+
+
+def _judge_position(
+    state: TwinState, sample: TrackerSample, parameters: Parameters, settings: TwinSettings
+) -> Comparison | None:
+    expected = None if state.track is None else positions_at(state.track, sample.stamp_ns)
+    if expected is None or math.isnan(sample.rear_position):
+        return None
+    sight, accepted = _look(state.sight, sample, settings)
+    if not accepted:
+        return _refuse(replace(state, sight=sight), sample, settings)
+    if math.isnan(state.sight.position) and not state.run.start_ns:
+        # Before the first run the tracker's first word says where the robot stands.
+        state = replace(state, run=replace(state.run, origin=sample.rear_position - expected[0]))
+    shifted = state.anchors.grooves_at(sample.stamp_ns) * parameters.pitch
+    residual = sample.rear_position - (expected[0] + shifted + state.run.origin)
+    monitor = observe(state.monitor, POSITION, sample.stamp_ns, residual, settings.position_scale_m)
+    state = replace(state, sight=sight, monitor=monitor)
+    state, notices = _watch_anchors(state, sample, residual, parameters)
+    return state, [record(state.monitor, settings, sample.stamp_ns, position=residual)], notices
+
+
+def _look(sight: Sight, sample: TrackerSample, settings: TwinSettings) -> tuple[Sight, bool]:
+    """(the sight, whether the position is a possible one): it cannot jump."""
+    elapsed = max(sample.stamp_ns - sight.stamp_ns, 0) / NANOSECONDS
+    jump = abs(sample.rear_position - sight.position)
+    # The negation lets the first pass, whose jump is NaN.
+    if not jump > settings.tracker_gate_m + TOP_SPEED * elapsed:
+        return Sight(sample.stamp_ns, sample.rear_position), True
+    agrees = abs(sample.rear_position - sight.refused) <= settings.tracker_gate_m
+    if not agrees:
+        sight = replace(sight, refused_ns=sample.stamp_ns, refused=sample.rear_position)
+    return sight, False
+
+
+def _refuse(state: TwinState, sample: TrackerSample, settings: TwinSettings) -> Comparison:
+    """A position that cannot be; if it stays, the tracker (or the robot, by hand) was moved: the origin follows."""
+    sight = state.sight
+    lasting = sample.stamp_ns - sight.refused_ns >= settings.tracker_moved_s * NANOSECONDS
+    if not lasting:
+        return state, [], []
+    jump = sample.rear_position - sight.position
+    run = replace(state.run, origin=state.run.origin + jump)
+    text = f"the tracker's positions jumped by {1e3 * jump:+.0f} mm and stayed: its zero was moved"
+    notice = Notice(sample.stamp_ns, Severity.WARNING, text)
+    return (
+        replace(state, run=run, sight=Sight(sample.stamp_ns, sample.rear_position)),
+        [],
+        [notice],
+    )
+
+
+def _watch_anchors(
+    state: TwinState, sample: TrackerSample, residual: float, parameters: Parameters
+) -> tuple[TwinState, list[Notice]]:
+    run = state.run
+    if run.gait is None or not run.active or sample.stamp_ns < run.start_ns:
+        return state, []
+    cycle = cycle_at(sample.stamp_ns, run.start_ns, run.gait.period)
+    anchors, text = observe_anchors(state.anchors, cycle, residual, parameters.pitch, run.direction)
+    state = replace(state, anchors=anchors)
+    if not text:
+        return state, []
+    until = cycle.start_ns + round(run.gait.period * NANOSECONDS)
+    monitor = replace(state.monitor, warning=text, warning_until_ns=until)
+    return replace(state, monitor=monitor), [Notice(sample.stamp_ns, Severity.WARNING, text)]

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pose at rest from which a run starts, as the instruments saw it just before the onset."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import fmean
+
+from worm_model.twin_records import NANOSECONDS, MeasuredLength, TrackerSample
+
+FEWEST = 5  # samples that make a mean
+GUARD_NS = (
+    100_000_000  # before the onset; samples of that time may still be under way when the run begins
+)
+MARGIN_NS = NANOSECONDS  # kept beyond the span, since the onset is heard of late
+
+Series = tuple[tuple[int, float], ...]
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Recent measured lengths and rear positions in m, each with its stamp in ns."""
+
+    lengths: Series = ()
+    positions: Series = ()
+
+
+@dataclass(frozen=True)
+class RestPose:
+    """Mean measured length L0 and mean rear position in m; NaN where samples are too few."""
+
+    length: float
+    position: float
+
+
+def observe_rest(rest: Rest, sample: MeasuredLength | TrackerSample, span_s: float) -> Rest:
+    """The recent past with a sample in it."""
+    if isinstance(sample, MeasuredLength):
+        return Rest(_append(rest.lengths, sample.stamp_ns, sample.length, span_s), rest.positions)
+    if math.isnan(sample.rear_position):
+        return rest
+    positions = _append(rest.positions, sample.stamp_ns, sample.rear_position, span_s)
+    return Rest(rest.lengths, positions)
+
+
+def rest_pose(rest: Rest, onset_ns: int, span_s: float) -> RestPose:
+    """The means over a span (s) that ends shortly before the onset."""
+    last = onset_ns - GUARD_NS
+    first = last - round(span_s * NANOSECONDS)
+    return RestPose(_mean(rest.lengths, first, last), _mean(rest.positions, first, last))
+
+
+def _append(series: Series, stamp_ns: int, value: float, span_s: float) -> Series:
+    oldest = stamp_ns - round(span_s * NANOSECONDS) - GUARD_NS - MARGIN_NS
+    drop = 0
+    while drop < len(series) and series[drop][0] < oldest:
+        drop += 1
+    return (*series[drop:], (stamp_ns, value))
+
+
+def _mean(series: Series, first: int, last: int) -> float:
+    values = [value for stamp, value in series if first <= stamp <= last]
+    return fmean(values) if len(values) >= FEWEST else math.nan

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When a run begins, and from what."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from worm_model.gait import Gait
+from worm_model.parameters import Parameters
+from worm_model.twin_actuation import Actuation, engage, join
+from worm_model.twin_anchors import Anchors
+from worm_model.twin_records import (
+    NANOSECONDS,
+    Activity,
+    CommandedLength,
+    GaitSample,
+)
+from worm_model.twin_residuals import start_monitor
+from worm_model.twin_rest import rest_pose
+from worm_model.twin_settings import TwinSettings
+from worm_model.twin_state import Run, TwinState
+
+PLAYING = (Activity.RUNNING, Activity.STOPPING)
+SAME_RUN_NS = 100_000_000  # the driver states the onset anew with each cycle, through two clocks
+LATE_NS = 20_000_000  # an onset heard of later than this is worth a word
+MOVED = 1e-6  # m, beyond which a command has left 0
+PLAUSIBLE = 0.02  # m between a measured length at rest and the parameter's
+
+
+def holding(state: TwinState) -> bool:
+    """Whether the driver rests before a gait, so that an onset may come at any time."""
+    return state.activity is Activity.RESTING
+
+
+def is_new_run(state: TwinState, sample: GaitSample) -> bool:
+    """Whether a gait state is the first word of a run."""
+    if sample.activity not in PLAYING or sample.onset_ns <= 0:
+        return False
+    run = state.run
+    return run.gait is None or abs(sample.onset_ns - run.start_ns) > SAME_RUN_NS
+
+
+def begin_implied_run(state: TwinState, before: Actuation, sample: CommandedLength) -> bool:
+    """Whether a command leaves 0 without any gait state having been heard."""
+    unheard = state.activity is None and not before.engaged
+    return unheard and sample.length_change < -MOVED
+
+
+def run_goes_on(state: TwinState, sample: GaitSample) -> TwinState:
+    """The state after a gait state that begins no run; it may end one."""
+    if state.run.active and sample.activity not in PLAYING:
+        return replace(state, run=replace(state.run, active=False))
+    return state
+
+
+def begin_run(
+    state: TwinState,
+    onset_ns: int,
+    gait: Gait | None,
+    parameters: Parameters,
+    settings: TwinSettings,
+) -> tuple[TwinState, str]:
+    """(the state at the onset but for its track, what to tell): rest pose, fresh energy and anchors.
+
+    An onset that the twin has passed already is heard of late, or the twin came late: it starts where it is,
+    with the length that the gait would have by then.
+    """
+    pose = rest_pose(state.rest, onset_ns, settings.rest_s)
+    length, origin = pose.length, pose.position
+    seen = abs(length - parameters.initial_length) <= PLAUSIBLE  # False for NaN
+    if not seen:
+        length = parameters.initial_length
+    if math.isnan(origin):
+        origin = state.run.origin
+    effective = parameters.replace(initial_length=length)
+    passed = state.end_ns if state.track is not None or state.queued else state.streams.now_ns
+    start = max(onset_ns, passed)
+    late = start - onset_ns
+    if late > 0 and gait is not None:
+        actuation = join(gait, onset_ns, start, effective)
+    else:
+        actuation = engage(start, effective)
+    run = Run(onset_ns, gait, active=True, origin=origin, initial_length=length)
+    begun = replace(
+        state,
+        run=run,
+        actuation=actuation,
+        estimates=(),
+        waiting=(),
+        queued=(),
+        track=None,
+        observations=(),
+        monitor=start_monitor(state.monitor, start),
+        anchors=Anchors(),
+    )
+    return begun, _announcement(length, late, from_camera=seen)
+
+
+def _announcement(length: float, late_ns: int, *, from_camera: bool) -> str:
+    source = "as measured at rest" if from_camera else "from the parameters"
+    text = f"a run begins, L0 = {1e3 * length:.2f} mm ({source})"
+    if late_ns > LATE_NS:
+        text += f"; its onset was {late_ns / NANOSECONDS:.2f} s ago, the twin starts with its gait as commanded"
+    return text

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The settings of the twin: one frozen row each, from which the node declares its parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+
+def _row(default: float, low: float, high: float, text: str) -> float:
+    """A setting: its default and, as metadata, its range and what it does."""
+    metadata = {"low": low, "high": high, "text": text}
+    return dataclasses.field(default=default, metadata=metadata)  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class TwinSettings:
+    """How the twin takes its samples; times in s, lengths in m, powers in W. Raises ValueError out of range."""
+
+    measured_stale_s: float = _row(
+        0.2, 0.01, 10.0, "a measured length older than this against the command no longer drives"
+    )
+    pause_s: float = _row(
+        1.0, 0.05, 60.0, "a gap between two driving lengths beyond this is reported as a pause"
+    )
+    jump_back_s: float = _row(
+        1.0, 0.1, 60.0, "samples older than the newest by more than this mean a clock that jumped"
+    )
+    start_hold_s: float = _row(
+        0.05, 0.0, 1.0, "while the driver rests before a gait, the twin runs this far behind"
+    )
+    output_period_s: float = _row(
+        0.004, 0.0, 1.0, "least time by stamps between two published states"
+    )
+    rest_s: float = _row(
+        1.0, 0.1, 10.0, "span before the onset over which rest pose and initial length are averaged"
+    )
+    smoothing_s: float = _row(
+        0.15, 0.02, 1.0, "half window of the parabola that gives a measured length its rate"
+    )
+    position_scale_m: float = _row(0.003, 1e-5, 0.1, "usual size of a position residual")
+    length_scale_m: float = _row(0.002, 1e-5, 0.1, "usual size of a length residual")
+    power_scale_W: float = _row(0.6, 1e-3, 100.0, "usual size of a power residual")  # noqa: N815
+    tracker_gate_m: float = _row(
+        0.05, 0.005, 1.0, "a position that jumps by more than this between two samples is refused"
+    )
+    tracker_moved_s: float = _row(
+        0.5,
+        0.05,
+        60.0,
+        "refused positions that agree for this long mean that the tracker was moved",
+    )
+
+    def __post_init__(self) -> None:
+        for row in dataclasses.fields(self):
+            check(row, getattr(self, row.name))
+
+
+def check(row: dataclasses.Field[Any], value: float) -> None:
+    """Raises ValueError unless a setting's value is in its range."""
+    low, high = row.metadata["low"], row.metadata["high"]
+    if not low <= value <= high:
+        raise ValueError(f"{row.name}: {value} is not between {low:g} and {high:g}")

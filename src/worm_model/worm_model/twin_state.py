@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the twin remembers between samples; all of it frozen and bounded."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from worm_model.gait import FORWARD, Gait
+from worm_model.twin_actuation import Actuation
+from worm_model.twin_anchors import Anchors
+from worm_model.twin_records import (
+    Activity,
+    MeasuredLength,
+    PowerSample,
+    Sample,
+    TrackerSample,
+)
+from worm_model.twin_residuals import Monitor
+from worm_model.twin_rest import Rest
+from worm_model.twin_streams import Streams
+from worm_model.twin_track import Knot, Track
+
+Observation = TrackerSample | PowerSample | MeasuredLength
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run, or the time before the first.
+
+    ``start_ns`` its start, 0 before the first; ``gait`` None where no gait state told; ``origin`` the
+    tracker's position of the twin's zero, m; ``initial_length`` L0 in m.
+    """
+
+    start_ns: int = 0
+    gait: Gait | None = None
+    active: bool = False
+    origin: float = 0.0
+    initial_length: float = math.nan
+
+    @property
+    def direction(self) -> int:
+        """That of the gait, forward without one."""
+        return FORWARD if self.gait is None else self.gait.direction
+
+
+@dataclass(frozen=True)
+class Sight:
+    """The tracker's last accepted rear position, and the first of those refused since (stamp 0: none), m."""
+
+    stamp_ns: int = 0
+    position: float = math.nan
+    refused_ns: int = 0
+    refused: float = math.nan
+
+
+@dataclass(frozen=True)
+class TwinState:
+    """The twin between two samples.
+
+    ``estimates`` are the recent lengths estimated from the command; ``waiting`` those of them that may
+    yet drive; ``queued`` the driving lengths that the motion has not followed yet; ``held`` the samples
+    held back while the driver rests; ``observations`` those to be compared once the motion has come to them.
+    """
+
+    streams: Streams = field(default_factory=Streams)
+    activity: Activity | None = None
+    run: Run = field(default_factory=Run)
+    rest: Rest = field(default_factory=Rest)
+    actuation: Actuation | None = None
+    estimates: tuple[Knot, ...] = ()
+    waiting: tuple[Knot, ...] = ()
+    queued: tuple[Knot, ...] = ()
+    held: tuple[Sample, ...] = ()
+    measured_ns: int = 0
+    published_ns: int = 0
+    track: Track | None = None
+    observations: tuple[Observation, ...] = ()
+    sight: Sight = field(default_factory=Sight)
+    monitor: Monitor = field(default_factory=Monitor)
+    anchors: Anchors = field(default_factory=Anchors)
+
+    @property
+    def end_ns(self) -> int:
+        """Stamp of the newest driving length, followed or not; 0 before the first."""
+        if self.queued:
+            return self.queued[-1].stamp_ns
+        return self.track.stamp_ns if self.track is not None else 0
