@@ -49,7 +49,7 @@ from worm_model.twin_records import (
 )
 from worm_model.twin_rest import observe_rest
 from worm_model.twin_run import Run, begin_implied_run, begin_run, holding, is_new_run, run_goes_on
-from worm_model.twin_settings import TwinSettings
+from worm_model.twin_settings import DEFAULTS, TwinSettings
 from worm_model.twin_state import TwinState
 from worm_model.twin_streams import Verdict, admit
 from worm_model.twin_track import HISTORY_S, Knot, Track, follow, force_at_rate, start_track
@@ -77,7 +77,7 @@ class Twin:
     """The twin of a robot with these parameters; it holds no state."""
 
     parameters: Parameters = PAPER
-    settings: TwinSettings = TwinSettings()
+    settings: TwinSettings = DEFAULTS
 
     def start(self) -> TwinState:
         """The state before any sample."""

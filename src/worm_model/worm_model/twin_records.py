@@ -34,6 +34,11 @@ class Activity(enum.IntEnum):
     STOPPING = 4
     FAULT = 5
 
+    @classmethod
+    def _missing_(cls, value: object) -> Activity:  # noqa: ARG003
+        """A state of a driver newer than this twin: nothing that it could follow."""
+        return cls.INACTIVE
+
 
 class Health(enum.IntEnum):
     """As in TwinResiduals."""

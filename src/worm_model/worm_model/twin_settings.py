@@ -11,7 +11,7 @@ from typing import Any
 def _row(default: float, low: float, high: float, text: str) -> float:
     """A setting: its default and, as metadata, its range and what it does."""
     metadata = {"low": low, "high": high, "text": text}
-    return dataclasses.field(default=default, metadata=metadata)  # type: ignore[no-any-return]
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True)
@@ -62,3 +62,6 @@ def check(row: dataclasses.Field[Any], value: float) -> None:
     low, high = row.metadata["low"], row.metadata["high"]
     if not low <= value <= high:
         raise ValueError(f"{row.name}: {value} is not between {low:g} and {high:g}")
+
+
+DEFAULTS = TwinSettings()

@@ -239,7 +239,7 @@ def _slopes(
 
 
 def _settle(track: Track, parameters: Parameters, smoothing_s: float) -> Track:
-    """Finishes the rows that can be: those of an estimated length at once, of a measured one when the window is full."""
+    """Finishes the rows that can be: estimated lengths at once, measured ones when their window is full."""
     pending = track.rows[len(track.rows) - track.unsettled :]
     limit = track.stamp_ns - round(smoothing_s * NANOSECONDS)
     ready = 0

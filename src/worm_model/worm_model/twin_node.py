@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The digital twin as a ROS node: takes samples, lets the core step, publishes.
+
+Its subscriptions are looked at every ``POLL_S`` instead of being called back by the executor, which takes some
+0.2 ms of Python a message; all else (parameters, services, timers) is a SingleThreadedExecutor's.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from worm_model import ros_twin, warm_up
+from worm_model.parameters import ParameterError, load_parameters
+from worm_model.twin import Twin
+from worm_model.twin_records import Notice, Output, Sample, Severity
+from worm_model.twin_report import Level, report
+from worm_msgs.msg import BodyLength, TwinResiduals, TwinState
+
+PARAMETER_FILE = "parameter_file"
+POLL_S = 0.002
+POLLS_PER_SPIN = 5  # how often the executor gets its turn
+DEPTH = 1000  # of samples that may wait, for every topic
+
+_LATCHED = QoSProfile(
+    depth=10,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+_LEVELS = {
+    Level.OK: DiagnosticStatus.OK,
+    Level.WARN: DiagnosticStatus.WARN,
+    Level.ERROR: DiagnosticStatus.ERROR,
+}
+
+
+class _Polled(CallbackGroup):
+    """Of subscriptions that the executor leaves alone."""
+
+    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
+        """Never: they are looked at."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
+        """Never."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing began."""
+
+
+class TwinNode(Node):
+    """Listens to the topics of `worm_model.ros_twin.INPUTS`; raises `ParameterError` on a bad parameter file."""
+
+    def __init__(self) -> None:
+        super().__init__("twin")
+        text = "the model's parameters (YAML); empty: the paper's"
+        self.declare_parameter(PARAMETER_FILE, "", ParameterDescriptor(description=text))
+        ros_twin.declare_settings(self)
+        self._twin = self._make_twin()
+        self._state = self._twin.start()
+        group = _Polled()
+        self._inputs = [
+            self._subscribe(topic, kind, convert, group)
+            for topic, (kind, convert) in ros_twin.INPUTS.items()
+        ]
+        self._states = self.create_publisher(TwinState, "twin/state", 10)
+        self._residuals = self.create_publisher(TwinResiduals, "twin/residuals", 10)
+        self._lengths = self.create_publisher(BodyLength, "body_length/estimated", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+
+    def poll(self) -> None:
+        """Takes all that has come, in the order of its stamps, and publishes what it yields."""
+        samples = [sample for take in self._inputs for sample in take()]
+        if not samples:
+            return
+        samples.sort(key=lambda sample: sample.stamp_ns)
+        self._state, output = self._twin.step(self._state, samples)
+        self._publish(output)
+
+    def _subscribe(
+        self, topic: str, kind: type, convert: Callable[[Any], Sample], group: CallbackGroup
+    ) -> Callable[[], list[Sample]]:
+        qos = _LATCHED if topic == "gait_state" else DEPTH
+        subscription = self.create_subscription(
+            kind, topic, lambda _: None, qos, callback_group=group
+        )
+
+        def take() -> list[Sample]:
+            samples = []
+            handle = subscription.handle
+            with handle:
+                while (taken := handle.take_message(kind, False)) is not None:
+                    samples.append(convert(taken[0]))
+            return samples
+
+        return take
+
+    def _publish(self, output: Output) -> None:
+        for length in output.lengths:
+            self._lengths.publish(ros_twin.length_message(length))
+        for state in output.states:
+            self._states.publish(ros_twin.state_message(state))
+        for residuals in output.residuals:
+            self._residuals.publish(ros_twin.residuals_message(residuals))
+        for notice in output.notices:
+            self._log(notice)
+
+    def _log(self, notice: Notice) -> None:
+        logger = self.get_logger()
+        write = {
+            Severity.INFO: logger.info,
+            Severity.WARNING: logger.warning,
+            Severity.ERROR: logger.error,
+        }[notice.severity]
+        write(notice.text)
+
+    # --- parameters -----------------------------------------------------------------------------
+
+    def _make_twin(self) -> Twin:
+        parameters = load_parameters(self.get_parameter(PARAMETER_FILE).value)
+        return Twin(parameters, ros_twin.settings_of(self))
+
+    def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == PARAMETER_FILE:
+                try:
+                    load_parameters(parameter.value)
+                except ParameterError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_parameters(self, _: Sequence[Parameter]) -> None:
+        """The state stays: the twin goes on with the new values from its next sample on."""
+        self._twin = self._make_twin()
+
+    # --- diagnostics ------------------------------------------------------------------------------
+
+    def _publish_diagnostics(self) -> None:
+        found = report(self._state)
+        status = DiagnosticStatus(
+            level=_LEVELS[found.level],
+            name="twin: model",
+            message=found.message,
+            values=[KeyValue(key=key, value=value) for key, value in found.values],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def _spin(node: TwinNode) -> None:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    polls = 0
+    while rclpy.ok():
+        node.poll()
+        polls += 1
+        if polls % POLLS_PER_SPIN == 0:
+            executor.spin_once(timeout_sec=0.0)
+        time.sleep(POLL_S)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the twin until SIGINT or SIGTERM; returns the exit status."""
+    warm_up.main()  # nothing may compile between two samples
+    rclpy.init(args=arguments)
+    node = None
+    try:
+        node = TwinNode()
+        _spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except ParameterError as error:
+        sys.stderr.write(f"twin: {error}\n")
+        return 2
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
