@@ -52,12 +52,16 @@ class ServoBus:
         self._servos = servos
         self._board = board
         self._reader = InstructionReader(_ALLOWED_GAP)
+        self._last_sent = 0.0
 
     def feed(self, data: bytes, time: float, baud_rate: int | None = None) -> list[Transmission]:
         """The answers to bytes received at a time (s) with a rate (bit/s), None: the right one."""
         answers: list[Transmission] = []
         for packet in self._reader.feed(data, time):
-            answers += self._answer(packet, time, baud_rate)
+            for answer in self._answer(packet, time, baud_rate):
+                # Bytes do not overtake each other: what follows a late packet is late too.
+                self._last_sent = max(answer.time, self._last_sent)
+                answers.append(Transmission(self._last_sent, answer.data))
         return answers
 
     def _answer(self, packet: Packet, time: float, baud_rate: int | None) -> list[Transmission]:

@@ -58,7 +58,7 @@ class VirtualRobot:
         self._ripple = self._random("ripple")
         self._samples: deque[TrackerSample] = deque()
         self._vanished: set[int] = set()
-        self._laws = (LOOSE, LOOSE)
+        self.laws = (LOOSE, LOOSE)
         self._fin_positions: list[float] = []
         self._extra_current = 0.0
         self._steps = 0
@@ -121,7 +121,7 @@ class VirtualRobot:
         for servo in self.servos:
             servo.step(time, step_s)
         self._set_laws()
-        self.state = self.plant.step(self.state, self.cable_change, self._laws)
+        self.state = self.plant.step(self.state, self.cable_change, self.laws)
         self._measure_power(time)
         if time >= self._tracker.next_exposure:
             self._samples.append(self._tracker.expose(time, *self.plant.positions(self.state)))
@@ -141,7 +141,7 @@ class VirtualRobot:
         positions = [servo.motor.position for _, servo in self._fins]
         if positions != self._fin_positions:
             self._fin_positions = positions
-            self._laws = (self._law("rear"), self._law("front"))
+            self.laws = (self._law("rear"), self._law("front"))
 
     def _law(self, module: str) -> int:
         """The direction that all fins of a module agree on."""

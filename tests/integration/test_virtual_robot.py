@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The virtual robot as a process: its doors, its topics, its faults, its end."""
+
+import signal
+from pathlib import Path
+
+import pytest
+from harness import TIMEOUT_S
+
+from worm_driver.virtual_robot.smbus import SocketSMBus
+from worm_msgs.msg import BodyLength, Tracker
+from worm_msgs.srv import InjectFault
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> Path:
+    return tmp_path / "robot"
+
+
+@pytest.fixture
+def robot(processes, directory):
+    process = processes.start_node(
+        "worm_driver", "virtual_robot", "--directory", str(directory), "--seed", "7"
+    )
+    process.wait_for_line("^ready: ", TIMEOUT_S)
+    return process
+
+
+def test_what_it_publishes_stands_in_the_past_and_in_order(robot, probe):
+    positions = probe.collect(Tracker, "tracker")
+    lengths = probe.collect(BodyLength, "body_length/measured")
+    probe.wait_for(lambda: len(positions) >= 40 and len(lengths) >= 30, "samples of the camera")
+    now = probe.node.get_clock().now().nanoseconds
+    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in positions]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] < now
+    span = (stamps[-1] - stamps[0]) * 1e-9 / (len(stamps) - 1)
+    assert span == pytest.approx(1 / 30, rel=0.1)
+    assert {m.source for m in lengths} == {BodyLength.MEASURED}
+    assert all(m.length == pytest.approx(0.2953, abs=0.002) for m in lengths)
+    assert all(m.length_change == pytest.approx(0.0, abs=0.002) for m in lengths)
+
+
+def test_faults_on_request(robot, probe, directory):
+    def inject(**fields):
+        request = InjectFault.Request(**fields)
+        return probe.call(InjectFault, "inject_fault", request)
+
+    refused = inject(name="fire")
+    assert not refused.success
+    assert "choose one of" in refused.message
+
+    with SocketSMBus(str(directory / "i2c.sock")) as bus:
+        assert bus.read_word_data(0x40, 0) == 0x9F39
+        assert inject(name="i2c_nack", duration=3600.0).success
+
+        def nacked():
+            try:
+                bus.read_word_data(0x40, 0)
+            except OSError as error:
+                return error.errno == 121
+            return False
+
+        probe.wait_for(nacked, "NACK")
+        assert inject(name="clear").success
+        probe.wait_for(lambda: not nacked(), "end of the NACKs")
+
+    assert inject(name="unplugged", duration=3600.0).success
+    probe.wait_for(lambda: not (directory / "servo_bus").is_symlink(), "unplugged port")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_and_nothing_stays_behind(robot, directory, number):
+    assert (directory / "servo_bus").is_symlink()
+    robot.signal(number)
+    assert robot.wait(TIMEOUT_S) == 0
+    assert list(directory.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--fault", "fire"], "no fault 'fire'"),
+        (["--parameters", "/nowhere.yaml"], "No such file"),
+        (["--directory", "/proc/robot"], "choose another --directory"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_two(processes, directory, arguments, words):
+    process = processes.start_executable(
+        "worm_driver", "virtual_robot", "--directory", str(directory), *arguments
+    )
+    assert process.wait(TIMEOUT_S) == 2
+    (line,) = process.output().splitlines()
+    assert words in line
+
+
+def test_a_directory_in_use_is_refused(robot, processes, directory):
+    second = processes.start_executable(
+        "worm_driver", "virtual_robot", "--directory", str(directory), name="second"
+    )
+    assert second.wait(TIMEOUT_S) == 2
+    assert "in use" in second.output()
+    assert (directory / "servo_bus").is_symlink()

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A virtual robot that serves its doors in a thread, without ROS."""
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from worm_driver.virtual_robot.endpoints import I2C_NAME, SERIAL_NAME, Endpoints
+from worm_driver.virtual_robot.robot import VirtualRobot
+from worm_driver.virtual_robot.settings import RobotSettings, load_settings
+from worm_driver.virtual_robot.tracker import TrackerSample
+
+
+@dataclass
+class Served:
+    """A robot with its doors; samples grows with what the camera sees."""
+
+    robot: VirtualRobot
+    directory: Path
+    endpoints: Endpoints
+    samples: list[TrackerSample] = field(default_factory=list)
+
+    @property
+    def port(self) -> str:
+        return str(self.directory / SERIAL_NAME)
+
+    @property
+    def socket(self) -> str:
+        return str(self.directory / I2C_NAME)
+
+
+@pytest.fixture(scope="session")
+def settings() -> RobotSettings:
+    """The installed settings."""
+    return load_settings()
+
+
+@pytest.fixture
+def served(settings: RobotSettings, tmp_path: Path) -> Iterator[Served]:
+    """A robot behind a pseudo-terminal and a socket."""
+    robot = VirtualRobot(settings)
+    samples: list[TrackerSample] = []
+    endpoints = Endpoints(robot, tmp_path, samples.extend)
+    endpoints.open()
+    thread = threading.Thread(target=endpoints.run)
+    thread.start()
+    yield Served(robot, tmp_path, endpoints, samples)
+    endpoints.stop()
+    thread.join()
+    endpoints.close()

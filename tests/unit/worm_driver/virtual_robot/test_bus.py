@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The servo bus on a virtual clock: who answers what, when, and with which bytes."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from worm_driver.virtual_robot import faults
+from worm_driver.virtual_robot.faults import FaultBoard, make_fault
+from worm_driver.virtual_robot.packet import (
+    ALERT,
+    BROADCAST_ID,
+    Instruction,
+    instruction_packet,
+    status_packet,
+)
+from worm_driver.virtual_robot.robot import VirtualRobot
+from worm_driver.virtual_robot.settings import load_settings
+
+CABLE, REAR, FRONT = 1, 11, 12
+PING = instruction_packet(CABLE, Instruction.PING)
+PONG = status_packet(CABLE, 0, bytes([0xFC, 0x03, 48]))
+SETTINGS = load_settings()
+
+
+def robot(*requests):
+    return VirtualRobot(SETTINGS, FaultBoard(requests))
+
+
+def word(value):
+    return value.to_bytes(2, "little")
+
+
+def read(servo, address, length):
+    return instruction_packet(servo, Instruction.READ, word(address) + word(length))
+
+
+def write(servo, address, data):
+    return instruction_packet(servo, Instruction.WRITE, word(address) + data)
+
+
+def replies(virtual, data, time=0.0):
+    return [answer.data for answer in virtual.receive(data, time)]
+
+
+def test_a_broadcast_ping_is_answered_in_the_order_of_ids():
+    answers = replies(robot(), instruction_packet(BROADCAST_ID, Instruction.PING))
+    assert [answer[4] for answer in answers] == [CABLE, REAR, FRONT]
+
+
+def test_a_sync_read_is_answered_in_the_order_of_the_request():
+    request = instruction_packet(
+        BROADCAST_ID, Instruction.SYNC_READ, word(0) + word(2) + bytes([FRONT, 7, CABLE])
+    )
+    assert replies(robot(), request) == [
+        status_packet(FRONT, 0, word(1060)),
+        status_packet(CABLE, 0, word(1020)),
+    ]
+
+
+def test_bulk_writes_reach_several_addresses():
+    virtual = robot()
+    items = bytes([CABLE]) + word(65) + word(1) + b"\x01"
+    items += bytes([REAR]) + word(108) + word(4) + b"\x07\x00\x00\x00"
+    assert replies(virtual, instruction_packet(BROADCAST_ID, Instruction.BULK_WRITE, items)) == []
+    cable, rear, _ = virtual.servos
+    assert (cable.memory["led"], rear.memory["profile_acceleration"]) == (1, 7)
+
+
+@pytest.mark.parametrize("instruction", [Instruction.READ, Instruction.REBOOT + 1, 0x55, 0xA0])
+def test_nobody_answers_a_broadcast_of_what_is_no_broadcast(instruction):
+    assert replies(robot(), instruction_packet(BROADCAST_ID, instruction, b"\0\0\2\0")) == []
+
+
+@pytest.mark.parametrize(
+    ("request_bytes", "number"),
+    [
+        (instruction_packet(CABLE, 0x77), 2),
+        (instruction_packet(CABLE, Instruction.ACTION), 2),
+        (PING[:-1] + bytes([PING[-1] ^ 1]), 3),
+        (instruction_packet(CABLE, Instruction.READ, b"\0\0"), 5),
+        (instruction_packet(CABLE, Instruction.WRITE, b"\0"), 5),
+        (instruction_packet(CABLE, Instruction.CLEAR, b"\1\2\3\4\5"), 4),
+        (instruction_packet(CABLE, Instruction.FACTORY_RESET, b"\7"), 4),
+        (read(CABLE, 160, 20), 7),
+        (write(CABLE, 132, bytes(4)), 7),
+    ],
+)
+def test_the_number_of_each_error(request_bytes, number):
+    assert replies(robot(), request_bytes) == [status_packet(CABLE, number)]
+
+
+@pytest.mark.parametrize(("level", "answered"), [(0, "p"), (1, "pr"), (2, "prw")])
+def test_the_status_return_level(level, answered):
+    virtual = robot()
+    virtual.receive(write(CABLE, 68, bytes([level])), 0.0)
+    requests = {"p": PING, "r": read(CABLE, 7, 1), "w": write(CABLE, 65, b"\x01")}
+    assert [key for key, data in requests.items() if replies(virtual, data)] == list(answered)
+
+
+def test_an_answer_carries_the_id_from_before_its_change():
+    virtual = robot()
+    assert replies(virtual, write(CABLE, 7, b"\x05")) == [status_packet(CABLE, 0)]
+    assert replies(virtual, PING) == []
+    assert replies(virtual, instruction_packet(5, Instruction.PING)) != []
+
+
+def test_the_return_delay_is_two_microseconds_a_count():
+    virtual = robot()
+    virtual.receive(write(CABLE, 9, b"\xfa"), 0.0)
+    (answer,) = virtual.receive(PING, 1.0)
+    assert answer.time == pytest.approx(1.0005)
+
+
+def test_the_wrong_rate_gets_no_answer():
+    virtual = robot()
+    assert virtual.receive(PING, 0.0, 57600) == []
+    assert len(virtual.receive(PING, 0.0, 1_000_000)) == 1
+
+
+def test_a_servo_is_silent_while_it_boots():
+    virtual = robot()
+    reboot = instruction_packet(CABLE, Instruction.REBOOT)
+    assert replies(virtual, reboot, 1.0) == [status_packet(CABLE, 0)]
+    assert replies(virtual, PING, 1.2) == []
+    assert replies(virtual, PING, 1.26) == [PONG]
+
+
+def test_the_watchdog_counts_from_the_last_packet_for_the_servo():
+    virtual = robot()
+    virtual.receive(write(CABLE, 64, b"\x01"), 0.0)
+    virtual.receive(write(CABLE, 98, b"\x05"), 0.0)  # 100 ms
+    for tick in range(20):
+        virtual.receive(instruction_packet(REAR, Instruction.PING), tick * 0.01)
+    assert replies(virtual, read(CABLE, 98, 1), 0.2) == [status_packet(CABLE, 0, b"\xff")]
+    goal = write(CABLE, 116, word(3300) + word(0))
+    assert replies(virtual, goal, 0.21) == [status_packet(CABLE, 4)]
+    assert replies(virtual, write(CABLE, 98, b"\x00"), 0.22) == [status_packet(CABLE, 0)]
+    assert replies(virtual, goal, 0.23) == [status_packet(CABLE, 0)]
+
+
+def test_a_lost_answer_is_still_an_instruction_obeyed():
+    virtual = robot(make_fault(faults.NO_ANSWER, target=CABLE))
+    assert replies(virtual, write(CABLE, 65, b"\x01")) == []
+    assert virtual.servos[0].memory["led"] == 1
+    assert replies(virtual, PING) == [PONG]
+
+
+def test_corrupted_truncated_and_doubled_answers():
+    virtual = robot(
+        make_fault(faults.CORRUPTED_CRC, start=0, duration=0.5),
+        make_fault(faults.TRUNCATED, start=1, duration=0.5),
+        make_fault(faults.DUPLICATED, start=2, duration=0.5),
+    )
+    (corrupted,) = replies(virtual, PING, 0.1)
+    assert (corrupted[:-2], corrupted != PONG) == (PONG[:-2], True)
+    assert replies(virtual, PING, 1.1) == [PONG[: len(PONG) // 2]]
+    assert replies(virtual, PING, 2.1) == [PONG + PONG]
+    assert replies(virtual, PING, 3.0) == [PONG]
+
+
+def test_what_follows_a_late_answer_is_late_too():
+    virtual = robot(make_fault(faults.LATE, target=CABLE, value=0.3))
+    late, next_one = [virtual.receive(PING, time)[0] for time in (1.0, 1.1)]
+    assert late.time == pytest.approx(1.3)
+    assert next_one.time == pytest.approx(1.3)
+    assert virtual.receive(PING, 1.4)[0].time == 1.4
+
+
+@pytest.mark.parametrize("number", range(1, 8))
+def test_a_status_with_each_error_number(number):
+    virtual = robot(make_fault(faults.ERROR_NUMBER, value=number, count=2))
+    assert replies(virtual, read(CABLE, 132, 4)) == [status_packet(CABLE, number)]
+    assert replies(virtual, PING) == [status_packet(CABLE, number)]
+    assert replies(virtual, PING) == [PONG]
+
+
+@pytest.mark.parametrize(
+    ("name", "bit", "shuts_down"),
+    [(faults.OVERLOAD, 5, True), (faults.OVERHEATING, 2, True), (faults.INPUT_VOLTAGE, 0, False)],
+)
+def test_hardware_alerts_last_until_a_reboot(name, bit, shuts_down):
+    virtual = robot(make_fault(name, target=CABLE, start=1.0))
+    virtual.receive(write(CABLE, 64, b"\x01"), 0.5)
+    assert replies(virtual, read(CABLE, 70, 1), 3.0) == [
+        status_packet(CABLE, ALERT, bytes([1 << bit]))
+    ]
+    assert virtual.servos[0].memory["torque_enable"] == (not shuts_down)
+    torque_on = replies(virtual, write(CABLE, 64, b"\x01"), 3.1)
+    assert torque_on == [status_packet(CABLE, ALERT | shuts_down)]
+    virtual.receive(instruction_packet(CABLE, Instruction.REBOOT), 3.2)
+    assert replies(virtual, write(CABLE, 64, b"\x01"), 4.0) == [status_packet(CABLE, 0)]
+
+
+def test_a_servo_that_vanishes_comes_back_folded_and_limp():
+    virtual = robot(make_fault(faults.VANISHED, target=CABLE, start=6.0, duration=1.0))
+    virtual.receive(write(CABLE, 64, b"\x01"), 0.0)
+    virtual.receive(write(CABLE, 116, word(4700) + word(0)), 0.0)
+    assert replies(virtual, PING, 5.9) == [PONG]
+    assert replies(virtual, PING, 6.5) == []
+    assert replies(virtual, PING, 7.1) == []  # it boots
+    assert replies(virtual, PING, 7.3) == [PONG]
+    cable = virtual.servos[0]
+    assert cable.memory["torque_enable"] == 0
+    position = int.from_bytes(cable.read(132, 4), "little", signed=True)
+    assert position < 4096 < cable.motor.position
+
+
+def test_a_stalled_servo_stays_where_it_is():
+    virtual = robot(make_fault(faults.STALLED, target=CABLE, start=0.5, duration=0.8))
+    virtual.receive(write(CABLE, 64, b"\x01"), 0.6)
+    virtual.receive(write(CABLE, 116, word(3500) + word(0)), 0.6)
+    stuck = virtual.servos[0].motor.position
+    virtual.advance(1.29)
+    assert virtual.servos[0].motor.position == stuck
+    virtual.advance(3.0)
+    assert virtual.servos[0].motor.position == pytest.approx(3500, abs=2)
+
+
+@given(st.lists(st.binary(max_size=30), max_size=8), st.integers(0, 2**32))
+def test_rubbish_never_disturbs_what_follows(rubbish, tail):
+    virtual = robot()
+    for index, data in enumerate(rubbish):
+        virtual.receive(data, index * 0.001)
+    virtual.receive(b"\xff\xff\xfd\x00\x01" + tail.to_bytes(5, "little"), 0.01)
+    # After a pause the line is as new.
+    assert replies(virtual, PING, 0.2) == [PONG]
+
+
+@given(
+    st.sampled_from([CABLE, REAR, BROADCAST_ID, 77]),
+    st.integers(0, 255),
+    st.binary(max_size=24),
+)
+def test_any_instruction_gets_sound_answers(servo, instruction, parameters):
+    virtual = robot()
+    for answer in replies(virtual, instruction_packet(servo, instruction, parameters)):
+        assert answer[:4] == b"\xff\xff\xfd\x00"
+        assert len(answer) == 7 + int.from_bytes(answer[5:7], "little")
+    virtual.advance(0.02)

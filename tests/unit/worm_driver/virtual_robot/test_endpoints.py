@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The directory of a virtual robot: who may use it, and what stays behind."""
+
+import os
+import stat
+
+import pytest
+
+from worm_driver.virtual_robot.endpoints import DirectoryError, Endpoints
+from worm_driver.virtual_robot.robot import VirtualRobot
+
+
+@pytest.fixture
+def make(settings):
+    made = []
+
+    def build(directory):
+        endpoints = Endpoints(VirtualRobot(settings), directory, lambda samples: None)
+        made.append(endpoints)
+        return endpoints
+
+    yield build
+    for endpoints in made:
+        endpoints.close()
+
+
+def test_what_stands_there_and_that_it_goes(make, tmp_path):
+    directory = tmp_path / "deep" / "robot"
+    endpoints = make(directory)
+    endpoints.open()
+    assert os.ttyname(os.open(directory / "servo_bus", os.O_RDWR | os.O_NOCTTY)).startswith("/dev")
+    assert stat.S_ISSOCK((directory / "i2c.sock").stat().st_mode)
+    endpoints.close()
+    assert list(directory.iterdir()) == []
+
+
+def test_one_robot_a_directory(make, tmp_path):
+    make(tmp_path).open()
+    with pytest.raises(DirectoryError, match="in use by another virtual robot"):
+        make(tmp_path).open()
+    assert (tmp_path / "i2c.sock").exists()
+
+
+def test_leftovers_of_a_killed_robot_are_cleared(make, tmp_path):
+    first = make(tmp_path)
+    first.open()
+    (tmp_path / "kept").symlink_to(tmp_path / "servo_bus")
+    (tmp_path / "moved").write_bytes(b"")
+    first.close()
+    (tmp_path / "servo_bus").symlink_to("/dev/pts/9999")
+    make(tmp_path).open()
+    assert (tmp_path / "servo_bus").exists()
+
+
+def test_a_file_in_the_way_is_left_alone(make, tmp_path):
+    (tmp_path / "servo_bus").write_text("mine")
+    with pytest.raises(DirectoryError, match="is in the way"):
+        make(tmp_path).open()
+    assert (tmp_path / "servo_bus").read_text() == "mine"
+
+
+def test_a_directory_that_cannot_be_made(make, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DirectoryError, match="choose another --directory"):
+        make(tmp_path / "file" / "robot").open()
+
+
+def test_a_path_too_long_for_a_socket(make, tmp_path):
+    with pytest.raises(DirectoryError, match="shorter --directory"):
+        make(tmp_path / ("x" * 120)).open()
+
+
+def test_the_camera_is_heard(served):
+    while len(served.samples) < 4:
+        pass
+    times = [sample.time for sample in served.samples[:4]]
+    assert times == sorted(times)

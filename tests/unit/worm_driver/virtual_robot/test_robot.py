@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole virtual robot on a virtual clock: it repeats, it walks, its instruments are honest."""
+
+import errno
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from worm_driver.virtual_robot import faults
+from worm_driver.virtual_robot import smbus_frames as frames
+from worm_driver.virtual_robot.faults import FaultBoard, make_fault
+from worm_driver.virtual_robot.ina219_chip import BUS, CALIBRATION, CONFIGURATION, SHUNT
+from worm_driver.virtual_robot.plant import FORWARD, REVERSE
+from worm_driver.virtual_robot.rehearsal import rehearse, sinusoid
+from worm_driver.virtual_robot.robot import VirtualRobot
+from worm_driver.virtual_robot.servo import Servo
+from worm_driver.virtual_robot.smbus_frames import Request
+
+ADDRESS = 0x40
+
+
+def read(robot, register, time):
+    answer = robot.transact(Request(frames.READ, ADDRESS, register, 2), time)
+    assert answer.errno == 0
+    return int.from_bytes(answer.data, "big")
+
+
+def grooves_per_cycle(run, frequency, pitch=0.0173, cycles=5, last=3):
+    def position(time):
+        near = np.abs(run.tracker_time - time) < 0.06
+        return np.nanmean(run.rear_position[near])
+
+    end = run.onset + cycles / frequency
+    return (position(end) - position(end - last / frequency)) / pitch / last
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(
+    ("stroke", "frequency", "grooves"), [(0.07, 0.2, 1), (0.0755, 0.15, 2), (0.0762, 0.2325, 2)]
+)
+def test_robust_gaits_gain_the_predicted_grooves(settings, seed, stroke, frequency, grooves):
+    run = rehearse(settings.with_seed(seed), sinusoid(stroke, frequency), 5 / frequency, rest=0.5)
+    assert grooves_per_cycle(run, frequency) == pytest.approx(grooves, abs=0.1)
+
+
+def test_fins_turned_around_walk_backward(settings):
+    run = rehearse(settings, sinusoid(0.07, 0.2), 25.0, rest=0.5, direction=REVERSE)
+    assert grooves_per_cycle(run, 0.2) == pytest.approx(-1, abs=0.1)
+
+
+def test_a_rehearsal_repeats_exactly_and_differs_with_the_seed(settings):
+    first, again, other = (
+        rehearse(settings.with_seed(seed), sinusoid(0.07, 0.2), 2.0) for seed in (5, 5, 6)
+    )
+    for name in ("goal_ticks", "encoder_ticks", "current", "bus_voltage"):
+        assert np.array_equal(getattr(first, name), getattr(again, name))
+    assert np.array_equal(first.rear_position, again.rear_position, equal_nan=True)
+    assert not np.array_equal(first.current, other.current)
+
+
+def test_the_spread_moves_the_truth_but_not_what_a_ruler_tells(settings):
+    spread = replace(settings, parameter_spread=0.05)
+    truths = [
+        rehearse(spread.with_seed(seed), sinusoid(0.07, 0.2), 0.1, rest=0.1).truth
+        for seed in range(5)
+    ]
+    assert len({truth.bellows_stiffness for truth in truths}) == 5
+    assert {truth.pitch for truth in truths} == {settings.body.pitch}
+
+
+def test_what_the_instruments_of_a_rehearsal_see(settings):
+    run = rehearse(settings, sinusoid(0.07, 0.2), 10.0)
+    resting = run.power_time < run.onset
+    idle = np.mean((run.bus_voltage * run.current)[resting])
+    assert idle == pytest.approx(settings.body.idle_power, rel=0.02)
+    assert np.max(run.bus_voltage * run.current) > 5.0
+    assert np.median(np.diff(run.tracker_time)) == pytest.approx(1 / 30, abs=1e-3)
+    assert np.nanstd(run.rear_position[run.tracker_time < run.onset]) == pytest.approx(
+        settings.tracker.noise, rel=0.3
+    )
+    # Half a stroke of 70 mm on a spool of 25 mm, and the servo somewhat behind its goal.
+    assert np.max(run.goal_ticks) == round(0.07 / 0.025 * 4096 / (2 * math.pi))
+    error = run.goal_ticks - run.encoder_ticks
+    assert 5 < np.max(error) < 100
+
+
+def test_the_same_bytes_at_the_same_times_give_the_same_answers(settings):
+    def play():
+        robot = VirtualRobot(settings)
+        heard = []
+        request = bytes.fromhex("FFFFFD0001070002840004001D15")  # read the cable's position
+        for index in range(50):
+            heard += [answer.data for answer in robot.receive(request, index * 0.0123)]
+            heard.append(read(robot, SHUNT, index * 0.0123).to_bytes(2, "big"))
+        return heard
+
+    assert play() == play()
+
+
+def test_fins_between_their_angles_hold_nothing(settings):
+    between = tuple(replace(fin, start_angle=3.14) for fin in settings.fin_servos)
+    robot = VirtualRobot(replace(settings, fin_servos=between))
+    cable = robot.servos[0]
+    turn_on(cable)
+    robot.advance(0.1)
+    set_goal(cable, 4700)
+    robot.advance(1.5)
+    rear, front = robot.plant.positions(robot.state)
+    # Nothing holds either module: both move towards the middle.
+    assert rear > 0.01
+    assert front < settings.body.initial_length - 0.01
+
+
+def test_a_fin_pair_of_two_servos_has_to_agree(settings):
+    rear, front = settings.fin_servos
+    second = replace(rear, id=13, start_angle=rear.reverse_angle)
+    robot = VirtualRobot(replace(settings, fin_servos=(rear, second, front)))
+    assert robot.laws == (0, FORWARD)
+
+
+def turn_on(servo: Servo) -> None:
+    servo.write(64, b"\x01")
+
+
+def set_goal(servo: Servo, ticks: int) -> None:
+    servo.write(116, ticks.to_bytes(4, "little", signed=True))
+
+
+# --- the power sensor's line ----------------------------------------------------------------------
+
+
+def test_another_address_is_not_acknowledged(settings):
+    robot = VirtualRobot(settings)
+    answer = robot.transact(Request(frames.READ, 0x41, 0, 2), 0.0)
+    assert answer.errno == errno.EREMOTEIO
+
+
+def test_a_nack_strikes_as_often_as_it_is_asked_to(settings):
+    robot = VirtualRobot(settings, FaultBoard([make_fault(faults.I2C_NACK, count=2)]))
+    request = Request(frames.READ, ADDRESS, CONFIGURATION, 2)
+    assert [robot.transact(request, 0.1).errno for _ in range(3)] == [121, 121, 0]
+
+
+def test_a_hanging_bus_takes_its_time_to_fail(settings):
+    robot = VirtualRobot(settings, FaultBoard([make_fault(faults.I2C_TIMEOUT, value=0.2)]))
+    answer = robot.transact(Request(frames.READ, ADDRESS, BUS, 2), 0.1)
+    assert (answer.errno, answer.delay) == (errno.ETIMEDOUT, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "overflow"), [(faults.INA219_OVERFLOW, 1), (faults.INA219_SATURATION, 0)]
+)
+def test_a_current_beyond_the_range(settings, name, overflow):
+    robot = VirtualRobot(settings, FaultBoard([make_fault(name, start=0.5, duration=0.5)]))
+    assert read(robot, SHUNT, 0.4) < 2000
+    assert read(robot, SHUNT, 0.9) == 32000
+    assert read(robot, BUS, 0.9) & 1 == overflow
+    assert read(robot, SHUNT, 1.1) < 2000
+    assert read(robot, BUS, 1.1) & 1 == 0
+
+
+def test_a_brown_out_forgets_the_settings(settings):
+    robot = VirtualRobot(settings, FaultBoard([make_fault(faults.INA219_RESET, start=0.5)]))
+    for register, value in ((CALIBRATION, 4194), (CONFIGURATION, 0x1DDF)):
+        data = value.to_bytes(2, "big")
+        robot.transact(Request(frames.WRITE, ADDRESS, register, data=data), 0.1)
+    assert read(robot, CALIBRATION, 0.4) == 4194
+    assert read(robot, CALIBRATION, 0.6) == 0
+    assert read(robot, CONFIGURATION, 0.6) == 0x399F
+
+
+def test_a_block_longer_than_a_register_reads_a_released_line(settings):
+    robot = VirtualRobot(settings)
+    answer = robot.transact(Request(frames.READ, ADDRESS, CONFIGURATION, 4), 0.0)
+    assert answer.data == b"\x39\x9f\xff\xff"

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The servo bus behind its pseudo-terminal, as the real SDK sees it."""
+
+import select
+import termios
+import time
+from collections.abc import Iterator
+
+import dynamixel_sdk
+import pytest
+import serial
+from dynamixel_sdk import (
+    COMM_RX_CORRUPT,
+    COMM_RX_TIMEOUT,
+    COMM_SUCCESS,
+    GroupBulkRead,
+    GroupSyncRead,
+    GroupSyncWrite,
+    PacketHandler,
+    PortHandler,
+)
+
+from worm_driver.virtual_robot import faults
+from worm_driver.virtual_robot.faults import make_fault
+
+CABLE, REAR, FRONT = 1, 11, 12
+TORQUE, GOAL, POSITION, BLOCK = 64, 116, 132, 126
+
+
+class PatientPort(PortHandler):
+    """The SDK's port without its spinning, so that the serving thread gets to run."""
+
+    def readPort(self, length):
+        remaining = (self.packet_timeout - self.getTimeSinceStart()) / 1000
+        if length <= 0 or remaining <= 0 or not select.select([self.ser], [], [], remaining)[0]:
+            return b""
+        return super().readPort(length)
+
+
+def set_timeout(monkeypatch, seconds):
+    """How long the SDK waits for an answer."""
+    monkeypatch.setattr(dynamixel_sdk.port_handler, "LATENCY_TIMER", seconds * 500)
+
+
+@pytest.fixture
+def port(served, monkeypatch) -> Iterator[PortHandler]:
+    set_timeout(monkeypatch, 5.0)  # only a failure waits for so long
+    handler = PatientPort(served.port)
+    assert handler.openPort()
+    assert handler.setBaudRate(1_000_000)
+    yield handler
+    handler.closePort()
+
+
+@pytest.fixture
+def sdk() -> PacketHandler:
+    return PacketHandler(2.0)
+
+
+def wait_until(condition, what):
+    deadline = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < deadline, f"no {what} within 10 s"
+
+
+def wait_for_boot(served):
+    cable, now = served.robot.servos[0], served.endpoints.now
+    wait_until(lambda: cable.answers(now()), "servo after its boot")
+
+
+def inject(served, name, **options):
+    """Asks for a fault and waits until the serving thread has taken the order."""
+    fault = make_fault(name, **options)
+    served.endpoints.inject(fault)
+    board, now = served.robot.board, served.endpoints.now
+    wait_until(lambda: board.active(name, now(), fault.target), f"fault {name}")
+
+
+def test_a_servo_that_is_not_there(port, sdk, monkeypatch):
+    set_timeout(monkeypatch, 0.05)
+    assert sdk.ping(port, 5)[1] == COMM_RX_TIMEOUT
+
+
+def test_a_broadcast_ping_finds_all(port, sdk):
+    found, result = sdk.broadcastPing(port)
+    assert result == COMM_SUCCESS
+    assert found == {CABLE: [1020, 48], REAR: [1060, 47], FRONT: [1060, 47]}
+
+
+def test_read_write_and_the_error_numbers(port, sdk):
+    assert sdk.write1ByteTxRx(port, CABLE, TORQUE, 1) == (COMM_SUCCESS, 0)
+    assert sdk.read1ByteTxRx(port, CABLE, TORQUE) == (1, COMM_SUCCESS, 0)
+    assert sdk.write1ByteTxRx(port, CABLE, 11, 3) == (COMM_SUCCESS, 7)
+    assert sdk.write4ByteTxRx(port, CABLE, GOAL, 1_048_576) == (COMM_SUCCESS, 4)
+    assert sdk.write2ByteTxRx(port, CABLE, GOAL, 1) == (COMM_SUCCESS, 5)
+    assert sdk.write4ByteTxRx(port, REAR, GOAL, 5000) == (COMM_SUCCESS, 6)
+
+
+def test_a_registered_write_waits_for_action(port, sdk):
+    sdk.write1ByteTxRx(port, CABLE, TORQUE, 1)
+    goal, _, _ = sdk.read4ByteTxRx(port, CABLE, GOAL)
+    data = (goal + 50).to_bytes(4, "little")
+    assert sdk.regWriteTxRx(port, CABLE, GOAL, 4, list(data)) == (COMM_SUCCESS, 0)
+    assert sdk.read4ByteTxRx(port, CABLE, GOAL)[0] == goal
+    sdk.action(port, 254)  # to one servo, the SDK would leave its answer on the line
+    assert sdk.read4ByteTxRx(port, CABLE, GOAL)[0] == goal + 50
+
+
+@pytest.mark.parametrize("method", ["txRxPacket", "fastSyncRead"])
+def test_one_read_of_all_servos(port, sdk, method):
+    read = GroupSyncRead(port, sdk, BLOCK, 21)
+    for servo in (CABLE, REAR, FRONT):
+        assert read.addParam(servo)
+    assert getattr(read, method)() == COMM_SUCCESS
+    for servo in (CABLE, REAR, FRONT):
+        alone, _, _ = sdk.read4ByteTxRx(port, servo, POSITION)
+        assert read.getData(servo, POSITION, 4) == alone
+        assert read.getData(servo, 144, 2) in (119, 120)
+
+
+@pytest.mark.parametrize("method", ["txRxPacket", "fastBulkRead"])
+def test_a_bulk_read(port, sdk, method):
+    read = GroupBulkRead(port, sdk)
+    read.addParam(CABLE, 0, 2)
+    read.addParam(REAR, 144, 2)
+    assert getattr(read, method)() == COMM_SUCCESS
+    assert read.getData(CABLE, 0, 2) == 1020
+    assert read.getData(REAR, 144, 2) in (119, 120)
+
+
+def test_a_sync_write_moves_the_servos(port, sdk):
+    for servo in (REAR, FRONT):
+        sdk.write1ByteTxRx(port, servo, TORQUE, 1)
+    write = GroupSyncWrite(port, sdk, GOAL, 4)
+    write.addParam(REAR, (1700).to_bytes(4, "little"))
+    write.addParam(FRONT, (1800).to_bytes(4, "little"))
+    assert write.txPacket() == COMM_SUCCESS
+    for servo, goal in ((REAR, 1700), (FRONT, 1800)):
+        wait_until(
+            lambda servo=servo, goal=goal: (
+                abs(sdk.read4ByteTxRx(port, servo, POSITION)[0] - goal) <= 1
+            ),
+            f"servo {servo} at {goal}",
+        )
+
+
+def test_a_broadcast_torque_off_reaches_all(port, sdk):
+    for servo in (CABLE, REAR):
+        sdk.write1ByteTxRx(port, servo, TORQUE, 1)
+    sdk.write1ByteTxOnly(port, 254, TORQUE, 0)
+    assert [sdk.read1ByteTxRx(port, servo, TORQUE)[0] for servo in (CABLE, REAR)] == [0, 0]
+
+
+def test_a_reboot_loses_the_torque(port, sdk, served):
+    assert sdk.write1ByteTxRx(port, CABLE, TORQUE, 1) == (COMM_SUCCESS, 0)
+    assert sdk.reboot(port, CABLE) == (COMM_SUCCESS, 0)
+    wait_for_boot(served)
+    assert sdk.read1ByteTxRx(port, CABLE, TORQUE) == (0, COMM_SUCCESS, 0)
+
+
+def test_clear_and_factory_reset(port, sdk, served):
+    assert sdk.clearMultiTurn(port, CABLE) == (COMM_SUCCESS, 0)
+    sdk.write1ByteTxRx(port, CABLE, TORQUE, 1)
+    assert sdk.factoryReset(port, CABLE, 0x02) == (COMM_SUCCESS, 1)
+    sdk.write1ByteTxRx(port, CABLE, TORQUE, 0)
+    assert sdk.factoryReset(port, CABLE, 0x02) == (COMM_SUCCESS, 0)
+    wait_for_boot(served)
+    assert sdk.read1ByteTxRx(port, CABLE, 11)[0] == 3
+
+
+def test_a_goal_that_the_sdk_does_not_stuff_never_arrives(port, sdk, monkeypatch):
+    """-131073 is FF FF FD FF: the SDK sends it bare, and a servo takes it for a header."""
+    sdk.write1ByteTxRx(port, CABLE, TORQUE, 1)
+    before = sdk.read4ByteTxRx(port, CABLE, GOAL)[0]
+    set_timeout(monkeypatch, 0.05)
+    assert sdk.write4ByteTxRx(port, CABLE, GOAL, -131073)[0] == COMM_RX_TIMEOUT
+    set_timeout(monkeypatch, 5.0)
+    assert sdk.read4ByteTxRx(port, CABLE, GOAL)[0] == before
+
+
+def test_stuffed_answers_are_understood(port, sdk):
+    """A position of -131073 comes stuffed."""
+    sdk.write1ByteTxRx(port, CABLE, TORQUE, 0)
+    assert sdk.write4ByteTxRx(port, CABLE, 20, -131072 - 3259) == (COMM_SUCCESS, 0)
+    read, result, error = sdk.read4ByteTxRx(port, CABLE, POSITION)
+    assert (result, error) == (COMM_SUCCESS, 0)
+    wanted = read - (1 << 32) if read >> 31 else read
+    offset = -131073 - (wanted + 131072 + 3259)
+    sdk.write4ByteTxRx(port, CABLE, 20, offset)
+    assert sdk.read4ByteTxRx(port, CABLE, POSITION)[0] == (-131073) & 0xFFFFFFFF
+
+
+@pytest.mark.parametrize(
+    ("name", "result"),
+    [
+        (faults.NO_ANSWER, COMM_RX_TIMEOUT),
+        (faults.CORRUPTED_CRC, COMM_RX_CORRUPT),
+        (faults.TRUNCATED, COMM_RX_CORRUPT),
+        (faults.LATE, COMM_RX_TIMEOUT),
+    ],
+)
+def test_spoilt_status_packets(port, sdk, served, monkeypatch, name, result):
+    inject(served, name, target=CABLE, value=60.0)
+    assert sdk.ping(port, REAR)[1] == COMM_SUCCESS
+    set_timeout(monkeypatch, 0.2)
+    assert sdk.read4ByteTxRx(port, CABLE, POSITION)[1] == result
+
+
+def test_the_sdk_takes_a_late_answer_for_the_next(port, sdk, served, monkeypatch):
+    """What a driver has to rule out: a position is read as a velocity, with success."""
+    position = sdk.read4ByteTxRx(port, CABLE, POSITION)[0]
+    inject(served, faults.LATE, target=CABLE, value=0.5)
+    set_timeout(monkeypatch, 0.05)
+    assert sdk.read4ByteTxRx(port, CABLE, POSITION)[1] == COMM_RX_TIMEOUT
+    set_timeout(monkeypatch, 5.0)
+    assert sdk.read4ByteTxRx(port, CABLE, 128) == (position, COMM_SUCCESS, 0)
+
+
+def test_a_status_with_each_error_number(port, sdk, served):
+    for number in range(1, 8):
+        inject(served, faults.ERROR_NUMBER, target=CABLE, value=number)
+        assert sdk.write1ByteTxRx(port, CABLE, 65, 1) == (COMM_SUCCESS, number)
+
+
+def test_unplugged_and_plugged_in_again(served, sdk):
+    handler = PatientPort(served.port)
+    handler.openPort()
+    inject(served, faults.UNPLUGGED, duration=0.3)
+    # Not an OSError where the SDK clears the line: a driver has to catch both.
+    with pytest.raises((serial.SerialException, termios.error)):
+        sdk.ping(handler, CABLE)
+    handler.closePort()
+    wait_until(lambda: (served.directory / "servo_bus").exists(), "port")
+    again = PatientPort(served.port)
+    assert again.openPort()
+    assert sdk.ping(again, CABLE)[1] == COMM_SUCCESS
+    again.closePort()

@@ -1,0 +1,383 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One virtual servo: what its registers take, refuse and do."""
+
+import math
+from itertools import pairwise
+from random import Random
+
+import pytest
+
+from worm_driver.virtual_robot.control_table import (
+    EXTENDED_POSITION_MODE,
+    MODELS,
+    XL330_M288,
+    XL430_W250,
+    XM430_W350,
+)
+from worm_driver.virtual_robot.measurement import (
+    INPUT_VOLTAGE_ERROR,
+    OVERHEATING_ERROR,
+    OVERLOAD_ERROR,
+)
+from worm_driver.virtual_robot.memory import RegisterError
+from worm_driver.virtual_robot.packet import ALERT, Error
+from worm_driver.virtual_robot.servo import Servo
+
+STEP = 0.001
+
+
+class Bench:
+    """A servo with a clock, read and written by register name."""
+
+    def __init__(self, model=XM430_W350, start=1000.0, **settings):
+        self.servo = Servo(model, {"id": 1, **settings}, start, 0.25, Random(1))
+        self.servo.surroundings.voltage = model.nominal_voltage
+        self.steps = 0
+
+    @property
+    def time(self):
+        return self.steps * STEP
+
+    def write(self, name, value):
+        row = self.servo.model.registers[name]
+        self.servo.write(row.address, row.encode(value))
+
+    def refused(self, name, value):
+        with pytest.raises(RegisterError) as caught:
+            self.write(name, value)
+        return caught.value.number
+
+    def read(self, name):
+        row = self.servo.model.registers[name]
+        return row.decode(self.servo.read(row.address, row.size))
+
+    def run(self, seconds):
+        for _ in range(round(seconds / STEP)):
+            self.steps += 1
+            self.servo.step(self.time, STEP)
+
+    def supervise(self, seconds):
+        for _ in range(round(seconds / 0.05)):
+            self.run(0.05)
+            self.servo.supervise(0.05)
+
+
+def extended(**settings):
+    bench = Bench(operating_mode=EXTENDED_POSITION_MODE, **settings)
+    bench.write("torque_enable", 1)
+    return bench
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "position_limits"),
+    [("XL330-M288", 1200, 4095), ("XL430-W250", 1060, 4095), ("XM430-W350", 1020, 4095)],
+)
+def test_the_tables_are_the_manuals(name, number, position_limits):
+    bench = Bench(MODELS[name])
+    assert bench.read("model_number") == number
+    assert bench.read("max_position_limit") == position_limits
+    addresses = {row.name: (row.address, row.size) for row in bench.servo.model.registers.values()}
+    assert addresses["goal_position"] == (116, 4)
+    assert addresses["present_position"] == (132, 4)
+    assert addresses["hardware_error_status"] == (70, 1)
+    ends = sorted((address, address + size) for address, size in addresses.values())
+    assert all(end <= start for (_, end), (start, _) in pairwise(ends))
+
+
+def test_only_the_xl430_has_no_current():
+    assert "goal_current" not in Bench(XL430_W250).servo.memory
+    assert "present_load" in Bench(XL430_W250).servo.memory
+    assert "goal_current" in Bench(XL330_M288).servo.memory
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "number"),
+    [
+        ("present_position", 5, Error.ACCESS),
+        ("operating_mode", 2, Error.DATA_RANGE),
+        ("return_delay_time", 255, Error.DATA_RANGE),
+        ("goal_position", 4096, Error.DATA_LIMIT),
+        ("goal_velocity", 201, Error.DATA_LIMIT),
+        ("goal_current", 1194, Error.DATA_LIMIT),
+        ("goal_pwm", -886, Error.DATA_LIMIT),
+        ("profile_velocity", 32768, Error.DATA_RANGE),
+        ("torque_enable", 2, Error.DATA_RANGE),
+    ],
+)
+def test_what_is_refused(name, value, number):
+    assert Bench().refused(name, value) == number
+
+
+def test_the_xl430_has_no_current_modes():
+    assert Bench(XL430_W250).refused("operating_mode", 5) == Error.DATA_RANGE
+
+
+@pytest.mark.parametrize(
+    ("address", "data", "number"),
+    [
+        (116, b"\x00\x00", Error.DATA_LENGTH),  # half a register
+        (117, b"\x00\x00\x00\x00", Error.ACCESS),  # not where a register starts
+        (92, b"\x00", Error.ACCESS),  # no register there
+        (168, b"\x00", Error.ACCESS),  # beyond the table
+    ],
+)
+def test_writes_that_hit_no_register(address, data, number):
+    with pytest.raises(RegisterError) as caught:
+        Bench().servo.write(address, data)
+    assert caught.value.number == number
+
+
+def test_a_block_is_written_whole_or_not_at_all():
+    bench = extended()
+    acceleration_to_goal = b"\x0a\x00\x00\x00" + b"\x14\x00\x00\x00" + b"\x00\x00\x10\x00"
+    with pytest.raises(RegisterError):  # the goal is one pulse beyond 256 turns
+        bench.servo.write(108, acceleration_to_goal)
+    assert bench.read("profile_acceleration") == 0
+
+
+def test_torque_locks_the_eeprom():
+    bench = extended()
+    assert bench.refused("operating_mode", 3) == Error.ACCESS
+    bench.write("torque_enable", 0)
+    bench.write("operating_mode", 3)
+    assert bench.read("operating_mode") == 3
+
+
+def test_a_mode_change_sets_gains_profile_and_goals_back():
+    bench = Bench()
+    bench.write("position_p_gain", 123)
+    bench.write("profile_velocity", 50)
+    bench.write("goal_current", 10)
+    bench.write("operating_mode", EXTENDED_POSITION_MODE)
+    assert bench.read("position_p_gain") == 800
+    assert bench.read("profile_velocity") == 0
+    assert bench.read("goal_current") == 1193
+
+
+def test_torque_on_holds_where_the_shaft_is():
+    bench = extended(start=3000.5)
+    assert bench.read("goal_position") == 3000
+    bench.run(0.2)
+    assert bench.read("present_position") == 3000
+
+
+def test_the_shaft_goes_to_its_goal_and_no_faster_than_it_can():
+    bench = extended()
+    bench.write("goal_position", 9000)
+    bench.run(0.2)
+    assert bench.read("moving") == 1
+    assert bench.read("present_velocity") * 0.229 == pytest.approx(46.0, abs=0.5)  # rpm at 12 V
+    bench.run(3.0)
+    assert bench.read("present_position") == pytest.approx(9000, abs=1)
+    assert bench.read("moving") == 0
+
+
+def test_a_profile_limits_speed_and_acceleration():
+    bench = extended()
+    bench.write("profile_velocity", 100)
+    bench.write("profile_acceleration", 20)
+    bench.write("goal_position", 1000 + 4096)
+    bench.run(0.1)
+    assert bench.read("velocity_trajectory") == pytest.approx(
+        20 * 214.577 * 0.1 / 60 / 0.229, abs=2
+    )
+    bench.run(1.0)
+    assert bench.read("velocity_trajectory") == 100
+    bench.run(3.0)
+    assert bench.read("present_position") == pytest.approx(1000 + 4096, abs=1)
+
+
+def test_a_time_based_profile_takes_its_time():
+    bench = Bench(operating_mode=EXTENDED_POSITION_MODE, drive_mode=0x04)
+    bench.write("torque_enable", 1)
+    bench.write("profile_velocity", 1000)
+    bench.write("profile_acceleration", 200)
+    bench.write("goal_position", 2000)
+    bench.run(0.5)
+    assert bench.read("position_trajectory") == pytest.approx(1500, abs=5)
+    bench.run(0.7)
+    assert bench.read("present_position") == pytest.approx(2000, abs=1)
+
+
+def test_velocity_mode_turns_with_its_goal():
+    bench = Bench(operating_mode=1)
+    bench.write("torque_enable", 1)
+    bench.write("goal_velocity", -100)
+    bench.run(1.0)
+    turned = (bench.servo.motor.position - 1000) / 4096 * 60
+    assert turned == pytest.approx(-22.9, rel=0.02)
+
+
+def test_reverse_mode_counts_the_other_way():
+    bench = Bench(operating_mode=EXTENDED_POSITION_MODE, drive_mode=0x01)
+    bench.write("torque_enable", 1)
+    before = bench.read("present_position")
+    bench.write("goal_position", before + 100)
+    bench.run(0.5)
+    assert bench.servo.motor.position == pytest.approx(900, abs=1)
+    assert bench.read("present_position") == pytest.approx(before + 100, abs=1)
+
+
+def test_a_reboot_folds_the_position_and_loses_ram():
+    bench = extended()
+    bench.write("goal_position", 1000 + 3 * 4096)
+    bench.run(5.0)
+    bench.servo.reboot(bench.time)
+    assert not bench.servo.answers(bench.time + 0.2)
+    assert bench.servo.answers(bench.time + 0.3)
+    assert bench.read("present_position") == pytest.approx(1000, abs=1)
+    assert bench.servo.motor.position == pytest.approx(1000 + 3 * 4096, abs=2)
+    assert bench.read("torque_enable") == 0
+    assert bench.read("operating_mode") == EXTENDED_POSITION_MODE
+
+
+def test_the_homing_offset_is_added_after_folding():
+    bench = Bench(start=4096.0 * 5 + 10, homing_offset=-500)
+    assert bench.read("present_position") == 10 - 500
+
+
+def test_clear_folds_only_a_shaft_at_rest():
+    bench = extended()
+    bench.write("goal_position", 1000 + 2 * 4096)
+    bench.run(0.3)
+    key = bytes.fromhex("0144584C22")
+    with pytest.raises(RegisterError) as caught:
+        bench.servo.clear_turns(key)
+    assert caught.value.number == Error.RESULT_FAIL
+    bench.run(4.0)
+    bench.servo.clear_turns(key)
+    assert bench.read("present_position") == pytest.approx(1000, abs=1)
+
+
+def test_a_registered_write_waits_for_action():
+    bench = extended()
+    with pytest.raises(RegisterError) as caught:
+        bench.servo.action()
+    assert caught.value.number == Error.INSTRUCTION
+    bench.servo.register_write(116, (1200).to_bytes(4, "little"))
+    assert bench.read("registered_instruction") == 1
+    assert bench.read("goal_position") == 1000
+    bench.servo.action()
+    assert bench.read("goal_position") == 1200
+    assert bench.read("registered_instruction") == 0
+
+
+def test_a_factory_reset_needs_torque_off_and_keeps_what_it_is_told():
+    bench = extended(return_delay_time=0)
+    with pytest.raises(RegisterError) as caught:
+        bench.servo.factory_reset(b"\x02", bench.time)
+    assert caught.value.number == Error.RESULT_FAIL
+    bench.write("torque_enable", 0)
+    bench.write("id", 9)
+    bench.servo.factory_reset(b"\x02", bench.time)
+    assert bench.read("id") == 9
+    assert bench.read("return_delay_time") == 250
+
+
+def test_the_watchdog_stops_the_motor_and_refuses_goals_until_it_is_cleared():
+    bench = extended()
+    bench.write("profile_velocity", 50)
+    bench.write("bus_watchdog", 5)  # 100 ms
+    bench.write("goal_position", 1000 + 4096)
+    bench.run(0.09)
+    assert bench.read("bus_watchdog") == 5
+    bench.run(0.02)
+    assert bench.read("bus_watchdog") == -1
+    stopped_at = bench.servo.motor.position
+    bench.run(1.0)
+    assert bench.servo.motor.position == stopped_at
+    assert bench.read("torque_enable") == 1
+    assert bench.read("profile_velocity") == 0
+    assert bench.refused("goal_position", 1100) == Error.DATA_RANGE
+    assert bench.refused("bus_watchdog", 5) == Error.DATA_RANGE
+    bench.write("bus_watchdog", 0)
+    bench.run(0.5)
+    assert bench.servo.motor.position == stopped_at
+    bench.write("goal_position", 1100)
+    bench.run(0.5)
+    assert bench.read("present_position") == pytest.approx(1100, abs=1)
+
+
+def test_packets_feed_the_watchdog():
+    bench = extended()
+    bench.write("bus_watchdog", 5)
+    for _ in range(10):
+        bench.run(0.09)
+        bench.servo.feed_watchdog(bench.time)
+    assert bench.read("bus_watchdog") == 5
+
+
+def test_the_watchdog_sleeps_while_torque_is_off():
+    bench = Bench()
+    bench.write("bus_watchdog", 1)
+    bench.run(1.0)
+    assert bench.read("bus_watchdog") == 1
+
+
+def test_a_blocked_shaft_overloads_and_only_a_reboot_helps():
+    bench = extended()
+    bench.servo.surroundings.blocked = True
+    bench.write("goal_position", 3000)
+    bench.supervise(0.5)
+    assert bench.read("present_position") == 1000
+    assert bench.read("present_current") * 2.69e-3 == pytest.approx(2.3, abs=0.1)
+    bench.supervise(1.0)
+    assert bench.read("hardware_error_status") == OVERLOAD_ERROR
+    assert bench.servo.alert() == ALERT
+    assert bench.read("torque_enable") == 0
+    assert bench.refused("torque_enable", 1) == Error.RESULT_FAIL
+    bench.servo.surroundings.blocked = False
+    bench.servo.reboot(bench.time)
+    bench.write("torque_enable", 1)
+    assert bench.servo.alert() == 0
+
+
+def test_an_alert_outside_the_mask_leaves_the_torque_on():
+    bench = extended()
+    bench.servo.surroundings.voltage = 9.0  # an XM430 wants 9.5 V
+    bench.supervise(0.1)
+    assert bench.read("hardware_error_status") == INPUT_VOLTAGE_ERROR
+    assert bench.read("present_input_voltage") == 90
+    assert bench.read("torque_enable") == 1
+
+
+def test_heat_shuts_down():
+    bench = extended()
+    bench.servo.surroundings.ambient = 100.0
+    bench.supervise(0.1)
+    assert bench.read("hardware_error_status") == OVERHEATING_ERROR
+    assert bench.read("torque_enable") == 0
+
+
+def test_the_current_shows_the_load():
+    bench = extended()
+    bench.servo.surroundings.load = 1.0
+    bench.run(0.1)
+    expected = 1.0 / (4.1 / 2.3) / 2.69e-3
+    assert bench.read("present_current") == pytest.approx(expected, abs=5)
+
+
+def test_a_limp_shaft_gives_way_to_a_load_that_beats_its_friction():
+    bench = Bench()
+    bench.servo.surroundings.load = 0.2
+    bench.run(1.0)
+    assert bench.servo.motor.position == 1000
+    bench.servo.surroundings.load = 2.0
+    bench.run(1.0)
+    assert bench.servo.motor.position < 900
+
+
+def test_the_realtime_tick_wraps():
+    bench = Bench()
+    bench.run(1.0)
+    assert bench.read("realtime_tick") == 1000
+    bench.run(32.0)
+    assert bench.read("realtime_tick") == 33000 - 32768
+
+
+def test_the_whole_state_is_one_block():
+    bench = extended()
+    block = bench.servo.read(126, 21)
+    assert int.from_bytes(block[6:10], "little", signed=True) == 1000
+    assert block[18] | block[19] << 8 == 120
+    assert math.isclose(block[20], 30, abs_tol=1)

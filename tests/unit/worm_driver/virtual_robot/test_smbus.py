@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stand-in for smbus2.SMBus, through its socket."""
+
+import errno
+import inspect
+
+import pytest
+import smbus2
+from hypothesis import given
+from hypothesis import strategies as st
+
+from worm_driver.virtual_robot import faults
+from worm_driver.virtual_robot.faults import make_fault
+from worm_driver.virtual_robot.smbus import SocketSMBus
+from worm_driver.virtual_robot.smbus_frames import (
+    Answer,
+    Request,
+    pack_answer,
+    pack_request,
+    take_answer,
+    take_request,
+)
+
+ADDRESS = 0x40
+byte = st.integers(0, 255)
+
+
+@pytest.fixture
+def bus(served):
+    with SocketSMBus(served.socket) as bus:
+        yield bus
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in vars(SocketSMBus) if not name.startswith("_")] + ["__init__"]
+)
+def test_the_calls_are_those_of_smbus2(name):
+    ours = inspect.signature(getattr(SocketSMBus, name)).parameters
+    theirs = inspect.signature(getattr(smbus2.SMBus, name)).parameters
+    assert [(p.name, p.default) for p in ours.values()] == [
+        (p.name, p.default) for p in theirs.values()
+    ]
+
+
+def test_a_word_is_low_byte_first_and_a_block_is_not(bus):
+    assert bus.read_word_data(ADDRESS, 0) == 0x9F39
+    assert bus.read_i2c_block_data(ADDRESS, 0, 2) == [0x39, 0x9F]
+    assert bus.read_byte_data(ADDRESS, 0) == 0x39
+    bus.write_byte(ADDRESS, 0)
+    assert bus.read_byte(ADDRESS) == 0x39
+    bus.write_quick(ADDRESS)
+
+
+def test_writes_reach_the_chip(bus):
+    bus.write_word_data(ADDRESS, 5, 0x6210)
+    assert bus.read_i2c_block_data(ADDRESS, 5, 2) == [0x10, 0x62]
+    bus.write_i2c_block_data(ADDRESS, 5, [0x20, 0x00])
+    assert bus.read_word_data(ADDRESS, 5) == 0x0020
+    bus.write_byte_data(ADDRESS, 5, 0x77)  # half a register: the chip takes none of it
+    assert bus.read_word_data(ADDRESS, 5) == 0x0020
+
+
+def test_a_wrong_address_is_a_nack(bus):
+    with pytest.raises(OSError) as caught:
+        bus.read_word_data(0x41, 0)
+    assert caught.value.errno == errno.EREMOTEIO
+    assert bus.read_word_data(ADDRESS, 0) == 0x9F39
+
+
+def test_a_hanging_bus_is_a_timeout(bus, served):
+    served.endpoints.inject(make_fault(faults.I2C_TIMEOUT, value=0.05))
+    seen = []
+    while not seen:
+        try:
+            bus.read_word_data(ADDRESS, 0)
+        except OSError as error:
+            seen.append(error.errno)
+    assert seen == [errno.ETIMEDOUT]
+
+
+def test_a_robot_that_is_gone_is_an_input_output_error(bus, served):
+    served.endpoints.stop()
+    served.endpoints.close()
+    bus._socket.shutdown(2)
+    with pytest.raises(OSError) as caught:
+        bus.read_word_data(ADDRESS, 0)
+    assert caught.value.errno == errno.EIO
+
+
+def test_a_closed_bus_says_so(bus):
+    bus.close()
+    bus.close()
+    with pytest.raises(OSError) as caught:
+        bus.read_word_data(ADDRESS, 0)
+    assert caught.value.errno == errno.EBADF
+
+
+def test_a_missing_socket(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        SocketSMBus(str(tmp_path / "none"))
+
+
+def test_a_block_has_32_bytes_at_most(bus):
+    with pytest.raises(ValueError, match="32 bytes"):
+        bus.read_i2c_block_data(ADDRESS, 0, 33)
+
+
+@given(byte, byte, byte, byte, st.binary(max_size=32), st.binary(max_size=8))
+def test_frames_have_an_inverse(operation, address, register, length, data, rest):
+    request = Request(operation, address, register, length, data)
+    assert take_request(pack_request(request) + rest) == (request, rest)
+    cut = pack_request(request)[:-1]
+    assert take_request(cut) == (None, cut)
+    answer = Answer(operation, data)
+    assert take_answer(pack_answer(answer) + rest) == (answer, rest)
