@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The servo bus: instruction packets in, status packets out, with the faults of the wire."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from random import Random
 
 from worm_driver.virtual_robot import faults
 from worm_driver.virtual_robot.control_table import BAUD_RATES
@@ -48,9 +49,11 @@ def _answer_of(servo: Servo, number: int = Error.NONE, data: bytes = b"") -> _An
 class ServoBus:
     """Servos on one line. Not one byte more or less than real ones would send."""
 
-    def __init__(self, servos: Sequence[Servo], board: FaultBoard) -> None:
+    def __init__(self, servos: Sequence[Servo], board: FaultBoard, random: Random) -> None:
+        """random: what a fuzzed packet looks like."""
         self._servos = servos
         self._board = board
+        self._random = random
         self._reader = InstructionReader(_ALLOWED_GAP)
         self._last_sent = 0.0
 
@@ -111,9 +114,10 @@ class ServoBus:
 
     def _spoil(self, answer: _Answer, due: float) -> list[Transmission]:
         """A status packet, or what the faults of the wire leave of it."""
-        take: Callable[[str], faults.Fault | None] = lambda name: self._board.take(  # noqa: E731
-            name, due, answer.servo_id
-        )
+
+        def take(name: str) -> faults.Fault | None:
+            return self._board.take(name, due, answer.servo_id)
+
         if take(faults.NO_ANSWER):
             return []
         if fault := take(faults.ERROR_NUMBER):
@@ -125,9 +129,24 @@ class ServoBus:
             data = data[: len(data) // 2]
         if take(faults.DUPLICATED):
             data += data
+        if take(faults.FUZZED):
+            data = _fuzz(data, self._random)
         if fault := take(faults.LATE):
             due += fault.value
         return [Transmission(due, data)]
+
+
+def _fuzz(data: bytes, random: Random) -> bytes:
+    """The data with up to three bytes changed, some lost and some added."""
+    fuzzed = bytearray(data)
+    for _ in range(random.randint(0, 3)):
+        fuzzed[random.randrange(len(fuzzed))] = random.randrange(256)
+    start = random.randrange(len(fuzzed))
+    if random.random() < 0.5:
+        del fuzzed[start : start + random.randint(1, 4)]
+    if random.random() < 0.5:
+        fuzzed[start:start] = random.randbytes(random.randint(1, 12))
+    return bytes(fuzzed)
 
 
 def _obey(packet: Packet, listening: Sequence[Servo], time: float) -> list[_Answer]:

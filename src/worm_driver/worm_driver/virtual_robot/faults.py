@@ -12,6 +12,7 @@ CORRUPTED_CRC: Final = "corrupted_crc"
 TRUNCATED: Final = "truncated"
 DUPLICATED: Final = "duplicated"
 LATE: Final = "late"
+FUZZED: Final = "fuzzed"
 ERROR_NUMBER: Final = "error"
 # Faults of servos, of the serial port and of the power sensor: each lasts `duration`.
 VANISHED: Final = "vanished"
@@ -43,6 +44,7 @@ KINDS: dict[str, FaultKind] = {
     TRUNCATED: FaultKind("status packets end early", count=1),
     DUPLICATED: FaultKind("status packets come twice", count=1),
     LATE: FaultKind("status packets come value seconds late", count=1, value=0.045),
+    FUZZED: FaultKind("status packets have bytes changed, lost and added at random", count=1),
     ERROR_NUMBER: FaultKind("status packets carry error number value (1 to 7)", count=1, value=1),
     VANISHED: FaultKind("a servo loses its supply, and boots when it has it again", duration=1.0),
     STALLED: FaultKind("a servo's shaft is blocked", duration=1.0),

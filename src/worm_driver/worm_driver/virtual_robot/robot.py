@@ -50,7 +50,7 @@ class VirtualRobot:
         ]
         self._fins = [(item, self._make_servo(item, POSITION_MODE)) for item in settings.fin_servos]
         self.servos = tuple(servo for _, servo in [*self._cable, *self._fins])
-        self._bus = ServoBus(self.servos, self.board)
+        self._bus = ServoBus(self.servos, self.board, self._random("fuzz"))
         sensor = settings.power_sensor
         self.chip = Ina219(AdcNoise(sensor.shunt_noise, sensor.bus_noise), self._random("sensor"))
         self._i2c = I2cLine(self.chip, sensor.address, self.board)

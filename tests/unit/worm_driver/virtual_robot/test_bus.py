@@ -159,6 +159,17 @@ def test_corrupted_truncated_and_doubled_answers():
     assert replies(virtual, PING, 3.0) == [PONG]
 
 
+def test_fuzzed_answers_are_of_all_kinds_and_repeat_with_the_seed():
+    def fuzzed():
+        virtual = robot(make_fault(faults.FUZZED, duration=10.0))
+        return [answer for _ in range(100) for answer in replies(virtual, PING)]
+
+    answers = fuzzed()
+    assert len(set(answers)) > 50
+    assert {len(answer) < len(PONG) for answer in answers} == {True, False}
+    assert answers == fuzzed()
+
+
 def test_what_follows_a_late_answer_is_late_too():
     virtual = robot(make_fault(faults.LATE, target=CABLE, value=0.3))
     late, next_one = [virtual.receive(PING, time)[0] for time in (1.0, 1.1)]
