@@ -28,12 +28,13 @@ from worm_optimizer.desk import Answer, answer, request_of
 from worm_optimizer.errors import OptimizerError
 from worm_optimizer.jobs import FrontJob, Job, ScanJob
 from worm_optimizer.margin import PriceOfRobustness
-from worm_optimizer.pipeline import Progress, load_served, remember_served
+from worm_optimizer.pipeline import Progress, is_symmetric, load_served, remember_served
 from worm_optimizer.served import ServedFront
 from worm_optimizer.worker import Outcome, Ticket, WorkQueue
 
 _POLL_PERIOD = 0.02  # s, how late feedback may be; a request waits for no poll
 _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
+_COMPUTED = "the front is being computed, {:.0f} % done ({}): ask again soon"
 
 
 class OptimizerNode(Node):
@@ -73,32 +74,36 @@ class OptimizerNode(Node):
         self._content = content
         self._preparing = []
         self._fronts: dict[int, ServedFront] = {}
-        self._absences: dict[int, str] = {}
-        for direction in (FORWARD, REVERSE):
-            front = load_served(content, self._settings, direction, self._cache)
-            if front is not None:
-                self._serve_front(front)
-                continue
-            self._absences[direction] = "the front is being computed, 0 % done: ask again soon"
+        self._absences = dict.fromkeys(_NAMES, _COMPUTED.format(0.0, "starting"))
+        self._load_fronts()
+        missing = set(_NAMES) - set(self._fronts)
+        if is_symmetric(content.parameters):
+            missing &= {FORWARD}  # the reverse front comes with it
+        for direction in sorted(missing, reverse=True):
             job = FrontJob(content, self._settings, direction, self._cache)
-            ticket = Ticket(
-                job, partial(self._note_progress, direction), partial(self._take_front, direction)
-            )
+            progressed = partial(self._note_progress, direction)
+            ticket = Ticket(job, progressed, partial(self._note_end, direction))
             self._preparing.append(ticket)
             self._submit(ticket)
 
-    def _note_progress(self, direction: int, progress: Progress) -> None:
-        done = f"{100.0 * progress.fraction:.0f} % done"
-        self._absences[direction] = (
-            f"the front is being computed, {done} ({progress.doing}): ask again soon"
-        )
+    def _load_fronts(self) -> None:
+        for direction in set(_NAMES) - set(self._fronts):
+            front = load_served(self._content, self._settings, direction, self._cache)
+            if front is not None:
+                self._serve_front(front)
 
-    def _take_front(self, direction: int, outcome: Outcome) -> None:
-        if isinstance(outcome.result, ServedFront):
-            self._serve_front(outcome.result)
-        elif outcome.failure:
-            self._absences[direction] = f"there is no front: {outcome.failure}"
+    def _note_progress(self, direction: int, progress: Progress) -> None:
+        self._note_absence(direction, _COMPUTED.format(100.0 * progress.fraction, progress.doing))
+
+    def _note_end(self, direction: int, outcome: Outcome) -> None:
+        self._load_fronts()
+        if outcome.failure:
+            self._note_absence(direction, f"there is no front: {outcome.failure}")
             self.get_logger().error(f"{_NAMES[direction]}: {self._absences[direction]}")
+
+    def _note_absence(self, direction: int, reason: str) -> None:
+        symmetric = is_symmetric(self._content.parameters)
+        self._absences |= dict.fromkeys(_NAMES if symmetric else [direction], reason)
 
     def _serve_front(self, front: ServedFront) -> None:
         self._fronts[front.direction] = front

@@ -76,9 +76,14 @@ def scanned_price(
     return price_of_robustness(points, content.parameters)
 
 
+def is_symmetric(parameters: Parameters) -> bool:
+    """Whether either direction is the exact mirror image of the other: it is with equal modules."""
+    return parameters.rear_mass == parameters.front_mass
+
+
 def _canonical(direction: int, parameters: Parameters) -> int:
-    """With equal modules either direction is the exact mirror image of the other: forward serves both."""
-    return FORWARD if parameters.rear_mass == parameters.front_mass else direction
+    """The direction to compute: forward serves both of a symmetric robot."""
+    return FORWARD if is_symmetric(parameters) else direction
 
 
 def _points_of(rows: list[dict[str, Any]]) -> list[MarginPoint]:
@@ -118,16 +123,17 @@ def _front_name(content: ParameterFile, settings: Settings, direction: int) -> s
 def make_front(
     content: ParameterFile, settings: Settings, direction: int, cache: Cache, report: Report
 ) -> ServedFront:
-    """Computes the front of these settings and stores it in the cache.
+    """Computes the front of these settings and stores it in the cache, with its mirror image if it has one.
 
     Raises `OptimizerError` if no gait moves, OSError if the cache cannot be written.
     """
     canonical = _canonical(direction, content.parameters)
-    front = _computed_front(content, settings, canonical, cache, report)
-    if direction != canonical:
-        front = front.mirrored()
-    cache.store(_front_name(content, settings, direction), front.as_dict())
-    return front
+    fronts = [_computed_front(content, settings, canonical, cache, report)]
+    if is_symmetric(content.parameters):
+        fronts.append(fronts[0].mirrored())
+    for front in fronts:
+        cache.store(_front_name(content, settings, front.direction), front.as_dict())
+    return next(front for front in fronts if front.direction == direction)
 
 
 def _computed_front(
