@@ -123,13 +123,13 @@ class TwinNode(Node):
             self._log(notice)
 
     def _log(self, notice: Notice) -> None:
-        logger = self.get_logger()
-        write = {
-            Severity.INFO: logger.info,
-            Severity.WARNING: logger.warning,
-            Severity.ERROR: logger.error,
-        }[notice.severity]
-        write(notice.text)
+        # one call each: rclpy raises where one line logs with different severities
+        if notice.severity is Severity.ERROR:
+            self.get_logger().error(notice.text)
+        elif notice.severity is Severity.WARNING:
+            self.get_logger().warning(notice.text)
+        else:
+            self.get_logger().info(notice.text)
 
     # --- parameters -----------------------------------------------------------------------------
 
