@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from worm_optimizer.prediction import Prediction
 
 READY_TIMEOUT_S = 30.0
 CYCLES = 5
+PATIENCE_S = 5.0  # between two lines that say that there is no gait yet
 
 Say = Callable[[str], None]
 
@@ -44,7 +46,7 @@ def _start(group: ProcessGroup, system: System, say: Say) -> None:
 
 def _run_gait(node: OperatorNode, system: System, say: Say) -> Prediction:
     node.wait_for_nodes(description.name for description in system.nodes)
-    prediction = node.request_cruise(lambda reason: say(f"requesting a gait: {reason}"))
+    prediction = node.request_cruise(_now_and_then(say))
     gait = prediction.gait
     say(
         f"the optimizer answers: stroke {1e3 * gait.stroke:.1f} mm, frequency "
@@ -60,6 +62,17 @@ def _run_gait(node: OperatorNode, system: System, say: Say) -> Prediction:
     node.deactivate("driver")
     say("the robot has stopped, its torque is off")
     return prediction
+
+
+def _now_and_then(say: Say) -> Callable[[str], None]:
+    last = [-PATIENCE_S]
+
+    def progress(reason: str) -> None:
+        if time.monotonic() > last[0] + PATIENCE_S:
+            last[0] = time.monotonic()
+            say(f"requesting a gait: {reason}")
+
+    return progress
 
 
 def _once_per_cycle(say: Say) -> Callable[[int], None]:
