@@ -7,10 +7,13 @@ a constant, a sinusoid and one exponential.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from worm_model.gait import Gait
+from worm_model.kernel.lag import follow_target
 from worm_model.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -42,18 +45,8 @@ def length_change_of_command(
         raise ValueError(
             f"times {time.shape} and commands {target.shape} must be one-dimensional and equally long"
         )
-    step = np.diff(time)
-    decay = np.exp(-step / parameters.time_constant)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slope = np.where(step > 0.0, np.diff(target) / step, 0.0)
-    # The response to a ramp lags it by τ·slope: ΔL − target + τ·slope decays.
-    lag = parameters.time_constant * slope
     length_change = np.empty_like(target)
-    value = start
-    for k in range(time.size):
-        if k:
-            value = target[k] - lag[k - 1] + (value - target[k - 1] + lag[k - 1]) * decay[k - 1]
-        length_change[k] = value
+    follow_target(time, target, parameters.time_constant, start, length_change)
     return length_change
 
 
@@ -91,10 +84,17 @@ def length_change_range(gait: Gait, parameters: Parameters) -> tuple[float, floa
     def length_change(phase: Array) -> Array:
         return sinusoid(phase) + transient * np.exp(-rate * (phase - opening))
 
-    low, high = opening, closing
-    for _ in range(4):  # each pass narrows the bracket of the extremum 200-fold
-        phase = np.linspace(low, high, 401)
-        values = length_change(phase)
+    # Both extremes lie in the open interval: ΔL still rises a little after the opening.
+    lowest = _least(length_change, opening, closing)
+    highest = -_least(lambda phase: -length_change(phase), opening, closing)
+    return lowest, highest
+
+
+def _least(function: Callable[[Array], Array], low: float, high: float) -> float:
+    """Least value of a function of an array, by a grid that narrows around the best point."""
+    for _ in range(4):  # each pass narrows the bracket 200-fold
+        points = np.linspace(low, high, 401)
+        values = function(points)
         best = int(np.argmin(values))
-        low, high = phase[max(best - 1, 0)], phase[min(best + 1, 400)]
-    return float(values[best]), float(max(at_opening, length_change(np.asarray(closing))))
+        low, high = points[max(best - 1, 0)], points[min(best + 1, 400)]
+    return float(values[best])

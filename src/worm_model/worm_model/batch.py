@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_model.gait import Gait
+from worm_model.gait import Gait, GaitError
 from worm_model.kernel import run
 from worm_model.parameters import KEYS, PAPER, ParameterError, Parameters
 from worm_model.simulator import (
@@ -53,6 +53,8 @@ def _gait_rows(columns: list[Array]) -> Array:
     highest = rows.max(axis=0, initial=-np.inf)
     if rows.shape[0] and not np.all(np.isfinite(rows)):
         raise ValueError("gaits: every stroke, frequency, direction and margin must be finite")
+    if np.any(np.abs(rows[:, 2]) != 1.0):
+        raise GaitError("direction: every direction must be 1 (forward) or -1 (reverse)")
     if rows.shape[0]:  # the limits of a gait bound each column on its own: its extremes decide
         for stroke, frequency, direction, margin in (lowest, highest):
             Gait(stroke, frequency, int(direction), margin)

@@ -58,6 +58,7 @@ from worm_model.kernel.work import cable_work
 
 POSITION_TOLERANCE = 1e-14  # m, to which a border is located
 SIGN_TOLERANCE = 1e-9  # N, m/s: signs matter only through an integrand that vanishes with them
+TIME_ROUNDING = 1e-14  # relative: a sample at the end of a run belongs to it
 MOST_STEPS = 20_000  # in a segment; beyond it the march reports chatter
 
 # Columns of a row of samples
@@ -277,8 +278,9 @@ def _write_samples(
 ) -> None:
     """Fills the rows whose times lie no later than ``until`` seconds into the mode."""
     start = segment.start + stage.offset
+    end = (start + until) * (1.0 + TIME_ROUNDING)
     at = int(ledger[SAMPLED])
-    while at < samples.shape[0] and samples[at, TIME] <= start + until:
+    while at < samples.shape[0] and samples[at, TIME] <= end:
         s = min(max(samples[at, TIME] - start, 0.0), until)
         b = basis_at(stage.offset + s, s, stage.mode.roots, segment.wave, stage.mode.resonant)
         _write_sample(samples[at], stage, motion, b, segment.wave, c)

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An independent integration of the model, the oracle of the simulator's tests and benchmark.
+
+It shares no formula with the kernel: the literal reduced dynamics in x1 (eq:continuous_model) with the
+first and second derivative of the length, the actuation lag as a state, the positive cable work as a
+state, integrated by SciPy with every border, threshold and sign change as a located, terminal event.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from worm_model.gait import Gait
+from worm_model.parameters import Parameters
+
+
+@dataclass
+class OracleRun:
+    """What the oracle saw: x1 (m) and cable work (J) at every cycle's start and at the end, and samples."""
+
+    switches: int = 0
+    boundaries: list[tuple[float, float]] = field(default_factory=list)
+    switch_times: list[float] = field(default_factory=list)
+    times: list[np.ndarray] = field(default_factory=list)
+    states: list[np.ndarray] = field(default_factory=list)
+
+    def advance(self, averaged: int) -> float:
+        return (self.boundaries[-1][0] - self.boundaries[-1 - averaged][0]) / averaged
+
+    def work(self, averaged: int) -> float:
+        return (self.boundaries[-1][1] - self.boundaries[-1 - averaged][1]) / averaged
+
+
+@dataclass(frozen=True)
+class _Discrete:
+    """Anchors in m, the region of each fin (−1, 0, 1), and the signs that the power depends on."""
+
+    anchors: tuple[float, float]
+    regions: tuple[int, int]
+    force_sign: float = 1.0
+    rate_sign: float = 1.0
+
+
+class Oracle:
+    """The model of one gait; ``method``, ``rtol`` and ``atol`` (m) are those of SciPy's solve_ivp."""
+
+    def __init__(
+        self,
+        gait: Gait,
+        parameters: Parameters,
+        method: str = "DOP853",
+        rtol: float = 1e-10,
+        atol: float = 1e-13,
+    ) -> None:
+        self.gait, self.p = gait, parameters
+        self.options = {"method": method, "rtol": rtol, "atol": atol}
+        self.omega = 2.0 * math.pi * gait.frequency
+        self.threshold = parameters.switching_threshold + gait.margin
+        self.half = 0.5 * parameters.clearance
+
+    def command(self, time: float, clipped: bool) -> tuple[float, float]:
+        """(u_eff, its derivative)."""
+        if clipped:
+            return -self.p.slack, 0.0
+        phase = self.omega * time
+        half_stroke = 0.5 * self.gait.stroke
+        return -half_stroke * (1.0 - math.cos(phase)), -half_stroke * self.omega * math.sin(phase)
+
+    def fin_force(self, displacement: float, region: int) -> float:
+        if region == 0:
+            return 0.0
+        stiff = region == (-1 if self.gait.direction > 0 else 1)
+        stiffness = self.p.engaged_stiffness if stiff else self.p.disengaged_stiffness
+        return stiffness * (displacement - region * self.half)
+
+    def rates(self, time: float, state: np.ndarray, clipped: bool, d: _Discrete) -> list[float]:
+        x1, v1, length_change, _ = state
+        u, u_rate = self.command(time, clipped)
+        rate = (self.p.gain * u - length_change) / self.p.time_constant
+        acceleration = (self.p.gain * u_rate - rate) / self.p.time_constant
+        rear = self.fin_force(x1 - d.anchors[0], d.regions[0])
+        front = self.fin_force(
+            x1 + self.p.initial_length + length_change - d.anchors[1], d.regions[1]
+        )
+        a1 = (
+            -2.0 * self.p.viscous_friction * v1
+            - rear
+            - front
+            - self.p.viscous_friction * rate
+            - self.p.front_mass * acceleration
+        ) / (self.p.rear_mass + self.p.front_mass)
+        force = (
+            self.p.rear_mass * a1
+            + self.p.bellows_stiffness
+            * (self.p.unstressed_length - self.p.initial_length - length_change)
+            - self.p.bellows_damping * rate
+            + self.p.viscous_friction * v1
+            + rear
+        )
+        billed = -force * rate if d.force_sign * d.rate_sign < 0.0 else 0.0
+        self._last = force, rate
+        return [v1, a1, rate, billed]
+
+    def signs(self, time: float, state: np.ndarray, clipped: bool, d: _Discrete) -> _Discrete:
+        nudge = 1e-9
+        ahead = state + nudge * np.array(self.rates(time, state, clipped, d))
+        self.rates(time + nudge, ahead, clipped, d)
+        force, rate = self._last
+        return replace(d, force_sign=math.copysign(1.0, force), rate_sign=math.copysign(1.0, rate))
+
+    def gaps(self, clipped: bool, d: _Discrete) -> list[Callable[..., float]]:
+        """Functions that fall through zero at an event: rear high, low, front high, low, signs."""
+
+        def displacement(fin: int, state: np.ndarray) -> float:
+            if fin == 0:
+                return state[0] - d.anchors[0]
+            return state[0] + self.p.initial_length + state[2] - d.anchors[1]
+
+        def quantity(index: int, time: float, state: np.ndarray) -> float:
+            self.rates(time, state, clipped, d)
+            return self._last[index]
+
+        functions: list[Callable[..., float]] = []
+        for fin in (0, 1):
+            low, high = _borders(d.regions[fin], self.half, self.threshold)
+            functions.append(lambda t, s, fin=fin, high=high: high - displacement(fin, s))
+            functions.append(lambda t, s, fin=fin, low=low: displacement(fin, s) - low)
+        functions.append(lambda t, s: d.force_sign * quantity(0, t, s))
+        functions.append(lambda t, s: d.rate_sign * quantity(1, t, s))
+        for function in functions:
+            function.terminal, function.direction = True, -1.0  # type: ignore[attr-defined]
+        return functions
+
+    def apply(self, event: int, d: _Discrete) -> tuple[_Discrete, bool]:
+        """(discrete state after an event, whether an anchor switched)."""
+        if event == 4:
+            return replace(d, force_sign=-d.force_sign), False
+        if event == 5:
+            return replace(d, rate_sign=-d.rate_sign), False
+        fin, direction = event // 2, 1 if event % 2 == 0 else -1
+        anchors, regions = list(d.anchors), list(d.regions)
+        switched = regions[fin] == direction
+        if switched:
+            anchors[fin] += direction * self.p.pitch
+            landing = direction * (self.threshold - self.p.pitch)
+            regions[fin] = _region(landing, self.half)
+        elif self.half == 0.0:  # no clearance: straight from one bar to the other
+            regions[fin] = direction
+        else:
+            regions[fin] += direction
+        return replace(d, anchors=tuple(anchors), regions=tuple(regions)), switched
+
+    def segments(self, cycles: int) -> list[tuple[float, float, bool]]:
+        """(start, end, clipped) in time order; the first clipped part of each cycle starts it."""
+        period = 1.0 / self.gait.frequency
+        if self.gait.stroke <= self.p.slack:
+            return [(k * period, (k + 1) * period, True) for k in range(cycles)]
+        opening = math.acos(1.0 - 2.0 * self.p.slack / self.gait.stroke) / self.omega
+        parts = []
+        for k in range(cycles):
+            start = k * period
+            parts.append((start, start + opening, True))
+            parts.append((start + opening, start + period - opening, False))
+            parts.append((start + period - opening, start + period, True))
+        return parts
+
+    def run(self, cycles: int = 5, samples: np.ndarray | None = None) -> OracleRun:
+        """Integrates the cycles from the start; ``samples`` are times at which the state is kept."""
+        out = OracleRun()
+        period = 1.0 / self.gait.frequency
+        groove = math.ceil(self.p.initial_length / self.p.pitch - 0.5 - 1e-12)
+        phase = self.p.initial_length - groove * self.p.pitch
+        d = _Discrete((0.0, groove * self.p.pitch), (0, _region(phase, self.half)))
+        state = np.zeros(4)
+        for start, end, clipped in self.segments(cycles):
+            if abs(start / period - round(start / period)) < 1e-9:
+                out.boundaries.append((state[0], state[3]))
+            state, d = self._segment(start, end, clipped, state, d, samples, out)
+        out.boundaries.append((state[0], state[3]))
+        return out
+
+    def _segment(self, start, end, clipped, state, d, samples, out):  # type: ignore[no-untyped-def]
+        time = start
+        while time < end:
+            d = self.signs(time, state, clipped, d)
+            inside = None
+            if samples is not None:
+                inside = samples[(samples > time) & (samples <= end)]
+            solution = solve_ivp(
+                lambda t, s, d=d: self.rates(t, s, clipped, d),
+                (time, end),
+                state,
+                events=self.gaps(clipped, d),
+                t_eval=inside,
+                dense_output=False,
+                **self.options,
+            )
+            if inside is not None and len(solution.t):
+                out.times.append(np.asarray(solution.t))
+                out.states.append(np.asarray(solution.y))
+            hits = [k for k, times in enumerate(solution.t_events) if times.size]
+            if not hits:
+                state = (
+                    solution.y[:, -1] if inside is None else self._end(time, end, clipped, state, d)
+                )
+                break
+            event = hits[0]
+            time, state = solution.t_events[event][0], solution.y_events[event][0]
+            d, switched = self.apply(event, d)
+            out.switches += switched
+            if switched:
+                out.switch_times.append(time)
+        return state, d
+
+    def _end(self, time, end, clipped, state, d):  # type: ignore[no-untyped-def]
+        """State at the end of a segment, where t_eval keeps SciPy from returning it."""
+        solution = solve_ivp(
+            lambda t, s: self.rates(t, s, clipped, d), (time, end), state, **self.options
+        )
+        return solution.y[:, -1]
+
+
+def _region(displacement: float, half: float) -> int:
+    return int(displacement > half) - int(displacement < -half)
+
+
+def _borders(region: int, half: float, threshold: float) -> tuple[float, float]:
+    return {-1: (-threshold, -half), 0: (-half, half), 1: (half, threshold)}[region]

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Seeded random gaits and parameter sets over all kinds of dynamics that are admissible."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from worm_model.gait import FORWARD, REVERSE, Gait
+from worm_model.parameters import PAPER, Parameters
+
+KINDS = ("paper", "perturbed", "heavy", "light damping", "double root", "resonant", "wide")
+
+
+def random_case(seed: int) -> tuple[str, Gait, Parameters]:
+    """(kind, gait, parameters) of a seed."""
+    rng = np.random.default_rng(seed)
+    kind = KINDS[seed % len(KINDS)]
+    gait = Gait(
+        stroke=rng.uniform(0.005, 0.09),
+        frequency=rng.uniform(0.08, 0.4),
+        direction=FORWARD if rng.random() < 0.5 else REVERSE,
+        margin=float(rng.choice([0.0, rng.uniform(0.0, 0.006)])),
+    )
+    changes = {"initial_length": PAPER.initial_length + rng.uniform(-0.5, 0.5) * PAPER.pitch}
+    if kind != "paper":
+        for key in (
+            "bellows_stiffness",
+            "bellows_damping",
+            "viscous_friction",
+            "engaged_stiffness",
+            "disengaged_stiffness",
+            "clearance",
+            "time_constant",
+            "gain",
+            "slack",
+        ):
+            changes[key] = getattr(PAPER, key) * rng.uniform(0.7, 1.3)
+        changes["rear_mass"] = rng.uniform(0.2, 0.8)
+        changes["front_mass"] = rng.uniform(0.2, 0.8)
+    if kind == "heavy":  # slow fin modes, complex where both fins touch
+        changes["rear_mass"], changes["front_mass"] = rng.uniform(2.0, 10.0, 2)
+    if kind == "light damping":
+        changes["viscous_friction"] = rng.uniform(8.0, 25.0)
+    if kind == "double root":  # exactly or nearly double where one fin touches with k_dis
+        mass = changes["rear_mass"] + changes["front_mass"]
+        critical = np.sqrt(mass * changes["disengaged_stiffness"])
+        changes["viscous_friction"] = critical * (1.0 + rng.choice([0.0, 1e-9, 1e-5, -1e-7]))
+    if kind == "resonant":  # −1/τ is a root, or nearly, where one fin touches with k_dis
+        mass = changes["rear_mass"] + changes["front_mass"]
+        friction = changes["viscous_friction"]
+        root = friction - np.sqrt(friction**2 - mass * changes["disengaged_stiffness"])
+        nearly = 1.0 + rng.choice([0.0, 1e-12, 1e-8, 1e-4])
+        changes["time_constant"] = mass / root * nearly
+    if kind == "wide":  # thresholds from well below to above the pitch, wide and no clearance
+        changes["switching_threshold"] = PAPER.pitch * rng.uniform(0.6, 1.6)
+        changes["clearance"] = rng.choice([0.0, rng.uniform(0.0, 0.9) * PAPER.pitch])
+    return kind, gait, PAPER.replace(**{key: float(value) for key, value in changes.items()})

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The actuation model and the closed forms of the slow limit."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from worm_model import actuation
+from worm_model.batch import evaluate_gaits
+from worm_model.closed_form import cliff_margin, groove_phase, grooves_per_cycle
+from worm_model.gait import Gait
+from worm_model.parameters import PAPER
+from worm_model.simulator import evaluate_gait, simulate
+
+
+def test_step_and_ramp_of_a_sampled_command_have_their_closed_form() -> None:
+    times = np.array([0.0, 0.1, 0.25, 1.0])
+    step = actuation.length_change_of_command(times, np.full(4, -0.05), PAPER)
+    target = -0.05 * PAPER.gain
+    assert step == pytest.approx(target * (1.0 - np.exp(-times / PAPER.time_constant)))
+    ramp = actuation.length_change_of_command(times, -0.01 - 0.04 * times, PAPER)
+    rate, offset = -0.04 * PAPER.gain, -0.01 * PAPER.gain
+    lag = rate * PAPER.time_constant
+    decay = np.exp(-times / PAPER.time_constant)
+    assert ramp == pytest.approx(offset + rate * times - lag + (lag - offset) * decay)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.01, 0.09), st.floats(0.08, 0.4))
+def test_sampled_command_approaches_the_gait(stroke: float, frequency: float) -> None:
+    gait = Gait(stroke, frequency)
+    times = np.linspace(0.0, 2.0 * gait.period, 4000)
+    commands = np.array([gait.command(t) for t in times])
+    sampled = actuation.length_change_of_command(times, commands, PAPER)
+    exact = simulate(gait, cycles=2).at(times).length - PAPER.initial_length
+    assert sampled == pytest.approx(exact, abs=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.004, 0.09), st.floats(0.08, 0.4))
+def test_range_is_that_of_the_periodic_state(stroke: float, frequency: float) -> None:
+    gait = Gait(stroke, frequency)
+    times = np.linspace(14.0 * gait.period, 15.0 * gait.period, 5001)
+    change = simulate(gait, cycles=15).at(times).length - PAPER.initial_length
+    lowest, highest = actuation.length_change_range(gait, PAPER)
+    assert lowest == pytest.approx(change.min(), abs=1e-7)
+    assert highest == pytest.approx(change.max(), abs=1e-7)
+
+
+def test_mismatched_samples_are_refused() -> None:
+    with pytest.raises(ValueError, match="equally long"):
+        actuation.length_change_of_command([0.0, 1.0], [0.0], PAPER)
+
+
+def test_groove_phase_lies_in_its_half_open_interval() -> None:
+    assert groove_phase(PAPER) == pytest.approx(0.0011)
+    half = PAPER.replace(initial_length=17.5 * PAPER.pitch)
+    assert groove_phase(half) == pytest.approx(0.5 * PAPER.pitch)
+    assert groove_phase(PAPER.replace(initial_length=17 * PAPER.pitch)) == pytest.approx(0.0)
+
+
+def test_cliff_is_the_notes() -> None:
+    assert cliff_margin(PAPER) == pytest.approx(0.0034, abs=5e-5)
+    level = PAPER.replace(initial_length=0.3000 - 0.0059)
+    assert cliff_margin(level) == pytest.approx(0.0025, abs=5e-5)
+
+
+@pytest.mark.parametrize(("margin", "phase"), [(0.0, 0.0011), (0.0034, 0.0011), (0.002, -0.004)])
+def test_groove_count_matches_the_simulator_over_the_box(margin: float, phase: float) -> None:
+    parameters = PAPER.replace(initial_length=17 * PAPER.pitch + phase)
+    stroke = np.linspace(0.01, 0.09, 41)[:, np.newaxis]
+    frequency = np.linspace(0.08, 0.4, 17)[np.newaxis, :]
+    table = evaluate_gaits(stroke, frequency, margin, parameters=parameters)
+    simulated = np.round(table.grooves_per_cycle)
+    closed = [
+        [grooves_per_cycle(Gait(s, f, 1, margin), parameters) for f in frequency[0]]
+        for s in stroke[:, 0]
+    ]
+    assert np.mean(simulated == np.array(closed)) >= 0.98
+
+
+def test_past_the_cliff_the_branch_of_two_grooves_is_lost_for_the_slowest_gait() -> None:
+    cliff = cliff_margin(PAPER)
+    for frequency in (0.08, 0.1):
+        gaits = [Gait(0.0755, frequency, 1, cliff + offset) for offset in (-2e-4, 2e-4)]
+        before, after = (evaluate_gait(gait).grooves_per_cycle for gait in gaits)
+        assert round(before) == 2
+        assert round(after) < 2

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Batches give what single gaits give, whatever their shape."""
+
+import numpy as np
+import pytest
+from random_cases import random_case
+
+from worm_model.batch import CHUNK, evaluate_gaits
+from worm_model.gait import GaitError
+from worm_model.parameters import KEYS, ParameterError
+from worm_model.simulator import evaluate_gait
+
+
+def test_batch_equals_single_gaits() -> None:
+    cases = [random_case(seed) for seed in range(60)]
+    overrides = {key: np.array([getattr(p, key) for _, _, p in cases]) for key in KEYS}
+    table = evaluate_gaits(
+        [g.stroke for _, g, _ in cases],
+        [g.frequency for _, g, _ in cases],
+        [g.margin for _, g, _ in cases],
+        [g.direction for _, g, _ in cases],
+        overrides=overrides,
+    )
+    for k, (_, gait, parameters) in enumerate(cases):
+        single = evaluate_gait(gait, parameters)
+        for name in ("speed", "power", "cost_of_transport", "grooves_per_cycle", "min_grooves"):
+            assert getattr(table, name)[k] == getattr(single, name), name
+        assert table.switches[k] == single.switches
+        assert table.groove_phase[k] == pytest.approx(single.groove_phase, abs=1e-15)
+
+
+def test_shapes_broadcast_and_progress_reaches_one() -> None:
+    seen: list[float] = []
+    table = evaluate_gaits(
+        np.linspace(0.01, 0.09, 30)[:, np.newaxis],
+        np.linspace(0.08, 0.4, 20),
+        progress=seen.append,
+    )
+    assert table.speed.shape == (30, 20)
+    assert len(seen) == -(-600 // CHUNK)
+    assert seen[-1] == 1.0
+    assert evaluate_gaits([], 0.2).speed.shape == (0,)
+
+
+def test_an_exception_of_the_progress_cancels() -> None:
+    calls = []
+
+    def stop(fraction: float) -> None:
+        calls.append(fraction)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_gaits(np.full(20 * CHUNK, 0.07), 0.2, progress=stop)
+    assert len(calls) == 1
+
+
+def test_bad_rows_are_refused() -> None:
+    with pytest.raises(GaitError, match="stroke"):
+        evaluate_gaits([0.07, -0.07], 0.2)
+    with pytest.raises(GaitError, match="direction"):
+        evaluate_gaits([0.07, 0.07], 0.2, direction=[1, 2])
+    with pytest.raises(GaitError, match="direction"):
+        evaluate_gaits([0.07, 0.07, 0.07], 0.2, direction=[-1, 0, 1])
+    with pytest.raises(ValueError, match="finite"):
+        evaluate_gaits([0.07, np.nan], 0.2)
+    with pytest.raises(ParameterError, match="no such parameter"):
+        evaluate_gaits(0.07, 0.2, overrides={"pich": 0.017})
+    with pytest.raises(ParameterError, match="switch back"):
+        evaluate_gaits(
+            0.07, 0.2, overrides={"switching_threshold": [0.0175, 0.009], "pitch": [0.017, 0.019]}
+        )
+    with pytest.raises(ValueError, match="cannot be averaged"):
+        evaluate_gaits(0.07, 0.2, cycles=2, averaged=3)

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command lines evaluate_gait and phase_map as scripts rely on them."""
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from worm_model import evaluate_gait as command
+from worm_model import phase_map
+from worm_model.gait import Gait
+from worm_model.parameters import PAPER
+from worm_model.simulator import evaluate_gait
+
+KEYS = (
+    "stroke frequency direction margin speed power cost_of_transport grooves_per_cycle groove_phase"
+).split()
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    def call(main, *arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["command", *arguments])
+        try:
+            status = main()
+        except SystemExit as leave:
+            status = leave.code
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return call
+
+
+def test_json_is_one_object_with_the_contracts_keys(run) -> None:
+    status, out, err = run(
+        command.main, "--stroke", "0.07", "--frequency", "0.2", "--margin", "0.0034", "--json"
+    )
+    gait = json.loads(out)
+    assert (status, err) == (0, "")
+    assert set(KEYS) <= set(gait)
+    expected = evaluate_gait(Gait(0.07, 0.2, 1, 0.0034))
+    assert gait["speed"] == expected.speed
+    assert gait["power"] == expected.power
+    assert gait["groove_phase"] == pytest.approx(0.0011)
+
+
+def test_groove_phase_stands_beside_the_speed(run) -> None:
+    status, out, _ = run(command.main, "--stroke", "0.07", "--frequency", "0.2")
+    assert status == 0
+    speed = next(line for line in out.splitlines() if line.startswith("speed"))
+    assert "3.4600 mm/s" in speed
+    assert "groove phase of +1.10 mm" in speed
+
+
+def test_infinite_cost_of_transport_is_null_in_json(run) -> None:
+    _, out, _ = run(command.main, "--stroke", "0.007", "--frequency", "0.2", "--json")
+    assert json.loads(out)["cost_of_transport"] is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ("--stroke 0.07 --frequency -0.2", "frequency: -0.2 Hz"),
+        ("--stroke nan --frequency 0.2", "--stroke"),
+        ("--stroke 0.07", "--frequency"),
+        ("--stroke 70 --frequency 0.2", "stroke: 70"),
+        ("--stroke 0.07 --frequency 0.2 --direction 2", "--direction"),
+        ("--stroke 0.07 --frequency 0.2 --parameters none.yaml", "none.yaml: cannot be read"),
+        ("--gaits none.csv", "--output"),
+        ("--gaits none.csv --output out.csv", "none.csv: cannot be read"),
+        ("--gaits none.csv --output nowhere/out.csv", "nowhere does not exist"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(run, arguments: str, words: str) -> None:
+    status, out, err = run(command.main, *arguments.split())
+    assert (status, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_table_has_the_references_columns_and_further_parameters(run, tmp_path: Path) -> None:
+    source, target = tmp_path / "in.csv", tmp_path / "out.csv"
+    source.write_text(
+        "stroke_m,frequency_Hz,margin_m,L0_m,direction,viscous_friction\n"
+        "0.07,0.2,0,0.2952,1,86.97\n0.0755,0.15,0.0034,0.2952,-1,95\n"
+    )
+    status, _, _ = run(command.main, "--gaits", str(source), "--output", str(target))
+    assert status == 0
+    with target.open() as file:
+        rows = list(csv.DictReader(file))
+    expected = evaluate_gait(Gait(0.0755, 0.15, -1, 0.0034), PAPER.replace(viscous_friction=95.0))
+    assert float(rows[1]["speed_m_s"]) == pytest.approx(expected.speed, rel=1e-12)
+    assert float(rows[1]["power_W"]) == pytest.approx(expected.power, rel=1e-9)
+    assert int(rows[1]["switches_5_cycles"]) == expected.switches
+    assert float(rows[1]["viscous_friction"]) == 95.0
+    again, _, err = run(command.main, "--gaits", str(source), "--output", str(target))
+    assert again == 2
+    assert "nothing is overwritten" in err
+
+
+def test_reference_table_comes_back_with_its_columns(run, shared: Path, tmp_path: Path) -> None:
+    target = tmp_path / "out.csv"
+    source = shared / "reference" / "gaits.csv"
+    assert run(command.main, "--gaits", str(source), "--output", str(target))[0] == 0
+    with source.open() as file:
+        columns = next(csv.reader(file))
+    with target.open() as file:
+        assert next(csv.reader(file))[: len(columns)] == columns
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no column stroke_m"),
+        ("stroke_m,frequency_Hz\n", "holds no gait"),
+        ("stroke_m,frequency_Hz\n0.07\n", "line 2, column frequency_Hz"),
+        ("stroke_m,frequency_Hz\n0.07,x\n", "'x' is not a finite number"),
+        ("stroke_m,frequency_Hz\n0.07,0.2,3\n", "line 2: 3 values for 2 columns"),
+        ("stroke_m,frequency_Hz,speed\n0.07,0.2,3\n", "unknown column 'speed'"),
+        ("stroke_m,frequency_Hz,L0_m,initial_length\n0.07,0.2,0.3,0.3\n", "appears twice"),
+        ("stroke_m,frequency_Hz,pitch\n0.07,0.2,17\n", "pitch: 17 m is outside"),
+    ],
+)
+def test_bad_tables_name_the_place(run, tmp_path: Path, text: str, words: str) -> None:
+    source = tmp_path / "in.csv"
+    source.write_text(text)
+    output = tmp_path / "o.csv"
+    status, _, err = run(command.main, "--gaits", str(source), "--output", str(output))
+    assert status == 2
+    assert words in err
+    assert not output.exists()
+
+
+def test_phase_map_counts_grooves_and_draws(run, tmp_path: Path) -> None:
+    figure = tmp_path / "map.png"
+    status, out, _ = run(
+        phase_map.main, "--points", "12", "--frequency", "0.15", "--figure", str(figure), "--json"
+    )
+    content = json.loads(out)
+    assert status == 0
+    assert figure.stat().st_size > 10_000
+    grooves, phases = content["grooves_per_cycle"], content["groove_phases"]
+    assert len(grooves) == len(phases) == 12
+    assert phases[-1] == pytest.approx(0.5 * PAPER.pitch)
+    assert phases[0] > -0.5 * PAPER.pitch
+    length = 17 * PAPER.pitch + phases[7]
+    gait = Gait(content["stroke"][10], 0.15)
+    expected = evaluate_gait(gait, PAPER.replace(initial_length=length)).grooves_per_cycle
+    assert grooves[7][10] == round(expected)
+
+
+def test_phase_map_refuses_nonsense(run, tmp_path: Path) -> None:
+    assert run(phase_map.main, "--points", "1")[0] == 2
+    assert run(phase_map.main, "--lowest", "0.05", "--highest", "0.04")[0] == 2
+    assert run(phase_map.main, "--frequency", "-1", "--points", "4")[0] == 2

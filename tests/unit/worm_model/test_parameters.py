@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameter file: what is accepted, what is refused, and with which words."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from worm_model.gait import Gait, GaitError
+from worm_model.parameters import (
+    KEYS,
+    PAPER,
+    ParameterError,
+    ParameterFile,
+    Parameters,
+    load_parameter_file,
+    load_parameters,
+    write_parameter_file,
+)
+
+INSTALLED = Path(__file__).parents[3] / "src/worm_model/config/paper.yaml"
+
+
+def test_installed_file_holds_the_defaults() -> None:
+    assert load_parameters(INSTALLED) == PAPER
+    assert load_parameters("") == PAPER
+
+
+def test_missing_key_means_the_papers_value(tmp_path: Path) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_text("viscous_friction: 90\n")
+    assert load_parameters(path) == PAPER.replace(viscous_friction=90.0)
+
+
+def test_round_trip_with_intervals_and_provenance(tmp_path: Path) -> None:
+    content = ParameterFile(
+        PAPER.replace(gain=0.9), {"gain": (0.88, 0.92)}, {"seed": 3, "bags": {"a": "b"}}
+    )
+    write_parameter_file(tmp_path / "p.yaml", content)
+    assert load_parameter_file(tmp_path / "p.yaml") == content
+    with pytest.raises(FileExistsError):
+        write_parameter_file(tmp_path / "p.yaml", content)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("viscous_frition: 90", "did you mean viscous_friction"),
+        ("pitch: 17.3", "is it in another unit"),
+        ("engaged_stiffness: -1833", r"outside 1 to 1e.06 N/m"),
+        ("rear_mass: .nan", "not a finite number"),
+        ("rear_mass: heavy", r"'heavy' is not a number \(unit: kg\)"),
+        ("rear_mass: true", "not a number"),
+        ("rear_mass: null", "not a number"),
+        ("switching_threshold: 0.008", "switch back at once"),
+        ("clearance: 0.04", "never touch the grooves"),
+        ("- 1", "expected a mapping"),
+        ("a: [", "not valid YAML at line"),
+        ("intervals: {gain: [1.0, 0.5]}", "low 1 is not below high 0.5"),
+        ("intervals: {gain: 1}", r"expected \[low, high\]"),
+        ("intervals: {gian: [0, 1]}", "did you mean gain"),
+        ("provenance: 7", "provenance"),
+    ],
+)
+def test_bad_files_are_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    with pytest.raises(ParameterError, match=words) as caught:
+        load_parameters(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_unreadable_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="cannot be read"):
+        load_parameters(tmp_path / "none.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ParameterError, match="binary.yaml"):
+        load_parameters(tmp_path / "binary.yaml")
+
+
+def test_numpy_numbers_are_numbers() -> None:
+    assert Parameters(rear_mass=np.float64(0.5)).rear_mass == 0.5
+    assert type(Parameters(rear_mass=np.float64(0.5)).rear_mass) is float
+    assert len(KEYS) == 17
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        (0.0, 0.2, 1, 0.0),
+        (-0.07, 0.2, 1, 0.0),
+        (0.07, -0.2, 1, 0.0),
+        (0.07, float("nan"), 1, 0.0),
+        (float("inf"), 0.2, 1, 0.0),
+        (70.0, 0.2, 1, 0.0),
+        (0.07, 0.2, 0, 0.0),
+        (0.07, 0.2, 1, -0.001),
+        (0.07, 0.2, 1, float("nan")),
+    ],
+)
+def test_impossible_gaits_are_refused(values: tuple[float, float, int, float]) -> None:
+    with pytest.raises(GaitError):
+        Gait(*values)
+
+
+def test_command_starts_and_ends_a_cycle_at_rest() -> None:
+    gait = Gait(0.07, 0.2)
+    assert gait.command(0.0) == 0.0
+    assert gait.command(0.5 * gait.period) == pytest.approx(-0.07)
+    assert gait.command(gait.period) == pytest.approx(0.0, abs=1e-15)

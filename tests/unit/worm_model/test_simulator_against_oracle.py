@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator against an independent integration and against the reference table."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracle import Oracle
+from random_cases import random_case
+
+from worm_model.gait import Gait
+from worm_model.parameters import PAPER
+from worm_model.simulator import evaluate_gait, simulate
+
+POSITION_TOLERANCE = 1e-9  # m
+POWER_TOLERANCE = 1e-6  # relative
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_random_gaits_agree_with_the_oracle(seed: int) -> None:
+    _, gait, parameters = random_case(seed)
+    result = evaluate_gait(gait, parameters)
+    trajectory = simulate(gait, parameters)
+    oracle = Oracle(gait, parameters).run()
+
+    cycle_starts = np.arange(6) * gait.period
+    expected = [x1 for x1, _ in oracle.boundaries]
+    assert trajectory.at(cycle_starts).x1 == pytest.approx(expected, rel=0, abs=POSITION_TOLERANCE)
+    power = parameters.idle_power + parameters.power_factor * oracle.work(3) * gait.frequency
+    assert result.power == pytest.approx(power, rel=POWER_TOLERANCE)
+    assert result.switches == oracle.switches
+    advance = gait.direction * oracle.advance(3)
+    assert result.grooves_per_cycle == pytest.approx(advance / parameters.pitch, abs=1e-7)
+    times = [event.time for event in trajectory.events() if event.switched]
+    assert times == pytest.approx(oracle.switch_times, abs=1e-7)
+
+
+def test_positions_between_cycles_agree_with_the_oracle() -> None:
+    gait = Gait(0.0755, 0.15, margin=0.0034)
+    times = np.linspace(0.01, 5 * gait.period, 97)
+    oracle = Oracle(gait, PAPER).run(samples=times)
+    states = np.concatenate(oracle.states, axis=1)
+    motions = simulate(gait).at(np.concatenate(oracle.times))
+    assert motions.x1 == pytest.approx(states[0], abs=POSITION_TOLERANCE)
+    assert motions.v1 == pytest.approx(states[1], abs=1e-7)
+    assert motions.length - PAPER.initial_length == pytest.approx(states[2], abs=1e-11)
+    assert motions.energy == pytest.approx(
+        PAPER.idle_power * motions.time + PAPER.power_factor * states[3], rel=1e-8
+    )
+
+
+def test_reference_table(shared: Path) -> None:
+    with (shared / "reference" / "gaits.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 16
+    for row in rows:
+        gait = Gait(
+            float(row["stroke_m"]),
+            float(row["frequency_Hz"]),
+            int(row["direction"]),
+            float(row["margin_m"]),
+        )
+        result = evaluate_gait(gait, PAPER.replace(initial_length=float(row["L0_m"])))
+        assert result.speed == pytest.approx(float(row["speed_m_s"]), rel=1e-9, abs=1e-10)
+        assert result.power == pytest.approx(float(row["power_W"]), rel=1e-6)
+        assert result.switches == int(row["switches_5_cycles"])
+        grooves = float(row["grooves_per_cycle"])
+        assert result.grooves_per_cycle == pytest.approx(grooves, abs=1e-6)

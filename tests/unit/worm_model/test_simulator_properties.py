@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must hold for any admissible parameters, and the limits with a closed form."""
+
+import dataclasses
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from random_cases import random_case
+
+from worm_model.closed_form import front_groove, groove_phase
+from worm_model.gait import FORWARD, REVERSE, Gait
+from worm_model.kernel import linear
+from worm_model.parameters import PAPER, ParameterError, Parameters
+from worm_model.simulator import (
+    Locomotion,
+    Motions,
+    evaluate_gait,
+    simulate,
+)
+
+seeds = st.integers(0, 2**32 - 1)
+few = settings(max_examples=40, deadline=None)
+
+
+def sampled_length(gait: Gait, parameters: Parameters, count: int = 400) -> tuple:
+    times = np.linspace(0.0, 3.0 * gait.period, count)
+    motions = simulate(gait, parameters).at(times)
+    return times[1:], motions.length[1:] - parameters.initial_length
+
+
+@few
+@given(seeds)
+def test_mirrored_robot_mirrors_its_motion(seed: int) -> None:
+    _, gait, parameters = random_case(seed)
+    mirrored = parameters.replace(rear_mass=parameters.front_mass, front_mass=parameters.rear_mass)
+    times, changes = sampled_length(gait, parameters)
+    forward = Locomotion(parameters, FORWARD, gait.margin)
+    reverse = Locomotion(mirrored, REVERSE, gait.margin)
+    _, ahead = forward.follow(forward.start(), times, changes)
+    _, back = reverse.follow(reverse.start(x1=-groove_phase(parameters)), times, changes)
+    lattice = front_groove(parameters) * parameters.pitch
+    assert back.x1 == pytest.approx(lattice - ahead.x2, abs=1e-9)
+    assert back.front_force == pytest.approx(-ahead.rear_force, abs=1e-5)
+
+
+@few
+@given(seeds, st.floats(0.0, 5000.0))
+def test_bellows_damping_never_changes_the_motion(seed: int, damping: float) -> None:
+    _, gait, parameters = random_case(seed)
+    times = np.linspace(0.0, 2.0 * gait.period, 50)
+    one = simulate(gait, parameters, cycles=2).at(times)
+    other = simulate(gait, parameters.replace(bellows_damping=damping), cycles=2).at(times)
+    assert np.array_equal(one.rear_anchor, other.rear_anchor)
+    assert one.x1 == pytest.approx(other.x1, abs=1e-12)
+
+
+@few
+@given(seeds, st.floats(0.0, 0.006))
+def test_margin_is_a_shifted_threshold(seed: int, margin: float) -> None:
+    _, gait, parameters = random_case(seed)
+    robust = evaluate_gait(dataclasses.replace(gait, margin=margin), parameters)
+    threshold = parameters.switching_threshold + margin
+    shifted = evaluate_gait(
+        dataclasses.replace(gait, margin=0.0), parameters.replace(switching_threshold=threshold)
+    )
+    assert robust.speed == shifted.speed
+    assert robust.power == shifted.power
+    assert robust.switches == shifted.switches
+
+
+def stored_energy(motions: Motions, parameters: Parameters, direction: int) -> np.ndarray:
+    """Kinetic energy, bellows and fins, J."""
+    stretch = motions.length - parameters.unstressed_length
+    energy = 0.5 * parameters.bellows_stiffness * stretch**2
+    energy += 0.5 * parameters.rear_mass * motions.v1**2
+    energy += 0.5 * parameters.front_mass * motions.v2**2
+    for force in (motions.rear_force, motions.front_force):
+        # below its clearance (force < 0) a fin is engaged when the robot goes forward
+        engaged = (force < 0.0) == (direction == FORWARD)
+        stiffness = np.where(engaged, parameters.engaged_stiffness, parameters.disengaged_stiffness)
+        energy += 0.5 * force**2 / stiffness
+    return energy
+
+
+@few
+@given(seeds)
+def test_energy_balance_between_switches(seed: int) -> None:
+    _, gait, parameters = random_case(seed)
+    trajectory = simulate(gait, parameters, cycles=2)
+    switches = [event.time for event in trajectory.events() if event.switched]
+    edges = np.array([0.0, *switches, trajectory.duration])
+    widest = int(np.argmax(np.diff(edges)))
+    start, end = edges[widest] + 1e-9, edges[widest + 1]
+    inside = [e.time for e in trajectory.events() if start < e.time < end]
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    lost = worked = 0.0
+    borders = np.unique(
+        np.concatenate([np.linspace(start, end, 200), inside, _clip_times(gait, parameters)])
+    )
+    borders = borders[(borders >= start) & (borders <= end)]
+    for low, high in pairwise(borders):
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        m = trajectory.at(middle + half * nodes)
+        loss = parameters.bellows_damping * m.length_rate**2
+        loss = loss + parameters.viscous_friction * (m.v1**2 + m.v2**2)
+        lost += half * float(weights @ loss)
+        worked += half * float(weights @ (-m.cable_force * m.length_rate))
+    before, after = stored_energy(trajectory.at([start, end]), parameters, gait.direction)
+    assert after - before == pytest.approx(worked - lost, rel=1e-6, abs=1e-8)
+
+
+def _clip_times(gait: Gait, parameters: Parameters) -> list[float]:
+    if gait.stroke <= parameters.slack:
+        return []
+    opening = math.acos(1.0 - 2.0 * parameters.slack / gait.stroke) / (2.0 * math.pi)
+    phases = [k + sign * opening for k in range(3) for sign in (-1, 1)]
+    return [phase * gait.period for phase in phases]
+
+
+@few
+@given(seeds)
+def test_anchors_stay_on_the_lattice_and_within_the_threshold(seed: int) -> None:
+    _, gait, parameters = random_case(seed)
+    trajectory = simulate(gait, parameters)
+    m = trajectory.at(np.linspace(0.0, trajectory.duration, 300))
+    limit = parameters.switching_threshold + gait.margin + 1e-12
+    for position, anchor in ((m.x1, m.rear_anchor), (m.x2, m.front_anchor)):
+        grooves = anchor / parameters.pitch
+        assert grooves == pytest.approx(np.round(grooves), abs=1e-9)
+        assert np.all(np.abs(position - anchor) <= limit)
+
+
+@few
+@given(seeds, st.integers(1, 398))
+def test_splitting_an_interval_changes_nothing(seed: int, at: int) -> None:
+    _, gait, parameters = random_case(seed)
+    times, changes = sampled_length(gait, parameters)
+    model = Locomotion(parameters, gait.direction, gait.margin)
+    whole, _ = model.follow(model.start(), times, changes)
+    half, _ = model.follow(model.start(), times[:at], changes[:at])
+    rest, _ = model.follow(half, times[at:], changes[at:])
+    assert rest.y == pytest.approx(whole.y, abs=1e-12)
+    assert rest.y_rate == pytest.approx(whole.y_rate, abs=1e-9)
+    assert dataclasses.replace(rest, y=0.0, y_rate=0.0) == dataclasses.replace(
+        whole, y=0.0, y_rate=0.0
+    )
+
+
+@few
+@given(seeds)
+def test_a_finely_sampled_gait_gives_the_gaits_motion(seed: int) -> None:
+    _, gait, parameters = random_case(seed)
+    times = np.linspace(0.0, 2.0 * gait.period, 4001)
+    exact = simulate(gait, parameters, cycles=2).at(times)
+    model = Locomotion(parameters, gait.direction, gait.margin)
+    start = dataclasses.replace(
+        model.start(),
+        y_rate=parameters.front_mass / parameters.mass * float(exact.length_rate[0]),
+    )
+    _, sampled = model.follow(start, times[1:], exact.length[1:] - parameters.initial_length)
+    same = sampled.rear_anchor == exact.rear_anchor[1:]
+    same &= sampled.front_anchor == exact.front_anchor[1:]
+    assert same.mean() > 0.98  # at the very threshold, interpolation decides
+    first = len(same) if same.all() else int(np.argmin(same))
+    assert sampled.x1[:first] == pytest.approx(exact.x1[1:][:first], abs=2e-5)
+
+
+def test_literal_two_mass_model_keeps_the_length() -> None:
+    """Four states under the simulator's cable force: the bellows must come out as long as it said."""
+    p, gait = PAPER, Gait(0.07, 0.2)
+    trajectory = simulate(gait, cycles=1)
+    step = 1e-4
+    times = np.arange(0.0, gait.period, step)
+    halves = np.concatenate([times, times[:-1] + 0.5 * step])
+    order = np.argsort(halves)
+    m = trajectory.at(halves[order])
+
+    def rates(x: np.ndarray, k: int) -> np.ndarray:
+        x1, x2, v1, v2 = x
+        body = p.bellows_stiffness * (x2 - x1 - p.unstressed_length)
+        body += p.bellows_damping * (v2 - v1)
+        force = m.cable_force[k]
+        a1 = (force + body - p.viscous_friction * v1 - m.rear_force[k]) / p.rear_mass
+        a2 = (-force - body - p.viscous_friction * v2 - m.front_force[k]) / p.front_mass
+        return np.array([v1, v2, a1, a2])
+
+    x = np.array([m.x1[0], m.x2[0], m.v1[0], m.v2[0]])
+    worst = 0.0
+    for k in range(0, len(halves) - 2, 2):
+        one = rates(x, k)
+        two = rates(x + 0.5 * step * one, k + 1)
+        three = rates(x + 0.5 * step * two, k + 1)
+        four = rates(x + step * three, k + 2)
+        x = x + step / 6.0 * (one + 2.0 * two + 2.0 * three + four)
+        worst = max(worst, abs(x[1] - x[0] - m.length[k + 2]), abs(x[0] - m.x1[k + 2]))
+    assert worst < 2e-6
+
+
+def test_a_stroke_within_the_slack_moves_nothing() -> None:
+    result = evaluate_gait(Gait(0.008, 0.2))
+    assert result.speed == 0.0
+    assert result.power == pytest.approx(PAPER.idle_power)
+    assert result.switches == 0
+    assert result.cost_of_transport == math.inf
+
+
+@pytest.mark.parametrize(
+    ("friction", "stiffness", "mass", "q"),
+    [
+        (87.0, 442.0, 0.858, -6.45),
+        (20.0, 400.0, 1.0, -20.0),  # double root, equal to q
+        (20.0, 400.0 * (1 + 1e-9), 1.0, -20.0000001),  # nearly
+        (50.0, 0.0, 0.9, -6.45),  # zero root
+        (30.0, 400.0, 1.0, -30.0 + math.sqrt(500.0)),  # resonance with the slow root
+        (30.0, 400.0, 1.0, -30.0 - math.sqrt(500.0)),  # and with the fast one
+    ],
+)
+def test_resonant_response_solves_its_equation(
+    friction: float, stiffness: float, mass: float, q: float
+) -> None:
+    roots = linear.roots_of(mass, friction, stiffness)
+    times = np.linspace(0.0, 0.6, 2001)
+    response = np.array([linear.resonant_response(t, roots, q, mass) for t in times])
+    step = times[1]
+    second = (response[2:] - 2.0 * response[1:-1] + response[:-2]) / step**2
+    first = (response[2:] - response[:-2]) / (2.0 * step)
+    left = mass * second + 2.0 * friction * first + stiffness * response[1:-1]
+    assert response[0] == pytest.approx(0.0, abs=1e-15)
+    assert left == pytest.approx(np.exp(q * times[1:-1]), abs=2e-3)
+
+
+def test_parameters_that_would_chatter_are_refused() -> None:
+    with pytest.raises(ParameterError, match="switch back at once"):
+        PAPER.replace(switching_threshold=0.4999 * PAPER.pitch)
+    gait = Gait(0.07, 0.2)
+    result = evaluate_gait(gait, PAPER.replace(switching_threshold=0.5 * PAPER.pitch))
+    assert math.isfinite(result.speed)
+
+
+def test_times_outside_the_run_are_refused() -> None:
+    trajectory = simulate(Gait(0.07, 0.2))
+    with pytest.raises(ValueError, match="ascend within 0 to 25 s"):
+        trajectory.at([0.0, 26.0])
+    with pytest.raises(ValueError, match="ascend"):
+        trajectory.at([1.0, 0.5])
+    assert trajectory.at([]).x1.shape == (0,)
