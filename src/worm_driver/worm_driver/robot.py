@@ -64,7 +64,7 @@ class Robot:
             servos.prepare_cable(bus, servo)
         for servo in self.fins:
             servos.prepare_fin(bus, servo)
-        self._reader = StateReader(bus, self.servos, clock)
+        self._reader = StateReader(bus, self.servos)
         self.homed = all(servos.is_homed(bus, servo) for servo in self.cables)
         if settings.home_at_start and not self.homed:
             self.home()
@@ -138,6 +138,7 @@ class Robot:
         except BusError:
             servos.release_all(self.bus, self.servos)
             raise
+        self._reader.forget_suspects()
         run = self.player.run
         self.player = PlayerState(since=now, length_change=cable, run=run)
         self._counts, self._last_step, self.active = Counts(), None, True
@@ -236,20 +237,20 @@ class Robot:
         self.bus.sync_write(COMMON["goal_position"], goals)
 
     def _supervise(self, now: float, before: tuple[ServoState, ...]) -> None:
-        silent = frozenset(
+        silent = (
             servo.number
             for servo, state in zip(self.servos, self._states, strict=True)
             if state is SILENT
         )
-        asked = frozenset(servo.number for servo in self.servos)
-        self._counts = supervision.missed(self._counts, silent, asked)
-        suspects = self._reader.suspects()
+        self._counts = supervision.silence(self._counts, silent, now)
         if not self.active or self.player.phase is Phase.FAULT:
             return
         reason = (
-            self._confirmed(suspects)
+            self._fault_of_suspect()
             or self._fold(before)
-            or supervision.fault_in_counts(self._count_deviations(), self.settings.limits)
+            or supervision.fault_in_counts(
+                self._count_deviations(), self.settings.limits, self._clock(), self._reader.problems
+            )
         )
         if reason is not None:
             self.fail(now, reason)
@@ -267,16 +268,14 @@ class Robot:
         self._counts = supervision.following(counts, error, limits)
         return self._counts
 
-    def _confirmed(self, suspects: frozenset[int]) -> str | None:
-        """Looks again at the servos whose answers were odd, on a quiet line."""
-        for servo in self.servos:
-            if servo.number not in suspects:
-                continue
-            self.bus.drain()
-            reason = self._fault_of(servo)
-            if reason is not None:
-                return reason
-        return None
+    def _fault_of_suspect(self) -> str | None:
+        """Looks again at a servo whose answers were odd, on a quiet line; at one per cycle, to keep it short."""
+        suspect = self._reader.take_suspect()
+        servo = next((servo for servo in self.servos if servo.number == suspect), None)
+        if servo is None:
+            return None
+        self.bus.unsettle()
+        return self._fault_of(servo)
 
     def _fault_of(self, servo: Servo) -> str | None:
         def value(name: str) -> int:

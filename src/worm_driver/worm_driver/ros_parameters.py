@@ -47,7 +47,7 @@ _ROWS = (
     ),
     _Row("port", "/dev/worm_bus", "Serial device of the servo bus."),
     _Row("baud_rate", 1_000_000, "bit/s, as set in the servos.", (9600, 4_000_000)),
-    _Row("rate_Hz", 100.0, "Rate of commands and telemetry.", (10.0, 200.0)),
+    _Row("rate_Hz", 100.0, "Rate of commands and telemetry.", (10.0, 100.0)),
     _Row("bus_watchdog_s", 0.08, "Silence after which the servos stop by themselves.", (0.04, 2.0)),
     _Row(
         "home_at_start", False, "Take the length at configuring as the initial one, if not homed."
@@ -77,6 +77,12 @@ _ROWS = (
         (0.05, 5.0),
     ),
     _Row("limits.max_following_error_m", 0.015, "Of the cable; longer is a fault.", (1e-3, 0.2)),
+    _Row(
+        "limits.max_silence_s",
+        0.035,
+        "Time without a servo's state; longer is a fault.",
+        (0.0, 2.0),
+    ),
     _Row("rest_duration_s", 1.0, "Least rest before a gait.", (0.1, 60.0)),
     _Row("return_speed_m_s", 0.05, "Peak cable speed on the way back to rest.", (1e-3, 0.5)),
 )
@@ -135,6 +141,7 @@ def settings(node: Node) -> DriverSettings:
         limits=Limits(
             max_current=value("limits.max_servo_current_A"),
             following_error=value("limits.max_following_error_m"),
+            max_silence=value("limits.max_silence_s"),
         ),
         body=load_body(value("parameter_file")),
     )

@@ -6,8 +6,8 @@ What version 4.1.0 of the SDK does behind its caller's back is put right here:
 - it sends packets unstuffed, and takes stuffing out wrongly: ``_PacketHandler``;
 - it measures timeouts by the wall clock, spins while it waits, and reads on for ever while bytes keep coming:
   ``BusPort``;
-- it takes a late answer for the answer to the next question: after a failed exchange the line is drained, an answer
-  must have the length that was asked for, and blocks with the servo's clock are checked by ``tick_clock``;
+- it takes a late answer for the answer to the next question: after a failed exchange the next question waits for a
+  quiet line, an answer must have the length asked for, and ``tick_clock`` checks the servo's own time in a block;
 - its GroupSyncRead forgets error and alert bytes, and loses good answers with a missing one: ``sync_read``;
 - its busy flag sticks after an exception, and is no lock: ``_exchange``;
 - it opens a port that another program uses: ``BusPort.setupPort``.
@@ -15,6 +15,7 @@ What version 4.1.0 of the SDK does behind its caller's back is put right here:
 
 import contextlib
 import select
+import termios
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -118,15 +119,21 @@ class BusPort(PortHandler):
         return self._clock() * 1e3
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
-        """Starts the wait for an answer of a length: its time on the wire, twice the latency, and 2 ms."""
-        self.setPacketTimeoutMillis(
-            self.tx_time_per_byte * packet_length + 2 * self._latency_ms + 2.0
-        )
+        """Starts the wait for an answer of a length."""
+        self.setPacketTimeoutMillis(self.answer_time(packet_length) * 1e3)
+
+    def answer_time(self, packet_length: int) -> float:
+        """How long (s) an answer may take: its time on the wire, twice the latency, and 2 ms."""
+        return self.tx_time_per_byte * packet_length * 1e-3 + self.quiet_time
 
     @property
     def remaining(self) -> float:
         """What is left of the wait, s; 0 when it is over."""
         return max(0.0, self.packet_timeout - self.getTimeSinceStart()) * 1e-3
+
+    def isPacketTimeout(self) -> bool:  # noqa: N802
+        """Whether the wait is over."""
+        return self.remaining <= 0.0
 
     @property
     def quiet_time(self) -> float:
@@ -210,6 +217,8 @@ class ServoBus:
     counters: BusCounters = field(default_factory=BusCounters)
     _handler: _PacketHandler = field(default_factory=_PacketHandler)
     _lock: threading.Lock = field(default_factory=threading.Lock)
+    _garbled: bool = False
+    _settled: bool = False
 
     @staticmethod
     def open(path: str, baud_rate: int, latency: float = 0.001, retries: int = 1) -> "ServoBus":
@@ -274,30 +283,39 @@ class ServoBus:
             )
         self._check_sent(result)
 
-    def sync_read(self, start: int, size: int, servos: Sequence[int]) -> dict[int, Reply]:
-        """A block of the control table of several servos; a servo that did not answer well is left out.
+    def sync_read(
+        self, start: int, size: int, servos: Sequence[int]
+    ) -> tuple[float, dict[int, Reply]]:
+        """A block of the control table of several servos; one without an intact answer is left out.
 
-        One attempt and no retry: the caller knows what a repetition is worth. Raises PortError.
+        Returns when the question was sent (s, monotonic), and the replies by id. One attempt and no retry:
+        the caller knows what a repetition is worth. A reply with an error has no data. Raises PortError.
         """
         replies: dict[int, Reply] = {}
-        with self._exchange() as handler:
+        with self._question() as handler:
+            asked = self.port.getCurrentTime() * 1e-3
             self._check_sent(
                 handler.syncReadTx(self.port, start, size, list(servos), len(servos), False)
             )
-            self.port.setPacketTimeout((11 + size) * len(servos))
+            self.port.setPacketTimeoutMillis(self.answer_time(size, len(servos)) * 1e3)
             while len(replies) < len(servos) and self.port.remaining > 0.0:
                 packet = self._receive(handler)
                 if packet is None:
                     continue
                 servo, reply = packet[_ID], _reply(packet)
-                if servo in servos and len(reply.data) == size:
+                if servo in servos and (len(reply.data) == size or reply.error):
                     replies.setdefault(servo, reply)
-                elif servo in servos:
-                    self._count(errors=1)
+                else:
+                    self._count(corrupt=1)
+        self._count(errors=sum(reply.error != 0 for reply in replies.values()))
         if len(replies) < len(servos):
             self._count(timeouts=1)
-            self.drain()
-        return replies
+            self._settled = False
+        return asked, replies
+
+    def answer_time(self, size: int, servos: int) -> float:
+        """How long (s) a sync read waits for its answers."""
+        return self.port.answer_time((11 + size) * servos)
 
     def torque_off_all(self) -> None:
         """Takes the torque off every servo on the bus, by broadcast and without an answer. Raises PortError."""
@@ -305,14 +323,14 @@ class ServoBus:
             torque = COMMON["torque_enable"]
             self._check_sent(handler.writeTxOnly(self.port, BROADCAST, torque.address, 1, [0]))
 
-    def drain(self) -> None:
-        """Waits until nothing late can arrive any more, and forgets what did. Raises PortError."""
-        with self._exchange():
-            self.port.discard_until_quiet(longest=5 * self.port.quiet_time)
-
-    def count_stale(self) -> None:
-        """Notes an answer that was older than its question."""
+    def note_stale(self) -> None:
+        """Notes an answer that was older than its question: the next question waits for a quiet line."""
         self._count(stale=1)
+        self._settled = False
+
+    def unsettle(self) -> None:
+        """Has the next question begin on a quiet line, where nothing late can arrive any more."""
+        self._settled = False
 
     def _command(self, servo: int, packet: list[int], size: int) -> bytes:
         for attempt in range(self.retries + 1):
@@ -321,22 +339,21 @@ class ServoBus:
             try:
                 return self._attempt(servo, list(packet), size)
             except (NoReplyError, CorruptReplyError):
-                self.drain()
+                self._settled = False
                 if attempt == self.retries:
                     raise
         raise AssertionError("unreachable")
 
     def _attempt(self, servo: int, packet: list[int], size: int) -> bytes:
-        with self._exchange() as handler:
+        with self._question() as handler:
             self._check_sent(handler.txPacket(self.port, packet))
             self.port.setPacketTimeout(11 + size)
-            corrupt = False
+            self._garbled = False
             while self.port.remaining > 0.0:
                 answer = self._receive(handler)
                 if answer is not None and answer[_ID] == servo:
                     return self._content(servo, _reply(answer), size)
-                corrupt = corrupt or self._saw_bytes
-        if corrupt:
+        if self._garbled:
             raise CorruptReplyError(f"servo {servo} answers garbled on {self.port.port_name}")
         self._count(timeouts=1)
         raise NoReplyError(
@@ -356,18 +373,16 @@ class ServoBus:
             )
         return reply.data
 
-    _saw_bytes: bool = False
-
     def _receive(self, handler: _PacketHandler) -> list[int] | None:
         """The next intact status packet within the wait, or None."""
         try:
             packet, result = handler.rxPacket(self.port, False)
         except IndexError:  # the SDK indexes beyond what a garbled length left it
             packet, result = [0], None
-        self._saw_bytes = bool(packet)
         if result == COMM_SUCCESS and len(packet) >= _PARAMETERS + 2:
             return packet
         if packet:
+            self._garbled = True
             self._count(corrupt=1)
         return None
 
@@ -377,13 +392,23 @@ class ServoBus:
             self._count(exchanges=1)
             try:
                 yield self._handler
-            except OSError as error:
+            # termios.error, which is no OSError: the SDK clears the line before it sends
+            except (OSError, termios.error) as error:
                 raise PortError(
                     f"servo bus {self.port.port_name} is gone ({error}): plug it in again, then "
                     "deactivate, clean up and configure the driver"
                 ) from error
             finally:
                 self.port.is_using = False
+
+    @contextlib.contextmanager
+    def _question(self) -> Iterator[_PacketHandler]:
+        """An exchange with answers: begins on a quiet line."""
+        with self._exchange() as handler:
+            if not self._settled:
+                self.port.discard_until_quiet(longest=5 * self.port.quiet_time)
+                self._settled = True
+            yield handler
 
     def _check_sent(self, result: int) -> None:
         if result != COMM_SUCCESS:
@@ -393,6 +418,11 @@ class ServoBus:
     def _count(self, **more: int) -> None:
         now = self.counters
         self.counters = replace(now, **{name: getattr(now, name) + n for name, n in more.items()})
+
+
+def error_text(number: int) -> str:
+    """What a status packet's error number says, in words."""
+    return _ERROR_TEXT.get(number, f"answers with error number {number}")
 
 
 def _reply(packet: Sequence[int]) -> Reply:

@@ -2,13 +2,10 @@
 """Decides from what the servos report whether the robot may go on: pure, one look per cycle."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 
 from worm_driver.registers import TICKS_PER_TURN, WATCHDOG_EXPIRED, hardware_error_text
-
-_NONE: Mapping[int, int] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -16,14 +13,14 @@ class Limits:
     """When a deviation becomes a fault.
 
     Attributes:
-        missed_cycles: cycles in a row without an answer.
+        max_silence: s without a state of a servo.
         max_current: A, of a cable servo.
         overcurrent_cycles: cycles in a row above it.
         following_error: m, of the cable behind its command.
         following_cycles: cycles in a row beyond it.
     """
 
-    missed_cycles: int = 3
+    max_silence: float = 0.035
     max_current: float = 2.0
     overcurrent_cycles: int = 5
     following_error: float = 0.015
@@ -32,10 +29,10 @@ class Limits:
 
 @dataclass(frozen=True)
 class Counts:
-    """What has been going on for how many cycles in a row, by servo."""
+    """What has been going on for how many cycles in a row, by servo; and since when servos are silent (s)."""
 
-    missed: Mapping[int, int] = field(default_factory=lambda: _NONE)
-    overcurrent: Mapping[int, int] = field(default_factory=lambda: _NONE)
+    silent_since: Mapping[int, float] = field(default_factory=dict)
+    overcurrent: Mapping[int, int] = field(default_factory=dict)
     following: int = 0
 
 
@@ -49,11 +46,9 @@ class Health:
     watchdog: int
 
 
-def missed(counts: Counts, silent: frozenset[int], asked: frozenset[int]) -> Counts:
-    """Counts after a cycle in which some of the servos asked did not answer."""
-    return replace(
-        counts, missed={s: counts.missed.get(s, 0) + 1 if s in silent else 0 for s in asked}
-    )
+def silence(counts: Counts, silent: Iterable[int], since: float) -> Counts:
+    """Counts after a cycle that began at a time (s), and in which some servos gave no state."""
+    return replace(counts, silent_since={s: counts.silent_since.get(s, since) for s in silent})
 
 
 def overcurrent(counts: Counts, currents: Mapping[int, float], limits: Limits) -> Counts:
@@ -71,11 +66,17 @@ def following(counts: Counts, error: float, limits: Limits) -> Counts:
     )
 
 
-def fault_in_counts(counts: Counts, limits: Limits) -> str | None:
-    """The fault that the counts amount to, in words."""
-    for servo, cycles in counts.missed.items():
-        if cycles >= limits.missed_cycles:
-            return f"servo {servo} has not answered for {cycles} cycles: check its power and cable"
+def fault_in_counts(
+    counts: Counts, limits: Limits, now: float, problems: Mapping[int, str]
+) -> str | None:
+    """The fault that the counts amount to at a time (s), in words.
+
+    problems: why a servo gives no state, by id.
+    """
+    for servo, since in counts.silent_since.items():
+        if now - since >= limits.max_silence:
+            why = problems.get(servo, "does not answer")
+            return f"servo {servo} gives no state for {(now - since) * 1e3:.0f} ms: it {why}"
     for servo, cycles in counts.overcurrent.items():
         if cycles >= limits.overcurrent_cycles:
             return f"servo {servo} draws more than {limits.max_current:g} A: the cable is blocked or overloaded"

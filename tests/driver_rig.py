@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver's robot on the virtual robot, byte for byte, on a clock that only the rig advances.
+
+Nothing here waits: a timeout of the driver is a jump of the clock. What takes the driver 70 ms takes exactly that in
+every run, however loaded the machine is.
+"""
+
+import errno
+from collections.abc import Callable
+from dataclasses import replace
+
+import serial
+
+from worm_driver.errors import BusError
+from worm_driver.gait import Gait
+from worm_driver.gait_player import Phase
+from worm_driver.i2c import I2CDevice
+from worm_driver.ina219 import INA219, PowerSample, SampleStatus, calibration_for
+from worm_driver.robot import Robot
+from worm_driver.servo_bus import BusPort, ServoBus
+from worm_driver.settings import DriverSettings
+from worm_driver.telemetry import Snapshot
+from worm_driver.transmission import Fin, Spool
+from worm_driver.virtual_robot import smbus_frames as frames
+from worm_driver.virtual_robot.faults import make_fault
+from worm_driver.virtual_robot.robot import VirtualRobot
+from worm_driver.virtual_robot.settings import load_settings
+
+BAUD_RATE = 1_000_000
+BYTE_TIME = 10 / BAUD_RATE
+CABLE = 1
+
+
+class Clock:
+    """Seconds that pass when somebody says so."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Wire:
+    """Stands for serial.Serial: bytes go to a function at once, and its answers arrive in their time."""
+
+    def __init__(self, clock: Clock, answer: Callable[[bytes, float], list[tuple[float, bytes]]]):
+        self.clock = clock
+        self.sent: list[bytes] = []
+        self.unplugged = False
+        self._answer = answer
+        self._coming: list[tuple[float, bytes]] = []
+        self._buffer = b""
+
+    def write(self, data: bytes) -> int:
+        self._check()
+        self.sent.append(bytes(data))
+        self.clock.now += len(data) * BYTE_TIME
+        line_free = self.clock.now
+        for due, answer in self._answer(bytes(data), self.clock.now):
+            arrival = max(due, line_free) + len(answer) * BYTE_TIME
+            line_free = arrival if due <= line_free else line_free
+            self.inject(arrival, answer)
+        return len(data)
+
+    def inject(self, arrival: float, data: bytes) -> None:
+        """Has bytes arrive at a time (s)."""
+        self._coming.append((arrival, data))
+        self._coming.sort(key=lambda item: item[0])
+
+    def read(self, length: int) -> bytes:
+        self._check()
+        self._take()
+        data, self._buffer = self._buffer[:length], self._buffer[length:]
+        return data
+
+    def reset_input_buffer(self) -> None:
+        self._check()
+        self._take()
+        self._buffer = b""
+
+    def wait(self, timeout: float) -> bool:
+        self._take()
+        if not self._buffer:
+            end = self.clock.now + max(timeout, 1e-9)
+            self.clock.now = min(end, self._coming[0][0]) if self._coming else end
+            self._take()
+        return bool(self._buffer)
+
+    def close(self) -> None:
+        return None
+
+    def _take(self) -> None:
+        while self._coming and self._coming[0][0] <= self.clock.now:
+            self._buffer += self._coming.pop(0)[1]
+
+    def _check(self) -> None:
+        if self.unplugged:
+            raise serial.SerialException(errno.EIO, "device disconnected")
+
+
+class SimulatedPort(BusPort):
+    """The driver's port on a Wire."""
+
+    def __init__(self, wire: Wire, clock: Clock):
+        super().__init__("/dev/simulated", BAUD_RATE, clock=clock)
+        self.ser = wire
+        self.is_open = True
+        self.tx_time_per_byte = BYTE_TIME * 1e3
+
+    def _wait(self, timeout: float) -> bool:
+        if timeout <= 0.0:
+            return False
+        self.ser._check()
+        return self.ser.wait(timeout)
+
+    def closePort(self) -> None:
+        self.is_open = False
+
+
+class DirectSMBus:
+    """The two smbus2 calls that the driver uses, on the virtual robot's power sensor."""
+
+    def __init__(self, robot: VirtualRobot, clock: Clock):
+        self._robot = robot
+        self._clock = clock
+
+    def read_word_data(self, i2c_addr: int, register: int) -> int:
+        answer = self._transact(frames.Request(frames.READ, i2c_addr, register, 2))
+        return int.from_bytes(answer.data, "little")
+
+    def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
+        data = value.to_bytes(2, "little")
+        self._transact(frames.Request(frames.WRITE, i2c_addr, register, data=data))
+
+    def close(self) -> None:
+        return None
+
+    def _transact(self, request: frames.Request) -> frames.Answer:
+        answer = self._robot.transact(request, self._clock.now)
+        if answer.errno:
+            raise OSError(answer.errno, "virtual robot")
+        return answer
+
+
+def settings(**changes: object) -> DriverSettings:
+    """Of a driver for the virtual robot of the installed file."""
+    given = DriverSettings(
+        port="/dev/simulated",
+        spools=(Spool(CABLE, 1, 0.025),),
+        fins=(Fin(11, 2.3562, 3.9270), Fin(12, 2.3562, 3.9270)),
+        home_at_start=True,
+    )
+    return replace(given, **changes)
+
+
+class Rig:
+    """A driver's robot, a virtual robot, and the clock between them."""
+
+    def __init__(self, driver: DriverSettings | None = None):
+        self.clock = Clock()
+        self.virtual = VirtualRobot(load_settings(None))
+        self.wire = Wire(self.clock, self._answer)
+        self.bus = ServoBus(SimulatedPort(self.wire, self.clock))
+        self.speeds: list[tuple[float, float]] = []
+        self.samples: list[PowerSample] = []
+        self.snapshots: list[Snapshot] = []
+        self.settings = driver or settings()
+        self.sensor = INA219(
+            I2CDevice(DirectSMBus(self.virtual, self.clock), "simulated", 0x40),
+            0.1,
+            calibration_for(0.1, 3.2),
+        )
+        self.sensor.start()
+        self.robot = Robot(self.settings, self.bus, self._valid_samples, self.clock)
+
+    def _advance(self, time: float) -> None:
+        """Lets the virtual robot move, and notes how fast its cable servo turns."""
+        step = self.virtual.settings.step
+        while self.virtual.time + step <= time + 1e-9:
+            self.virtual.advance(self.virtual.time + step)
+            self.speeds.append((self.virtual.time, self.cable_speed))
+
+    def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
+        self._advance(now)
+        return [(t.time, t.data) for t in self.virtual.receive(data, now)]
+
+    def _valid_samples(self) -> int:
+        return sum(sample.status is SampleStatus.VALID for sample in self.samples)
+
+    @property
+    def cable(self):
+        """The virtual cable servo."""
+        return self.virtual.servos[0]
+
+    @property
+    def cable_speed(self) -> float:
+        """m/s at which the virtual servo moves the cable."""
+        return abs(self.cable.motor.velocity) * 2 * 3.141592653589793 / 4096 * 0.025
+
+    def run(self, duration: float, until: Callable[[Snapshot], bool] | None = None) -> Snapshot:
+        """Cycles for a duration (s), or until a snapshot fulfils a condition, which must happen."""
+        end = self.clock.now + duration
+        while self.clock.now < end:
+            period = self.settings.period
+            self.clock.now = (int(self.clock.now / period + 1e-6) + 1) * period
+            self._advance(self.clock.now)
+            self.samples.append(self.sensor.sample(self.clock.now))
+            self.snapshots.append(self.robot.cycle(self.clock.now))
+            if until is not None and until(self.snapshots[-1]):
+                return self.snapshots[-1]
+        assert until is None, f"it did not happen within {duration} s: {self.robot.player}"
+        return self.snapshots[-1]
+
+    def activate(self) -> None:
+        """Torque on."""
+        self.run(0.1)
+        self.robot.activate(self.clock.now)
+
+    def start(self, stroke: float = 0.07, frequency: float = 0.4, cycles: int = 5, direction: int = 1):
+        """Begins a run."""
+        return self.robot.start(self.clock.now, Gait(stroke, frequency, direction), cycles)
+
+    def run_into_motion(self) -> None:
+        """A gait at its full speed."""
+        self.activate()
+        self.start()
+        self.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING)
+        self.run(0.6)
+        assert self.cable_speed > 0.05
+
+    def inject(self, name: str, **arguments: object) -> None:
+        """A fault of the virtual robot, now."""
+        self._advance(self.clock.now)
+        self.virtual.board.add(make_fault(name, **arguments).delayed(self.clock.now))
+
+    def time_to_stop(self, longest: float = 1.0) -> float:
+        """S from now until the servo moves the cable no more, as far as is looked."""
+        begin = self.clock.now
+        self.speeds.clear()
+        self.run(longest)
+        return max((time for time, speed in self.speeds if speed > 0.002), default=begin) - begin
+
+
+def silent(bus: ServoBus, servo: int) -> bool:
+    """Whether a servo does not answer a ping."""
+    try:
+        bus.ping(servo)
+    except BusError:
+        return True
+    return False
