@@ -6,3 +6,7 @@ from __future__ import annotations
 
 class BagError(ValueError):
     """A bag cannot be read or written; the message is one line that says what is missing and what to do."""
+
+
+class UnwritableError(BagError):
+    """The system does not let a bag be written where it should be."""

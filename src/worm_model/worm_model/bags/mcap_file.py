@@ -98,6 +98,11 @@ class Contents:
     whole: bool = False
     damaged_chunks: int = 0
 
+    @property
+    def sound(self) -> bool:
+        """Whether nothing of the file is known to be missing."""
+        return self.whole and not self.damaged_chunks
+
 
 @contextmanager
 def explained(path: Path) -> Iterator[None]:
@@ -164,7 +169,7 @@ class McapFile:
         """Contents by the summary at the file's end; None if there is none that suffices."""
         try:
             return _by_summary(self._stream, self.size)
-        except _DAMAGE:
+        except (*_DAMAGE, OSError):  # OSError: an offset before the file's beginning
             return None
 
 
@@ -187,6 +192,7 @@ def _open(path: Path) -> BinaryIO:
 
 
 def _by_summary(stream: BinaryIO, size: int) -> Contents | None:
+    stream.seek(0)
     reader = SeekingReader(stream, record_size_limit=size)
     stream.seek(-len(MAGIC), 2)
     if stream.read() != MAGIC:

@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from worm_model.bags.bag import METADATA_FILE, Bag, read_metadata
-from worm_model.bags.errors import BagError
+from worm_model.bags.errors import BagError, UnwritableError
 from worm_model.bags.mcap_file import McapFile
 from worm_model.bags.mcap_storage import McapStorage
 from worm_model.bags.recovery import (
@@ -85,7 +85,7 @@ def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
 
 def _open_mcap(path: Path, paths: Sequence[Path], notify: Notify) -> Bag:
     files, unreadable = open_files(paths)
-    if not unreadable and all(file.contents.whole for file in files):
+    if not unreadable and all(file.contents.sound for file in files):
         try:
             return Bag(path, McapStorage(files))
         except BagError:
@@ -108,9 +108,9 @@ def _recovered(path: Path, notify: Notify) -> Bag:
         target = path.with_name(f"{path.stem}_recovered_{number}")
     try:
         report = recover(path, target)
-    except OSError as error:
+    except UnwritableError as error:
         raise BagError(
-            f"{path} was not closed, and {target} cannot be written ({error.strerror}); "
+            f"{path} was not closed, and {error}; "
             f"recover it elsewhere: worm_model recover {path} --output FOLDER"
         ) from None
     notify(f"{path} was not closed; recovered {report}")

@@ -65,8 +65,10 @@ class RosbagsStorage:
 
     def batches(self, topics: frozenset[str]) -> Iterator[list[Message]]:
         """Messages of some topics by rising log time; the sending time is not known and taken for the same."""
+        wanted = [c for c in self._reader.connections if c.topic in topics]
+        if not wanted:
+            return  # the library takes no connections for all
         with _explained(self._path):
-            wanted = [c for c in self._reader.connections if c.topic in topics]
             found = (
                 Message(connection.topic, time, bytes(data), time)
                 for connection, time, data in self._reader.messages(wanted)

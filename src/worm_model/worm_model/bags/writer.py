@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -13,7 +14,7 @@ import yaml
 from mcap.writer import CompressionType, Writer
 
 from worm_model.bags.bag import METADATA_FILE, METADATA_ROOT, AttachedFile, Topic
-from worm_model.bags.errors import BagError
+from worm_model.bags.errors import BagError, UnwritableError
 
 METADATA_VERSION = 9  # ROS 2 Jazzy's
 CHUNK_BYTES = 768 * 1024
@@ -29,7 +30,8 @@ class BagWriter:
         custom: rosbag2's `custom_data`: text by key.
 
     Raises:
-        BagError: the directory exists or cannot be made.
+        BagError: the directory exists.
+        UnwritableError: the system does not let it be made or written.
     """
 
     def __init__(self, directory: Path, custom: Mapping[str, str] | None = None) -> None:
@@ -51,7 +53,7 @@ class BagWriter:
         except FileExistsError:
             raise BagError(f"{self._draft} is left from a writer that died; remove it") from None
         except OSError as error:
-            raise BagError(f"{directory} cannot be written: {error.strerror}") from None
+            raise UnwritableError(f"{directory} cannot be written: {error.strerror}") from None
         self._stream = (self._draft / self._file).open("xb")
         self._mcap = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._mcap.start("ros2", LIBRARY)
@@ -69,9 +71,16 @@ class BagWriter:
         try:
             if error is None:
                 self._finish()
+        except OSError as failure:
+            error = failure
         finally:
-            self._stream.close()
+            with suppress(OSError):  # what a full disk did not take is still in its buffer
+                self._stream.close()
             shutil.rmtree(self._draft, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise UnwritableError(
+                f"{self.directory} cannot be written: {error.strerror}"
+            ) from error
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Keep a metadata record."""

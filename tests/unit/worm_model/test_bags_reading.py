@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of all kinds of writers are read, lazily, and what is wrong with one is said in one line."""
+
+import shutil
+import struct
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from mcap.writer import CompressionType, IndexType, Writer
+from mcap_ros2.writer import Writer as Ros2Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.typesys import Stores, get_typestore
+
+from worm_model.bags.bag import Bag, Topic
+from worm_model.bags.errors import BagError
+from worm_model.bags.opening import open_bag
+from worm_model.bags.writer import BagWriter
+
+TYPE = "std_msgs/msg/UInt64"
+COUNT = 500
+
+
+def payload(value: int) -> bytes:
+    return b"\x00\x01\x00\x00" + struct.pack("<Q", value)
+
+
+def by_rosbags(path: Path, plugin: StoragePlugin, mode: CompressionMode, version: int = 9) -> Path:
+    writer = RosbagsWriter(path, version=version, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        store = get_typestore(Stores.ROS2_JAZZY)
+        connections = [writer.add_connection(t, TYPE, typestore=store) for t in ("/a", "/b")]
+        for i in range(COUNT):
+            writer.write(connections[i % 2], i * 1000 + 1, payload(i))
+    return path
+
+
+def by_mcap(
+    path: Path,
+    *,
+    chunked: bool = True,
+    indexed: bool = True,
+    compression=CompressionType.ZSTD,
+    **options,
+) -> Path:
+    """Channel /a and /b; messages in pairs that are out of order within a chunk and across chunks."""
+    indexes = {} if indexed else {"index_types": IndexType.NONE, "use_summary_offsets": False}
+    indexes |= {} if indexed else {"use_statistics": False, "repeat_channels": False}
+    with path.open("xb") as stream:
+        writer = Writer(
+            stream,
+            chunk_size=2000,
+            compression=compression,
+            use_chunking=chunked,
+            **indexes,
+            **options,
+        )
+        writer.start()
+        schema = writer.register_schema(TYPE, "ros2msg", b"uint64 data\n")
+        channels = [writer.register_channel(t, "cdr", schema) for t in ("/a", "/b")]
+        for i in range(0, COUNT, 2):
+            for k in (i + 1, i):
+                writer.add_message(channels[k % 2], k * 1000 + 1, payload(k), k * 1000)
+        writer.finish()
+    return path
+
+
+def by_mcap_ros2(path: Path) -> Path:
+    with path.open("xb") as stream:
+        writer = Ros2Writer(stream)
+        schema = writer.register_msgdef(TYPE, "uint64 data\n")
+        for i in range(COUNT):
+            writer.write_message(("/a", "/b")[i % 2], schema, {"data": i}, i * 1000 + 1, i * 1000)
+        writer.finish()
+    return path
+
+
+def by_worm_model(path: Path) -> Path:
+    with BagWriter(path) as writer:
+        for name in ("/a", "/b"):
+            writer.add_topic(Topic(name, TYPE, 0, "uint64 data\n", "ros2msg", "cdr"))
+        for i in range(COUNT):
+            writer.write(("/a", "/b")[i % 2], payload(i), i * 1000 + 1, i * 1000)
+    return path
+
+
+NONE, FILE, MESSAGE, STORAGE = (
+    CompressionMode.NONE,
+    CompressionMode.FILE,
+    CompressionMode.MESSAGE,
+    CompressionMode.STORAGE,
+)
+WRITERS: dict[str, Callable[[Path], Path]] = {
+    "rosbags mcap": lambda d: by_rosbags(d / "bag", StoragePlugin.MCAP, NONE),
+    "rosbags mcap version 8": lambda d: by_rosbags(d / "bag", StoragePlugin.MCAP, NONE, 8),
+    "rosbags mcap compressed chunks": lambda d: by_rosbags(d / "bag", StoragePlugin.MCAP, STORAGE),
+    "rosbags mcap compressed file": lambda d: by_rosbags(d / "bag", StoragePlugin.MCAP, FILE),
+    "rosbags mcap compressed messages": lambda d: by_rosbags(
+        d / "bag", StoragePlugin.MCAP, MESSAGE
+    ),
+    "rosbags sqlite3": lambda d: by_rosbags(d / "bag", StoragePlugin.SQLITE3, NONE),
+    "rosbags sqlite3 compressed file": lambda d: by_rosbags(d / "bag", StoragePlugin.SQLITE3, FILE),
+    "a sqlite3 file": lambda d: next(
+        by_rosbags(d / "b", StoragePlugin.SQLITE3, NONE).glob("*.db3")
+    ),
+    "mcap zstd": lambda d: by_mcap(d / "a.mcap"),
+    "mcap lz4": lambda d: by_mcap(d / "a.mcap", compression=CompressionType.LZ4),
+    "mcap plain": lambda d: by_mcap(d / "a.mcap", compression=CompressionType.NONE),
+    "mcap without chunks": lambda d: by_mcap(d / "a.mcap", chunked=False),
+    "mcap without index": lambda d: by_mcap(d / "a.mcap", indexed=False),
+    "mcap without chunks or index": lambda d: by_mcap(d / "a.mcap", chunked=False, indexed=False),
+    "mcap without schemas in the summary": lambda d: by_mcap(d / "a.mcap", repeat_schemas=False),
+    "mcap-ros2-support": lambda d: by_mcap_ros2(d / "a.mcap"),
+    "this writer": lambda d: by_worm_model(d / "bag"),
+}
+
+
+def numbers(bag: Bag, topics: list[str] | None = None) -> list[int]:
+    return [struct.unpack_from("<Q", m.data, 4)[0] for m in bag.messages(topics)]
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_bags_of_all_writers_are_read_by_rising_time(tmp_path: Path, writer: str):
+    with open_bag(WRITERS[writer](tmp_path)) as bag:
+        assert {t.name: (t.type_name, t.count) for t in bag.topics.values()} == {
+            "/a": (TYPE, COUNT // 2),
+            "/b": (TYPE, COUNT // 2),
+        }
+        assert (bag.start, bag.end) == (1, (COUNT - 1) * 1000 + 1)
+        assert numbers(bag) == list(range(COUNT))
+        assert numbers(bag, ["/b"]) == list(range(1, COUNT, 2))
+        assert numbers(bag, []) == []
+
+
+def test_files_of_a_split_bag_are_one(tmp_path: Path):
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    names = [by_mcap(folder / f"bag_{i}.mcap").name for i in (0, 1, 10)]
+    content = {"relative_file_paths": names, "storage_identifier": "mcap"}
+    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": content}))
+    with open_bag(folder) as bag:
+        assert bag.message_count == 3 * COUNT
+        assert numbers(bag) == sorted(list(range(COUNT)) * 3)
+
+
+def test_memory_does_not_grow_with_the_length_of_a_bag(tmp_path: Path):
+    def peak(count: int) -> int:
+        path = tmp_path / f"{count}"
+        with BagWriter(path) as writer:
+            writer.add_topic(Topic("/a", TYPE, 0, "uint64 data\n", "ros2msg", "cdr"))
+            for i in range(count):
+                writer.write("/a", payload(i) + bytes(1000), i, i)
+        with open_bag(path) as bag:
+            tracemalloc.start()
+            try:
+                assert sum(1 for _ in bag.messages()) == count
+                return tracemalloc.get_traced_memory()[1]
+            finally:
+                tracemalloc.stop()
+
+    short, long = peak(3_000), peak(30_000)
+    assert long < 1.3 * short
+    assert long < 30_000 * 1000 / 3
+
+
+def check_one_line(error: pytest.ExceptionInfo[BagError], *words: str) -> None:
+    text = str(error.value)
+    assert "\n" not in text
+    for word in words:
+        assert word in text
+
+
+def test_a_bag_that_is_not_there(tmp_path: Path):
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / "no")
+    check_one_line(error, "no does not exist")
+
+
+def test_a_folder_that_is_no_bag(tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("x")
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path)
+    check_one_line(error, "not a bag", "notes.txt")
+
+
+def test_an_empty_file(tmp_path: Path):
+    (tmp_path / "a.mcap").touch()
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / "a.mcap")
+    check_one_line(error, "empty")
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag"])
+def test_a_foreign_file(tmp_path: Path, name: str):
+    (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / name)
+    check_one_line(error, name)
+
+
+@pytest.mark.parametrize("text", ["", "a: [", "x: 1", "rosbag2_bagfile_information: 3", "\x00"])
+def test_a_metadata_file_that_is_not_rosbag2s(tmp_path: Path, text: str):
+    by_worm_model(tmp_path / "bag")
+    (tmp_path / "bag" / "metadata.yaml").write_text(text)
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / "bag")
+    check_one_line(error, "metadata.yaml")
+
+
+def test_a_file_that_metadata_names_and_that_is_gone(tmp_path: Path):
+    by_worm_model(tmp_path / "bag")
+    (tmp_path / "bag" / "bag_0.mcap").unlink()
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / "bag")
+    check_one_line(error, "bag_0.mcap", "metadata.yaml")
+
+
+def test_a_topic_that_the_bag_lacks(tmp_path: Path):
+    with open_bag(by_worm_model(tmp_path / "bag")) as bag, pytest.raises(BagError) as error:
+        list(bag.messages(["/c"]))
+    check_one_line(error, "no topic /c", "/a, /b")
+
+
+def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
+    from worm_model.bags.recovery import recover
+
+    path = by_mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
+    data = bytearray(path.read_bytes())
+    data[data.index(payload(301)) + 6] ^= 0xFF
+    path.write_bytes(data)
+    with open_bag(path) as bag, pytest.raises(BagError) as error:
+        numbers(bag)
+    check_one_line(error, "damaged", "recover")
+    path.with_name("b.mcap").write_bytes(data[:-1])
+    report = recover(path.with_name("b.mcap"), tmp_path / "saved")
+    assert report.damaged_chunks == 1
+    with open_bag(tmp_path / "saved") as bag:
+        found = numbers(bag)
+    assert 301 not in found
+    assert COUNT - 100 < len(found) < COUNT
+
+
+def test_a_bag_without_metadata_is_made_whole(tmp_path: Path):
+    by_worm_model(tmp_path / "bag")
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    told: list[str] = []
+    with open_bag(tmp_path / "bag", told.append) as bag:
+        assert numbers(bag) == list(range(COUNT))
+    assert (tmp_path / "bag_recovered" / "metadata.yaml").exists()
+    assert len(told) == 1
+
+
+def test_a_bag_on_a_read_only_medium_says_how_to_recover_it(tmp_path: Path, monkeypatch):
+    by_worm_model(tmp_path / "bag")
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / "bag")
+    check_one_line(error, "--output", "Read-only")
+
+
+def test_the_writer_gives_the_same_bytes_and_overwrites_nothing(tmp_path: Path):
+    for folder in ("x", "y"):
+        (tmp_path / folder).mkdir()
+        by_worm_model(tmp_path / folder / "bag")
+    for name in ("metadata.yaml", "bag_0.mcap"):
+        one, other = ((tmp_path / folder / "bag" / name).read_bytes() for folder in ("x", "y"))
+        assert one == other
+    with pytest.raises(BagError, match="exists already"):
+        by_worm_model(tmp_path / "x" / "bag")
+
+
+def test_a_writer_that_fails_leaves_nothing(tmp_path: Path):
+    with pytest.raises(ZeroDivisionError), BagWriter(tmp_path / "bag"):
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_copy_of_a_bag_under_another_name_is_read(tmp_path: Path):
+    shutil.copytree(by_worm_model(tmp_path / "bag"), tmp_path / "copy")
+    with open_bag(tmp_path / "copy") as bag:
+        assert numbers(bag) == list(range(COUNT))
