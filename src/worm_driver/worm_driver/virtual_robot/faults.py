@@ -37,6 +37,10 @@ class FaultKind:
     duration: float = math.inf
     value: float = 0.0
 
+    def __str__(self) -> str:
+        length = f"count {self.count}" if self.count else f"duration {self.duration:g} s"
+        return f"{self.text} ({length}" + (f", value {self.value:g})" if self.value else ")")
+
 
 KINDS: dict[str, FaultKind] = {
     NO_ANSWER: FaultKind("status packets are lost", count=1),
@@ -47,7 +51,7 @@ KINDS: dict[str, FaultKind] = {
     FUZZED: FaultKind("status packets have bytes changed, lost and added at random", count=1),
     ERROR_NUMBER: FaultKind("status packets carry error number value (1 to 7)", count=1, value=1),
     VANISHED: FaultKind("a servo loses its supply, and boots when it has it again", duration=1.0),
-    STALLED: FaultKind("a servo's shaft is blocked", duration=1.0),
+    STALLED: FaultKind("a servo's shaft is blocked, which overloads it in the end", duration=1.0),
     OVERLOAD: FaultKind("a servo reports overload until it is rebooted", duration=0.1),
     OVERHEATING: FaultKind("a servo is 100 degrees too hot", duration=1.0),
     INPUT_VOLTAGE: FaultKind("a servo's supply is at value volts", duration=1.0, value=4.0),
@@ -55,10 +59,12 @@ KINDS: dict[str, FaultKind] = {
     I2C_NACK: FaultKind("the power sensor does not acknowledge", count=1),
     I2C_TIMEOUT: FaultKind("the I2C bus hangs for value seconds, then fails", count=1, value=0.1),
     INA219_OVERFLOW: FaultKind(
-        "value amperes more than the sensor's range, its overflow bit set", duration=0.2, value=6.0
+        "value amperes more, beyond the sensor's range, its overflow bit set",
+        duration=0.2,
+        value=6.0,
     ),
     INA219_SATURATION: FaultKind(
-        "value amperes more than the sensor's range, no overflow bit", duration=0.2, value=6.0
+        "value amperes more, beyond the sensor's range, no overflow bit", duration=0.2, value=6.0
     ),
     INA219_RESET: FaultKind("the sensor browns out and forgets its settings", count=1),
 }

@@ -10,7 +10,6 @@ eq:x2_ddot_full leaves no second derivative of the length in its equation of mot
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from random import Random
 from typing import NamedTuple
@@ -132,38 +131,27 @@ class Plant:
         cable: m, what the servos have wound of the cable since the start, contraction negative.
         laws: direction in which the rear and the front fins let the robot slide.
         """
-        p, dt = self.parameters, self.step_s
+        p = self.parameters
         taken, cable_rest = self._slack(state, cable)
         length_change, length_rate = self._actuate(state.length_change, cable, taken=taken)
-
-        share = p.front_mass / (p.rear_mass + p.front_mass)
-        x1 = state.centre - share * state.length_change
-        x2 = x1 + p.initial_length + state.length_change
+        x1, x2 = self.positions(state)
         rear_groove, rear_force = self._fin(x1, state.rear_groove, laws[0], self.rear_grooves)
         front_groove, front_force = self._fin(x2, state.front_groove, laws[1], self.front_grooves)
-
-        # Both frictions enter implicitly: no step is too long for them.
-        v1 = state.centre_velocity - share * length_rate
-        v2 = v1 + length_rate
-        drag1 = p.viscous_friction + self.effects.dry_friction / (abs(v1) + _SLOW)
-        drag2 = p.viscous_friction + self.effects.dry_friction / (abs(v2) + _SLOW)
-        mass = p.rear_mass + p.front_mass
-        pull = (drag1 * share - drag2 * (1.0 - share)) * length_rate - rear_force - front_force
-        velocity = (state.centre_velocity + dt / mass * pull) / (1.0 + dt / mass * (drag1 + drag2))
-
-        new_v1 = velocity - share * length_rate
-        old_v1 = state.centre_velocity - share * state.length_rate
+        velocity, drag1 = self._push(state, length_rate, rear_force + front_force)
+        share = p.front_mass / (p.rear_mass + p.front_mass)
+        v1 = velocity - share * length_rate
+        v1_before = state.centre_velocity - share * state.length_rate
         force = (  # eq:Fc
-            p.rear_mass * (new_v1 - old_v1) / dt
+            p.rear_mass * (v1 - v1_before) / self.step_s
             + p.bellows_stiffness * (p.unstressed_length - p.initial_length - length_change)
             - p.bellows_damping * length_rate
-            + drag1 * new_v1
+            + drag1 * v1
             + rear_force
         )
         return PlantState(
             length_change,
             length_rate,
-            state.centre + dt * velocity,
+            state.centre + self.step_s * velocity,
             velocity,
             rear_groove,
             front_groove,
@@ -191,6 +179,25 @@ class Plant:
         new = goal + (length_change - goal) * math.exp(-self.step_s / p.time_constant)
         return new, (goal - new) / p.time_constant
 
+    def _push(
+        self, state: PlantState, length_rate: float, fin_forces: float
+    ) -> tuple[float, float]:
+        """Velocity of the centre of mass a step later, and the drag (N*s/m) on the rear module.
+
+        Both frictions, viscous and dry, enter implicitly: no step is too long for them.
+        """
+        p = self.parameters
+        mass = p.rear_mass + p.front_mass
+        share = p.front_mass / mass
+        v1 = state.centre_velocity - share * length_rate
+        v2 = v1 + length_rate
+        drag1 = p.viscous_friction + self.effects.dry_friction / (abs(v1) + _SLOW)
+        drag2 = p.viscous_friction + self.effects.dry_friction / (abs(v2) + _SLOW)
+        pull = (drag1 * share - drag2 * (1.0 - share)) * length_rate - fin_forces
+        inertia = mass / self.step_s
+        velocity = (inertia * state.centre_velocity + pull) / (inertia + drag1 + drag2)
+        return velocity, drag1
+
     def _fin(self, x: float, groove: int, law: int, grooves: Grooves) -> tuple[int, float]:
         """Groove of the anchor (eq:A1_switch) and force on the fin (eq:fin_force_piecewise)."""
         p = self.parameters
@@ -211,15 +218,3 @@ class Plant:
         stiffness = p.engaged_stiffness if stiff else p.disengaged_stiffness
         excess = stretch - math.copysign(half, stretch)
         return groove, stiffness * grooves.stiffness[groove % _GROOVES] * excess
-
-
-def run_length_signal(
-    plant: Plant, cable: Sequence[float], laws: tuple[int, int]
-) -> list[PlantState]:
-    """States after each sample of a cable signal, one sample a step, from rest."""
-    states = []
-    state = plant.at_rest()
-    for value in cable:
-        state = plant.step(state, value, laws)
-        states.append(state)
-    return states

@@ -3,6 +3,7 @@
 
 import argparse
 import logging
+import math
 import sys
 import threading
 from collections import deque
@@ -58,7 +59,7 @@ class VirtualRobotNode(Node):
             )
             message.header.stamp = stamp
             self._tracker.publish(message)
-            if sample.length == sample.length:  # a hidden marker gives no length
+            if not math.isnan(sample.length):  # a hidden marker gives no length
                 self._publish_length(sample.length, stamp)
 
     def _publish_length(self, length: float, stamp: object) -> None:
@@ -100,17 +101,16 @@ class VirtualRobotNode(Node):
 
 
 def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
-    faults = "\n".join(
-        f"  {name:18}{kind.text} (count {kind.count}, duration {kind.duration} s, value {kind.value})"
-        for name, kind in KINDS.items()
-    )
+    faults = "\n".join(f"  {name:18}{kind}" for name, kind in KINDS.items())
     parser = argparse.ArgumentParser(
         prog="virtual_robot",
         description="A worm robot without hardware: opens DIR/servo_bus (serial) and DIR/i2c.sock.",
         epilog=f"faults, with their defaults:\n{faults}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--directory", type=Path, required=True, metavar="DIR")
+    parser.add_argument(
+        "--directory", type=Path, required=True, metavar="DIR", help="made if it is not there"
+    )
     parser.add_argument(
         "--parameters", type=Path, metavar="FILE", help="default: the installed one"
     )
