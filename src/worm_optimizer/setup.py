@@ -8,6 +8,9 @@ from setuptools import find_packages, setup
 NAME = "worm_optimizer"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
     "optimizer_node = worm_optimizer.optimizer_node:main",
+    "optimize = worm_optimizer.optimize:main",
+    "scan_margin = worm_optimizer.scan_margin:main",
+    "request = worm_optimizer.request:main",
 ]
 
 setup(

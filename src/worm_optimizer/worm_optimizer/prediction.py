@@ -20,10 +20,10 @@ from worm_optimizer.uncertainty import phase_known, phase_unknown
 class Prediction:
     """What the model says of a gait over the last three of five cycles; SI units.
 
-    The fields are those of worm_msgs/GaitPrediction: ``speed`` along +x, ``power``, ``cost_of_transport``
-    and ``grooves_per_cycle`` (along the gait's direction) with the gait's margin, the nominal ones
-    without; ``groove_phase`` is the one that they hold for; the distances to the edges of the nominal
-    branch in m; the probabilities that the robot gains the predicted grooves.
+    ``speed`` (along the gait's direction), ``power``, ``cost_of_transport`` and ``grooves_per_cycle`` are
+    with the gait's margin, the nominal ones without; ``groove_phase`` is the one that they hold for; then
+    the distances to the edges of the nominal branch in m and the probabilities that the robot gains the
+    predicted grooves.
     """
 
     stroke: float
@@ -75,9 +75,9 @@ def predict(
     phase = np.full_like(stroke, groove_phase(task.parameters))
     columns = (
         *(stroke, frequency, np.full(stroke.shape, task.direction), margin),
-        *_figures(robust, task.direction),
+        *_figures(robust),
         phase,
-        *_figures(nominal, task.direction),
+        *_figures(nominal),
         *(lower, upper, known, unknown),
     )
     return tuple(
@@ -85,7 +85,6 @@ def predict(
     )
 
 
-def _figures(table: GaitTable, direction: int) -> tuple[Array, ...]:
-    """Speed along +x, power, cost of transport and grooves per cycle of a table of gaits."""
-    speed = direction * table.speed
-    return speed, table.power, table.cost_of_transport, table.grooves_per_cycle
+def _figures(table: GaitTable) -> tuple[Array, ...]:
+    """Speed, power, cost of transport and grooves per cycle of a table of gaits."""
+    return table.speed, table.power, table.cost_of_transport, table.grooves_per_cycle

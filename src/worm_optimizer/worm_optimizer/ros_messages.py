@@ -15,7 +15,7 @@ from worm_optimizer.margin import CLIFF_RULE, PriceOfRobustness
 from worm_optimizer.pipeline import Progress
 from worm_optimizer.prediction import Prediction
 from worm_optimizer.search import SearchSettings
-from worm_optimizer.selection import Objective, Request, select
+from worm_optimizer.selection import three_gaits
 from worm_optimizer.served import ServedFront
 from worm_optimizer.settings import Robustness, ScanSettings, Settings
 
@@ -23,8 +23,10 @@ _GAIT_FIELDS = frozenset({"stroke", "frequency", "direction", "margin"})
 
 
 def prediction_message(prediction: Prediction) -> GaitPrediction:
-    """The message of a prediction; the names are the same on both sides."""
+    """The message of a prediction; the names are the same on both sides, speeds are along +x in it."""
     values = dataclasses.asdict(prediction)
+    for name in ("speed", "nominal_speed"):
+        values[name] *= prediction.direction
     gait = Gait(**{name: values.pop(name) for name in _GAIT_FIELDS})
     return GaitPrediction(gait=gait, **values)
 
@@ -109,12 +111,7 @@ def scan_feedback(progress: Progress) -> ScanMargin.Feedback:
 def optimize_result(front: ServedFront) -> OptimizeGaits.Result:
     """The result of an optimisation."""
     three = {
-        name: prediction_message(select(front.predictions, Request(objective)).prediction)
-        for name, objective in (
-            ("min_power", Objective.MIN_POWER),
-            ("cruise", Objective.CRUISE),
-            ("max_speed", Objective.MAX_SPEED),
-        )
+        name: prediction_message(gait) for name, gait in three_gaits(front.predictions).items()
     }
     return OptimizeGaits.Result(
         success=True,

@@ -51,20 +51,26 @@ class Choice:
     refusal: str = ""
 
 
+def three_gaits(front: Sequence[Prediction]) -> dict[str, Prediction]:
+    """The paper's minimum-power, cruising and maximum-speed gaits of a front, by name."""
+    objectives = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
+    return {each.name.lower(): select(front, Request(each)).prediction for each in objectives}
+
+
 def select(front: Sequence[Prediction], request: Request) -> Choice:
-    """Chooses from a front of at least one gait. Speeds count along the gait's direction."""
-    slowest_power = min(front, key=lambda gait: gait.power)
-    fastest = max(front, key=lambda gait: abs(gait.speed))
+    """Chooses from a front of at least one gait."""
+    thriftiest = min(front, key=lambda gait: gait.power)
+    fastest = max(front, key=lambda gait: gait.speed)
     match request.objective:
         case Objective.MIN_POWER:
-            return Choice(slowest_power)
+            return Choice(thriftiest)
         case Objective.CRUISE:
             return Choice(min(front, key=lambda gait: gait.cost_of_transport))
         case Objective.MAX_SPEED:
             return Choice(fastest)
         case Objective.MIN_POWER_AT_SPEED:
             least = request.value * (1.0 - _TOLERANCE)
-            reaching = [gait for gait in front if abs(gait.speed) >= least]
+            reaching = [gait for gait in front if gait.speed >= least]
             if reaching:
                 return Choice(min(reaching, key=lambda gait: gait.power))
             return Choice(fastest, _too_fast(request.value, fastest))
@@ -72,13 +78,13 @@ def select(front: Sequence[Prediction], request: Request) -> Choice:
             most = request.value * (1.0 + _TOLERANCE)
             affordable = [gait for gait in front if gait.power <= most]
             if affordable:
-                return Choice(max(affordable, key=lambda gait: abs(gait.speed)))
-            return Choice(slowest_power, _too_little(request.value, slowest_power))
+                return Choice(max(affordable, key=lambda gait: gait.speed))
+            return Choice(thriftiest, _too_little(request.value, thriftiest))
 
 
 def _too_fast(speed: float, fastest: Prediction) -> str:
     return (
-        f"no gait of the front reaches {speed:.6g} m/s: the fastest makes {abs(fastest.speed):.6g} m/s "
+        f"no gait of the front reaches {speed:.6g} m/s: the fastest makes {fastest.speed:.6g} m/s "
         f"(margin {1e3 * fastest.margin:.2f} mm); ask for no more"
     )
 

@@ -30,13 +30,7 @@ class ServedFront:
     def mirrored(self) -> ServedFront:
         """The same front in the other direction, for a robot with equal modules: its exact mirror image."""
         predictions = tuple(
-            dataclasses.replace(
-                gait,
-                direction=-gait.direction,
-                speed=-gait.speed,
-                nominal_speed=-gait.nominal_speed,
-            )
-            for gait in self.predictions
+            dataclasses.replace(gait, direction=-gait.direction) for gait in self.predictions
         )
         return dataclasses.replace(self, direction=-self.direction, predictions=predictions)
 

@@ -19,7 +19,7 @@ from worm_optimizer.errors import OptimizerError
 from worm_optimizer.jobs import Job
 from worm_optimizer.pipeline import Progress
 
-_NICENESS = 10
+_NICENESS = 5  # enough to let an answer go first, without starving on a busy computer
 _PATIENCE = 2.0  # s that a stopped process is given before it is killed
 
 
