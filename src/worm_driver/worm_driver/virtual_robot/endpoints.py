@@ -146,14 +146,14 @@ class Endpoints:
     def open(self) -> None:
         """Takes the directory and opens both doors. Raises DirectoryError."""
         self._lock = _take(self._directory)
-        for name in (SERIAL_NAME, I2C_NAME):
-            _remove_leftover(self._directory / name)
         try:
-            self._listen()
-        except OSError as error:
-            raise DirectoryError(
-                f"{self._directory}: no socket there ({error}): choose a shorter --directory"
-            ) from error
+            for name in (SERIAL_NAME, I2C_NAME):
+                _remove_leftover(self._directory / name)
+            self._listener = _listen(self._directory / I2C_NAME)
+        except DirectoryError:
+            self._give_back()
+            raise
+        self._selector.register(self._listener, selectors.EVENT_READ, self._on_connect)
         self._plug_in()
         self._selector.register(self._wake_reader, selectors.EVENT_READ, self._on_wake)
         self._start = self._clock()
@@ -184,16 +184,23 @@ class Endpoints:
         self._order(lambda _: self._robot.board.clear())
 
     def close(self) -> None:
-        """Removes what open() made; may be repeated."""
+        """Removes what open() made, once run() is over; may be repeated."""
+        if self._listener is None:
+            return
         if self._serial is not None:
             self._serial.close()
-            self._serial = None
-        if self._listener is not None:
-            self._listener.close()
-            self._listener = None
-            (self._directory / I2C_NAME).unlink(missing_ok=True)
-            (self._directory / _LOCK_NAME).unlink(missing_ok=True)
-            os.close(self._lock)
+        for key in list(self._selector.get_map().values()):
+            if isinstance(key.fileobj, socket.socket):  # the listener, its clients, the wake-up
+                key.fileobj.close()
+        self._selector.close()
+        self._wake_writer.close()
+        self._serial = self._listener = None
+        (self._directory / I2C_NAME).unlink(missing_ok=True)
+        self._give_back()
+
+    def _give_back(self) -> None:
+        (self._directory / _LOCK_NAME).unlink(missing_ok=True)
+        os.close(self._lock)
 
     # --- events -------------------------------------------------------------------------------
 
@@ -254,12 +261,6 @@ class Endpoints:
 
     # --- doors --------------------------------------------------------------------------------
 
-    def _listen(self) -> None:
-        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._listener.bind(str(self._directory / I2C_NAME))
-        self._listener.listen()
-        self._selector.register(self._listener, selectors.EVENT_READ, self._on_connect)
-
     def _plug_in(self) -> None:
         self._serial = SerialDoor(self._directory / SERIAL_NAME)
         self._selector.register(self._serial.master, selectors.EVENT_READ, self._on_serial)
@@ -294,6 +295,20 @@ def _take(directory: Path) -> int:
             f"{directory} is in use by another virtual robot: stop it or choose another --directory"
         ) from error
     return lock
+
+
+def _listen(path: Path) -> socket.socket:
+    """A socket that waits for clients of the I2C line."""
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        listener.bind(str(path))
+    except OSError as error:
+        listener.close()
+        raise DirectoryError(
+            f"{path.parent}: no socket there ({error}): choose a shorter --directory"
+        ) from error
+    listener.listen()
+    return listener
 
 
 def _remove_leftover(path: Path) -> None:

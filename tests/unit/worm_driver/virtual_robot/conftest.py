@@ -21,7 +21,15 @@ class Served:
     robot: VirtualRobot
     directory: Path
     endpoints: Endpoints
+    thread: threading.Thread
     samples: list[TrackerSample] = field(default_factory=list)
+
+    def end(self) -> None:
+        """What the process does when it ends."""
+        if self.thread.is_alive():
+            self.endpoints.stop()
+            self.thread.join()
+            self.endpoints.close()
 
     @property
     def port(self) -> str:
@@ -47,7 +55,6 @@ def served(settings: RobotSettings, tmp_path: Path) -> Iterator[Served]:
     endpoints.open()
     thread = threading.Thread(target=endpoints.run)
     thread.start()
-    yield Served(robot, tmp_path, endpoints, samples)
-    endpoints.stop()
-    thread.join()
-    endpoints.close()
+    served = Served(robot, tmp_path, endpoints, thread, samples)
+    yield served
+    served.end()

@@ -79,9 +79,7 @@ def test_a_hanging_bus_is_a_timeout(bus, served):
 
 
 def test_a_robot_that_is_gone_is_an_input_output_error(bus, served):
-    served.endpoints.stop()
-    served.endpoints.close()
-    bus._socket.shutdown(2)
+    served.end()
     with pytest.raises(OSError) as caught:
         bus.read_word_data(ADDRESS, 0)
     assert caught.value.errno == errno.EIO
