@@ -22,6 +22,7 @@ What it does with its samples:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -186,10 +187,9 @@ class Twin:
 
     def _drive_measured(self, state: TwinState, sample: MeasuredLength, sink: _Sink) -> TwinState:
         change = sample.length - state.run.initial_length
-        rate = 0.0 if state.actuation is None else state.actuation.rate
         waiting = tuple(knot for knot in state.waiting if knot.stamp_ns > sample.stamp_ns)
         state = replace(state, measured_ns=sample.stamp_ns, waiting=waiting)
-        knot = Knot(sample.stamp_ns, change, rate, LengthSource.MEASURED)
+        knot = Knot(sample.stamp_ns, change, math.nan, LengthSource.MEASURED)
         return self._flush_if_due(self._queue(state, knot, sink), sink)
 
     def _queue(self, state: TwinState, knot: Knot, sink: _Sink) -> TwinState:

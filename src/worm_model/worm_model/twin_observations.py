@@ -78,7 +78,9 @@ def _judge_power(
     power, energy = predicted
     residual = sample.power - power
     monitor = count_energy(state.monitor, sample.stamp_ns, sample.power)
-    monitor = observe(monitor, POWER, sample.stamp_ns, residual, settings.power_scale_W)
+    # No window resolves the step of the length rate at the onset.
+    if sample.stamp_ns - state.run.start_ns > 4.0 * settings.smoothing_s * NANOSECONDS:
+        monitor = observe(monitor, POWER, sample.stamp_ns, residual, settings.power_scale_W)
     found = record(
         monitor, settings, sample.stamp_ns, power=residual, energy=monitor.energy - energy
     )
@@ -122,13 +124,13 @@ def _judge_position(
     if expected is None or math.isnan(sample.rear_position):
         return None
     sight, accepted = _look(state.sight, sample, settings)
-    if not accepted:
-        return _refuse(replace(state, sight=sight), sample, settings)
     if math.isnan(state.sight.position) and not state.run.start_ns:
         # Before the first run the tracker's first word says where the robot stands.
         state = replace(state, run=replace(state.run, origin=sample.rear_position - expected[0]))
     shifted = state.anchors.grooves_at(sample.stamp_ns) * parameters.pitch
     residual = sample.rear_position - (expected[0] + shifted + state.run.origin)
+    if not accepted:
+        return _refuse(replace(state, sight=sight), sample, residual, settings)
     monitor = observe(state.monitor, POSITION, sample.stamp_ns, residual, settings.position_scale_m)
     state = replace(state, sight=sight, monitor=monitor)
     state, notices = _watch_anchors(state, sample, residual, parameters)
@@ -148,15 +150,18 @@ def _look(sight: Sight, sample: TrackerSample, settings: TwinSettings) -> tuple[
     return sight, False
 
 
-def _refuse(state: TwinState, sample: TrackerSample, settings: TwinSettings) -> Comparison:
+def _refuse(
+    state: TwinState, sample: TrackerSample, residual: float, settings: TwinSettings
+) -> Comparison:
     """A position that cannot be; if it stays, the tracker (or the robot, by hand) was moved: the origin follows."""
     sight = state.sight
     lasting = sample.stamp_ns - sight.refused_ns >= settings.tracker_moved_s * NANOSECONDS
     if not lasting:
         return state, [], []
-    jump = sample.rear_position - sight.position
-    run = replace(state.run, origin=state.run.origin + jump)
-    text = f"the tracker's positions jumped by {1e3 * jump:+.0f} mm and stayed: its zero was moved"
+    run = replace(state.run, origin=state.run.origin + residual)
+    text = (
+        f"the tracker's positions jumped by {1e3 * residual:+.0f} mm and stayed: its zero was moved"
+    )
     notice = Notice(sample.stamp_ns, Severity.WARNING, text)
     return (
         replace(state, run=run, sight=Sight(sample.stamp_ns, sample.rear_position)),

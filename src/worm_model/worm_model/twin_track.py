@@ -29,7 +29,7 @@ HISTORY_S = 1.0  # of the past that late observations may ask for
 
 
 class Knot(NamedTuple):
-    """A driving sample: ΔL in m, its rate in m/s (exact if the source is ESTIMATED, else that of the estimate)."""
+    """A driving sample: ΔL in m, its exact rate in m/s if the source is ESTIMATED, else NaN."""
 
     stamp_ns: int
     length_change: float
@@ -108,7 +108,8 @@ class Track:
 
 def start_track(knot: Knot, motion: LocomotionState, model: Locomotion) -> Track:
     """A track that starts at a knot with a motion at rest, whose time is 0."""
-    _, motions = model.follow(motion, [motion.time], [motion.length_change])
+    instant = motion.time + 1.0 / NANOSECONDS  # the kernel tells nothing of no time at all
+    _, motions = model.follow(motion, [instant], [motion.length_change])
     row = _rows([knot], motions, np.array([knot.rate]), model.parameters)[0]
     return Track(knot.stamp_ns, motion, (row,), (Settled(knot.stamp_ns, row.power, 0.0),))
 
@@ -120,7 +121,7 @@ def follow(track: Track, knots: Sequence[Knot], model: Locomotion, smoothing_s: 
     """
     times = [(knot.stamp_ns - track.zero_ns) / NANOSECONDS for knot in knots]
     motion, motions = model.follow(track.motion, times, [knot.length_change for knot in knots])
-    rates = _provisional_rates(track, knots, smoothing_s)
+    rates = _provisional_rates(track, knots, motions.length_rate, smoothing_s)
     rows = track.rows + tuple(_rows(knots, motions, rates, model.parameters))
     moved = replace(track, motion=motion, rows=rows, unsettled=track.unsettled + len(knots))
     return _forget(_settle(moved, model.parameters, smoothing_s))
@@ -208,9 +209,12 @@ def _power(chord_force: Any, chord_rate: Any, rate: Any, parameters: Parameters)
     return parameters.idle_power + parameters.power_factor * np.maximum(-force * rate, 0.0)
 
 
-def _provisional_rates(track: Track, knots: Sequence[Knot], smoothing_s: float) -> Array:
-    """Rates in m/s that are known at once: exact, or from the past alone."""
+def _provisional_rates(
+    track: Track, knots: Sequence[Knot], chords: Array, smoothing_s: float
+) -> Array:
+    """Rates in m/s that are known at once: exact, or from the past alone (with too little of it, the chord's)."""
     rates = np.array([knot.rate for knot in knots])
+    rates = np.where(np.isfinite(rates), rates, chords)
     measured = [k for k, knot in enumerate(knots) if knot.source is LengthSource.MEASURED]
     if measured:
         at = [knots[k].stamp_ns for k in measured]

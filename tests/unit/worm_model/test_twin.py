@@ -1,0 +1,354 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The twin's core against the simulator, and with every kind of bad sample."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from worm_model.gait import REVERSE, Gait
+from worm_model.parameters import PAPER
+from worm_model.simulator import simulate
+from worm_model.twin import Twin, TwinSettings
+from worm_model.twin_records import (
+    Activity,
+    CommandedLength,
+    GaitSample,
+    Health,
+    LengthSource,
+    MeasuredLength,
+    Output,
+    PowerSample,
+    TrackerSample,
+)
+
+GAIT = Gait(0.07, 0.2)
+ONSET = 1_700_000_000_000_000_000
+ORIGIN = 0.4  # m, where the tracker sees the rear module at the start
+
+
+def at(time: float) -> int:
+    """The stamp of a time in s after the onset."""
+    return ONSET + round(time * 1e9)
+
+
+def commands(gait: Gait, end: float, rate: float = 100.0, rest: float = 2.0) -> list:
+    times = np.arange(-round(rest * rate), round(end * rate) + 1) / rate
+    return [CommandedLength(at(t), gait.command(t) if t > 0 else 0.0) for t in times]
+
+
+def announcements(gait: Gait) -> list:
+    return [
+        GaitSample(at(-1.5), Activity.RESTING, gait),
+        GaitSample(at(0.0), Activity.RUNNING, gait, ONSET),
+    ]
+
+
+def observed(gait: Gait, end: float, rate: float = 30.0, rest: float = 2.0) -> list:
+    """A perfect camera and power sensor."""
+    cycles = math.ceil(end * gait.frequency) + 1
+    times = np.arange(-round(rest * rate), round(end * rate) + 1) / rate
+    seen = simulate(gait, cycles=cycles).at(np.maximum(times, 0.0))
+    samples = []
+    for time, x1, length, power in zip(times, seen.x1, seen.length, seen.power, strict=True):
+        samples.append(TrackerSample(at(time), ORIGIN + x1, ORIGIN + x1 + length))
+        samples.append(MeasuredLength(at(time), length))
+        samples.append(PowerSample(at(time), power if time > 0 else PAPER.idle_power))
+    return samples
+
+
+def in_order(*streams: list) -> list:
+    return sorted((sample for stream in streams for sample in stream), key=lambda s: s.stamp_ns)
+
+
+def joined(outputs: list[Output]) -> Output:
+    return Output(
+        *(
+            tuple(item for output in outputs for item in getattr(output, name))
+            for name in ("states", "residuals", "lengths", "notices")
+        )
+    )
+
+
+def run(samples: list, twin: Twin | None = None) -> Output:
+    """All samples, one at a time."""
+    twin = twin or Twin()
+    state, outputs = twin.start(), []
+    for sample in samples:
+        state, output = twin.step(state, [sample])
+        outputs.append(output)
+    return joined(outputs)
+
+
+def texts(output: Output) -> str:
+    return "\n".join(notice.text for notice in output.notices)
+
+
+@pytest.mark.parametrize("gait", [GAIT, Gait(0.05, 0.25), Gait(0.07, 0.2, REVERSE)])
+def test_estimated_length_reproduces_the_simulator(gait):
+    end = 5 / gait.frequency
+    last = run(in_order(announcements(gait), commands(gait, end))).states[-1]
+    exact = simulate(gait).at([end])
+    assert last.stamp_ns == at(end)
+    assert last.length_source is LengthSource.ESTIMATED
+    assert last.rear_position == pytest.approx(exact.x1[0], abs=1e-6)
+    assert last.front_position == pytest.approx(exact.x2[0], abs=1e-6)
+    assert last.rear_groove == exact.rear_groove[0]
+    assert last.cable_force == pytest.approx(exact.cable_force[0], abs=0.1)
+    assert last.energy == pytest.approx(exact.energy[0], rel=1e-3)
+
+
+def test_measured_length_reproduces_the_simulator_in_the_trackers_frame():
+    output = run(in_order(announcements(GAIT), commands(GAIT, 25.0), observed(GAIT, 25.0)))
+    last = output.states[-1]
+    exact = simulate(GAIT).at([25.0])
+    assert last.length_source is LengthSource.MEASURED
+    assert last.initial_length == pytest.approx(PAPER.initial_length, abs=1e-9)
+    assert last.rear_position == pytest.approx(ORIGIN + exact.x1[0], abs=1e-5)
+    assert last.energy == pytest.approx(exact.energy[0], rel=0.01)
+    inside = [r for r in output.residuals if r.stamp_ns > at(0)]
+    assert max(abs(r.rear_position) for r in inside if not math.isnan(r.rear_position)) < 1e-3
+    assert max(abs(r.length) for r in inside if not math.isnan(r.length)) < 1e-5
+    assert {r.health for r in inside} == {Health.HEALTHY}
+
+
+def full_run(end: float = 6.0) -> list:
+    return in_order(announcements(GAIT), commands(GAIT, end), observed(GAIT, end))
+
+
+def test_one_by_one_or_all_at_once_is_the_same():
+    twin = Twin()
+    samples = full_run()
+    _, at_once = twin.step(twin.start(), samples)
+    assert repr(run(samples)) == repr(at_once)  # NaN differs from itself
+
+
+def test_delays_between_topics_do_not_change_the_outcome():
+    """The camera 60 ms, the power 20 ms and the gait state 30 ms behind the command."""
+    delay = {MeasuredLength: 0.06, TrackerSample: 0.09, PowerSample: 0.02, GaitSample: 0.03}
+
+    def arrival(sample):
+        return sample.stamp_ns + round(delay.get(type(sample), 0.0) * 1e9)
+
+    samples = full_run()
+    late = run(sorted(samples, key=arrival))
+    prompt = run(samples)
+
+    def after_onset(records):
+        return sorted((r for r in records if r.stamp_ns >= ONSET), key=lambda r: r.stamp_ns)
+
+    for one, other in zip(after_onset(late.states), after_onset(prompt.states), strict=False):
+        assert one == other
+    measured = {r.stamp_ns: r for r in prompt.residuals if not math.isnan(r.rear_position)}
+    compared = [
+        r for r in late.residuals if r.stamp_ns in measured and r.rear_position == r.rear_position
+    ]
+    assert len(compared) > 100
+    for record in compared:
+        if record.stamp_ns >= ONSET:
+            assert record.rear_position == pytest.approx(
+                measured[record.stamp_ns].rear_position, abs=1e-12
+            )
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    places=st.lists(st.integers(0, 600), min_size=1, max_size=10),
+    kind=st.sampled_from(["duplicate", "late", "nan", "zero stamp"]),
+)
+def test_bad_samples_leave_no_trace(places, kind):
+    clean = in_order(announcements(GAIT), commands(GAIT, 4.0))
+    spoilt = list(clean)
+    for place in sorted(places, reverse=True):
+        sample = next(s for s in clean[place // 2 :] if isinstance(s, CommandedLength))
+        index = spoilt.index(sample) + 1
+        bad = {
+            "duplicate": replace(sample, length_change=-0.5),
+            "late": replace(sample, stamp_ns=sample.stamp_ns - 5_000_000, length_change=-0.5),
+            "nan": replace(sample, stamp_ns=sample.stamp_ns + 1_000_000, length_change=math.nan),
+            "zero stamp": replace(sample, stamp_ns=0),
+        }[kind]
+        spoilt.insert(index, bad)
+    assert repr(run(spoilt)) == repr(run(clean))
+
+
+def test_stale_measurements_hand_over_to_the_command_and_back():
+    kept = [
+        s
+        for s in observed(GAIT, 8.0)
+        if not (isinstance(s, MeasuredLength) and at(3.0) < s.stamp_ns < at(5.0))
+    ]
+    states = run(in_order(announcements(GAIT), commands(GAIT, 8.0), kept)).states
+
+    def sources(first, last):
+        return {s.length_source for s in states if at(first) < s.stamp_ns < at(last)}
+
+    assert sources(1.0, 2.9) == {LengthSource.MEASURED}
+    assert sources(3.3, 4.9) == {LengthSource.ESTIMATED}
+    assert sources(5.3, 8.0) == {LengthSource.MEASURED}
+    exact = simulate(GAIT).at([states[-1].stamp_ns * 1e-9 - ONSET * 1e-9])
+    assert states[-1].rear_position == pytest.approx(ORIGIN + exact.x1[0], abs=1e-4)
+
+
+def test_a_pause_is_reported_and_survived():
+    kept = [s for s in commands(GAIT, 12.0) if not at(3.0) < s.stamp_ns < at(5.0)]
+    output = run(in_order(announcements(GAIT), kept))
+    assert "no length for 2.0" in texts(output)
+    assert all(math.isfinite(s.rear_position) for s in output.states)
+
+
+def test_a_clock_that_jumps_back_starts_the_twin_anew():
+    first = in_order(announcements(GAIT), commands(GAIT, 6.0))
+    output = run(first + first)
+    assert texts(output).count("clock jumped back") == 1
+    assert texts(output).count("a run begins") == 2
+    once = run(first)
+    assert output.states[-1].rear_position == pytest.approx(once.states[-1].rear_position, abs=1e-9)
+    assert output.states[-1].energy == pytest.approx(once.states[-1].energy, rel=1e-9)
+
+
+def test_one_wild_stamp_restarts_nothing():
+    clean = in_order(announcements(GAIT), commands(GAIT, 4.0))
+    wild = [*clean[:400], CommandedLength(at(-1000.0), -0.01), *clean[400:]]
+    assert repr(run(wild)) == repr(run(clean))
+
+
+def slipped(samples: list, time: float, offset: float) -> list:
+    """The robot further along by an offset (m) from a time on."""
+    return [
+        replace(s, rear_position=s.rear_position + offset, front_position=s.front_position + offset)
+        if isinstance(s, TrackerSample) and s.stamp_ns >= at(time)
+        else s
+        for s in samples
+    ]
+
+
+@pytest.mark.parametrize(("grooves", "word"), [(-1, "missed"), (1, "gained")])
+def test_a_missed_or_extra_groove_is_reported_within_a_cycle_and_followed(grooves, word):
+    seen = slipped(observed(GAIT, 19.0), 11.0, grooves * PAPER.pitch)
+    output = run(in_order(announcements(GAIT), commands(GAIT, 19.0), seen))
+    (notice,) = [n for n in output.notices if "cycle 3" in n.text]
+    assert word in notice.text
+    assert notice.stamp_ns <= at(15.1)  # it happened in the third cycle, 10 to 15 s
+    suspect = [r for r in output.residuals if at(15.1) < r.stamp_ns < at(16)]
+    assert all(r.health is not Health.HEALTHY and word in r.message for r in suspect)
+    after = [r.rear_position for r in output.residuals if r.stamp_ns > at(15.3)]
+    assert np.nanmax(np.abs(after)) < 1e-3
+    expected = simulate(GAIT).at([19.0])
+    assert output.states[-1].rear_groove == expected.rear_groove[0] + grooves
+    assert "cycle 4" not in texts(output)
+
+
+def test_a_tracker_that_jumps_for_a_moment_is_not_believed():
+    seen = [
+        replace(s, rear_position=s.rear_position + 0.2)
+        if isinstance(s, TrackerSample) and at(3.0) < s.stamp_ns < at(3.3)
+        else s
+        for s in observed(GAIT, 5.0)
+    ]
+    output = run(in_order(announcements(GAIT), commands(GAIT, 5.0), seen))
+    inside = [r.rear_position for r in output.residuals if r.stamp_ns > at(0)]
+    assert np.nanmax(np.abs(inside)) < 1e-3
+    assert {r.health for r in output.residuals if r.stamp_ns > at(0)} == {Health.HEALTHY}
+
+
+def test_a_tracker_that_was_moved_gets_a_new_zero():
+    seen = slipped(observed(GAIT, 6.0), 3.0, 0.2)
+    output = run(in_order(announcements(GAIT), commands(GAIT, 6.0), seen))
+    assert "its zero was moved" in texts(output)
+    after = [r.rear_position for r in output.residuals if r.stamp_ns > at(4.0)]
+    assert np.nanmax(np.abs(after)) < 2e-3
+
+
+def test_hidden_markers_and_missing_power_give_no_residual():
+    seen = [
+        replace(s, rear_position=math.nan, front_position=math.nan)
+        if isinstance(s, TrackerSample)
+        else replace(s, power=math.nan)
+        if isinstance(s, PowerSample)
+        else s
+        for s in observed(GAIT, 3.0)
+    ]
+    output = run(in_order(announcements(GAIT), commands(GAIT, 3.0), seen))
+    assert all(math.isnan(r.rear_position) and math.isnan(r.power) for r in output.residuals)
+    assert all(math.isfinite(s.rear_position) for s in output.states)
+
+
+def test_without_any_gait_state_a_run_begins_with_the_command():
+    last = run(commands(GAIT, 25.0)).states[-1]
+    exact = simulate(GAIT).at([25.0])
+    assert last.rear_position == pytest.approx(exact.x1[0], abs=1e-6)
+
+
+def test_a_twin_that_comes_late_takes_the_gait_as_commanded():
+    late = [s for s in commands(GAIT, 25.0) if s.stamp_ns > at(7.0)]
+    gait = GaitSample(at(5.0), Activity.RUNNING, GAIT, ONSET)
+    output = run([gait, *late])
+    assert "the twin starts with its gait as commanded" in texts(output)
+    exact = simulate(GAIT).at([25.0])
+    assert output.states[-1].length == pytest.approx(exact.length[0], abs=1e-5)
+
+
+def test_parameters_may_change_during_a_run():
+    samples = in_order(announcements(GAIT), commands(GAIT, 10.0))
+    half = len(samples) // 2
+    before, after = Twin(), Twin(PAPER.replace(power_factor=6.44))
+    state, first = before.step(before.start(), samples[:half])
+    _, second = after.step(state, samples[half:])
+    unchanged = run(samples)
+    assert first.states[-1].energy < second.states[-1].energy
+    assert second.states[-1].energy > unchanged.states[-1].energy
+    assert second.states[-1].rear_position == unchanged.states[-1].rear_position
+
+
+def test_a_second_run_starts_from_rest_with_no_energy():
+    period = round(30e9)
+    again = [
+        replace(s, stamp_ns=s.stamp_ns + period)
+        if not isinstance(s, GaitSample)
+        else replace(
+            s, stamp_ns=s.stamp_ns + period, onset_ns=s.onset_ns + period if s.onset_ns else 0
+        )
+        for s in full_run()
+    ]
+    idle = GaitSample(at(6.1), Activity.IDLE)
+    output = run([*full_run(), idle, *again])
+    second = [s for s in output.states if s.stamp_ns >= ONSET + period]
+    assert second[0].energy == 0.0
+    assert second[0].rear_position == pytest.approx(ORIGIN, abs=1e-9)
+    assert second[-1].energy == pytest.approx(run(full_run()).states[-1].energy, rel=1e-6)
+
+
+def test_settings_out_of_range_are_refused():
+    with pytest.raises(ValueError, match="measured_stale_s: 0 is not between"):
+        TwinSettings(measured_stale_s=0)
+
+
+def test_ten_hours_need_no_more_memory_and_lose_no_accuracy():
+    gait = Gait(0.07, 0.05)
+    hours = 10
+    twin = Twin(settings=TwinSettings(pause_s=1.5))
+    state, _ = twin.step(twin.start(), announcements(gait))
+    sizes, last = [], None
+    for hour in range(hours):
+        times = np.arange(hour * 3600, (hour + 1) * 3600) + 1.0
+        batch = in_order(
+            [CommandedLength(at(t), gait.command(t)) for t in times],
+            [TrackerSample(at(t), math.nan, 0.1) for t in times[::2]],
+            [PowerSample(at(t), 1.0) for t in times[::2]],
+        )
+        state, output = twin.step(state, batch)
+        last = output.states[-1]
+        sizes.append(sum(len(v) for v in vars(state).values() if isinstance(v, tuple)))
+        sizes[-1] += len(state.track.rows) + len(state.track.settled)
+    assert sizes[-1] <= sizes[1] + 10
+    end = (last.stamp_ns - ONSET) * 1e-9
+    assert end == hours * 3600
+    per_cycle = (
+        simulate(gait, cycles=10).at([200.0]).x1[0] - simulate(gait, cycles=9).at([180.0]).x1[0]
+    )
+    cycles = hours * 3600 * gait.frequency
+    assert last.rear_position == pytest.approx(cycles * per_cycle, rel=5e-3)
