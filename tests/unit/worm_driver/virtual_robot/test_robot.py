@@ -10,6 +10,7 @@ import pytest
 
 from worm_driver.virtual_robot import faults
 from worm_driver.virtual_robot import smbus_frames as frames
+from worm_driver.virtual_robot.control_table import XL330_M288
 from worm_driver.virtual_robot.faults import FaultBoard, make_fault
 from worm_driver.virtual_robot.ina219_chip import BUS, CALIBRATION, CONFIGURATION, SHUNT
 from worm_driver.virtual_robot.plant import FORWARD, REVERSE
@@ -118,6 +119,36 @@ def test_a_fin_pair_of_two_servos_has_to_agree(settings):
     second = replace(rear, id=13, start_angle=rear.reverse_angle)
     robot = VirtualRobot(replace(settings, fin_servos=(rear, second, front)))
     assert robot.laws == (0, FORWARD)
+
+
+def test_two_cable_servos_of_opposite_signs_share_the_cable(settings):
+    (first,) = settings.cable_servos
+    second = replace(first, id=2, sign=-1)
+    robot = VirtualRobot(replace(settings, cable_servos=(first, second)))
+    for servo, sign in zip(robot.servos, (1, -1), strict=False):
+        turn_on(servo)
+        set_goal(servo, servo.memory["goal_position"] + sign * 1000)
+    robot.advance(2.0)
+    wound = 1000 / 4096 * 2 * math.pi * first.spool_radius
+    assert robot.cable_change == pytest.approx(-wound, abs=1e-4)
+    loads = [servo.surroundings.load for servo in robot.servos[:2]]
+    assert loads[0] == pytest.approx(-loads[1])
+    assert loads[0] > 0.1
+
+
+def test_a_robot_of_small_servos_on_five_volts(settings):
+    small = {"model": XL330_M288}
+    robot = VirtualRobot(
+        replace(
+            settings,
+            cable_servos=tuple(replace(s, **small) for s in settings.cable_servos),
+            fin_servos=tuple(replace(s, **small) for s in settings.fin_servos),
+            supply=replace(settings.supply, voltage=5.0),
+        )
+    )
+    ping = bytes.fromhex("FFFFFD00010300 01 194E")
+    (answer,) = robot.receive(ping, 1.0)
+    assert answer.data[8:11] == bytes([0, 0xB0, 0x04])  # no alert, model 1200
 
 
 def turn_on(servo: Servo) -> None:
