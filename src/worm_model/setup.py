@@ -12,6 +12,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "export = worm_model.export:main",
     "import_lab = worm_model.import_lab:main",
     "recover = worm_model.recover:main",
+    "replay = worm_model.replay:main",
     "twin_node = worm_model.twin_node:main",
 ]
 

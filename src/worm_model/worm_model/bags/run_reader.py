@@ -68,6 +68,21 @@ def read_run(bag: Bag, namespace: str = "") -> Run:
     )
 
 
+def namespace_of(bag: Bag) -> str:
+    """Namespace of the robot in a bag, such as ``/worm``; empty for the root.
+
+    Raises:
+        BagError: the bag holds several robots, or none.
+    """
+    for name in RUN_TOPICS:
+        topic = find_topic(bag.topics.values(), name)
+        if topic is not None:
+            return topic.name.removesuffix(name).rstrip("/")
+    raise BagError(
+        f"{bag.path} has none of the worm's topics; it has {', '.join(bag.topics) or 'none'}"
+    )
+
+
 def read_columns(bag: Bag, topics: list[Topic]) -> dict[str, Columns]:
     """All fields of some topics of a bag as columns, by topic name.
 

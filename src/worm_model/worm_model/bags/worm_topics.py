@@ -29,6 +29,8 @@ TYPES = {
     "twin/residuals": TWIN_RESIDUALS,
 }
 
+TWIN_TOPICS = ("body_length/estimated", "twin/state", "twin/residuals")
+
 
 def find_topic(topics: Iterable[Topic], name: str, namespace: str = "") -> Topic | None:
     """The topic that carries one of the worm's names (a key of TYPES), or None.

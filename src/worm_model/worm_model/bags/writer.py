@@ -117,16 +117,17 @@ class BagWriter:
         self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": self._yaml()})
         self._mcap.finish()
         self._stream.close()
-        text = yaml.safe_dump({METADATA_ROOT: self._document()}, sort_keys=False)
+        text = yaml.safe_dump({METADATA_ROOT: self._document([self._file])}, sort_keys=False)
         (self._draft / METADATA_FILE).write_text(text, encoding="utf-8")
         if self.directory.exists():
             raise BagError(f"{self.directory} was made by somebody else meanwhile")
         self._draft.rename(self.directory)
 
     def _yaml(self) -> str:
-        return yaml.safe_dump(self._document(), sort_keys=False)
+        """The copy inside the file, which does not know the file's name: bags of any name have the same bytes."""
+        return yaml.safe_dump(self._document([]), sort_keys=False)
 
-    def _document(self) -> dict[str, Any]:
+    def _document(self, files: list[str]) -> dict[str, Any]:
         """Content of metadata.yaml below its root key."""
         first, last = self._span or (0, 0)
         extent = {
@@ -144,8 +145,8 @@ class BagWriter:
             ],
             "compression_format": "",
             "compression_mode": "",
-            "relative_file_paths": [self._file],
-            "files": [{"path": self._file, **_copy(extent)}],
+            "relative_file_paths": files,
+            "files": [{"path": name, **_copy(extent)} for name in files],
             "custom_data": self._custom,
             "ros_distro": "jazzy",
         }

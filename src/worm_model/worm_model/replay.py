@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: a bag through the twin, offline, as fast as it goes."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+from heapq import merge
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from worm_model import warm_up
+from worm_model.bags.bag import Bag, Message, Topic
+from worm_model.bags.definitions import topic_of
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import namespace_of, read_run
+from worm_model.bags.run_writer import encode_stamped
+from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic
+from worm_model.bags.writer import BagWriter
+from worm_model.command_line import Parser, add_parameters, new_file, print_json, run_command
+from worm_model.parameters import Parameters, load_parameters
+from worm_model.replay_metrics import CycleReport, ReplayReport, report_replay
+from worm_model.twin_replay import Replay, Series, replay_run
+
+ESTIMATED = 2  # BodyLength.ESTIMATED
+
+
+def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str) -> None:
+    """Write a bag with the original's messages and the twin's beside them; the same replay gives the same bytes.
+
+    What a live twin had published into the original bag is left out: the twin's topics are this replay's.
+
+    Raises:
+        BagError: the output exists or cannot be written.
+    """
+    live = {find_topic(bag.topics.values(), name, namespace) for name in TWIN_TOPICS}
+    kept = [topic for topic in bag.topics.values() if topic not in live]
+    own = {name: topic_of(f"{namespace}/{name}", TYPES[name]) for name in TWIN_TOPICS}
+    with BagWriter(output) as writer:
+        for attached in bag.attachments():
+            writer.add_attachment(attached)
+        for name, values in bag.metadata.items():
+            if name != "rosbag2":
+                writer.add_metadata(name, values)
+        for topic in [*kept, *own.values()]:
+            writer.add_topic(topic)
+        messages = [bag.messages([topic.name for topic in kept])]
+        messages += [_messages(own[name], name, replay) for name in TWIN_TOPICS]
+        for message in merge(*messages, key=_log_time):
+            writer.write(message.topic, message.data, message.log_time, message.publish_time)
+
+
+def _log_time(message: Message) -> int:
+    return message.log_time
+
+
+def _messages(topic: Topic, name: str, replay: Replay) -> Iterator[Message]:
+    """Messages of one of the twin's topics, by rising stamp, which is taken for the time of reception."""
+    series: Series = {
+        "twin/state": replay.states,
+        "twin/residuals": replay.residuals,
+        "body_length/estimated": replay.lengths,
+    }[name]
+    order = np.argsort(series["stamp_ns"], kind="stable")
+    stamps = series["stamp_ns"][order]
+    numbers: dict[str, Any] = {key: v[order] for key, v in series.items() if key != "stamp_ns"}
+    texts = {}
+    if name == "twin/residuals":
+        texts["message"] = [replay.messages[row] for row in order]
+    if name == "body_length/estimated":
+        numbers["source"] = ESTIMATED
+    payloads = encode_stamped(TYPES[name], stamps, numbers, texts)
+    for stamp, data in zip(stamps.tolist(), payloads, strict=True):
+        yield Message(topic.name, stamp, data, stamp)
+
+
+def report_json(report: ReplayReport, duration: float, elapsed: float) -> dict[str, Any]:
+    """The report as the machine-readable output has it."""
+    return {
+        **asdict(report.residuals),
+        "energy_error": report.energy_error,
+        "cycles": [_cycle_json(cycle) for cycle in report.cycles],
+        "duration": duration,
+        "real_time_factor": duration / elapsed,
+    }
+
+
+def _cycle_json(cycle: CycleReport) -> dict[str, Any]:
+    return {
+        "start": cycle.start,
+        "grooves": cycle.grooves,
+        "measured_grooves": cycle.measured_grooves,
+        "complete": cycle.complete,
+        **asdict(cycle.residuals),
+    }
+
+
+def describe(report: ReplayReport, duration: float, elapsed: float) -> str:
+    """The report for people."""
+    total = report.residuals
+    lines = [
+        f"x1      {1e3 * total.x1_rmse:8.3f} mm rms, {1e3 * total.x1_residual:+.3f} mm mean",
+        f"length  {1e3 * total.length_rmse:8.3f} mm rms, {1e3 * total.length_residual:+.3f} mm mean",
+        f"power   {total.power_rmse:8.3f} W  rms, {total.power_residual:+.3f} W  mean",
+        f"energy  {100 * report.energy_error:+8.2f} % of what was measured",
+    ]
+    if report.cycles:
+        lines.append("cycle  start s  grooves (measured)  x1 mm   length mm  power W  (rms)")
+    for number, cycle in enumerate(report.cycles, 1):
+        part = cycle.residuals
+        lines.append(
+            f"{number:5}  {cycle.start:7.2f}  {cycle.grooves:7.0f} ({cycle.measured_grooves:8.2f})  "
+            f"{1e3 * part.x1_rmse:6.2f}  {1e3 * part.length_rmse:9.2f}  {part.power_rmse:7.2f}"
+            f"{'' if cycle.complete else '  (cut off)'}"
+        )
+    lines.append(f"{duration:.1f} s in {elapsed:.3f} s: {duration / elapsed:.0f} times real time")
+    return "\n".join(lines)
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="replay",
+        description="Lets the twin follow a bag and reports how far it is from what was measured.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG")
+    parser.add_argument(
+        "--output", metavar="BAG2", help="a new bag with the twin's topics beside the original ones"
+    )
+    parser.add_argument("--namespace", default="", help="of the robot; default: the one in the bag")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_parameters(parser)
+    return parser
+
+
+def _replay(options: argparse.Namespace) -> None:
+    parameters: Parameters = load_parameters(options.parameters)
+    output = new_file(options.output) if options.output else None
+    warm_up.main()  # compiling is not replaying
+    begin = time.perf_counter()
+    with open_bag(options.bag, _notify) as bag:
+        run = read_run(bag, options.namespace)
+        replay = replay_run(run, parameters)
+        if output is not None:
+            write_replay(bag, output, replay, options.namespace or namespace_of(bag))
+        duration = (bag.end - bag.start) * 1e-9
+    report = report_replay(run, replay, parameters.pitch)
+    elapsed = time.perf_counter() - begin
+    for notice in replay.notices:
+        sys.stderr.write(f"replay: {notice.text}\n")
+    if options.json:
+        print_json(report_json(report, duration, elapsed))
+    else:
+        sys.stdout.write(describe(report, duration, elapsed) + "\n")
+
+
+def _notify(line: str) -> None:
+    sys.stderr.write(f"replay: {line}\n")
+
+
+def main() -> int:
+    """Entry point of the executable replay."""
+    return run_command(_parser(), _replay)
