@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 from worm_model.closed_form import front_groove, groove_phase
@@ -100,7 +100,7 @@ class Twin:
             sink.notices.append(Notice(sample.stamp_ns, Severity.WARNING, text))
             streams, _ = admit(self.start().streams, sample, self.settings.jump_back_s)
             state = self.start()
-        state = replace(state, streams=streams)
+        state = state.but(streams=streams)
         if verdict not in (Verdict.TAKEN, Verdict.JUMPED):
             return state
         if isinstance(sample, GaitSample):
@@ -108,13 +108,13 @@ class Twin:
         if holding(state):
             held = tuple(sorted((*state.held, sample), key=_stamp_of))
             newest = state.streams.now_ns - round(self.settings.start_hold_s * NANOSECONDS)
-            return self._release(replace(state, held=held), newest, sink)
+            return self._release(state.but(held=held), newest, sink)
         return self._take(state, sample, sink)
 
     def _release(self, state: TwinState, until_ns: int, sink: _Sink) -> TwinState:
         """Takes the held samples up to a stamp."""
         ready = [sample for sample in state.held if sample.stamp_ns <= until_ns]
-        state = replace(state, held=state.held[len(ready) :])
+        state = state.but(held=state.held[len(ready) :])
         for sample in ready:
             state = self._take(state, sample, sink)
         return state
@@ -124,7 +124,7 @@ class Twin:
         if begins:
             state = self._release(state, sample.onset_ns, sink)
             state = self._flush(state, sink)
-        state = replace(state, activity=sample.activity)
+        state = state.but(activity=sample.activity)
         if begins:
             state, text = begin_run(
                 state, sample.onset_ns, sample.gait, self.parameters, self.settings
@@ -141,9 +141,9 @@ class Twin:
         if isinstance(sample, CommandedLength):
             return self._take_command(state, sample, sink)
         if not state.run.active and isinstance(sample, MeasuredLength | TrackerSample):
-            state = replace(state, rest=observe_rest(state.rest, sample, self.settings.rest_s))
+            state = state.but(rest=observe_rest(state.rest, sample, self.settings.rest_s))
         if isinstance(sample, MeasuredLength | TrackerSample | PowerSample):
-            state = replace(state, observations=(*state.observations, sample))
+            state = state.but(observations=(*state.observations, sample))
         if isinstance(sample, MeasuredLength):
             return self._drive_measured(state, sample, sink)
         return self._compare(state, sink)
@@ -162,8 +162,7 @@ class Twin:
         knot = Knot(after.stamp_ns, after.length_change, after.rate, LengthSource.ESTIMATED)
         length = parameters.initial_length + after.length_change
         sink.lengths.append(LengthRecord(knot.stamp_ns, length, after.length_change))
-        state = replace(
-            state,
+        state = state.but(
             actuation=after,
             estimates=_recent((*state.estimates, knot)),
             waiting=(*state.waiting, knot),
@@ -183,12 +182,12 @@ class Twin:
             return state
         for knot in state.waiting:
             state = self._queue(state, knot, sink)
-        return self._flush_if_due(replace(state, waiting=()), sink)
+        return self._flush_if_due(state.but(waiting=()), sink)
 
     def _drive_measured(self, state: TwinState, sample: MeasuredLength, sink: _Sink) -> TwinState:
         change = sample.length - state.run.initial_length
         waiting = tuple(knot for knot in state.waiting if knot.stamp_ns > sample.stamp_ns)
-        state = replace(state, measured_ns=sample.stamp_ns, waiting=waiting)
+        state = state.but(measured_ns=sample.stamp_ns, waiting=waiting)
         knot = Knot(sample.stamp_ns, change, math.nan, LengthSource.MEASURED)
         return self._flush_if_due(self._queue(state, knot, sink), sink)
 
@@ -202,7 +201,7 @@ class Twin:
         if gap > self.settings.pause_s:
             text = f"no length for {gap:.2f} s; the body is taken to have moved in a straight line"
             sink.notices.append(Notice(knot.stamp_ns, Severity.WARNING, text))
-        return replace(state, queued=(*state.queued, knot))
+        return state.but(queued=(*state.queued, knot))
 
     # --- the motion -----------------------------------------------------------------------------
 
@@ -217,7 +216,7 @@ class Twin:
         model = self._model(state)
         motion = model.start(0.0, knot.length_change)
         track = start_track(knot, motion, model)
-        state = replace(state, track=track, queued=(), published_ns=knot.stamp_ns)
+        state = state.but(track=track, queued=(), published_ns=knot.stamp_ns)
         sink.states.append(self._record(state, track))
         return state
 
@@ -236,8 +235,8 @@ class Twin:
         except SimulationError as error:
             text = f"the motion could not be followed ({error}): the twin is put at rest"
             sink.notices.append(Notice(state.end_ns, Severity.ERROR, text))
-            return self._start_track(replace(state, track=None), sink, state.queued[-1])
-        state = replace(state, track=track, queued=(), published_ns=track.stamp_ns)
+            return self._start_track(state.but(track=None), sink, state.queued[-1])
+        state = state.but(track=track, queued=(), published_ns=track.stamp_ns)
         sink.states.append(self._record(state, track))
         return self._compare(state, sink)
 

@@ -50,7 +50,7 @@ def compare(state: TwinState, parameters: Parameters, settings: TwinSettings) ->
             notices += told
         elif not _out_of_reach(state, sample):
             staying.append(sample)
-    return replace(state, observations=tuple(staying)), records, notices
+    return state.but(observations=tuple(staying)), records, notices
 
 
 def _out_of_reach(state: TwinState, sample: Observation) -> bool:
@@ -84,7 +84,7 @@ def _judge_power(
     found = record(
         monitor, settings, sample.stamp_ns, power=residual, energy=monitor.energy - energy
     )
-    return replace(state, monitor=monitor), [found], []
+    return state.but(monitor=monitor), [found], []
 
 
 def _judge_length(
@@ -96,7 +96,7 @@ def _judge_length(
     residual = sample.length - state.run.initial_length - change
     monitor = observe(state.monitor, LENGTH, sample.stamp_ns, residual, settings.length_scale_m)
     found = record(monitor, settings, sample.stamp_ns, length=residual)
-    return replace(state, monitor=monitor), [found], []
+    return state.but(monitor=monitor), [found], []
 
 
 def _estimate_at(estimates: Sequence[Knot], stamp_ns: int) -> float | None:
@@ -126,13 +126,13 @@ def _judge_position(
     sight, accepted = _look(state.sight, sample, settings)
     if math.isnan(state.sight.position) and not state.run.start_ns:
         # Before the first run the tracker's first word says where the robot stands.
-        state = replace(state, run=replace(state.run, origin=sample.rear_position - expected[0]))
+        state = state.but(run=replace(state.run, origin=sample.rear_position - expected[0]))
     shifted = state.anchors.grooves_at(sample.stamp_ns) * parameters.pitch
     residual = sample.rear_position - (expected[0] + shifted + state.run.origin)
     if not accepted:
-        return _refuse(replace(state, sight=sight), sample, residual, settings)
+        return _refuse(state.but(sight=sight), sample, residual, settings)
     monitor = observe(state.monitor, POSITION, sample.stamp_ns, residual, settings.position_scale_m)
-    state = replace(state, sight=sight, monitor=monitor)
+    state = state.but(sight=sight, monitor=monitor)
     state, notices = _watch_anchors(state, sample, residual, parameters)
     return state, [record(state.monitor, settings, sample.stamp_ns, position=residual)], notices
 
@@ -164,7 +164,7 @@ def _refuse(
     )
     notice = Notice(sample.stamp_ns, Severity.WARNING, text)
     return (
-        replace(state, run=run, sight=Sight(sample.stamp_ns, sample.rear_position)),
+        state.but(run=run, sight=Sight(sample.stamp_ns, sample.rear_position)),
         [],
         [notice],
     )
@@ -178,9 +178,9 @@ def _watch_anchors(
         return state, []
     cycle = cycle_at(sample.stamp_ns, run.start_ns, run.gait.period)
     anchors, text = observe_anchors(state.anchors, cycle, residual, parameters.pitch, run.direction)
-    state = replace(state, anchors=anchors)
+    state = state.but(anchors=anchors)
     if not text:
         return state, []
     until = cycle.start_ns + round(run.gait.period * NANOSECONDS)
     monitor = replace(state.monitor, warning=text, warning_until_ns=until)
-    return replace(state, monitor=monitor), [Notice(sample.stamp_ns, Severity.WARNING, text)]
+    return state.but(monitor=monitor), [Notice(sample.stamp_ns, Severity.WARNING, text)]

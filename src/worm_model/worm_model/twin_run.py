@@ -50,7 +50,7 @@ def begin_implied_run(state: TwinState, before: Actuation, sample: CommandedLeng
 def run_goes_on(state: TwinState, sample: GaitSample) -> TwinState:
     """The state after a gait state that begins no run; it may end one."""
     if state.run.active and sample.activity not in PLAYING:
-        return replace(state, run=replace(state.run, active=False))
+        return state.but(run=replace(state.run, active=False))
     return state
 
 
@@ -82,8 +82,7 @@ def begin_run(
     else:
         actuation = engage(start, effective)
     run = Run(onset_ns, gait, active=True, origin=origin, initial_length=length)
-    begun = replace(
-        state,
+    begun = state.but(
         run=run,
         actuation=actuation,
         estimates=(),

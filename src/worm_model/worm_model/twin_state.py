@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 from worm_model.gait import FORWARD, Gait
 from worm_model.twin_actuation import Actuation
@@ -79,6 +80,13 @@ class TwinState:
     sight: Sight = field(default_factory=Sight)
     monitor: Monitor = field(default_factory=Monitor)
     anchors: Anchors = field(default_factory=Anchors)
+
+    def but(self, **changes: Any) -> TwinState:
+        """A copy with some fields changed: `dataclasses.replace` at a tenth of its price, some ten times a sample."""
+        copy = object.__new__(TwinState)
+        copy.__dict__.update(self.__dict__)
+        copy.__dict__.update(changes)
+        return copy
 
     @property
     def end_ns(self) -> int:

@@ -25,6 +25,8 @@ from worm_model.twin_records import NANOSECONDS, LengthSource
 
 Array = NDArray[np.float64]
 
+WINDOW_SAMPLES = 64  # that a window needs at most; of denser lengths it takes every so-many-th
+SETTLE_STEP_S = 0.02  # of measured length that is settled at once, at least
 HISTORY_S = 1.0  # of the past that late observations may ask for
 
 
@@ -41,7 +43,8 @@ class Row(NamedTuple):
     """The twin at a driving sample, in its own frame (origin: the rear groove at the run's start), SI.
 
     ``chord_rate`` is the slope of the line that ended here, ``chord_force`` F_c with it; ``rate`` and
-    ``power`` are provisional until settled; the grooves are whole numbers.
+    ``power`` are provisional until settled; the grooves are whole numbers; ``energy`` is the sum of the
+    provisional powers.
     """
 
     knot: Knot
@@ -56,6 +59,7 @@ class Row(NamedTuple):
     chord_force: float
     rate: float
     power: float
+    energy: float
 
     @property
     def stamp_ns(self) -> int:
@@ -97,13 +101,9 @@ class Track:
 
     @property
     def energy(self) -> float:
-        """J since the run's start up to the newest row, the newest part provisional."""
-        last = self.settled[-1]
-        stamp, power, energy = last.stamp_ns, last.power, last.energy
-        for row in self.rows[len(self.rows) - self.unsettled :]:
-            energy += 0.5 * (power + row.power) * (row.stamp_ns - stamp) / NANOSECONDS
-            stamp, power = row.stamp_ns, row.power
-        return energy
+        """J since the run's start up to the newest row, the part after the last settled one provisional."""
+        fresh = self.rows[-1].energy - self.rows[-1 - self.unsettled].energy
+        return self.settled[-1].energy + fresh
 
 
 def start_track(knot: Knot, motion: LocomotionState, model: Locomotion) -> Track:
@@ -122,7 +122,7 @@ def follow(track: Track, knots: Sequence[Knot], model: Locomotion, smoothing_s: 
     times = [(knot.stamp_ns - track.zero_ns) / NANOSECONDS for knot in knots]
     motion, motions = model.follow(track.motion, times, [knot.length_change for knot in knots])
     rates = _provisional_rates(track, knots, motions.length_rate, smoothing_s)
-    rows = track.rows + tuple(_rows(knots, motions, rates, model.parameters))
+    rows = track.rows + tuple(_rows(knots, motions, rates, model.parameters, track.rows[-1]))
     moved = replace(track, motion=motion, rows=rows, unsettled=track.unsettled + len(knots))
     return _forget(_settle(moved, model.parameters, smoothing_s))
 
@@ -174,7 +174,11 @@ def _settled_stamp(item: Settled) -> int:
 
 
 def _rows(
-    knots: Sequence[Knot], motions: Motions, rates: Array, parameters: Parameters
+    knots: Sequence[Knot],
+    motions: Motions,
+    rates: Array,
+    parameters: Parameters,
+    before: Row | None = None,
 ) -> list[Row]:
     mu = parameters.front_mass / parameters.mass
     columns = [
@@ -190,8 +194,15 @@ def _rows(
         rates,
         _power(motions.cable_force, motions.length_rate, rates, parameters),
     ]
-    lines = np.column_stack(columns).tolist()
-    return [Row(knot, *line) for knot, line in zip(knots, lines, strict=True)]
+    rows: list[Row] = []
+    for knot, line in zip(knots, np.array(columns).T.tolist(), strict=True):
+        power, energy = line[-1], 0.0
+        if before is not None:
+            step = (knot.stamp_ns - before.knot.stamp_ns) / NANOSECONDS
+            energy = before.energy + 0.5 * (before.power + power) * step
+        before = Row._make((knot, *line, energy))
+        rows.append(before)
+    return rows
 
 
 def force_at_rate(chord_force: Any, chord_rate: Any, rate: Any, parameters: Parameters) -> Any:
@@ -215,12 +226,14 @@ def _provisional_rates(
     """Rates in m/s that are known at once: exact, or from the past alone (with too little of it, the chord's)."""
     rates = np.array([knot.rate for knot in knots])
     rates = np.where(np.isfinite(rates), rates, chords)
-    measured = [k for k, knot in enumerate(knots) if knot.source is LengthSource.MEASURED]
-    if measured:
-        at = [knots[k].stamp_ns for k in measured]
-        past = _measured_rows(track.rows, at[0] - round(2.0 * smoothing_s * NANOSECONDS))
-        known = [*past, *(knots[k] for k in measured)]
-        rates[measured] = _slopes(known, at, 2.0 * smoothing_s, 0.0, rates[measured])
+    last = knots[-1]
+    if last.source is LengthSource.MEASURED:
+        # What is published is the newest; the others differ by less than the filter resolves.
+        past = _measured_rows(track.rows, last.stamp_ns - round(2.0 * smoothing_s * NANOSECONDS))
+        known = [*past, *(knot for knot in knots if knot.source is LengthSource.MEASURED)]
+        newest = _slopes(known, [last.stamp_ns], 2.0 * smoothing_s, 0.0, rates[-1:])
+        measured = [knot.source is LengthSource.MEASURED for knot in knots]
+        rates = np.where(measured, newest, rates)
     return rates
 
 
@@ -236,6 +249,8 @@ def _slopes(
     zero = at[0]
     if len(known) < FEWEST_SAMPLES:
         return default
+    span = (known[-1].stamp_ns - known[0].stamp_ns) / NANOSECONDS
+    known = known[:: max(1, int(len(known) * (before + after) / max(span, 1e-9) / WINDOW_SAMPLES))]
     times = [(knot.stamp_ns - zero) / NANOSECONDS for knot in known]
     targets = [(stamp - zero) / NANOSECONDS for stamp in at]
     fitted = smooth(times, [knot.length_change for knot in known], targets, before, after).rate
@@ -251,7 +266,7 @@ def _settle(track: Track, parameters: Parameters, smoothing_s: float) -> Track:
         if row.knot.source is LengthSource.MEASURED and row.stamp_ns > limit:
             break
         ready += 1
-    if not ready:
+    if not ready or not _worth_settling(pending, ready):
         return track
     chosen = pending[:ready]
     rates = np.array([row.rate for row in chosen])
@@ -269,6 +284,13 @@ def _settle(track: Track, parameters: Parameters, smoothing_s: float) -> Track:
         energy = last.energy + 0.5 * (last.power + power) * step
         settled.append(Settled(row.stamp_ns, power, energy))
     return replace(track, settled=tuple(settled), unsettled=track.unsettled - ready)
+
+
+def _worth_settling(pending: Sequence[Row], ready: int) -> bool:
+    if ready == len(pending):
+        return True
+    span = pending[ready].stamp_ns - pending[0].stamp_ns
+    return span >= SETTLE_STEP_S * NANOSECONDS
 
 
 def _forget(track: Track) -> Track:
