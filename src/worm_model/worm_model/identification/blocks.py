@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Robust least squares over several runs: shared parameters, and nuisances that each run has for itself.
+
+Levenberg–Marquardt on normal equations whose structure is known (a run's residuals depend on the shared
+parameters and on that run's nuisances only), with Huber weights. `scipy.optimize.least_squares` does the
+same twenty times slower, and a bootstrap needs hundreds of fits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Residuals = Callable[[int, Array, Array], Array]
+
+HUBER = 2.5  # scales beyond which a residual counts by its size, not by its square
+MOST_ITERATIONS = 40
+TOLERANCE = 1e-6  # relative decrease of the cost at which a fit has arrived
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A shared parameter or a nuisance: ``step`` of its numerical derivative, bounds, and a normal prior.
+
+    ``spread`` is the prior's standard deviation around ``centre``; infinite without a prior.
+    """
+
+    step: float
+    low: float = -np.inf
+    high: float = np.inf
+    centre: float = 0.0
+    spread: float = np.inf
+
+
+@dataclass(frozen=True)
+class Problem:
+    """``residuals(run, shared (s,), own (q,))`` in units of the noise; ``own`` holds a row of q nuisances a run."""
+
+    residuals: Residuals
+    shared: Sequence[Quantity]
+    own: Sequence[Sequence[Quantity]]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """``shared`` (s,), ``own`` (runs, q), the ``residuals`` of every run, and the robust ``cost``."""
+
+    shared: Array
+    own: Array
+    residuals: tuple[Array, ...]
+    cost: float
+
+
+def solve(
+    problem: Problem,
+    shared: Array,
+    own: Array,
+    weights: Sequence[Array] | None = None,
+    iterations: int = MOST_ITERATIONS,
+) -> Solution:
+    """The minimum next to a start; ``weights`` are those of the samples of every run, by default 1."""
+    state = _evaluate(problem, np.array(shared, float), np.array(own, float), weights)
+    damping = 1e-3
+    for _ in range(iterations):
+        matrix, gradient = _normal_equations(problem, state, weights)
+        while damping < 1e6:
+            step = -np.linalg.solve(
+                matrix + damping * np.diag(np.diag(matrix) + 1e-12), gradient
+            )
+            trial = _evaluate(problem, *_moved(problem, state, step), weights)
+            if trial.cost < state.cost:
+                break
+            damping *= 8.0
+        else:
+            break
+        gained, state = state.cost - trial.cost, trial
+        damping = max(damping / 8.0, 1e-6)
+        if gained <= TOLERANCE * state.cost:
+            break
+    return state
+
+
+def _moved(problem: Problem, state: Solution, step: Array) -> tuple[Array, Array]:
+    count = len(problem.shared)
+    shared = _clipped(state.shared + step[:count], problem.shared)
+    own = state.own + step[count:].reshape(state.own.shape)
+    rows = [_clipped(row, quantities) for row, quantities in zip(own, problem.own, strict=True)]
+    return shared, np.array(rows).reshape(state.own.shape)
+
+
+def _clipped(values: Array, quantities: Sequence[Quantity]) -> Array:
+    low = [quantity.low for quantity in quantities]
+    high = [quantity.high for quantity in quantities]
+    return np.clip(values, low, high)
+
+
+def _evaluate(
+    problem: Problem, shared: Array, own: Array, weights: Sequence[Array] | None
+) -> Solution:
+    residuals = tuple(
+        problem.residuals(run, shared, own[run]) for run in range(len(problem.own))
+    )
+    cost = sum(
+        float(np.sum(_huber(r) if weights is None else weights[run] * _huber(r)))
+        for run, r in enumerate(residuals)
+    )
+    cost += _prior_cost(shared, problem.shared)
+    cost += sum(_prior_cost(row, q) for row, q in zip(own, problem.own, strict=True))
+    return Solution(shared, own, residuals, cost)
+
+
+def _huber(residuals: Array) -> Array:
+    size = np.abs(residuals)
+    return np.where(size <= HUBER, size**2, 2.0 * HUBER * size - HUBER**2)
+
+
+def _prior_cost(values: Array, quantities: Sequence[Quantity]) -> float:
+    return sum(
+        ((value - quantity.centre) / quantity.spread) ** 2
+        for value, quantity in zip(values, quantities, strict=True)
+    )
+
+
+def _normal_equations(
+    problem: Problem, state: Solution, weights: Sequence[Array] | None
+) -> tuple[Array, Array]:
+    count, (runs, own_count) = len(problem.shared), state.own.shape
+    size = count + runs * own_count
+    matrix, gradient = np.zeros((size, size)), np.zeros(size)
+    for run, residuals in enumerate(state.residuals):
+        jacobian = _jacobian(problem, state, run)
+        weight = np.minimum(1.0, HUBER / np.maximum(np.abs(residuals), 1e-12))
+        if weights is not None:
+            weight = weight * weights[run]
+        columns = np.r_[:count, count + run * own_count : count + (run + 1) * own_count]
+        weighted = jacobian * weight[:, np.newaxis]
+        matrix[np.ix_(columns, columns)] += weighted.T @ jacobian
+        gradient[columns] += weighted.T @ residuals
+    quantities = [*problem.shared, *(q for row in problem.own for q in row)]
+    values = np.concatenate([state.shared, state.own.ravel()])
+    precision = np.array([q.spread**-2.0 for q in quantities])
+    centre = np.array([q.centre for q in quantities])
+    matrix += np.diag(precision)
+    return matrix, gradient + precision * (values - centre)
+
+
+def _jacobian(problem: Problem, state: Solution, run: int) -> Array:
+    """Of a run's residuals by the shared parameters and its own nuisances, by differences within the bounds."""
+    values = np.concatenate([state.shared, state.own[run]])
+    quantities = [*problem.shared, *problem.own[run]]
+    count = len(problem.shared)
+    columns = np.empty((state.residuals[run].size, values.size))
+    for k, quantity in enumerate(quantities):
+        step = quantity.step if values[k] + quantity.step <= quantity.high else -quantity.step
+        moved = values.copy()
+        moved[k] += step
+        columns[:, k] = problem.residuals(run, moved[:count], moved[count:]) - state.residuals[run]
+        columns[:, k] /= step
+    return columns

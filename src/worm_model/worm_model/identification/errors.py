@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The exception of the identification."""
+
+from __future__ import annotations
+
+
+class IdentificationError(ValueError):
+    """Recordings or bench tests from which nothing can be identified; one line that says what and what to do."""

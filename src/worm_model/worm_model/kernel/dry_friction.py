@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The locomotion model with dry friction of its modules, integrated in steps along a sampled length.
+
+Identification needs it: dry friction that nobody models would be booked as viscous friction. It has no closed
+form, so this is the one place of the model with a step size. Without dry friction it is the model of
+`worm_model.kernel.mode` (eq:continuous_model to eq:A2_switch) up to that step.
+
+The state is y = x1 + μ·ΔL as everywhere. Friction of a module is (η + F/(|v| + v_s))·v: v_s, the speed below
+which dry friction fades, keeps it a function.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from worm_model.kernel.compiled import inlined, unlocked
+
+FADING_SPEED = 1e-3  # m/s
+MOST_SWITCHES = 8  # in a step; beyond it the anchors switch to and fro
+
+# Columns of a row of samples: rear module, its velocity, and the cable force but for the body's part
+X1, V1, HOLDING_FORCE = range(3)
+SAMPLE_COLUMNS = 3
+# Columns of a row of grooves
+THRESHOLD, STIFFNESS = range(2)
+GROOVE_COLUMNS = 2
+FIRST_GROOVE = 2  # row of the groove in which a module starts
+
+
+class Worm(NamedTuple):
+    """Parameters in SI units; ``direction`` is that of the fins, ±1, ``rear_dry`` and ``front_dry`` are in N."""
+
+    direction: float
+    rear_mass: float
+    front_mass: float
+    initial_length: float
+    friction: float
+    pitch: float
+    engaged_stiffness: float
+    disengaged_stiffness: float
+    threshold: float
+    clearance: float
+    rear_dry: float
+    front_dry: float
+
+
+@inlined
+def _spring(stretch: float, factor: float, worm: Worm) -> tuple[float, float]:
+    """(stiffness, rest) of a fin at a stretch: its force is stiffness·(stretch − rest) (eq:fin_force_piecewise)."""
+    half = 0.5 * worm.clearance
+    if abs(stretch) <= half:
+        return 0.0, 0.0
+    slides = stretch * worm.direction > 0.0  # forward fins are stiff when pushed backward
+    stiffness = worm.disengaged_stiffness if slides else worm.engaged_stiffness
+    return factor * stiffness, math.copysign(half, stretch)
+
+
+@inlined
+def _drag(velocity: float, dry: float, worm: Worm) -> float:
+    return worm.friction + dry / (abs(velocity) + FADING_SPEED)
+
+
+@inlined
+def _step(
+    y: float,
+    rate: float,
+    h: float,
+    start: float,
+    slope: float,
+    rear_anchor: float,
+    front_anchor: float,
+    rear_factor: float,
+    front_factor: float,
+    worm: Worm,
+) -> tuple[float, float, float]:
+    """(y, ẏ, force of friction and fin on the rear module) after ``h`` seconds in which ΔL goes from ``start`` with a slope.
+
+    The fins' regions and the drags are those at the start; the rest is solved implicitly, by the
+    trapezoidal rule unless the drag is so high that it would ring.
+    """
+    mass = worm.rear_mass + worm.front_mass
+    mu = worm.front_mass / mass
+    v1 = rate - mu * slope
+    rear_drag = _drag(v1, worm.rear_dry, worm)
+    front_drag = _drag(v1 + slope, worm.front_dry, worm)
+    drag = rear_drag + front_drag
+    rear_k, rear_rest = _spring(y - mu * start - rear_anchor, rear_factor, worm)
+    front_start = y + (1.0 - mu) * start + worm.initial_length
+    front_k, front_rest = _spring(front_start - front_anchor, front_factor, worm)
+    k = rear_k + front_k
+    weight = max(0.5, 1.0 - mass / (drag * h))  # of the step's end
+    along = start + weight * h * slope
+    force = (rear_drag * mu - front_drag * (1.0 - mu)) * slope
+    force += rear_k * (mu * along + rear_anchor + rear_rest)
+    force += front_k * (front_anchor + front_rest - worm.initial_length - (1.0 - mu) * along)
+    # mass·(ẏ' − ẏ)/h = force − drag·ẏw − k·yw at the weighted moment, y' = y + h·ẏw, yw = y + weight·h·ẏw
+    inertia = mass / (weight * h)
+    mean_rate = (force + inertia * rate - k * y) / (inertia + drag + k * weight * h)
+    new_y = y + h * mean_rate
+    new_rate = rate + (mean_rate - rate) / weight
+    rear_stretch = y + weight * h * mean_rate - mu * along - rear_anchor
+    holding = rear_drag * (mean_rate - mu * slope) + rear_k * (rear_stretch - rear_rest)
+    return new_y, new_rate, holding
+
+
+@inlined
+def _first_switch(
+    rear_before: float,
+    rear_after: float,
+    rear_threshold: float,
+    front_before: float,
+    front_after: float,
+    front_threshold: float,
+) -> tuple[float, int, int]:
+    """(fraction of the step until the first threshold is passed, steps of the rear and of the front anchor)."""
+    fraction, rear, front = 1.0, 0, 0
+    if abs(rear_after) > rear_threshold:
+        border = math.copysign(rear_threshold, rear_after)
+        fraction = (border - rear_before) / (rear_after - rear_before)
+        rear = 1 if rear_after > 0.0 else -1
+    if abs(front_after) > front_threshold:
+        border = math.copysign(front_threshold, front_after)
+        own = (border - front_before) / (front_after - front_before)
+        if rear == 0 or own < fraction:
+            fraction, rear, front = own, 0, 1 if front_after > 0.0 else -1
+    return min(max(fraction, 0.0), 1.0), rear, front
+
+
+@inlined
+def _row(groove: int, grooves: np.ndarray) -> int:
+    """Row of a groove, counted from where its module started, which is the row FIRST_GROOVE."""
+    return min(max(groove + FIRST_GROOVE, 0), grooves.shape[0] - 1)
+
+
+@unlocked
+def slide(
+    step: float,
+    length_changes: np.ndarray,
+    worm: Worm,
+    rear_grooves: np.ndarray,
+    front_grooves: np.ndarray,
+    samples: np.ndarray,
+) -> int:
+    """Follows ΔL from rest at x1 = 0, the front anchor on the nearest groove; returns the number of switches.
+
+    ``length_changes`` (n,) in m at every ``step`` s, the first at rest, straight lines between them. The grooves
+    that a module passes, (m, GROOVE_COLUMNS), each differ from the worm's values by a threshold in m and a relative
+    stiffness; the row FIRST_GROOVE is where it starts. ``samples`` (n, SAMPLE_COLUMNS) is filled: x1 in m, v1 in
+    m/s and M1·v̇1 + friction + F_1 in N (eq:Fc) over the step that ends there. Returns −1 if the anchors switch to
+    and fro without end.
+    """
+    mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
+    rear, front = 0, 0
+    lattice = worm.pitch * math.ceil(worm.initial_length / worm.pitch - 0.5 - 1e-12)
+    y, rate, holding, switches = mu * length_changes[0], 0.0, 0.0, 0
+    samples[0, X1], samples[0, V1], samples[0, HOLDING_FORCE] = 0.0, 0.0, 0.0
+    for at in range(1, length_changes.size):
+        start, end = length_changes[at - 1], length_changes[at]
+        slope, left = (end - start) / step, step
+        for attempt in range(MOST_SWITCHES + 1):
+            rear_row, front_row = _row(rear, rear_grooves), _row(front, front_grooves)
+            rear_anchor, front_anchor = rear * worm.pitch, lattice + front * worm.pitch
+            rear_factor = 1.0 + rear_grooves[rear_row, STIFFNESS]
+            front_factor = 1.0 + front_grooves[front_row, STIFFNESS]
+            new_y, new_rate, holding = _step(
+                y,
+                rate,
+                left,
+                start,
+                slope,
+                rear_anchor,
+                front_anchor,
+                rear_factor,
+                front_factor,
+                worm,
+            )
+            fraction, rear_move, front_move = _first_switch(
+                y - mu * start - rear_anchor,
+                new_y - mu * end - rear_anchor,
+                worm.threshold + rear_grooves[rear_row, THRESHOLD],
+                y + (1.0 - mu) * start + worm.initial_length - front_anchor,
+                new_y + (1.0 - mu) * end + worm.initial_length - front_anchor,
+                worm.threshold + front_grooves[front_row, THRESHOLD],
+            )
+            if rear_move == 0 and front_move == 0:
+                break
+            if attempt == MOST_SWITCHES:
+                return -1
+            spent = fraction * left
+            if spent > 0.0:
+                y, rate, holding = _step(
+                    y,
+                    rate,
+                    spent,
+                    start,
+                    slope,
+                    rear_anchor,
+                    front_anchor,
+                    rear_factor,
+                    front_factor,
+                    worm,
+                )
+            start += spent * slope
+            left = max(left - spent, 1e-9)
+            rear += rear_move
+            front += front_move
+            switches += 1
+        y, rate = new_y, new_rate
+        samples[at, X1] = y - mu * end
+        samples[at, V1] = rate - mu * slope
+        gain = samples[at, V1] - samples[at - 1, V1]
+        samples[at, HOLDING_FORCE] = holding + worm.rear_mass * gain / step
+    return switches
