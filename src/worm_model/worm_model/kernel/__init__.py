@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numba
 
-MODULES = ("linear", "mode", "work", "guard", "march", "run")
+SOURCES = sorted(Path(__file__).parent.glob("[!_]*.py"))
 
 
 def cache_directory() -> Path:
     """Where compiled code is kept: NUMBA_CACHE_DIR, else the user's cache, else the temporary directory."""
     digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parent.glob("*.py")):
+    for source in (Path(__file__), *SOURCES):
         digest.update(source.read_bytes())
     home = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
     base = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(home) / "worm_model")
@@ -45,8 +45,8 @@ def _load() -> None:
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(cache_directory())
     try:
-        for module in MODULES:
-            importlib.import_module(f"{__name__}.{module}")
+        for source in SOURCES:
+            importlib.import_module(f"{__name__}.{source.stem}")
     finally:
         numba.config.CACHE_DIR = before
 

@@ -13,8 +13,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from worm_model.kernel.compiled import compiled, inlined
 from worm_model.kernel.linear import (
     Basis,
     Coefficients,
@@ -62,7 +61,7 @@ class Horizon(NamedTuple):
     stop: int
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def follow(position: Coefficients, roots: Roots, wave: Wave) -> Followed:
     """Prepares a quantity to be followed over a mode."""
     rate = derivative(position, roots, wave)
@@ -71,7 +70,7 @@ def follow(position: Coefficients, roots: Roots, wave: Wave) -> Followed:
     return Followed(position, rate, acceleration, amplitude)
 
 
-@njit(cache=True)
+@compiled
 def _coarse_swing(c: Coefficients, s: float, end: float, roots: Roots, mass: float) -> float:
     """Bound on the h1, h2 and R terms over [s, end] for joined roots or a resonance; rarely used."""
     if not roots.joined:
@@ -84,13 +83,13 @@ def _coarse_swing(c: Coefficients, s: float, end: float, roots: Roots, mass: flo
     return swing + abs(c.res) * 0.5 * end * end / mass
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def read(
     f: Followed, b: Basis, s: float, left: float, roots: Roots, wave: Wave, coarse: bool
 ) -> Reading:
     """Reads a followed quantity at the moment of the basis, with bounds for the ``left`` seconds on."""
     c = f.acceleration
-    if wave.omega != 0.0:
+    if wave.q != 0.0:
         decaying = c.exp * b.exp
         least = c.one + min(decaying, 0.0) - f.amplitude
         most = c.one + max(decaying, 0.0) + f.amplitude
@@ -108,19 +107,19 @@ def read(
     return Reading(value(f.position, b), value(f.rate, b), least, most)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def below(r: Reading, border: float) -> Reading:
     """The gap between a quantity and a border above it."""
     return Reading(border - r.position, -r.rate, -r.most, -r.least)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def above(r: Reading, border: float) -> Reading:
     """The gap between a quantity and a border below it."""
     return Reading(r.position - border, r.rate, r.least, r.most)
 
 
-@njit(cache=True)
+@compiled
 def _enclosure(gap: float, rate: float, least: float, most: float) -> tuple[float, float]:
     """(earliest, latest) zero of a gap; the latest is infinite where a zero is not certain."""
     discriminant = rate * rate - 2.0 * least * gap
@@ -133,7 +132,7 @@ def _enclosure(gap: float, rate: float, least: float, most: float) -> tuple[floa
     return earliest, 2.0 * gap / (math.sqrt(discriminant) - rate)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def narrow(ahead: Horizon, gap: Reading, stop: int) -> Horizon:
     """The horizon once a further guard has been consulted."""
     h, least = ahead.time, min(gap.least, 0.0)
@@ -154,26 +153,35 @@ def narrow(ahead: Horizon, gap: Reading, stop: int) -> Horizon:
     return Horizon(first, first, NOTHING)
 
 
-@njit(cache=True)
+@inlined
 def locate(
     f: Followed,
     border: float,
     tolerance: float,
     s: float,
+    b: Basis,
     ahead: Horizon,
     offset: float,
     roots: Roots,
     wave: Wave,
     resonant: bool,
 ) -> tuple[float, Basis]:
-    """(time s in the mode, basis) at which the quantity meets the border, the one zero in the enclosure."""
+    """(time s in the mode, basis) at which the quantity meets the border, the one zero in the enclosure.
+
+    ``s`` and ``b`` are the present moment. Halley's method, from where a parabola would meet the border.
+    """
     low, high = s + ahead.earliest, s + ahead.time
-    at = 0.5 * (low + high)
-    b = basis_at(offset + at, at, roots, wave, resonant)
+    gap, rate, bend = value(f.position, b) - border, value(f.rate, b), value(f.acceleration, b)
+    reach = math.sqrt(max(rate * rate - 2.0 * bend * gap, 0.0))
+    reach += abs(rate)
+    step = 2.0 * abs(gap) / reach if reach > 0.0 else 0.0
+    at = min(max(s + step, low), high)
     for _ in range(MOST_NEWTON_STEPS):
+        b = basis_at(offset + at, at, roots, wave, resonant)
         gap, rate = value(f.position, b) - border, value(f.rate, b)
         if abs(gap) <= tolerance or rate == 0.0:
             break
-        at = min(max(at - gap / rate, low), high)
-        b = basis_at(offset + at, at, roots, wave, resonant)
+        step = gap / rate
+        bend = 0.5 * step * value(f.acceleration, b) / rate
+        at = min(max(at - step * (1.0 + bend), low), high)
     return at, b

@@ -16,13 +16,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
+from worm_model.kernel.compiled import compiled, inlined
 
 SEPARATED = 0  # real roots apart: h1 = e^(r1·s), h2 = e^(r2·s)
 JOINED = 1  # double or nearly, or complex: h1 = e^(−γs)·C(s), h2 = e^(−γs)·S(s)
 
 _JOINED_BELOW = 1e-3  # |r1 − r2| / (|r1| + |r2|) below which the separated form loses digits
 _RESONANT_BELOW = 1e-5  # relative distance of q from a root below which R is used
+_GONE = -42.0  # exponent below which a term is lost in rounding
 _SERIES_BELOW = 0.05  # the same for both roots, below which R is summed as a series
 
 
@@ -71,7 +72,7 @@ class Wave(NamedTuple):
     q: float
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def roots_of(mass: float, friction: float, stiffness: float) -> Roots:
     """Roots of mass·r² + 2·friction·r + stiffness."""
     gamma = friction / mass
@@ -85,7 +86,7 @@ def roots_of(mass: float, friction: float, stiffness: float) -> Roots:
     return Roots(True, gamma, discriminant, -gamma, -gamma)
 
 
-@njit(cache=True)
+@compiled
 def joined_response(s: float, roots: Roots) -> tuple[float, float]:
     """(h1, h2) of joined roots: e^(−γs)·(C, S), C' = D·S, S' = C, C(0) = 1, S(0) = 0."""
     if roots.discriminant < 0.0:
@@ -100,7 +101,7 @@ def joined_response(s: float, roots: Roots) -> tuple[float, float]:
     return 0.5 * (slow + fast), fast * math.expm1(gap * s) / gap
 
 
-@njit(cache=True)
+@compiled
 def _difference_quotient(a: float, b: float, s: float) -> float:
     """(e^(a·s) − e^(b·s)) / (a − b), also at a = b."""
     if a == b:
@@ -109,7 +110,7 @@ def _difference_quotient(a: float, b: float, s: float) -> float:
     return math.exp(high * s) * -math.expm1((low - high) * s) / (high - low)
 
 
-@njit(cache=True)
+@compiled
 def resonant_response(s: float, roots: Roots, q: float, mass: float) -> float:
     """R(s): response to e^(q·s) from rest, M·R'' + 2η·R' + k·R = e^(q·s).
 
@@ -134,14 +135,14 @@ def resonant_response(s: float, roots: Roots, q: float, mass: float) -> float:
     return s * s * math.exp(-roots.gamma * s) * total / mass
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def is_resonant(roots: Roots, q: float) -> bool:
     """Whether e^qσ as a particular solution would cancel against the free response."""
     scale = _RESONANT_BELOW * (abs(q) + abs(roots.gamma)) ** 2
     return abs((q + roots.gamma) ** 2 - roots.discriminant) < scale
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def derivative(c: Coefficients, roots: Roots, wave: Wave) -> Coefficients:
     """Coefficients of the time derivative."""
     if roots.joined:
@@ -165,7 +166,7 @@ def derivative(c: Coefficients, roots: Roots, wave: Wave) -> Coefficients:
     )
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def combine(a: float, x: Coefficients, b: float, y: Coefficients) -> Coefficients:
     """a·x + b·y."""
     return Coefficients(
@@ -182,33 +183,35 @@ def combine(a: float, x: Coefficients, b: float, y: Coefficients) -> Coefficient
     )
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def shifted(c: Coefficients, offset: float) -> Coefficients:
     """The quantity plus a constant."""
     return Coefficients(c.one + offset, c.t1, c.t2, c.t3, c.cos, c.sin, c.exp, c.h1, c.h2, c.res)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def basis_at(sigma: float, s: float, roots: Roots, wave: Wave, resonant: bool) -> Basis:
     """The functions at σ in the segment and s in the mode."""
     if roots.joined:
         h1, h2 = joined_response(s, roots)
     else:
-        h1, h2 = math.exp(roots.r1 * s), math.exp(roots.r2 * s)
+        h1 = math.exp(roots.r1 * s)
+        h2 = math.exp(roots.r2 * s) if roots.r2 * s > _GONE else 0.0
     res = resonant_response(s, roots, wave.q, wave.mass) if resonant else 0.0
+    exp = math.exp(wave.q * sigma) if wave.q != 0.0 else 0.0
     if wave.omega == 0.0:
-        return Basis(sigma, 0.0, 0.0, 0.0, h1, h2, res)
+        return Basis(sigma, 0.0, 0.0, exp, h1, h2, res)
     angle = wave.omega * sigma
-    return Basis(sigma, math.cos(angle), math.sin(angle), math.exp(wave.q * sigma), h1, h2, res)
+    return Basis(sigma, math.cos(angle), math.sin(angle), exp, h1, h2, res)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def basis_at_start(b: Basis, roots: Roots) -> Basis:
     """The basis at the moment of ``b`` in a mode that starts there."""
     return Basis(b.t1, b.cos, b.sin, b.exp, 1.0, 0.0 if roots.joined else 1.0, 0.0)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def value(c: Coefficients, b: Basis) -> float:
     """The quantity at the moment of the basis."""
     return (

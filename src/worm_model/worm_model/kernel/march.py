@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from worm_model.kernel.compiled import compiled, inlined
 from worm_model.kernel.guard import (
     END,
     FORCE_SIGN,
@@ -119,7 +119,7 @@ class Bill(NamedTuple):
     mark: float
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _borders(region: int, c: Constants) -> tuple[float, float]:
     """Displacements at which a fin leaves its region."""
     if region == CLEAR:
@@ -129,7 +129,7 @@ def _borders(region: int, c: Constants) -> tuple[float, float]:
     return c.half_clearance, c.threshold
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _open_stage(motion: Motion, segment: Segment, offset: float, b: Basis, c: Constants) -> Stage:
     wave = segment.wave
     mode = enter_mode(motion, segment.length_change, wave, c, b)
@@ -149,7 +149,7 @@ def _open_stage(motion: Motion, segment: Segment, offset: float, b: Basis, c: Co
     )
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _look_ahead(stage: Stage, bill: Bill, b: Basis, s: float, left: float, wave: Wave) -> Horizon:
     """What comes next within the ``left`` seconds of the segment; see `Horizon`."""
     roots = stage.mode.roots
@@ -161,18 +161,19 @@ def _look_ahead(stage: Stage, bill: Bill, b: Basis, s: float, left: float, wave:
     front = read(stage.front, b, s, left, roots, wave, coarse)
     ahead = narrow(ahead, below(front, stage.front_high), FRONT_HIGH)
     ahead = narrow(ahead, above(front, stage.front_low), FRONT_LOW)
-    if wave.omega != 0.0:
+    if wave.q != 0.0:
         force = read(stage.force, b, s, left, roots, wave, coarse)
         gap = above(force, 0.0) if bill.force_side > 0.0 else below(force, 0.0)
         ahead = narrow(ahead, gap, FORCE_SIGN)
+    if wave.omega != 0.0:  # while it only decays, the length rate keeps its sign
         rate = read(stage.length_rate, b, s, left, roots, wave, coarse)
         gap = above(rate, 0.0) if bill.rate_side > 0.0 else below(rate, 0.0)
         ahead = narrow(ahead, gap, RATE_SIGN)
     return ahead
 
 
-@njit(cache=True, forceinline=True)
-def _go(stage: Stage, ahead: Horizon, s: float, wave: Wave) -> tuple[float, Basis]:
+@inlined
+def _go(stage: Stage, ahead: Horizon, s: float, b: Basis, wave: Wave) -> tuple[float, Basis]:
     """(time in the mode, basis) of the next stop."""
     mode, offset = stage.mode, stage.offset
     if ahead.stop == NOTHING or ahead.stop == END:
@@ -189,10 +190,10 @@ def _go(stage: Stage, ahead: Horizon, s: float, wave: Wave) -> tuple[float, Basi
         followed, border, tolerance = stage.force, 0.0, SIGN_TOLERANCE
     elif ahead.stop == RATE_SIGN:
         followed, border, tolerance = stage.length_rate, 0.0, SIGN_TOLERANCE
-    return locate(followed, border, tolerance, s, ahead, offset, mode.roots, wave, mode.resonant)
+    return locate(followed, border, tolerance, s, b, ahead, offset, mode.roots, wave, mode.resonant)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _side(quantity: Followed, b: Basis) -> float:
     """Sign of a quantity from here on: of its value, or of its rate where the value vanishes."""
     here = value(quantity.position, b)
@@ -201,7 +202,7 @@ def _side(quantity: Followed, b: Basis) -> float:
     return -1.0 if here < 0.0 else 1.0
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _antiderivative(stage: Stage, b: Basis, wave: Wave) -> float:
     return cable_work(
         stage.mode.length_change,
@@ -213,14 +214,14 @@ def _antiderivative(stage: Stage, b: Basis, wave: Wave) -> float:
     )
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _open_bill(force_side: float, rate_side: float, stage: Stage, b: Basis, wave: Wave) -> Bill:
-    active = wave.omega != 0.0 and force_side * rate_side < 0.0
+    active = wave.q != 0.0 and force_side * rate_side < 0.0
     mark = _antiderivative(stage, b, wave) if active else 0.0
     return Bill(force_side, rate_side, active, mark)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -> Motion:
     """Motion once a fin has left its region: in the neighbouring one, or a groove on (eq:A1_switch)."""
     front = stop in (FRONT_HIGH, FRONT_LOW)
@@ -239,7 +240,7 @@ def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -
     return Motion(y, y_rate, groove, motion.front_groove, region, motion.front_region)
 
 
-@njit(cache=True)
+@compiled
 def _write_sample(
     row: np.ndarray, stage: Stage, motion: Motion, b: Basis, wave: Wave, c: Constants
 ) -> None:
@@ -265,7 +266,7 @@ def _write_sample(
     row[FRONT_GROOVE] = motion.front_groove
 
 
-@njit(cache=True)
+@compiled
 def _write_samples(
     until: float,
     stage: Stage,
@@ -291,7 +292,7 @@ def _write_samples(
     ledger[SAMPLED] = at
 
 
-@njit(cache=True)
+@compiled
 def _write_event(
     time: float, stop: int, switched: bool, ledger: np.ndarray, events: np.ndarray
 ) -> None:
@@ -304,7 +305,7 @@ def _write_event(
     ledger[SWITCHES] += 1.0 if switched else 0.0
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _follow_mode(
     stage: Stage,
     b: Basis,
@@ -321,7 +322,7 @@ def _follow_mode(
     while True:
         ledger[STEPS] += 1.0
         ahead = _look_ahead(stage, bill, b, s, segment.duration - stage.offset - s, wave)
-        s, b = _go(stage, ahead, s, wave)
+        s, b = _go(stage, ahead, s, b, wave)
         if ahead.stop == NOTHING and ledger[STEPS] <= MOST_STEPS:
             continue
         if ledger[SAMPLED] < samples.shape[0]:
@@ -336,7 +337,7 @@ def _follow_mode(
             return s, ahead.stop, b
 
 
-@njit(cache=True)
+@compiled
 def march(
     segment: Segment,
     motion: Motion,

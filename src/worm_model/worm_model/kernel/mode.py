@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import njit
-
+from worm_model.kernel.compiled import inlined
 from worm_model.kernel.linear import (
     Basis,
     Coefficients,
@@ -69,7 +68,7 @@ class Mode(NamedTuple):
     resonant: bool
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def region_of(displacement: float, half_clearance: float) -> int:
     """Region of a fin displacement x − A; the borders belong to the clearance (eq:fin_force_piecewise)."""
     if displacement > half_clearance:
@@ -77,7 +76,7 @@ def region_of(displacement: float, half_clearance: float) -> int:
     return BELOW if displacement < -half_clearance else CLEAR
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def fin_stiffness(region: int, c: Constants) -> float:
     """Stiffness of a fin in its region, N/m."""
     if region == CLEAR:
@@ -85,7 +84,7 @@ def fin_stiffness(region: int, c: Constants) -> float:
     return c.stiffness_below if region == BELOW else c.stiffness_above
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def fin_force(displacement: Coefficients, region: int, c: Constants) -> Coefficients:
     """Force f of a fin that stays in its region (eq:fin_force_piecewise)."""
     k = fin_stiffness(region, c)
@@ -93,7 +92,7 @@ def fin_force(displacement: Coefficients, region: int, c: Constants) -> Coeffici
     return combine(k, touched, 0.0, touched)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _polynomial_response(
     g: Coefficients, k: float, friction: float, mass: float
 ) -> tuple[float, float, float, float]:
@@ -109,7 +108,7 @@ def _polynomial_response(
     return 0.0, (g.one - 2.0 * mass * p2) / (2.0 * friction), p2, p3
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _particular(
     g: Coefficients, k: float, c: Constants, wave: Wave, resonant: bool, start: Basis
 ) -> Coefficients:
@@ -122,6 +121,7 @@ def _particular(
         norm = in_phase * in_phase + in_quadrature * in_quadrature
         cos = (g.cos * in_phase - g.sin * in_quadrature) / norm
         sin = (g.sin * in_phase + g.cos * in_quadrature) / norm
+    if wave.q != 0.0:
         if resonant:
             res = g.exp * start.exp
         else:
@@ -129,7 +129,7 @@ def _particular(
     return Coefficients(p0, p1, p2, p3, cos, sin, exp, 0.0, 0.0, res)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _free(y: float, rate: float, roots: Roots) -> tuple[float, float]:
     """Coefficients of h1, h2 for a free response that starts at y with ẏ = rate."""
     if roots.joined:
@@ -138,7 +138,7 @@ def _free(y: float, rate: float, roots: Roots) -> tuple[float, float]:
     return (rate - roots.r2 * y) / gap, (roots.r1 * y - rate) / gap
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def enter_mode(
     motion: Motion, length_change: Coefficients, wave: Wave, c: Constants, start: Basis
 ) -> Mode:
@@ -149,7 +149,7 @@ def enter_mode(
     front_anchor = motion.front_groove * c.pitch
     k = rear_k + front_k
     roots = roots_of(c.mass, c.friction, k)
-    resonant = wave.omega != 0.0 and is_resonant(roots, wave.q)
+    resonant = wave.q != 0.0 and is_resonant(roots, wave.q)
     length_rate = derivative(length_change, roots, wave)
     forcing = combine(
         (2.0 * c.mu - 1.0) * c.friction,
@@ -172,7 +172,7 @@ def enter_mode(
     return Mode(y, length_change, rear, front, roots, resonant)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def cable_force(mode: Mode, rear_region: int, wave: Wave, c: Constants) -> Coefficients:
     """F_c over the mode (eq:Fc)."""
     length_rate = derivative(mode.length_change, mode.roots, wave)

@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from worm_model.kernel.compiled import compiled, inlined, unlocked
 from worm_model.kernel.linear import Coefficients, Wave
 from worm_model.kernel.march import (
     CHATTER,
@@ -45,7 +45,7 @@ MEAN_ADVANCE, MEAN_POWER, LEAST_ADVANCE, RUN_SWITCHES, RUN_CHATTER = range(5)
 RESULT_COLUMNS = 5
 
 
-@njit(cache=True)
+@compiled
 def constants_of(p: np.ndarray, direction: float, margin: float) -> Constants:
     """Constants of a parameter row; forward, the fin is stiff when pushed backward (below its clearance)."""
     mass = p[REAR_MASS] + p[FRONT_MASS]
@@ -67,7 +67,7 @@ def constants_of(p: np.ndarray, direction: float, margin: float) -> Constants:
     )
 
 
-@njit(cache=True)
+@compiled
 def start_motion(c: Constants, length_rate: float) -> Motion:
     """x1 = 0, v1 = 0, A1 = 0, ΔL = 0, the front anchor on the nearest groove; ẏ = v1 + μ·L̇."""
     front_groove = math.ceil(c.initial_length / c.pitch - 0.5 - 1e-12)
@@ -75,17 +75,17 @@ def start_motion(c: Constants, length_rate: float) -> Motion:
     return Motion(0.0, c.mu * length_rate, 0, front_groove, 1, region_of(phase, c.half_clearance))
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _clipped_segment(
-    start: float, end: float, length_change: float, p: np.ndarray, omega: float, mass: float
+    start: float, end: float, length_change: float, p: np.ndarray, mass: float
 ) -> Segment:
     """ΔL relaxes to −K·δ_s while the command is within the slack."""
     rest = -p[GAIN] * p[SLACK]
     form = Coefficients(rest, 0.0, 0.0, 0.0, 0.0, 0.0, length_change - rest, 0.0, 0.0, 0.0)
-    return Segment(start, end - start, form, Wave(mass, omega, -1.0 / p[TIME_CONSTANT]))
+    return Segment(start, end - start, form, Wave(mass, 0.0, -1.0 / p[TIME_CONSTANT]))
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _open_segment(
     start: float,
     end: float,
@@ -107,7 +107,7 @@ def _open_segment(
     return Segment(start, end - start, form, Wave(mass, omega, -1.0 / p[TIME_CONSTANT]))
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _end_value(segment: Segment) -> float:
     form, wave = segment.length_change, segment.wave
     angle = wave.omega * segment.duration
@@ -119,7 +119,7 @@ def _end_value(segment: Segment) -> float:
     )
 
 
-@njit(cache=True)
+@compiled
 def run_gait(
     stroke: float,
     frequency: float,
@@ -153,7 +153,7 @@ def run_gait(
             if part == 1 and clipped_throughout:
                 continue
             if part == 0:
-                segment = _clipped_segment(start, start + opening, length_change, p, omega, c.mass)
+                segment = _clipped_segment(start, start + opening, length_change, p, c.mass)
             elif part == 1:
                 segment = _open_segment(
                     start + opening,
@@ -167,7 +167,7 @@ def run_gait(
                 )
             else:
                 segment = _clipped_segment(
-                    start + period - opening, start + period, length_change, p, omega, c.mass
+                    start + period - opening, start + period, length_change, p, c.mass
                 )
             motion = march(segment, motion, c, ledger, samples, events)
             length_change = _end_value(segment)
@@ -177,7 +177,7 @@ def run_gait(
         boundaries[cycle + 1, 1] = ledger[WORK_DONE]
 
 
-@njit(cache=True)
+@compiled
 def evaluate(
     stroke: float,
     frequency: float,
@@ -212,7 +212,7 @@ def evaluate(
     result[MEAN_POWER] = p[IDLE_POWER] + p[POWER_FACTOR] * work * frequency / averaged
 
 
-@njit(cache=True, nogil=True)
+@unlocked
 def evaluate_many(
     gaits: np.ndarray, parameters: np.ndarray, cycles: int, averaged: int, results: np.ndarray
 ) -> None:
@@ -234,7 +234,7 @@ def evaluate_many(
         )
 
 
-@njit(cache=True, nogil=True)
+@unlocked
 def run_sampled(
     breaks: np.ndarray,
     coefficients: np.ndarray,

@@ -3,26 +3,27 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from worm_model.kernel.compiled import inlined
 from worm_model.kernel.linear import Basis, Coefficients, Roots, Wave
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _wave_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave) -> float:
     """∫ of the wave terms of the rate r times those of the force f."""
     w, q = wave.omega, wave.q
+    exponential = r.exp * f.exp * b.exp * b.exp / (2.0 * q)
+    if w == 0.0:
+        return exponential
     squares = 0.5 * (r.cos * f.cos + r.sin * f.sin) * b.t1
     double = 0.5 * (r.cos * f.cos - r.sin * f.sin) * b.sin * b.cos
     double += 0.5 * (r.cos * f.sin + r.sin * f.cos) * b.sin * b.sin
     decaying_cos = r.cos * f.exp + r.exp * f.cos
     decaying_sin = r.sin * f.exp + r.exp * f.sin
     mixed = decaying_cos * (q * b.cos + w * b.sin) + decaying_sin * (q * b.sin - w * b.cos)
-    exponential = r.exp * f.exp * b.exp * b.exp / (2.0 * q)
     return squares + double / w + mixed * b.exp / (q * q + w * w) + exponential
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _separated_products(
     r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
 ) -> float:
@@ -30,13 +31,16 @@ def _separated_products(
     w = wave.omega
     total = 0.0
     for root, response in ((roots.r1, f.h1 * b.h1), (roots.r2, f.h2 * b.h2)):
-        cos = (r.cos * root - r.sin * w) * b.cos
-        sin = (r.cos * w + r.sin * root) * b.sin
-        total += response * ((cos + sin) / (root * root + w * w) + r.exp * b.exp / (wave.q + root))
+        turning = 0.0
+        if w != 0.0:
+            cos = (r.cos * root - r.sin * w) * b.cos
+            sin = (r.cos * w + r.sin * root) * b.sin
+            turning = (cos + sin) / (root * root + w * w)
+        total += response * (turning + r.exp * b.exp / (wave.q + root))
     return total
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _rotated(z: complex, factor: complex, h1: float, h2: float, b: Basis, roots: Roots) -> float:
     """Re ∫ factor·(h1 term + h2 term) where d factor/dt = z·factor, for joined roots."""
     p = z - roots.gamma
@@ -46,7 +50,7 @@ def _rotated(z: complex, factor: complex, h1: float, h2: float, b: Basis, roots:
     return (factor * (a1 * b.h1 + a2 * b.h2)).real
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _joined_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots) -> float:
     """∫ of the wave terms of the rate times f.h1·h1 + f.h2·h2, for joined roots."""
     turning = (r.cos - 1j * r.sin) * (b.cos + 1j * b.sin)
@@ -56,7 +60,7 @@ def _joined_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roo
     )
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def _resonant_products(
     r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
 ) -> float:
@@ -78,7 +82,7 @@ def _resonant_products(
     return f.res * (total - _separated_products(scaled, free, b, wave, roots) / wave.mass)
 
 
-@njit(cache=True, forceinline=True)
+@inlined
 def cable_work(
     length_change: Coefficients,
     rate: Coefficients,
