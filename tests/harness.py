@@ -3,18 +3,28 @@
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import rclpy
+from ament_index_python.packages import get_package_share_directory
+from dynamixel_sdk import PacketHandler, PortHandler
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
+from worm_optimizer.bringup.drive import start_nodes
 from worm_optimizer.bringup.processes import Process, ProcessGroup, executable_command
+from worm_optimizer.bringup.system import System, SystemFile, load_system_file
 
 NAMESPACE = "/worm"
 TIMEOUT_S = 30.0  # generous: only a failure waits for so long
+SERVOS = (1, 11, 12)  # of the virtual robot: one cable servo, two fin servos
+BAUD_RATE = 1_000_000
+TORQUE_ENABLE = 64  # address, e-manual
 LATCHED = QoSProfile(
     depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
@@ -101,3 +111,47 @@ class Probe:
         self.wait_for(client.server_is_ready, f"action {name}", timeout_s)
         sent = client.send_goal_async(goal, feedback_callback=feedback)
         return self.result(sent, f"answer of {name}", timeout_s)
+
+
+class VirtualWorm:
+    """Virtual robot and driver (and other nodes) of system.yaml, as the demo starts them."""
+
+    def __init__(self, processes: Processes, probe: Probe, directory: Path) -> None:
+        self.processes = processes
+        self.probe = probe
+        self.directory = directory
+        self.system = system_file().system("virtual", directory=str(directory))
+
+    def start(self, *names: str) -> None:
+        """Start some nodes of the system, in its order."""
+        chosen = tuple(node for node in self.system.nodes if node.name in names)
+        start_nodes(self.processes, System(self.system.namespace, chosen), say=print)
+
+    def activate(self) -> None:
+        """Configure and activate the driver."""
+        for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+            request = ChangeState.Request(transition=Transition(id=transition))
+            assert self.probe.call(ChangeState, "driver/change_state", request).success
+
+    def torques(self) -> dict[int, int]:
+        """Torque Enable of each servo, read with the SDK; the driver must have let go of the bus."""
+        port = PortHandler(str(self.directory / "servo_bus"))
+        assert port.openPort()
+        assert port.setBaudRate(BAUD_RATE)
+        try:
+            return {number: _read_torque(port, number) for number in SERVOS}
+        finally:
+            port.closePort()
+
+
+def _read_torque(port: PortHandler, servo: int) -> int:
+    value, result, error = PacketHandler(2.0).read1ByteTxRx(port, servo, TORQUE_ENABLE)
+    assert (result, error) == (0, 0), f"servo {servo} does not answer"
+    return value
+
+
+def system_file() -> SystemFile:
+    """The installed system.yaml."""
+    return load_system_file(
+        Path(get_package_share_directory("worm_optimizer"), "config", "system.yaml")
+    )

@@ -26,7 +26,7 @@ def drive(system: System, logs: Path, say: Say) -> Prediction:
     optimizer predicted. Raises `ProcessError` or `OperatorError` with the stage that failed.
     """
     with ProcessGroup(logs) as group:
-        _start(group, system, say)
+        start_nodes(group, system, say)
         with operator(system.namespace, group.check) as node:
             prediction = _run_gait(node, system, say)
         say("stopping the nodes")
@@ -34,7 +34,7 @@ def drive(system: System, logs: Path, say: Say) -> Prediction:
     return prediction
 
 
-def _start(group: ProcessGroup, system: System, say: Say) -> None:
+def start_nodes(group: ProcessGroup, system: System, say: Say) -> None:
     """Start the nodes in their order, waiting for those that say when they are ready."""
     for node in system.nodes:
         say(f"starting {node.name}: {node.package} {node.executable}")

@@ -3,35 +3,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from worm_model.run import Run, seconds
-from worm_optimizer.bringup.figures import Window
-
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
+from worm_optimizer.bringup.figures import TwinTrace, Window
 
 _ROBOT = {"color": "#1b6ca8", "linewidth": 1.4}
 _TWIN = {"color": "#d1495b", "linewidth": 1.4, "linestyle": "--"}
 _CABLE = {"color": "#7aa874", "linewidth": 1.0}
 _COMMAND = {"color": "#8d8d8d", "linewidth": 1.0}
-
-
-@dataclass(frozen=True)
-class TwinTrace:
-    """What the twin made of a run: x1 and L in m, power in W, energy in J, at stamps in ns."""
-
-    stamp: Stamps
-    rear_position: Array
-    length: Array
-    power: Array
-    energy: Array
 
 
 def draw_run(path: Path, title: str, run: Run, twin: TwinTrace, window: Window) -> None:

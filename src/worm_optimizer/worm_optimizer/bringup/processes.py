@@ -115,6 +115,10 @@ class Process:
         """Ask it to end, as Ctrl-C does."""
         self.signal(signal.SIGINT)
 
+    def kill(self) -> None:
+        """End it without asking, as a crash or a power cut does."""
+        self.signal(signal.SIGKILL)
+
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to its whole process group; none is left to get it, nothing happens."""
         with contextlib.suppress(ProcessLookupError):

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``worm_optimizer demo``: the main job, end to end, on a virtual robot.
+
+Brings the node graph of system.yaml up, each node a process; requests a gait, runs five cycles of
+it, records them, stops the robot, replays the recording into the twin, and compares what was
+measured with what was predicted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.command_line import (
+    FAILED,
+    InputError,
+    Parser,
+    add_parameters,
+    print_json,
+    run_command,
+)
+from worm_model.parameters import Parameters, load_parameters
+from worm_optimizer.bringup.comparison import Comparison, compare
+from worm_optimizer.bringup.drive import Say, drive
+from worm_optimizer.bringup.figure import draw_run
+from worm_optimizer.bringup.figures import RecordingError
+from worm_optimizer.bringup.operator_node import OperatorError
+from worm_optimizer.bringup.processes import ProcessError, termination_as_interrupt
+from worm_optimizer.bringup.report import comparison_table
+from worm_optimizer.bringup.system import load_system_file
+from worm_optimizer.prediction import Prediction
+
+_FAILURES = (ProcessError, OperatorError, RecordingError)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the demo; exit status 0, 2 for bad input, 1 if any stage fails."""
+    return run_command(_parser(), _demo, arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(prog="demo", description="The main job, end to end, on a virtual robot.")
+    add_parameters(parser)
+    parser.add_argument(
+        "--bags",
+        type=Path,
+        default=Path("bags"),
+        metavar="FOLDER",
+        help="where the recording and its figure go (default: bags)",
+    )
+    parser.add_argument(
+        "--plant",
+        default="",
+        metavar="FILE",
+        help="what is true of the virtual robot (default: its own file)",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of the robot's scatter and noise")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    return parser
+
+
+def _demo(options: argparse.Namespace) -> int:
+    parameters = load_parameters(options.parameters)
+    bag = _new_bag(options.bags)
+    say = _Narrator()
+    try:
+        with termination_as_interrupt():
+            prediction = _drive(options, bag, say)
+            say("replaying the recording into the twin")
+            comparison, figure = _look_back(bag, prediction, parameters)
+    except _FAILURES as error:
+        print(f"demo: {error}", file=sys.stderr)  # noqa: T201
+        return FAILED
+    _print(options, prediction, comparison, bag, figure)
+    return 0
+
+
+class _Narrator:
+    """Tells on standard error what goes on, and since when."""
+
+    def __init__(self) -> None:
+        self._start = time.monotonic()
+
+    def __call__(self, text: str) -> None:
+        elapsed = time.monotonic() - self._start
+        print(f"demo: {elapsed:5.1f} s  {text}", file=sys.stderr, flush=True)  # noqa: T201
+
+
+def _new_bag(folder: Path) -> Path:
+    """A path in the folder that no recording has yet."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--bags {folder}: {error.strerror}") from None
+    return folder.resolve() / time.strftime("demo_%Y_%m_%d-%H_%M_%S")
+
+
+def _drive(options: argparse.Namespace, bag: Path, say: Say) -> Prediction:
+    share = Path(get_package_share_directory("worm_optimizer"))
+    with _work_folder() as folder:
+        logs = folder / "logs"
+        logs.mkdir()
+        system = load_system_file(share / "config" / "system.yaml").system(
+            "virtual",
+            directory=str(folder),
+            bag=str(bag),
+            parameter_file=_absolute(options.parameters),
+            plant=_absolute(options.plant),
+            seed=str(options.seed),
+        )
+        return drive(system, logs, say)
+
+
+@contextmanager
+def _work_folder() -> Iterator[Path]:
+    """A folder for sockets and logs, which stays only after a failure."""
+    folder = Path(tempfile.mkdtemp(prefix="worm_demo_"))
+    try:
+        yield folder
+    except _FAILURES:
+        print(f"demo: the logs of all nodes are in {folder / 'logs'}", file=sys.stderr)  # noqa: T201
+        raise
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _absolute(path: str) -> str:
+    return str(Path(path).resolve()) if path else ""
