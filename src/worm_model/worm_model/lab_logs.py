@@ -120,6 +120,21 @@ def read_table(path: Path, columns: tuple[str, ...]) -> Table:
     Raises:
         LabError: a column is missing, a cell is not a number, or the time does not rise.
     """
+    table = read_columns(path, columns)
+    time = table[columns[0]]
+    wrong = np.flatnonzero(~(np.diff(time) > 0.0))
+    if not np.isfinite(time).all() or len(wrong):
+        line = int(wrong[0]) + 3 if len(wrong) else 2
+        raise LabError(f"{path}, near line {line}: {columns[0]} does not rise")
+    return table
+
+
+def read_columns(path: Path, columns: tuple[str, ...]) -> Table:
+    """Columns of a CSV file by name, in any order of its rows; an empty cell is NaN.
+
+    Raises:
+        LabError: a column is missing, there are no rows, or a cell is not a number.
+    """
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.DictReader(stream)
@@ -139,11 +154,6 @@ def read_table(path: Path, columns: tuple[str, ...]) -> Table:
     if not rows:
         raise LabError(f"{path} has no rows")
     values = np.array(rows)
-    time = values[:, 0]
-    wrong = np.flatnonzero(~(np.diff(time) > 0.0))
-    if not np.isfinite(time).all() or len(wrong):
-        line = int(wrong[0]) + 3 if len(wrong) else 2
-        raise LabError(f"{path}, near line {line}: {columns[0]} does not rise")
     return {name: values[:, index] for index, name in enumerate(columns)}
 
 

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stage 2: bellows stiffness k_b from a force–deformation test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.identification.errors import IdentificationError
+from worm_model.identification.estimate import Estimate, quantile
+from worm_model.identification.robust import OUTLIER, scale_of
+
+Array = NDArray[np.float64]
+
+COLUMNS = ("compression_m", "force_N")
+FEWEST_POINTS = 5
+
+
+@dataclass(frozen=True)
+class BellowsFit:
+    """A straight line through the test: ``stiffness`` N/m, ``offset`` N at no compression (the load cell's zero).
+
+    ``deviation`` is the stiffness' standard deviation; ``compression``, ``force`` (n,) are the test's samples and
+    ``used`` (n,) those that are no outliers.
+    """
+
+    stiffness: Estimate
+    deviation: float
+    offset: float
+    compression: Array
+    force: Array
+    used: NDArray[np.bool_]
+
+
+def fit_bellows(compression: Array, force: Array) -> BellowsFit:
+    """Least squares without outliers; the interval is that of Student's t, exact for white noise.
+
+    ``compression`` m and ``force`` N, (n,) each. Raises `IdentificationError` if no stiffness comes out.
+    """
+    known = np.isfinite(compression) & np.isfinite(force)
+    x, y = compression[known], force[known]
+    if x.size < FEWEST_POINTS or np.ptp(x) <= 0.0:
+        raise IdentificationError(
+            f"bellows test: {x.size} usable points at different compressions, {FEWEST_POINTS} are needed"
+        )
+    used = np.ones(x.size, bool)
+    for _ in range(10):
+        slope, offset = np.polyfit(x[used], y[used], 1)
+        residual = y - offset - slope * x
+        keep = np.abs(residual) <= OUTLIER * max(scale_of(residual[used]), 1e-9)
+        if np.array_equal(keep, used) or keep.sum() < FEWEST_POINTS:
+            break
+        used = keep
+    if slope <= 0.0:
+        raise IdentificationError(
+            "bellows test: the force falls with compression; give compression and force as positive"
+        )
+    freedom = int(used.sum()) - 2
+    noise = np.sqrt(np.sum(residual[used] ** 2) / freedom)
+    deviation = float(noise / np.sqrt(np.sum((x[used] - x[used].mean()) ** 2)))
+    half = quantile(freedom) * deviation
+    estimate = Estimate(float(slope), float(slope - half), float(slope + half))
+    return BellowsFit(estimate, deviation, float(offset), x, y, used)
