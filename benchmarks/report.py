@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a benchmark returns, and how it is printed."""
+
+from __future__ import annotations
+
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure: what was measured, its value with unit, the goal it is held against, and how."""
+
+    what: str
+    value: str
+    goal: str
+    how: str
+
+
+def machine() -> str:
+    """The machine in one line."""
+    model = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        names = [line for line in cpuinfo.read_text().splitlines() if line.startswith("model name")]
+        model = names[0].split(":", 1)[1].strip() if names else model
+    load = os.getloadavg()[0]
+    return f"{model}, {os.cpu_count()} cores, load {load:.1f}, Python {platform.python_version()}"
+
+
+def print_rows(title: str, rows: list[Row]) -> None:
+    """Prints the figures of one benchmark as a table."""
+    print(f"\n{title}")
+    widths = [max(len(getattr(row, field)) for row in rows) for field in ("what", "value", "goal")]
+    for row in rows:
+        cells = (row.what, row.value, row.goal)
+        line = "  ".join(cell.ljust(width) for cell, width in zip(cells, widths, strict=True))
+        print(f"  {line}  {row.how}")
+
+
+def cpu_time(call: Callable[[], object], repeats: int) -> float:
+    """Median processor time of a call in s, all threads of this process counted."""
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        call()
+        times.append(time.process_time() - start)
+    return statistics.median(times)
+
+
+def wall_time(call: Callable[[], object], repeats: int) -> float:
+    """Median time by the clock of a call in s."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
