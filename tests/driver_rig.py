@@ -6,6 +6,7 @@ every run, however loaded the machine is.
 """
 
 import errno
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -157,12 +158,18 @@ def settings(**changes: object) -> DriverSettings:
 class Rig:
     """A driver's robot, a virtual robot, and the clock between them."""
 
-    def __init__(self, driver: DriverSettings | None = None):
-        self.clock = Clock()
-        self.virtual = VirtualRobot(load_settings(None))
+    def __init__(
+        self,
+        driver: DriverSettings | None = None,
+        virtual: VirtualRobot | None = None,
+        clock: Clock | None = None,
+    ):
+        self.clock = clock or Clock()
+        self.virtual = virtual or VirtualRobot(load_settings(None))
         self.wire = Wire(self.clock, self._answer)
         self.bus = ServoBus(SimulatedPort(self.wire, self.clock))
         self.speeds: list[tuple[float, float]] = []
+        self.positions: list[tuple[float, float]] = []
         self.samples: list[PowerSample] = []
         self.snapshots: list[Snapshot] = []
         self.settings = driver or settings()
@@ -174,19 +181,29 @@ class Rig:
         self.sensor.start()
         self.robot = Robot(self.settings, self.bus, self._valid_samples, self.clock)
 
-    def _advance(self, time: float) -> None:
+    def advance(self, time: float) -> None:
         """Lets the virtual robot move, and notes how fast its cable servo turns."""
         step = self.virtual.settings.step
         while self.virtual.time + step <= time + 1e-9:
             self.virtual.advance(self.virtual.time + step)
             self.speeds.append((self.virtual.time, self.cable_speed))
+            self.positions.append((self.virtual.time, self.cable.motor.position))
 
     def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
-        self._advance(now)
+        self.advance(now)
         return [(t.time, t.data) for t in self.virtual.receive(data, now)]
 
     def _valid_samples(self) -> int:
         return sum(sample.status is SampleStatus.VALID for sample in self.samples)
+
+    def restarted_driver(self, driver: DriverSettings | None = None) -> "Rig":
+        """A new driver on the same virtual robot."""
+        return Rig(driver or self.settings, self.virtual, self.clock)
+
+    @property
+    def home_ticks(self) -> float:
+        """Shaft position (ticks) of the virtual cable servo where the driver sees 0."""
+        return self.virtual.settings.cable_servos[0].start_angle * 4096 / (2 * math.pi)
 
     @property
     def cable(self):
@@ -196,7 +213,7 @@ class Rig:
     @property
     def cable_speed(self) -> float:
         """m/s at which the virtual servo moves the cable."""
-        return abs(self.cable.motor.velocity) * 2 * 3.141592653589793 / 4096 * 0.025
+        return abs(self.cable.motor.velocity) * 2 * math.pi / 4096 * 0.025
 
     def run(self, duration: float, until: Callable[[Snapshot], bool] | None = None) -> Snapshot:
         """Cycles for a duration (s), or until a snapshot fulfils a condition, which must happen."""
@@ -204,7 +221,7 @@ class Rig:
         while self.clock.now < end:
             period = self.settings.period
             self.clock.now = (int(self.clock.now / period + 1e-6) + 1) * period
-            self._advance(self.clock.now)
+            self.advance(self.clock.now)
             self.samples.append(self.sensor.sample(self.clock.now))
             self.snapshots.append(self.robot.cycle(self.clock.now))
             if until is not None and until(self.snapshots[-1]):
@@ -217,7 +234,9 @@ class Rig:
         self.run(0.1)
         self.robot.activate(self.clock.now)
 
-    def start(self, stroke: float = 0.07, frequency: float = 0.4, cycles: int = 5, direction: int = 1):
+    def start(
+        self, stroke: float = 0.07, frequency: float = 0.4, cycles: int = 5, direction: int = 1
+    ):
         """Begins a run."""
         return self.robot.start(self.clock.now, Gait(stroke, frequency, direction), cycles)
 
@@ -231,7 +250,7 @@ class Rig:
 
     def inject(self, name: str, **arguments: object) -> None:
         """A fault of the virtual robot, now."""
-        self._advance(self.clock.now)
+        self.advance(self.clock.now)
         self.virtual.board.add(make_fault(name, **arguments).delayed(self.clock.now))
 
     def time_to_stop(self, longest: float = 1.0) -> float:

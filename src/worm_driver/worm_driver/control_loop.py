@@ -51,9 +51,13 @@ class PeriodicThread:
         """Starts the thread."""
         self._thread.start()
 
+    def ask_to_end(self) -> None:
+        """Lets the thread end after its step."""
+        self._ending.set()
+
     def end(self, timeout: float) -> bool:
         """Lets the thread end after its step; whether it has within the time (s)."""
-        self._ending.set()
+        self.ask_to_end()
         self._thread.join(timeout)
         return not self._thread.is_alive()
 
@@ -141,6 +145,10 @@ class ControlLoop:
     def leave(self, reason: str) -> None:
         """Has the robot brought to rest and released, and the thread end after it. Safe in a signal handler."""
         self._leaving = reason
+
+    def let_go(self) -> None:
+        """Has the thread end after its step, releasing the robot wherever it is. Safe in a signal handler."""
+        self._thread.ask_to_end()
 
     def join(self, timeout: float) -> bool:
         """Waits for the thread to end; when the time (s) is up it ends after its step, releasing the robot."""

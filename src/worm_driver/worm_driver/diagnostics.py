@@ -165,7 +165,7 @@ def gait_report(player: PlayerState, *, active: bool, homed: bool) -> Report:
     )
 
 
-def offline_report(state: str, reason: str) -> Report:
-    """While nothing is open: why."""
-    level = Level.ERROR if reason else Level.OK
-    return Report("driver: gait", level, reason or state, "", ())
+def offline_report(failure: Exception | None) -> Report:
+    """While nothing is open: why, if opening it failed."""
+    level = Level.OK if failure is None else Level.ERROR
+    return Report("driver: gait", level, "not configured" if failure is None else str(failure))

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -24,7 +25,7 @@ from std_srvs.srv import Trigger
 
 from worm_driver import ros_messages, ros_parameters
 from worm_driver.diagnostics import offline_report
-from worm_driver.errors import DriverError
+from worm_driver.errors import ConfigurationError, DriverError
 from worm_driver.hardware import Hardware
 from worm_driver.ros_messages import ClockPair
 from worm_driver.run_action import RunGaitAction
@@ -48,7 +49,7 @@ class DriverNode(LifecycleNode):
         self._hardware: Hardware | None = None
         self._latest: Snapshot | None = None
         self._shown: tuple[object, ...] | None = None
-        self._offline_reason = ""
+        self._failure: Exception | None = None
         self._joint_states = self.create_publisher(JointState, "joint_states", 10)
         self._commanded = self.create_publisher(BodyLength, "body_length/commanded", 10)
         self._cable = self.create_publisher(BodyLength, "body_length/cable", 10)
@@ -62,6 +63,7 @@ class DriverNode(LifecycleNode):
         self.create_service(Trigger, "reboot", self._on_reboot)
         self._fresh = self.create_guard_condition(self._publish)
         self.create_timer(1.0, self._publish_diagnostics)
+        self._show_inactive("not configured")
 
     # --- lifecycle -----------------------------------------------------------------------------
 
@@ -72,7 +74,7 @@ class DriverNode(LifecycleNode):
             self._hardware = Hardware(settings, self._wake)
         except DriverError as error:
             return self._failed("configure", error)
-        self._offline_reason = ""
+        self._failure = None
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -109,24 +111,33 @@ class DriverNode(LifecycleNode):
 
     def close(self, reason: str) -> None:
         """Brings the robot to rest, releases and closes it; needs no ROS, and is harmless when nothing is open."""
-        hardware, self._hardware = self._hardware, None
+        hardware = self._hardware
         if hardware is None:
             return
-        for problem in hardware.close(reason):
+        problems = hardware.close(reason)
+        self._hardware = self._latest = None
+        for problem in problems:
             self.get_logger().error(f"on release: {problem}")
-        self._action.abandon(reason)
-        self._publish_all(hardware)
+        if self.context.ok():
+            self._publish_all(hardware)
+            self._action.abandon(reason)
+            self._show_inactive(reason)
+
+    def let_go(self) -> None:
+        """Cuts a release short: the torque goes at once. Safe in a signal handler."""
+        if self._hardware is not None:
+            self._hardware.loop.let_go()
 
     def autostart(self) -> None:
         """Configures and activates, where the parameter asks for it. Raises DriverError when it fails."""
         if not self.get_parameter("autostart").value:
             return
         for trigger in (self.trigger_configure, self.trigger_activate):
-            if trigger() != TransitionCallbackReturn.SUCCESS:
-                raise DriverError(self._offline_reason)
+            if trigger() != TransitionCallbackReturn.SUCCESS and self._failure is not None:
+                raise self._failure
 
     def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
-        self._offline_reason = str(error)
+        self._failure = error
         self.get_logger().error(f"cannot {what}: {error}")
         return TransitionCallbackReturn.FAILURE
 
@@ -241,6 +252,12 @@ class DriverNode(LifecycleNode):
             self._shown = shown
             self._gait_state.publish(ros_messages.gait_state(snapshot, clocks))
 
+    def _show_inactive(self, reason: str) -> None:
+        self._shown = None
+        message = GaitState(state=GaitState.INACTIVE, message=reason)
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._gait_state.publish(message)
+
     def _on_tracker(self, message: Tracker) -> None:
         clocks = ClockPair.read(lambda: self.get_clock().now().nanoseconds)
         self._action.on_position(clocks.monotonic(message.header.stamp), message.rear_position)
@@ -249,7 +266,7 @@ class DriverNode(LifecycleNode):
         stamp = self.get_clock().now().to_msg()
         hardware, latest = self._hardware, self._latest
         if hardware is None or latest is None:
-            reports = [offline_report("not configured", self._offline_reason)]
+            reports = [offline_report(self._failure)]
         else:
             reports = hardware.report(latest)
             self._check_loop(hardware)
@@ -258,21 +275,27 @@ class DriverNode(LifecycleNode):
     def _check_loop(self, hardware: Hardware) -> None:
         if not hardware.loop.alive:
             failure = hardware.loop.failure
-            raise RuntimeError(f"the servo bus thread has ended: {failure}") from failure
+            raise DriverError(f"the servo bus thread has ended: {failure!r}") from failure
 
 
 def main(args: list[str] | None = None) -> int:
-    """Runs the driver until SIGINT or SIGTERM; the servos are released on every way out."""
+    """Runs the driver until SIGINT, SIGTERM or SIGHUP; the servos are released on every way out.
+
+    A first signal brings the robot to rest, a second one lets go at once.
+    """
     sys.setswitchinterval(_SWITCH_INTERVAL)
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    asked: list[int] = []
+    node: DriverNode | None = None
+    asked = False
 
-    def on_signal(number: int, _: FrameType | None) -> None:
-        asked.append(number)
+    def on_signal(_: int, __: FrameType | None) -> None:
+        nonlocal asked
+        if asked and node is not None:
+            node.let_go()
+        asked = True
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, on_signal)
-    node = None
     try:
         node = DriverNode()
         executor = SingleThreadedExecutor()
@@ -280,15 +303,21 @@ def main(args: list[str] | None = None) -> int:
         node.autostart()
         while not asked:
             executor.spin_once(timeout_sec=0.05)
+    except (ConfigurationError, ParameterException) as error:
+        return _say(error, 2)
     except DriverError as error:
-        print(f"driver: {error}", file=sys.stderr)  # noqa: T201
-        return 1
+        return _say(error, 1)
     finally:
         if node is not None:
             node.close("the driver ends")
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _say(error: Exception, status: int) -> int:
+    print(f"driver: {error}", file=sys.stderr)  # noqa: T201 (the command's own words)
+    return status
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from worm_driver.gait_player import Run
 from worm_driver.ina219 import PowerSample, SampleStatus
@@ -20,8 +21,8 @@ IDLE_SAMPLES = 10
 
 #: s, the farthest that two tracker samples may lie apart to tell a position between them (30 Hz, two lost)
 _TRACKER_GAP = 0.12
-#: share of the power samples that must be valid
-_VALID_SHARE = 0.9
+#: s, the longest time without a valid power sample within the averaged cycles
+_POWER_GAP = 0.1
 
 
 @dataclass
@@ -116,16 +117,23 @@ def _speed(run: Run, record: RunRecord, start: float, end: float) -> tuple[float
 
 
 def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tuple[float, str]:
+    """Mean over time: each valid sample stands for the time until the next one."""
     window = [sample for sample in samples if start <= sample.time <= end]
     if not window:
-        return math.nan, "no power: there is no power sensor"
+        return math.nan, "no power: there are no samples of the power sensor"
     overflows = sum(sample.status is SampleStatus.OVERFLOW for sample in window)
     if overflows:
         return math.nan, f"no power: {overflows} samples overflowed the sensor's range"
-    powers = [sample.power for sample in window if sample.status is SampleStatus.VALID]
-    if len(powers) < _VALID_SHARE * len(window):
-        return math.nan, f"no power: only {len(powers)} of {len(window)} samples are valid"
-    return math.fsum(powers) / len(powers), ""
+    valid = [sample for sample in window if sample.status is SampleStatus.VALID]
+    times = [start, *(sample.time for sample in valid[1:]), end]
+    gap = max(after - before for before, after in pairwise(times))
+    if not valid or gap > _POWER_GAP:
+        return math.nan, f"no power: there was no valid sample for {gap:.2f} s"
+    energy = math.fsum(
+        sample.power * (after - before)
+        for sample, (before, after) in zip(valid, pairwise(times), strict=True)
+    )
+    return energy / (end - start), ""
 
 
 def _cost_of_transport(power: float, speed: float, body: Body) -> tuple[float, str]:

@@ -85,6 +85,7 @@ class PlayerState:
         length_change: m, what the cable is asked for now.
         ramp_from: m, where a return to rest began.
         direction: where the fins are set to; 0 before the first run.
+        still_since: s, when the cable and the fins were last asked to move, or seen off their place.
         run: the current run, or the last one when its ending is set.
         message: why it holds or has failed.
     """
@@ -94,6 +95,7 @@ class PlayerState:
     length_change: float = 0.0
     ramp_from: float = 0.0
     direction: int = 0
+    still_since: float = -math.inf
     run: Run | None = None
     message: str = ""
 
@@ -122,6 +124,7 @@ class PlayerSettings:
 
     Attributes:
         rest_duration: s, least rest before a gait.
+        settle_time: s, that the robot gets to come to rest after a motion, before the rest counts.
         rest_samples: idle power samples that the rest waits for.
         rest_timeout: s, longest rest: then the gait starts without an idle power.
         flip_timeout: s, longest time for the fins.
@@ -130,6 +133,7 @@ class PlayerSettings:
     """
 
     rest_duration: float = 1.0
+    settle_time: float = 0.5
     rest_samples: int = 10
     rest_timeout: float = 3.0
     flip_timeout: float = 3.0
@@ -205,7 +209,12 @@ def step(
         reason = f"the command stream stalled for {gap:.3f} s"
         return fault(state, now, state.length_change, reason)
     handler = _STEPS.get(state.phase)
-    return state if handler is None else handler(state, now, seen, settings)
+    if handler is None:
+        return state
+    before, state = state, handler(state, now, seen, settings)
+    if moving or state.direction != before.direction or not seen.fins_set:
+        return replace(state, still_since=now)
+    return state
 
 
 def _returning(
@@ -236,9 +245,9 @@ def _flipping(
     assert run is not None
     if state.direction != run.gait.direction:
         return replace(state, direction=run.gait.direction, since=now)
-    if seen.fins_set:
+    if seen.fins_set and now - state.still_since >= settings.settle_time:
         return _enter(replace(state, run=replace(run, rest_start=now)), Phase.RESTING, now)
-    if now - state.since > settings.flip_timeout:
+    if not seen.fins_set and now - state.since > settings.flip_timeout:
         reason = f"the fins did not reach their place within {settings.flip_timeout:g} s"
         return fault(state, now, state.length_change, reason)
     return state

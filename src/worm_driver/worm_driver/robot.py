@@ -22,6 +22,8 @@ from worm_driver.telemetry import SILENT, ServoState, Snapshot
 
 #: ticks, how near a fin must come to where it was sent
 _FIN_TOLERANCE = 40
+#: rad/s, below which a fin stands still
+_FIN_STILL = 0.1
 #: m, slack beyond the initial length with which the robot may still be activated
 _PAYOUT_TOLERANCE = 0.01
 
@@ -333,6 +335,8 @@ class Robot:
             return False
         states = self._states[len(self.cables) :]
         return all(
-            state is not SILENT and abs(state.ticks - fin.ticks(direction)) <= _FIN_TOLERANCE
+            state is not SILENT
+            and abs(state.ticks - fin.ticks(direction)) <= _FIN_TOLERANCE
+            and abs(state.velocity) <= _FIN_STILL
             for fin, state in zip(self.settings.fins, states, strict=True)
         )

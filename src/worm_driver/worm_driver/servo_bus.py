@@ -39,6 +39,8 @@ from worm_driver.stuffing import stuff, unstuff
 
 BROADCAST = 254
 
+#: s, after which a write is given up: an adapter that takes no bytes would otherwise hold the thread for ever
+_WRITE_TIMEOUT = 0.05
 _INSTRUCTION = 7  # index of the first byte that stuffing covers
 _LENGTH = 5
 _ID = 4
@@ -161,7 +163,9 @@ class BusPort(PortHandler):
         """Opens the device for this process alone."""
         if self.is_open:
             self.closePort()
-        self.ser = serial.Serial(self.port_name, cflag_baud, timeout=0, exclusive=True)
+        self.ser = serial.Serial(
+            self.port_name, cflag_baud, timeout=0, write_timeout=_WRITE_TIMEOUT, exclusive=True
+        )
         self.is_open = True
         serial_port.refuse_other_openers(self.ser.fileno())
         with contextlib.suppress(

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+from dataclasses import replace
+
+import pytest
+
+from worm_driver.gait import Gait
+from worm_driver.gait_metrics import RunRecord, distance, figures
+from worm_driver.gait_player import Ending, Run
+from worm_driver.ina219 import PowerSample, SampleStatus
+from worm_driver.settings import Body
+
+FREQUENCY = 0.5
+PERIOD = 2.0
+ONSET = 10.0
+BODY = Body()
+RUN = Run(
+    1, Gait(0.07, FREQUENCY), 5, 5, rest_start=8.9, onset=ONSET, end=20.0, ending=Ending.COMPLETED
+)
+
+
+def valid(time: float, power: float) -> PowerSample:
+    return PowerSample(time, SampleStatus.VALID, 12.0, power / 12.0)
+
+
+def bad(time: float, status: SampleStatus) -> PowerSample:
+    return PowerSample(time, status)
+
+
+def power_of(time: float) -> float:
+    """0.8 W at rest; in the first two cycles 100 W, which must not count; 5 W and 7 W alternating after."""
+    if time < ONSET:
+        return 0.8
+    if time < ONSET + 2 * PERIOD:
+        return 100.0
+    return 5.0 if (time - ONSET) % PERIOD < PERIOD / 2 else 7.0
+
+
+def record(speed: float = 0.01) -> RunRecord:
+    """100 Hz power, 30 Hz tracker; the first two cycles go ten times as fast."""
+    result = RunRecord()
+    result.power = [valid(8.5 + 0.01 * i, power_of(8.5 + 0.01 * i)) for i in range(1200)]
+    for i in range(400):
+        time = 8.5 + i / 30
+        moved = 10 * speed * min(max(time - ONSET, 0.0), 2 * PERIOD)
+        moved += speed * max(time - ONSET - 2 * PERIOD, 0.0)
+        result.positions.append((time, 0.3 + moved))
+    return result
+
+
+def test_figures_are_those_of_the_last_three_cycles():
+    found = figures(RUN, record(), BODY)
+    assert (found.cycles_completed, found.cycles_averaged) == (5, 3)
+    assert found.speed == pytest.approx(0.01)
+    assert found.power == pytest.approx(6.0, rel=2e-3)
+    assert found.cost_of_transport == pytest.approx(6.0 / (0.858 * 9.80665 * 0.01), rel=2e-3)
+    assert found.idle_power == pytest.approx(0.8)
+    assert found.reasons == ()
+
+
+def test_idle_power_is_the_first_ten_samples_of_the_rest():
+    seen = record()
+    first = [sample for sample in seen.power if sample.time >= RUN.rest_start][:10]
+    for index, sample in enumerate(seen.power):
+        if (
+            RUN.rest_start <= sample.time < ONSET and sample not in first
+        ) or sample.time < RUN.rest_start:
+            seen.power[index] = valid(sample.time, 50.0)
+    assert figures(RUN, seen, BODY).idle_power == pytest.approx(0.8)
+
+
+def test_reverse_speed_is_along_the_gaits_direction():
+    reverse = replace(RUN, gait=Gait(0.07, FREQUENCY, -1))
+    assert figures(reverse, record(-0.01), BODY).speed == pytest.approx(0.01)
+    assert figures(RUN, record(-0.01), BODY).speed == pytest.approx(-0.01)
+
+
+def test_without_a_tracker_there_is_no_speed_and_a_reason():
+    seen = record()
+    seen.positions.clear()
+    found = figures(RUN, seen, BODY)
+    assert math.isnan(found.speed)
+    assert math.isnan(found.cost_of_transport)
+    assert found.power == pytest.approx(6.0, rel=2e-3)
+    assert found.reasons == ("no speed: the topic tracker was silent",)
+
+
+def test_a_tracker_that_was_blind_at_the_end_gives_no_speed():
+    seen = record()
+    seen.positions = [(t, x) for t, x in seen.positions if not 19.9 < t < 20.2]
+    found = figures(RUN, seen, BODY)
+    assert math.isnan(found.speed)
+    assert "did not see the robot" in found.reasons[0]
+
+
+def test_a_robot_that_stands_has_no_cost_of_transport():
+    found = figures(RUN, record(0.0), BODY)
+    assert found.speed == 0.0
+    assert math.isnan(found.cost_of_transport)
+    assert "stood still" in found.reasons[0]
+
+
+def test_an_overflow_in_the_averaged_cycles_gives_no_power():
+    """Leaving it out would leave out the highest powers."""
+    seen = record()
+    seen.power[900] = bad(seen.power[900].time, SampleStatus.OVERFLOW)
+    found = figures(RUN, seen, BODY)
+    assert math.isnan(found.power)
+    assert "1 samples overflowed" in found.reasons[0]
+
+
+def test_an_overflow_before_the_averaged_cycles_does_no_harm():
+    seen = record()
+    seen.power[300] = bad(seen.power[300].time, SampleStatus.OVERFLOW)
+    assert figures(RUN, seen, BODY).power == pytest.approx(6.0, rel=2e-3)
+
+
+def test_a_look_that_came_too_early_does_no_harm():
+    seen = record()
+    seen.power[800:1000:3] = [bad(s.time, SampleStatus.NOT_READY) for s in seen.power[800:1000:3]]
+    assert figures(RUN, seen, BODY).power == pytest.approx(6.0, rel=5e-3)
+
+
+def test_a_sensor_that_was_gone_for_a_while_gives_no_power():
+    seen = record()
+    seen.power[800:820] = [bad(s.time, SampleStatus.BUS_ERROR) for s in seen.power[800:820]]
+    found = figures(RUN, seen, BODY)
+    assert math.isnan(found.power)
+    assert "no valid sample for 0.21 s" in found.reasons[0]
+
+
+def test_without_a_power_sensor_there_is_a_reason_for_each_figure():
+    seen = record()
+    seen.power.clear()
+    reasons = figures(RUN, seen, BODY).reasons
+    assert any(reason.startswith("no power") for reason in reasons)
+    assert any(reason.startswith("no idle power: 0 valid samples") for reason in reasons)
+
+
+def test_uneven_sampling_does_not_bias_the_mean():
+    """Every other sample of the expensive halves is lost: a plain mean would be 5.67 W."""
+    seen = record()
+    seen.power = [
+        sample
+        for index, sample in enumerate(seen.power)
+        if sample.power < 6.5 or index % 2 or sample.power > 50.0
+    ]
+    assert figures(RUN, seen, BODY).power == pytest.approx(6.0, rel=5e-3)
+
+
+def test_a_cancelled_run_averages_what_it_completed():
+    cancelled = replace(RUN, stop_cycle=2, end=ONSET + 2 * PERIOD, ending=Ending.CANCELLED)
+    found = figures(cancelled, record(), BODY)
+    assert (found.cycles_completed, found.cycles_averaged) == (2, 2)
+    assert found.speed == pytest.approx(0.1)
+
+
+def test_a_run_stopped_in_its_first_cycle_has_no_figures():
+    stopped = replace(RUN, end=ONSET + 1.0, ending=Ending.STOPPED)
+    found = figures(stopped, record(), BODY)
+    assert (found.cycles_completed, found.cycles_averaged) == (0, 0)
+    assert math.isnan(found.speed)
+    assert found.idle_power == pytest.approx(0.8)
+    assert found.reasons == ("no cycle was completed",)
+
+
+def test_a_run_stopped_in_its_fourth_cycle_averages_the_three_before():
+    stopped = replace(RUN, end=ONSET + 3.5 * PERIOD, ending=Ending.STOPPED)
+    found = figures(stopped, record(), BODY)
+    assert (found.cycles_completed, found.cycles_averaged) == (3, 3)
+
+
+def test_distance_counts_from_the_onset():
+    assert distance(RUN, record()) == pytest.approx(
+        10 * 0.01 * 4.0 + 0.01 * (8.5 + 399 / 30 - 14.0)
+    )
+    assert math.isnan(distance(replace(RUN, onset=None), record()))
+    assert math.isnan(distance(RUN, RunRecord()))

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+import itertools
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from worm_driver import gait_player
+from worm_driver.errors import LimitError
+from worm_driver.gait import Gait
+from worm_driver.gait_player import (
+    Ending,
+    Observation,
+    Phase,
+    PlayerSettings,
+    PlayerState,
+)
+
+SETTINGS = PlayerSettings()
+READY = Observation(fins_set=True, idle_samples=100)
+DT = 0.01
+
+
+def play(state, now, duration, seen=READY, until=None):
+    """The states every 10 ms for a duration (s), or until a condition holds."""
+    states = []
+    for i in range(1, round(duration / DT) + 1):
+        state = gait_player.step(state, now + i * DT, seen, SETTINGS, DT)
+        states.append((now + i * DT, state))
+        if until is not None and until(state):
+            break
+    return states
+
+
+def running(gait=Gait(0.07, 0.4), cycles=5):  # noqa: B008
+    state = gait_player.start(PlayerState(), 0.0, gait, cycles)
+    return play(state, 0.0, 10.0, until=lambda s: s.phase is Phase.RUNNING)[-1]
+
+
+def test_a_run_rests_first_and_begins_at_no_contraction():
+    state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
+    states = play(state, 0.0, 10.0, until=lambda s: s.phase is Phase.RUNNING)
+    assert {s.length_change for _, s in states} == {0.0}
+    resting = [t for t, s in states if s.phase is Phase.RESTING]
+    assert resting[-1] - resting[0] >= SETTINGS.rest_duration - 2 * DT
+    assert resting[0] >= SETTINGS.settle_time
+    now, state = states[-1]
+    assert state.run.onset == now
+    assert state.run.rest_start == pytest.approx(resting[0])
+
+
+def test_the_rest_waits_for_ten_idle_samples():
+    state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
+    few = Observation(fins_set=True, idle_samples=9)
+    states = play(state, 0.0, 2.5, seen=few)
+    assert states[-1][1].phase is Phase.RESTING
+    now, state = states[-1]
+    assert play(state, now, DT)[-1][1].phase is Phase.RUNNING
+
+
+def test_a_rest_without_samples_ends_all_the_same():
+    state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
+    none = Observation(fins_set=True, idle_samples=0)
+    assert play(state, 0.0, 4.0, seen=none)[-1][1].phase is Phase.RUNNING
+
+
+@settings(max_examples=30)
+@given(st.floats(0.02, 0.09), st.floats(0.1, 0.4), st.integers(1, 4))
+def test_a_run_ends_at_rest_after_its_cycles_and_never_jumps(stroke, frequency, cycles):
+    gait = Gait(stroke, frequency)
+    now, state = running(gait, cycles)
+    onset = state.run.onset
+    states = play(state, now, cycles / frequency + 0.1)
+    final = states[-1][1]
+    assert final.phase is Phase.IDLE
+    assert final.length_change == 0.0
+    assert final.run.ending is Ending.COMPLETED
+    assert final.run.cycles_completed(now + 1e3) == cycles
+    assert final.run.end == pytest.approx(onset + cycles / frequency)
+    lengths = [0.0, *(s.length_change for _, s in states)]
+    steps = [abs(b - a) for a, b in itertools.pairwise(lengths)]
+    assert max(steps) <= gait.peak_speed * DT * 1.01
+
+
+@given(st.floats(0.05, 11.0))
+def test_cancel_ends_at_the_next_point_of_rest(when):
+    now, state = running(cycles=5)
+    onset = state.run.onset
+    states = play(state, now, when)
+    now, state = states[-1]
+    if state.run.ending is not None:
+        return
+    cycle = state.run.cycle(now)
+    state = gait_player.cancel(state, now)
+    assert state.phase is Phase.STOPPING
+    final = play(state, now, 3.0)[-1][1]
+    assert final.run.ending is Ending.CANCELLED
+    assert final.length_change == 0.0
+    assert final.run.end == pytest.approx(onset + cycle / 0.4)
+
+
+def test_cancel_at_rest_ends_at_once():
+    state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
+    now, state = play(state, 0.0, 0.8)[-1]
+    assert state.phase is Phase.RESTING
+    state = gait_player.cancel(state, now)
+    assert (state.phase, state.run.ending) == (Phase.IDLE, Ending.CANCELLED)
+    assert state.run.cycles_completed(now) == 0
+
+
+def test_stop_holds_where_the_cable_is():
+    now, state = running()
+    now, state = play(state, now, 0.6)[-1]
+    state = gait_player.stop(state, now, -0.021, "asked to")
+    assert (state.phase, state.run.ending, state.length_change) == (
+        Phase.HOLDING,
+        Ending.STOPPED,
+        -0.021,
+    )
+    assert all(s.length_change == -0.021 for _, s in play(state, now, 2.0))
+
+
+def test_after_a_stop_a_run_returns_to_rest_before_it_begins():
+    now, state = running()
+    now, state = play(state, now, 0.6)[-1]
+    state = gait_player.stop(state, now, -0.05, "asked to")
+    state = gait_player.start(state, now, Gait(0.07, 0.4), 1)
+    states = play(state, now, 10.0, until=lambda s: s.phase is Phase.RUNNING)
+    lengths = [-0.05, *(s.length_change for _, s in states)]
+    assert lengths[-1] == 0.0
+    steps = [b - a for a, b in itertools.pairwise(lengths)]
+    assert min(steps) >= 0.0
+    assert max(steps) <= SETTINGS.return_speed * DT * 1.01
+    assert states[-1][1].run.number == 2
+
+
+def test_a_second_run_is_refused_with_the_reason():
+    now, state = running()
+    with pytest.raises(LimitError, match=r"running already \(cycle 1 of 5\)"):
+        gait_player.start(state, now, Gait(0.07, 0.4), 5)
+
+
+def test_a_fault_holds_and_refuses_until_the_next_activation():
+    now, state = running()
+    state = gait_player.fault(state, now, -0.01, "servo 1 is gone")
+    assert state.run.ending is Ending.FAILED
+    assert play(state, now, 1.0)[-1][1].length_change == -0.01
+    with pytest.raises(LimitError, match="servo 1 is gone"):
+        gait_player.start(state, now, Gait(0.07, 0.4), 5)
+    assert gait_player.fault(state, now, 0.0, "another").message == "servo 1 is gone"
+    assert gait_player.stop(state, now, 0.0, "stop").phase is Phase.FAULT
+
+
+def test_the_fins_are_set_at_rest_before_a_reverse_gait():
+    state = replace(PlayerState(), direction=1)
+    state = gait_player.start(state, 0.0, Gait(0.07, 0.4, -1), 1)
+    moving = Observation(fins_set=False, idle_samples=0)
+    states = play(state, 0.0, 1.0, seen=moving)
+    assert {s.phase for _, s in states} == {Phase.FLIPPING}
+    assert states[-1][1].direction == -1
+    now, state = states[-1]
+    states = play(state, now, 0.6)
+    assert states[-1][1].phase is Phase.RESTING
+    assert states[-1][1].run.rest_start >= now + SETTINGS.settle_time
+
+
+def test_fins_that_do_not_arrive_are_a_fault():
+    state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4, -1), 1)
+    moving = Observation(fins_set=False, idle_samples=0)
+    final = play(state, 0.0, 4.0, seen=moving)[-1][1]
+    assert final.phase is Phase.FAULT
+    assert "fins did not reach" in final.message
+
+
+def test_a_stalled_command_stream_is_a_fault_and_no_jump():
+    now, state = running()
+    now, state = play(state, now, 0.6)[-1]
+    before = state.length_change
+    state = gait_player.step(state, now + 0.5, READY, SETTINGS, 0.5)
+    assert state.phase is Phase.FAULT
+    assert state.length_change == before
+    assert "stalled for 0.500 s" in state.message
+
+
+def test_release_returns_to_rest_from_the_middle_of_a_gait():
+    now, state = running()
+    now, state = play(state, now, 0.9)[-1]
+    state = gait_player.return_to_rest(state, now, "deactivated")
+    assert state.run.ending is Ending.STOPPED
+    final = play(state, now, 4.0)[-1][1]
+    assert gait_player.at_rest(final)

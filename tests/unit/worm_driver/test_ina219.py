@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The power sensor's driver against a chip at register level."""
+
+import errno
+import math
+
+import pytest
+from driver_rig import Clock, DirectSMBus
+
+from worm_driver.errors import ConfigurationError, PowerSensorError
+from worm_driver.i2c import I2CDevice, open_device, swap
+from worm_driver.ina219 import INA219, SampleStatus, calibration_for
+from worm_driver.virtual_robot.faults import make_fault
+from worm_driver.virtual_robot.robot import VirtualRobot
+from worm_driver.virtual_robot.settings import load_settings
+
+
+class Chip:
+    """The virtual robot's sensor behind the driver, on a clock of its own."""
+
+    def __init__(self, address: int = 0x40) -> None:
+        self.clock = Clock()
+        self.robot = VirtualRobot(load_settings(None))
+        bus = DirectSMBus(self.robot, self.clock)
+        self.sensor = INA219(I2CDevice(bus, "1", address), 0.1, calibration_for(0.1, 3.2))
+
+    def sample(self, after: float = 0.01):
+        self.clock.now += after
+        return self.sensor.sample(self.clock.now)
+
+    def inject(self, name: str, **arguments: object) -> None:
+        self.robot.board.add(make_fault(name, **arguments).delayed(self.clock.now))
+
+
+@pytest.fixture
+def chip() -> Chip:
+    chip = Chip()
+    chip.sensor.start()
+    chip.sample(0.02)
+    return chip
+
+
+class Words:
+    """A bus whose registers are words as the chip sends them, low byte first if it swaps."""
+
+    def __init__(self, registers, swapping: bool = False) -> None:
+        self.registers = registers
+        self.swapping = swapping
+
+    def read_word_data(self, i2c_addr, register):
+        value = self.registers.get(register, 0)
+        return value if self.swapping else swap(value)
+
+    def write_word_data(self, i2c_addr, register, value):
+        return None
+
+    def close(self):
+        return None
+
+
+def test_the_words_of_smbus_are_swapped():
+    """Unswapped, 12.000 V (0x5DC2) would read a plausible 24.876 V."""
+    device = I2CDevice(Words({2: 0x5DC2}), "1", 0x40)
+    assert (device.read(2) >> 3) * 4e-3 == pytest.approx(12.0, abs=1e-9)
+    assert (swap(0x5DC2) >> 3) * 4e-3 == pytest.approx(24.876, abs=0.01)
+
+
+def test_a_sample_is_the_supplys_voltage_and_current(chip):
+    sample = chip.sample()
+    assert sample.status is SampleStatus.VALID
+    assert sample.bus_voltage == pytest.approx(12.0, abs=0.1)
+    assert sample.power == pytest.approx(0.84, abs=0.15)
+    assert sample.time == chip.clock.now
+
+
+def test_swapped_bytes_are_noticed_at_the_start():
+    device = I2CDevice(Words({0: 0x399F}, swapping=True), "1", 0x40)
+    with pytest.raises(PowerSensorError, match="bytes swapped"):
+        INA219(device, 0.1, 4194).start()
+
+
+def test_another_chip_is_noticed_at_the_start():
+    with pytest.raises(PowerSensorError, match=r"0x40 on I2C bus 1 is no INA219: .* 0x1234"):
+        INA219(I2CDevice(Words({0: 0x1234}), "1", 0x40), 0.1, 4194).start()
+
+
+def test_settings_that_do_not_stick_are_noticed():
+    with pytest.raises(PowerSensorError, match="does not keep its settings"):
+        INA219(I2CDevice(Words({0: 0x399F}), "1", 0x40), 0.1, 4194).start()
+
+
+def test_a_wrong_address_is_named_with_the_remedy():
+    with pytest.raises(
+        PowerSensorError, match=r"0x41 on bus 1 does not acknowledge: .*i2cdetect -y 1"
+    ):
+        Chip(0x41).sensor.start()
+
+
+def test_looking_too_often_gives_not_ready_and_no_old_value(chip):
+    assert chip.sample(0.010).status is SampleStatus.VALID
+    again = chip.sample(0.001)
+    assert again.status is SampleStatus.NOT_READY
+    assert math.isnan(again.power)
+    assert chip.sample(0.010).status is SampleStatus.VALID
+
+
+@pytest.mark.parametrize("fault", ["ina219_overflow", "ina219_saturation"])
+def test_an_overflow_is_no_number(chip, fault):
+    chip.inject(fault, duration=0.2)
+    chip.sample(0.02)
+    seen = [chip.sample() for _ in range(10)]
+    assert {sample.status for sample in seen} == {SampleStatus.OVERFLOW}
+    assert all(math.isnan(sample.power) for sample in seen)
+    chip.sample(0.2)
+    assert chip.sample().status is SampleStatus.VALID
+
+
+def test_a_brown_out_is_noticed_with_the_next_sample_and_repaired(chip):
+    """Without a look at the calibration, a chip that lost it reads as if nothing had happened."""
+    chip.inject("ina219_reset")
+    seen = [chip.sample().status for _ in range(6)]
+    assert seen.count(SampleStatus.SENSOR_RESET) == 1
+    assert SampleStatus.OVERFLOW not in seen
+    assert seen[-1] is SampleStatus.VALID
+    assert chip.sensor.is_set_up()
+
+
+def test_no_valid_sample_lies_between_a_brown_out_and_its_discovery(chip):
+    chip.robot.chip.power_on()
+    assert chip.sample().status is SampleStatus.SENSOR_RESET
+
+
+@pytest.mark.parametrize("fault", ["i2c_nack", "i2c_timeout"])
+def test_a_bus_error_is_a_sample_without_a_value(chip, fault):
+    chip.inject(fault, count=1)
+    sample = chip.sample()
+    assert sample.status is SampleStatus.BUS_ERROR
+    assert math.isnan(sample.power)
+    assert chip.sample().status is SampleStatus.VALID
+
+
+@pytest.mark.parametrize(("resistance", "current", "value"), [(0.1, 3.2, 4194), (0.01, 5.0, 26842)])
+def test_the_calibration_is_the_data_sheets(resistance, current, value):
+    assert calibration_for(resistance, current) == value
+
+
+def test_the_calibrations_lowest_bit_is_never_set():
+    for milliohm in range(10, 100):
+        assert calibration_for(milliohm * 1e-3, 3.0) & 1 == 0
+
+
+def test_a_current_beyond_the_shunts_range_is_refused():
+    with pytest.raises(ConfigurationError, match=r"at most 3\.2 A, or a smaller shunt"):
+        calibration_for(0.1, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("resistance", "current"), [(0.0, 3.2), (-0.1, 3.2), (0.1, 0.0), (0.1, math.nan)]
+)
+def test_a_shunt_that_cannot_be_is_refused(resistance, current):
+    with pytest.raises(ConfigurationError):
+        calibration_for(resistance, current)
+
+
+def test_a_missing_bus_is_named_with_the_remedy(tmp_path):
+    with pytest.raises(PowerSensorError, match=r"does not exist: enable I2C"):
+        open_device(str(tmp_path / "i2c-9"), 0x40)
+    with pytest.raises(PowerSensorError, match=r"bus 99 does not exist"):
+        open_device("99", 0x40)
+
+
+def test_a_file_that_is_no_bus_is_refused(tmp_path):
+    (tmp_path / "i2c").touch()
+    with pytest.raises(PowerSensorError, match="cannot be opened"):
+        open_device(str(tmp_path / "i2c"), 0x40)
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.EREMOTEIO, "does not acknowledge"),
+        (errno.ETIMEDOUT, "holds the bus"),
+        (errno.EBUSY, "ina2xx"),
+        (errno.EIO, "failed"),
+    ],
+)
+def test_each_failure_of_the_bus_has_its_words(number, words):
+    class Broken(Words):
+        def read_word_data(self, i2c_addr, register):
+            raise OSError(number, "broken")
+
+    with pytest.raises(PowerSensorError, match=words):
+        I2CDevice(Broken({}), "1", 0x40).read(0)

@@ -1,0 +1,457 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver's robot on the byte-level virtual robot, on a clock that only the test advances."""
+
+import itertools
+import math
+import re
+
+import pytest
+from driver_rig import CABLE, Rig, settings
+
+from worm_driver.errors import BusError, ConfigurationError, HomingError, LimitError
+from worm_driver.gait_player import Ending, Phase
+from worm_driver.telemetry import SILENT
+from worm_driver.transmission import Fin, Spool
+
+#: s, in which motion must have stopped after a fault that endangers the robot
+STOP = 0.100
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+def moving() -> Rig:
+    rig = Rig()
+    rig.run_into_motion()
+    return rig
+
+
+# --- configure, activate, release -----------------------------------------------------------------
+
+
+def test_opening_leaves_the_torque_off(rig):
+    rig.run(0.5)
+    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+    assert rig.snapshots[-1].active is False
+
+
+def test_servos_are_known_by_the_model_that_they_answer(rig):
+    assert [servo.model.name for servo in rig.robot.servos] == [
+        "XM430-W350-T",
+        "XL430-W250-T",
+        "XL430-W250-T",
+    ]
+    assert rig.robot.servos[0].firmware == 48
+
+
+def test_a_missing_servo_is_named():
+    with pytest.raises(BusError, match="servo 5 does not answer"):
+        Rig(settings(spools=(Spool(5, 1, 0.025),)))
+
+
+def test_activation_holds_the_servos_where_they_stand_with_the_watchdog_armed(rig):
+    before = [servo.motor.position for servo in rig.virtual.servos]
+    rig.activate()
+    rig.run(0.5)
+    after = [servo.motor.position for servo in rig.virtual.servos]
+    assert after == pytest.approx(before, abs=2)
+    for servo in rig.virtual.servos:
+        assert servo.memory["torque_enable"] == 1
+        assert servo.memory["bus_watchdog"] == 4  # 80 ms
+        assert servo.memory["profile_velocity"] > 0
+
+
+def test_activation_refuses_a_supply_out_of_range(rig):
+    rig.inject("input_voltage", target=CABLE, value=8.0)
+    rig.run(0.1)
+    with pytest.raises(ConfigurationError, match="servo 1 "):
+        rig.robot.activate(rig.clock.now)
+    assert rig.cable.memory["torque_enable"] == 0
+
+
+def test_an_activation_that_fails_halfway_takes_the_torque_off_again(rig):
+    rig.run(0.1)
+    rig.inject("error", target=12, duration=10.0, value=7)
+    with pytest.raises(BusError, match="servo 12 "):
+        rig.robot.activate(rig.clock.now)
+    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+    assert not rig.robot.active
+
+
+def test_release_brings_the_cable_to_rest_before_the_torque_goes():
+    rig = moving()
+    rig.robot.begin_release(rig.clock.now, "over")
+    while not rig.robot.released:
+        rig.run(0.01)
+    assert rig.cable_speed < 0.01
+    assert rig.robot.release() == []
+    assert rig.snapshots[-1].cable == pytest.approx(0.0, abs=1e-3)
+    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+    assert rig.cable.memory["bus_watchdog"] == 0
+
+
+def test_a_release_that_no_servo_acknowledges_still_takes_the_torque_off():
+    rig = moving()
+    rig.inject("no_answer", duration=10.0)
+    problems = rig.robot.release()
+    assert any("servo 1 does not answer" in problem for problem in problems)
+    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+
+
+def test_a_release_without_a_port_says_so_and_raises_nothing():
+    rig = moving()
+    rig.wire.unplugged = True
+    assert any("is gone" in problem for problem in rig.robot.release())
+
+
+# --- gaits ----------------------------------------------------------------------------------------
+
+
+def test_a_gait_is_played_as_commanded_and_ends_at_rest(rig):
+    rig.activate()
+    rig.start(0.06, 0.4, cycles=2)
+    rig.run(10.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    begin = len(rig.snapshots)
+    end = rig.run(8.0, until=lambda s: s.player.run.ending is Ending.COMPLETED)
+    played = rig.snapshots[begin:]
+    onset = end.player.run.onset
+    for snapshot in played[:-1]:
+        time = snapshot.command_time - onset
+        wanted = -0.03 * (1 - math.cos(2 * math.pi * 0.4 * time))
+        assert snapshot.commanded == pytest.approx(wanted, abs=1e-9)
+        assert snapshot.cable == pytest.approx(snapshot.commanded, abs=4e-3)
+    assert min(snapshot.cable for snapshot in played) == pytest.approx(-0.06, abs=1e-3)
+    assert end.commanded == 0.0
+
+
+def test_every_cycle_gives_a_sample_with_its_own_time(rig):
+    rig.activate()
+    rig.start(0.06, 0.4, cycles=1)
+    rig.run(5.0)
+    times = [snapshot.read_time for snapshot in rig.snapshots]
+    steps = [after - before for before, after in itertools.pairwise(times)]
+    assert len(times) == pytest.approx(510, abs=3)
+    assert min(steps) > 0.005
+    assert all(state is not SILENT for snapshot in rig.snapshots for state in snapshot.servos)
+
+
+def test_a_reverse_gait_sets_the_fins_first_and_at_rest(rig):
+    rig.activate()
+    rig.start(0.06, 0.4, cycles=1, direction=-1)
+    rig.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    for servo in rig.virtual.servos[1:]:
+        assert servo.shaft_angle == pytest.approx(3.927, abs=0.07)
+    assert all(s.commanded == 0.0 for s in rig.snapshots if s.active)
+
+
+def test_a_gait_while_inactive_is_refused(rig):
+    with pytest.raises(LimitError, match="activate the driver first"):
+        rig.start()
+
+
+@pytest.mark.parametrize(
+    ("stroke", "frequency"),
+    [(math.nan, 0.2), (0.07, math.nan), (-0.07, 0.2), (0.2, 0.2), (0.09, 0.4)],
+)
+def test_a_gait_beyond_the_limits_leaves_the_robot_as_it_was(stroke, frequency):
+    rig = Rig(settings(max_cable_speed=0.1))
+    rig.activate()
+    before = rig.run(0.1)
+    with pytest.raises(LimitError):
+        rig.start(stroke, frequency)
+    after = rig.run(0.1)
+    assert (after.player.phase, after.cable) == (Phase.IDLE, before.cable)
+
+
+def test_the_servos_velocity_limit_is_a_limit_of_gaits():
+    rig = Rig(settings(spools=(Spool(1, 1, 0.012),)))
+    rig.activate()
+    with pytest.raises(LimitError, match=r"limit is 0\.0575 m/s"):
+        rig.start(0.09, 0.4)
+
+
+def test_stop_stops_at_once():
+    rig = moving()
+    rig.robot.stop(rig.clock.now, "asked to")
+    assert rig.time_to_stop(0.5) < STOP
+    assert rig.robot.player.phase is Phase.HOLDING
+
+
+# --- faults: each while the cable moves at full speed ---------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fault", "arguments", "words"),
+    [
+        ("no_answer", {"target": 1, "duration": 5.0}, "servo 1 gives no state .* does not answer"),
+        ("no_answer", {"target": 11, "duration": 5.0}, "servo 11 gives no state"),
+        ("no_answer", {"duration": 5.0}, "does not answer intact"),
+        ("corrupted_crc", {"duration": 5.0}, "does not answer intact"),
+        ("truncated", {"duration": 5.0}, "does not answer intact"),
+        ("fuzzed", {"duration": 5.0}, "servo 1"),
+        ("late", {"duration": 5.0, "value": 0.012}, "answers late"),
+        ("late", {"count": 1, "value": 0.045}, "does not answer intact"),
+        ("error", {"target": 1, "duration": 5.0, "value": 4}, "out of range"),
+        ("error", {"target": 12, "duration": 5.0, "value": 7}, "servo 12 .* refuses the access"),
+        ("vanished", {"target": 12, "duration": 5.0}, "servo 12 gives no state"),
+        ("stalled", {"target": 1, "duration": 5.0}, "blocked"),
+        ("overload", {"target": 12}, "servo 12 reports overload"),
+        ("overheating", {"target": 12, "duration": 5.0}, "servo 12 reports overheating"),
+        ("input_voltage", {"target": 12, "duration": 5.0}, "servo 12 reports input voltage"),
+    ],
+)
+def test_a_fault_stops_the_motion_within_100_ms_and_is_named(fault, arguments, words):
+    rig = moving()
+    if fault == "overheating":  # a servo warms up: what counts is from when it says so
+        rig.inject(fault, **arguments)
+        rig.run(3.0, until=lambda s: s.player.phase is Phase.FAULT)
+        assert rig.virtual.servos[2].memory["hardware_error_status"]
+    else:
+        rig.inject(fault, **arguments)
+    assert rig.time_to_stop(1.0) < STOP
+    player = rig.robot.player
+    assert player.phase is Phase.FAULT
+    assert player.run.ending is Ending.FAILED
+    assert re.search(words, player.message), player.message
+    with pytest.raises(LimitError, match="in fault"):
+        rig.start()
+
+
+@pytest.mark.parametrize("fault", ["vanished", "overload", "overheating"])
+def test_a_cable_servo_that_lets_go_is_a_fault_and_no_goal_is_sent_beyond(fault):
+    """Its torque is off by its own doing; the driver must notice, and not play on against it."""
+    rig = moving()
+    rig.inject(fault, target=CABLE, duration=0.3)
+    rig.run(3.0, until=lambda s: s.player.phase is Phase.FAULT)
+    noticed = rig.clock.now
+    length = rig.robot.player.length_change
+    rig.run(1.0)
+    assert rig.robot.player.length_change == length
+    assert rig.cable.memory["torque_enable"] == 0
+    assert noticed < 10.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "arguments"),
+    [
+        ("no_answer", {"count": 1}),
+        ("no_answer", {"target": 1, "count": 2}),
+        ("corrupted_crc", {"count": 1}),
+        ("truncated", {"count": 1}),
+        ("duplicated", {"duration": 1.0}),
+        ("error", {"count": 1, "value": 3}),
+        ("late", {"count": 1, "value": 0.012}),
+    ],
+)
+def test_a_passing_disturbance_does_not_stop_the_gait_nor_falsify_a_sample(fault, arguments):
+    rig = moving()
+    begin = len(rig.snapshots)
+    rig.inject(fault, **arguments)
+    rig.run(0.5)
+    assert rig.robot.player.phase is Phase.RUNNING
+    check_samples(rig, begin)
+
+
+@pytest.mark.parametrize("value", [0.006, 0.009, 0.0095, 0.012, 0.02, 0.045, 0.1])
+def test_a_late_answer_never_gives_an_old_value_a_new_stamp(value):
+    rig = moving()
+    begin = len(rig.snapshots)
+    rig.inject("late", duration=0.3, value=value)
+    rig.run(1.0)
+    check_samples(rig, begin)
+    assert rig.bus.counters.timeouts + rig.bus.counters.stale > 0
+
+
+def check_samples(rig: Rig, begin: int) -> None:
+    """Every sample is where the shaft was at its stamp: at full speed 10 ms are 45 ticks, 2 ms are 9."""
+    truth = dict(rig.positions)
+    home = rig.home_ticks
+    for snapshot in rig.snapshots[begin:]:
+        state = snapshot.servos[0]
+        if state is SILENT:
+            continue
+        near = [truth[t] for t in truth if abs(t - snapshot.read_time) < 0.0035]
+        assert min(near) - 3 <= state.ticks + home <= max(near) + 3, snapshot.read_time
+
+
+def test_the_gait_goes_on_without_the_power_sensor():
+    rig = moving()
+    rig.inject("i2c_nack", duration=0.5)
+    rig.run(0.3)
+    assert rig.robot.player.phase is Phase.RUNNING
+
+
+def test_an_unplugged_port_is_a_fault_that_stays_until_the_next_configuration():
+    rig = moving()
+    rig.wire.unplugged = True
+    snapshot = rig.run(0.05)
+    assert snapshot.player.phase is Phase.FAULT
+    assert "plug it in again" in snapshot.player.message
+    assert all(state is SILENT for state in snapshot.servos)
+    assert math.isnan(snapshot.cable)
+    rig.wire.unplugged = False
+    assert rig.run(0.1).player.phase is Phase.FAULT
+    # nobody spoke to the servo for 80 ms: it has stopped by itself
+    assert rig.time_to_stop(0.5) < STOP
+
+
+def test_without_the_driver_the_watchdog_stops_the_servo():
+    rig = moving()
+    died = rig.clock.now
+    rig.speeds.clear()
+    rig.advance(died + 1.0)
+    last = max(time for time, speed in rig.speeds if speed > 0.002)
+    assert last - died < STOP
+    assert rig.cable.memory["bus_watchdog"] == -1
+
+
+def test_a_driver_that_was_suspended_finds_the_watchdog_expired_and_does_not_go_on():
+    rig = moving()
+    rig.advance(rig.clock.now + 1.0)
+    rig.clock.now += 1.0
+    snapshot = rig.run(0.1)
+    assert snapshot.player.phase is Phase.FAULT
+    assert "stalled" in snapshot.player.message
+    assert rig.time_to_stop(0.5) < STOP
+
+
+def test_a_suspension_at_rest_is_found_by_the_expired_watchdog():
+    rig = Rig()
+    rig.activate()
+    rig.run(0.1)
+    rig.advance(rig.clock.now + 1.0)
+    rig.clock.now += 1.0
+    assert "bus watchdog of servo" in rig.run(0.1).player.message
+
+
+def test_a_new_activation_ends_a_fault():
+    rig = moving()
+    rig.inject("no_answer", duration=0.2)
+    rig.run(1.0)
+    assert rig.robot.player.phase is Phase.FAULT
+    rig.robot.release()
+    rig.run(0.2)
+    rig.robot.activate(rig.clock.now)
+    rig.start(0.05, 0.4, cycles=1)
+    rig.run(12.0, until=lambda s: s.player.run.ending is Ending.COMPLETED)
+
+
+# --- turn count -----------------------------------------------------------------------------------
+
+
+def restart_cable_servo(rig: Rig) -> None:
+    rig.inject("vanished", target=CABLE, duration=0.1)
+    rig.run(1.0)
+
+
+def test_a_cable_servo_that_restarted_is_not_moved_before_it_is_homed():
+    rig = moving()
+    restart_cable_servo(rig)
+    rig.robot.release()
+    with pytest.raises(HomingError, match="turn count"):
+        rig.robot.activate(rig.clock.now)
+    assert not rig.robot.homed
+    assert rig.cable.memory["torque_enable"] == 0
+    rig.robot.home()
+    rig.robot.activate(rig.clock.now)
+
+
+def test_a_restart_while_inactive_is_noticed_by_the_activation(rig):
+    rig.run(0.2)
+    restart_cable_servo(rig)
+    with pytest.raises(HomingError):
+        rig.robot.activate(rig.clock.now)
+
+
+def test_a_restart_between_two_drivers_is_noticed():
+    rig = Rig(settings(home_at_start=False))
+    assert not rig.robot.homed
+    rig.robot.home()
+    assert rig.restarted_driver().robot.homed
+    restart_cable_servo(rig)
+    assert not rig.restarted_driver().robot.homed
+
+
+def test_a_home_survives_a_restart_of_the_driver_in_the_middle_of_a_stroke():
+    rig = moving()
+    rig.robot.stop(rig.clock.now, "so that it stays")
+    rig.run(0.5)
+    length = rig.snapshots[-1].cable
+    assert length < -0.01
+    again = rig.restarted_driver(settings(home_at_start=False))
+    again.run(0.02)
+    assert again.snapshots[-1].cable == pytest.approx(length, abs=5e-3)
+
+
+def test_homing_sets_the_position_to_zero_where_the_cable_is(rig):
+    assert rig.snapshots == []
+    assert rig.cable.motor.position == pytest.approx(rig.home_ticks, abs=1)
+    assert rig.run(0.02).servos[0].ticks == pytest.approx(0, abs=1)
+
+
+def test_homing_with_the_torque_on_is_refused(rig):
+    rig.activate()
+    with pytest.raises(HomingError, match="deactivate"):
+        rig.robot.home()
+
+
+def test_a_cable_out_of_its_range_is_not_moved(rig):
+    servo = rig.cable
+    servo.motor = servo.motor._replace(position=servo.motor.position - 1000)  # 24 mm of slack
+    rig.run(0.1)
+    with pytest.raises(HomingError, match="mm from its initial length"):
+        rig.robot.activate(rig.clock.now)
+
+
+# --- alerts and reboot ----------------------------------------------------------------------------
+
+
+def test_an_alert_is_ended_by_a_reboot_on_request_only():
+    rig = moving()
+    rig.inject("overload", target=12)
+    rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
+    rig.robot.release()
+    rig.run(0.5)
+    assert rig.snapshots[-1].alerts == {12}
+    with pytest.raises(ConfigurationError, match="servo 12 reports overload: .* reboot"):
+        rig.robot.activate(rig.clock.now)
+    assert rig.robot.reboot() == (12,)
+    rig.run(1.0)
+    assert rig.snapshots[-1].alerts == frozenset()
+    rig.robot.activate(rig.clock.now)
+
+
+def test_a_reboot_of_the_cable_servo_loses_its_home():
+    rig = moving()
+    rig.inject("overload", target=CABLE)
+    rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
+    rig.robot.release()
+    assert rig.robot.reboot() == (CABLE,)
+    rig.run(1.0)
+    with pytest.raises(HomingError):
+        rig.robot.activate(rig.clock.now)
+
+
+def test_a_reboot_with_the_torque_on_is_refused(rig):
+    rig.activate()
+    with pytest.raises(ConfigurationError, match="deactivate"):
+        rig.robot.reboot()
+
+
+def test_fins_that_are_not_there_are_not_needed():
+    rig = Rig(settings(fins=()))
+    rig.activate()
+    rig.start(0.05, 0.4, cycles=1)
+    rig.run(10.0, until=lambda s: s.player.run.ending is Ending.COMPLETED)
+
+
+def test_swapped_signs_are_a_matter_of_settings():
+    rig = Rig(settings(spools=(Spool(1, -1, 0.025),), fins=(Fin(11, 2.3562, 3.9270),)))
+    rig.activate()
+    rig.start(0.02, 0.4, cycles=1)
+    rig.run(3.0)
+    assert min(s.cable for s in rig.snapshots) < -0.015
+    assert min(position for _, position in rig.positions) < rig.home_ticks - 100
+    assert max(position for _, position in rig.positions) < rig.home_ticks + 10

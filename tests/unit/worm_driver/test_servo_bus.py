@@ -1,0 +1,419 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bus against byte-level servos. Each fault of the SDK has a test that fails without its remedy."""
+
+import os
+import random
+import threading
+import time
+import tty
+from collections.abc import Iterator
+
+import pytest
+import serial
+from driver_rig import CABLE, Clock, SimulatedPort, Wire
+from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from worm_driver.encoding import pack
+from worm_driver.errors import (
+    BusError,
+    ConfigurationError,
+    CorruptReplyError,
+    NoReplyError,
+    PortError,
+    StatusError,
+)
+from worm_driver.registers import COMMON, Register
+from worm_driver.servo_bus import BusPort, Identity, ServoBus
+from worm_driver.telemetry import STATE_SIZE, STATE_START
+from worm_driver.virtual_robot.faults import make_fault
+from worm_driver.virtual_robot.packet import InstructionReader, status_packet
+from worm_driver.virtual_robot.robot import VirtualRobot
+from worm_driver.virtual_robot.settings import load_settings
+
+GOAL = COMMON["goal_position"]
+POSITION = COMMON["present_position"]
+VELOCITY = COMMON["present_velocity"]
+MODEL = COMMON["model_number"]
+
+
+class Line:
+    """A bus with the virtual robot's servos 1, 11 and 12, on a clock of its own."""
+
+    def __init__(self) -> None:
+        self.clock = Clock()
+        self.robot = VirtualRobot(load_settings(None))
+        self.wire = Wire(self.clock, self._answer)
+        self.port = SimulatedPort(self.wire, self.clock)
+        self.bus = ServoBus(self.port)
+
+    def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
+        return [(t.time, t.data) for t in self.robot.receive(data, now)]
+
+    def inject(self, name: str, **arguments: object) -> None:
+        self.robot.board.add(make_fault(name, **arguments).delayed(self.clock.now))
+
+    def values(self, servos=(1, 11, 12)):
+        replies = self.bus.sync_read(STATE_START, STATE_SIZE, list(servos))[1]
+        return {servo: reply.error for servo, reply in replies.items()}
+
+
+@pytest.fixture
+def line() -> Line:
+    return Line()
+
+
+# --- the protocol --------------------------------------------------------------------------------
+
+
+def test_a_ping_is_the_manuals_and_tells_model_and_firmware(line):
+    assert line.bus.ping(1) == Identity(1020, 48)
+    assert line.wire.sent == [bytes.fromhex("FFFFFD00010300 01 194E")]
+
+
+def test_a_read_is_the_manuals(line):
+    line.bus.read(1, POSITION)
+    assert line.wire.sent[0] == bytes.fromhex("FFFFFD00010700 02 8400 0400 1D15")
+
+
+def test_a_reboot_is_the_manuals(line):
+    line.bus.reboot(1)
+    assert line.wire.sent[0] == bytes.fromhex("FFFFFD00010300 08 2F4E")
+
+
+def test_a_negative_value_comes_back_negative(line):
+    line.bus.write(1, GOAL, -131073 * 2)
+    assert line.bus.read(1, GOAL) == -262146
+
+
+def test_one_sync_write_sets_all(line):
+    line.bus.sync_write(GOAL, {11: 1000, 12: 2000})
+    assert len(line.wire.sent) == 1
+    assert (line.bus.read(11, GOAL), line.bus.read(12, GOAL)) == (1000, 2000)
+
+
+def test_torque_off_needs_no_answer(line):
+    torque = COMMON["torque_enable"]
+    for servo in (1, 11, 12):
+        line.bus.write(servo, torque, 1)
+    line.inject("no_answer", duration=100.0)
+    line.bus.torque_off_all()
+    line.robot.board.clear()
+    assert [line.bus.read(servo, torque) for servo in (1, 11, 12)] == [0, 0, 0]
+
+
+# --- stuffing that the SDK drops ----------------------------------------------------------------
+
+
+def test_a_value_with_a_header_in_it_arrives(line):
+    """The SDK sends it unstuffed, and a servo takes the header for the start of another packet."""
+    assert b"\xff\xff\xfd" in pack(GOAL, -131073)
+    line.bus.write(1, GOAL, -131073)
+    assert line.bus.read(1, GOAL) == -131073
+
+
+def test_a_sync_write_with_a_header_in_it_arrives(line):
+    line.bus.sync_write(GOAL, {1: -131073, 11: 5})
+    assert (line.bus.read(1, GOAL), line.bus.read(11, GOAL)) == (-131073, 5)
+
+
+def test_the_sdk_alone_does_not_get_it_through(line):
+    """When this fails, the SDK has been mended, and so may be _PacketHandler."""
+    line.port.packet_timeout = 5.0
+    data = list(pack(GOAL, -131073))
+    result, error = Protocol2PacketHandler().writeTxRx(line.port, 1, GOAL.address, 4, data)
+    assert (result, error) != (0, 0)
+
+
+@settings(max_examples=200)
+@given(st.lists(st.sampled_from([0xFF, 0xFD, 0x00]), min_size=4, max_size=4).map(bytes))
+def test_an_answer_with_headers_in_it_is_read_whole(data):
+    clock = Clock()
+    wire = Wire(clock, lambda _, now: [(now, status_packet(1, 0, data))])
+    bus = ServoBus(SimulatedPort(wire, clock))
+    register = Register("four_bytes", 132, 4)
+    assert bus.read(1, register) == int.from_bytes(data, "little")
+
+
+@settings(max_examples=200)
+@given(st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x01]), max_size=40).map(bytes))
+def test_what_is_sent_is_what_a_receiver_unstuffs(data):
+    seen = []
+    reader = InstructionReader(1.0)
+    clock = Clock()
+
+    def answer(sent, now):
+        seen.extend(reader.feed(sent, now))
+        return [(now, status_packet(1, 0))]
+
+    bus = ServoBus(SimulatedPort(Wire(clock, answer), clock))
+    register = Register("many", 0, max(1, len(data)))
+    bus.write(1, register, int.from_bytes(data or b"\0", "little"))
+    (packet,) = seen
+    assert packet.intact
+    assert packet.parameters[2:] == (data or b"\0")
+
+
+# --- answers that are late, lost, garbled, double -------------------------------------------------
+
+
+def test_a_late_answer_is_not_taken_for_the_next_ones(line):
+    """Model number asked and late; the SDK gives it to the next question of the same length."""
+    line.inject("late", count=1, value=0.006)
+    bus = ServoBus(line.port, retries=0)
+    with pytest.raises(NoReplyError):
+        bus.read(1, MODEL)
+    voltage = COMMON["present_input_voltage"]
+    assert bus.read(1, voltage) == pytest.approx(120, abs=1)
+
+
+def test_a_servo_that_answers_late_but_once_is_asked_again(line):
+    line.inject("late", count=1, value=0.006)
+    assert line.bus.read(1, MODEL) == 1020
+    assert line.bus.counters.retries == 1
+
+
+@pytest.mark.parametrize("fault", ["no_answer", "corrupted_crc", "truncated"])
+def test_one_bad_answer_is_repaired_by_a_repetition(line, fault):
+    line.inject(fault, count=1)
+    assert line.bus.read(1, MODEL) == 1020
+    assert line.bus.counters.retries == 1
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [
+        ("no_answer", NoReplyError),
+        ("corrupted_crc", CorruptReplyError),
+        ("truncated", CorruptReplyError),
+    ],
+)
+def test_the_retry_budget_is_kept(line, fault, error):
+    line.inject(fault, duration=100.0)
+    bus = ServoBus(line.port, retries=2)
+    with pytest.raises(error, match="servo 1"):
+        bus.read(1, MODEL)
+    assert len(line.wire.sent) == 3
+
+
+def test_a_double_answer_does_not_answer_the_next_question(line):
+    line.inject("duplicated", count=1)
+    assert line.bus.read(1, MODEL) == 1020
+    assert line.bus.read(1, COMMON["firmware_version"]) == 48
+
+
+def test_a_silent_servo_is_named_with_the_remedy(line):
+    with pytest.raises(NoReplyError, match=r"servo 7 does not answer .* 1000000 baud: check .* id"):
+        line.bus.ping(7)
+
+
+def test_bytes_that_keep_coming_do_not_hang_the_bus():
+    """The SDK looks at its timeout only when bytes are missing."""
+    clock = Clock()
+    rubbish = random.Random(1)
+
+    def babble(_, now):
+        return [(now + i * 0.0001, rubbish.randbytes(20)) for i in range(10_000)]
+
+    bus = ServoBus(SimulatedPort(Wire(clock, babble), clock), retries=0)
+    with pytest.raises(BusError):
+        bus.read(1, MODEL)
+    assert clock.now < 0.1
+
+
+# --- errors that the SDK's sync read drops --------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", range(1, 8))
+def test_each_error_number_is_an_error_in_words(line, number):
+    line.inject("error", count=1, value=number)
+    with pytest.raises(StatusError, match="servo 1 ") as caught:
+        line.bus.read(1, MODEL)
+    assert caught.value.number == number
+
+
+@pytest.mark.parametrize("number", range(1, 8))
+def test_a_sync_read_keeps_each_servos_error(line, number):
+    line.inject("error", target=11, count=1, value=number)
+    assert line.values() == {1: 0, 11: number, 12: 0}
+
+
+def test_a_sync_read_keeps_the_alert_bit(line):
+    line.inject("overload", target=12)
+    line.robot.advance(0.1)
+    line.clock.now = 0.1
+    replies = line.bus.sync_read(STATE_START, STATE_SIZE, [1, 11, 12])[1]
+    assert {servo: reply.alert for servo, reply in replies.items()} == {
+        1: False,
+        11: False,
+        12: True,
+    }
+
+
+def test_an_alert_does_not_hide_an_error_number(line):
+    line.inject("overload", target=1)
+    line.robot.advance(0.1)
+    line.clock.now = 0.1
+    line.inject("error", target=1, count=1, value=4)
+    with pytest.raises(StatusError) as caught:
+        line.bus.read(1, MODEL)
+    assert caught.value.number == 4
+
+
+def test_a_missing_servo_does_not_take_the_others_with_it(line):
+    line.inject("no_answer", target=1, count=1)
+    assert line.values() == {11: 0, 12: 0}
+
+
+# --- the port ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def terminal() -> Iterator[str]:
+    """A pseudo-terminal that nobody answers on."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    yield os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_second_driver_is_kept_out(terminal):
+    bus = ServoBus.open(terminal, 1_000_000)
+    with pytest.raises(PortError, match="in use by another program"):
+        ServoBus.open(terminal, 1_000_000)
+    bus.close()
+    ServoBus.open(terminal, 1_000_000).close()
+
+
+def test_a_missing_port_is_named_with_the_remedy(tmp_path):
+    with pytest.raises(PortError, match=r"ttyNO does not exist: .*udev rule"):
+        ServoBus.open(str(tmp_path / "ttyNO"), 1_000_000)
+
+
+def test_a_baud_rate_that_the_sdk_cannot_set_is_refused(terminal):
+    with pytest.raises(ConfigurationError, match="4500000"):
+        ServoBus.open(terminal, 4_500_000)
+
+
+def test_waiting_costs_no_processor_time(terminal):
+    """The SDK spins: 200 ms of waiting would be 200 ms of a core."""
+    bus = ServoBus.open(terminal, 1_000_000, latency=0.1, retries=0)
+    before = time.thread_time()
+    with pytest.raises(NoReplyError):
+        bus.ping(1)
+    assert time.thread_time() - before < 0.05
+    bus.close()
+
+
+def test_a_step_of_the_wall_clock_does_not_shorten_a_wait(line, monkeypatch):
+    """The SDK measures by time.time(): a jump forward would end the wait before the answer."""
+    jumps = iter(range(10**9))
+    monkeypatch.setattr(time, "time", lambda: next(jumps) * 3600.0)
+    assert line.bus.read(1, MODEL) == 1020
+    assert line.bus.counters.timeouts == 0
+
+
+def test_the_default_clock_is_monotonic(terminal, monkeypatch):
+    monkeypatch.setattr(time, "time", lambda: 0.0)
+    port = BusPort(terminal, 1_000_000)
+    assert port.getCurrentTime() == pytest.approx(time.monotonic() * 1e3, abs=1e3)
+
+
+def test_an_exception_in_an_exchange_leaves_the_bus_usable(line):
+    """The SDK's busy flag would stick, and every later call fail with COMM_PORT_BUSY."""
+    line.wire.unplugged = True
+    with pytest.raises(PortError, match="is gone"):
+        line.bus.ping(1)
+    line.wire.unplugged = False
+    assert line.bus.ping(1).model_number == 1020
+
+
+def test_the_sdks_flag_does_stick_without_that(line):
+    line.wire.unplugged = True
+    with pytest.raises(serial.SerialException):
+        Protocol2PacketHandler().ping(line.port, 1)
+    line.wire.unplugged = False
+    assert Protocol2PacketHandler().ping(line.port, 1)[1] == COMM_PORT_BUSY
+
+
+def test_two_threads_do_not_get_into_each_others_way(line):
+    """The SDK's flag is no lock: of two threads one would get COMM_PORT_BUSY."""
+    found: list[object] = []
+
+    def ask(servo: int) -> None:
+        for _ in range(200):
+            try:
+                found.append(line.bus.ping(servo).model_number)
+            except BusError as error:
+                found.append(error)
+
+    threads = [threading.Thread(target=ask, args=(servo,)) for servo in (1, 11)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(map(str, found)) == ["1020"] * 200 + ["1060"] * 200
+
+
+def test_a_full_output_buffer_is_an_error_and_no_hang(terminal):
+    """Nobody reads the other end: the kernel's buffer fills, and a plain write would wait for ever."""
+    bus = ServoBus.open(terminal, 1_000_000)
+
+    def write_on() -> None:
+        for _ in range(2000):
+            bus.sync_write(GOAL, dict.fromkeys(range(1, 50), 0))
+
+    with pytest.raises(PortError):
+        write_on()
+    bus.close()
+
+
+# --- ten thousand packets -------------------------------------------------------------------------
+
+
+def _spoil(packet: bytes, dice: random.Random) -> bytes:
+    data = bytearray(packet)
+    for _ in range(dice.randrange(4)):
+        kind = dice.randrange(4)
+        at = dice.randrange(len(data)) if data else 0
+        if kind == 0 and data:
+            data[at] = dice.randrange(256)
+        elif kind == 1 and data:
+            del data[at : at + dice.randrange(1, 5)]
+        elif kind == 2:
+            data[at:at] = dice.randbytes(dice.randrange(1, 6))
+        elif data:
+            data = data[:at] + data[: dice.randrange(len(data) + 1)]
+    return bytes(data)
+
+
+def test_ten_thousand_fuzzed_packets_give_the_truth_or_an_error():
+    dice = random.Random(42)
+    clock = Clock()
+    truth = pack(POSITION, -131073)
+
+    def answer(_, now):
+        return [(now, _spoil(status_packet(CABLE, 0, truth), dice))]
+
+    bus = ServoBus(SimulatedPort(Wire(clock, answer), clock), retries=0)
+    outcomes = {"value": 0, "error": 0}
+    for _ in range(10_000):
+        try:
+            assert bus.read(CABLE, POSITION) == -131073
+            outcomes["value"] += 1
+        except BusError:
+            outcomes["error"] += 1
+    assert outcomes["value"] > 2000
+    assert outcomes["error"] > 2000
+
+
+def test_pure_noise_never_looks_like_a_servo():
+    dice = random.Random(7)
+    clock = Clock()
+    wire = Wire(clock, lambda _, now: [(now, dice.randbytes(dice.randrange(60)))])
+    bus = ServoBus(SimulatedPort(wire, clock), retries=0)
+    for _ in range(1000):
+        with pytest.raises(BusError):
+            bus.ping(1)

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+import pytest
+from driver_rig import settings
+
+from worm_driver.errors import ConfigurationError
+from worm_driver.settings import Body, load_body
+from worm_driver.transmission import Fin, Spool
+
+
+def test_without_a_file_the_body_is_the_papers():
+    assert load_body("") == Body(0.429, 0.429, 0.2952)
+
+
+def test_a_parameter_file_gives_its_keys_and_the_rest_is_the_papers(tmp_path):
+    file = tmp_path / "parameters.yaml"
+    file.write_text("rear_mass: 0.5\npitch: 0.0173\nintervals: {pitch: [0.017, 0.018]}\n")
+    assert load_body(str(file)) == Body(rear_mass=0.5)
+    assert load_body(str(file)).mass == pytest.approx(0.929)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["rear_mass: heavy", "rear_mass: -1", "rear_mass: .nan", "- 1", "a: [", "rear_mass: true"],
+)
+def test_a_bad_parameter_file_is_refused_by_name(tmp_path, text):
+    file = tmp_path / "parameters.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigurationError, match=r"parameters\.yaml"):
+        load_body(str(file))
+
+
+def test_a_missing_parameter_file_is_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        load_body(str(tmp_path / "none.yaml"))
+
+
+def test_a_robot_without_a_cable_servo_is_refused():
+    with pytest.raises(ConfigurationError, match=r"cable_servos\.ids"):
+        settings(spools=())
+
+
+def test_an_id_that_two_servos_have_is_refused():
+    with pytest.raises(ConfigurationError, match="id 1 is given to two"):
+        settings(spools=(Spool(1, 1, 0.012),), fins=(Fin(1, 0.0, 1.0),))
+
+
+@pytest.mark.parametrize("number", [-1, 253, 254])
+def test_an_id_that_no_servo_can_have_is_refused(number):
+    with pytest.raises(ConfigurationError, match="not in 0 to 252"):
+        settings(spools=(Spool(number, 1, 0.012),))

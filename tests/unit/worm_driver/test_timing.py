@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from worm_driver.timing import DeadlineGrid, PeriodMeter, percentile
+
+
+@given(st.floats(0.0, 1e6), st.floats(0.0, 100.0))
+def test_the_next_deadline_is_on_the_grid_and_within_a_period(start, elapsed):
+    grid = DeadlineGrid(start, 0.01)
+    due = grid.next_after(start + elapsed)
+    assert due > start + elapsed - 1e-9
+    assert due - (start + elapsed) <= 0.01 + 1e-9
+    steps = (due - start) / 0.01
+    assert abs(steps - round(steps)) < 1e-6
+
+
+def test_a_missed_deadline_is_skipped_not_caught_up_with():
+    grid = DeadlineGrid(0.0, 0.01)
+    assert grid.next_after(0.0351) == pytest.approx(0.04)
+
+
+def test_the_report_tells_period_error_and_misses():
+    meter = PeriodMeter(0.01, window=100)
+    time = 0.0
+    for i in range(101):
+        meter.cycle(time, skipped=1 if i == 50 else 0)
+        time += 0.02 if i == 50 else 0.01
+    report = meter.report()
+    assert report.cycles == 101
+    assert report.missed == 1
+    assert report.max_error == pytest.approx(0.01)
+    assert report.p99_error == pytest.approx(0.0, abs=1e-9)
+    assert report.mean_period == pytest.approx(0.0101)
+
+
+def test_before_two_cycles_there_is_nothing_to_report():
+    meter = PeriodMeter(0.01)
+    meter.cycle(0.0, skipped=0)
+    assert math.isnan(meter.report().p99_error)
+
+
+def test_the_window_forgets():
+    meter = PeriodMeter(0.01, window=10)
+    meter.cycle(0.0, skipped=0)
+    meter.cycle(0.5, skipped=0)
+    for i in range(10):
+        meter.cycle(0.51 + 0.01 * i, skipped=0)
+    assert meter.report().max_error == pytest.approx(0.0, abs=1e-9)
+
+
+def test_percentile_is_a_value_of_the_list():
+    assert percentile([3.0, 1.0, 2.0], 0.99) == 3.0
+    assert percentile(range(1, 101), 0.99) == 99
