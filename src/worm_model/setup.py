@@ -12,6 +12,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "export = worm_model.export:main",
     "import_lab = worm_model.import_lab:main",
     "recover = worm_model.recover:main",
+    "play = worm_model.play_node:main",
     "replay = worm_model.replay:main",
     "twin_node = worm_model.twin_node:main",
 ]

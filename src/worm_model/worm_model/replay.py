@@ -20,7 +20,7 @@ from worm_model.bags.definitions import topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.bags.run_writer import encode_stamped
-from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic
+from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic, offered_qos
 from worm_model.bags.writer import BagWriter
 from worm_model.command_line import Parser, add_parameters, new_file, print_json, run_command
 from worm_model.parameters import Parameters, load_parameters
@@ -40,7 +40,10 @@ def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str) -> None
     """
     live = {find_topic(bag.topics.values(), name, namespace) for name in TWIN_TOPICS}
     kept = [topic for topic in bag.topics.values() if topic not in live]
-    own = {name: topic_of(f"{namespace}/{name}", TYPES[name]) for name in TWIN_TOPICS}
+    own = {
+        name: topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
+        for name in TWIN_TOPICS
+    }
     with BagWriter(output) as writer:
         for attached in bag.attachments():
             writer.add_attachment(attached)

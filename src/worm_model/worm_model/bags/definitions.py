@@ -66,8 +66,8 @@ def installed_types() -> Types:
 
 
 @lru_cache(maxsize=64)
-def topic_of(name: str, type_name: str) -> Topic:
-    """A topic that can be written: definition with all that it needs, and type hash.
+def topic_of(name: str, type_name: str, offered_qos: str = "") -> Topic:
+    """A topic that can be written: definition with all that it needs, type hash, offered QoS (YAML).
 
     Raises:
         BagError: the type is not known.
@@ -76,7 +76,10 @@ def topic_of(name: str, type_name: str) -> Topic:
     if type_name not in store.fielddefs:
         raise BagError(f"{type_name} is neither in {PACKAGE} nor a standard type")
     definition = _definition(store, type_name)
-    metadata = (("offered_qos_profiles", ""), ("topic_type_hash", store.hash_rihs01(type_name)))
+    metadata = (
+        ("offered_qos_profiles", offered_qos),
+        ("topic_type_hash", store.hash_rihs01(type_name)),
+    )
     return Topic(name, type_name, 0, definition, "ros2msg", "cdr", metadata)
 
 

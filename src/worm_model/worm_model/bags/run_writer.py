@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from worm_model.bags.cdr import encode
 from worm_model.bags.definitions import installed_types, topic_of
-from worm_model.bags.worm_topics import TYPES
+from worm_model.bags.worm_topics import TYPES, offered_qos
 from worm_model.bags.writer import BagWriter
 from worm_model.run import LengthSamples, Run, Stamps
 
@@ -28,7 +28,7 @@ def write_run(writer: BagWriter, run: Run, namespace: str = "/worm") -> None:
     series = {name: (stamp, numbers) for name, stamp, numbers in _series(run) if len(stamp)}
     messages = []
     for order, (name, (stamp, numbers)) in enumerate(series.items()):
-        topic = topic_of(f"{namespace.rstrip('/')}/{name}", TYPES[name])
+        topic = topic_of(f"{namespace.rstrip('/')}/{name}", TYPES[name], offered_qos(name))
         writer.add_topic(topic)
         payloads = encode_stamped(TYPES[name], stamp, numbers)
         messages += [

@@ -29,7 +29,24 @@ TYPES = {
     "twin/residuals": TWIN_RESIDUALS,
 }
 
+LATCHED = frozenset({"gait_state"})  # published once, for those who come later
 TWIN_TOPICS = ("body_length/estimated", "twin/state", "twin/residuals")
+
+
+def offered_qos(name: str) -> str:
+    """QoS with which one of the worm's topics (a key of TYPES) is published, as a bag's channel says it (YAML)."""
+    forever = "{sec: 9223372036, nsec: 854775807}"
+    return (
+        "- history: keep_last\n"
+        f"  depth: {1 if name in LATCHED else 10}\n"
+        "  reliability: reliable\n"
+        f"  durability: {'transient_local' if name in LATCHED else 'volatile'}\n"
+        f"  deadline: {forever}\n"
+        f"  lifespan: {forever}\n"
+        "  liveliness: automatic\n"
+        f"  liveliness_lease_duration: {forever}\n"
+        "  avoid_ros_namespace_conventions: false\n"
+    )
 
 
 def find_topic(topics: Iterable[Topic], name: str, namespace: str = "") -> Topic | None:

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Single key presses of a terminal, without waiting for them."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import termios
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def keys_of_terminal() -> Iterator[None]:
+    """While this lasts, keys are heard at once; does nothing where the input is no terminal."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def pressed() -> str:
+    """The keys pressed since the last call; empty where the input is no terminal."""
+    if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0.0)[0]:
+        return ""
+    return os.read(sys.stdin.fileno(), 64).decode(errors="ignore")

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag played onto topics, and the live twin that listens."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from harness import LATCHED, Probe, Processes
+from recorded_run import EPOCH, GAIT, REST_S, simulated_run, write_bag
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from worm_model.parameters import PAPER
+from worm_model.run import Run
+from worm_model.twin_replay import replay_run
+from worm_msgs.msg import GaitState, Power, Tracker, TwinState
+
+TIMEOUT_S = 40.0
+RUN = simulated_run()
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    return write_bag(tmp_path / "bag", RUN)
+
+
+def stamp(message) -> int:
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def clock(message: Clock) -> int:
+    return message.clock.sec * 10**9 + message.clock.nanosec
+
+
+def test_everything_is_published_in_order_with_the_bags_time(
+    processes: Processes, probe: Probe, bag: Path
+):
+    trackers = probe.collect(Tracker, "tracker")
+    powers = probe.collect(Power, "power")
+    states = probe.collect(GaitState, "gait_state", LATCHED)
+    clocks = probe.collect(Clock, "/clock")
+    player = processes.start_executable("worm_model", "play", str(bag), "--rate", "5")
+    probe.wait_for(lambda: player.exit_code is not None, "end of the bag")
+    probe.wait_for(lambda: len(powers) == len(RUN.power.stamp), "all power samples")
+    probe.wait_for(lambda: len(trackers) == len(RUN.tracker.stamp), "all positions")
+    assert player.exit_code == 0
+    assert [stamp(m) for m in trackers] == RUN.tracker.stamp.tolist()
+    assert np.array_equal(
+        [m.rear_position for m in trackers], RUN.tracker.rear_position, equal_nan=True
+    )
+    assert [m.power for m in powers] == RUN.power.power.tolist()
+    assert states[-1].state == RUN.gait_state.state[-1]
+    times = [clock(m) for m in clocks]
+    assert times == sorted(times)
+    assert len(times) > 20
+    assert times[0] == EPOCH
+    assert times[-1] <= RUN.power.stamp[-1] + 10**9
+
+
+def test_it_pauses_steps_and_goes_on(processes: Processes, probe: Probe, bag: Path):
+    powers = probe.collect(Power, "power")
+    clocks = probe.collect(Clock, "/clock")
+    player = processes.start_executable(
+        "worm_model", "play", str(bag), "--paused", "--rate", "10", "--topic", "/worm/power"
+    )
+    first = probe.call(Trigger, "/player/step", Trigger.Request())
+    assert (first.success, first.message) == (True, "/worm/power")
+    probe.wait_for(lambda: len(powers) == 1, "the first sample")
+    assert probe.call(Trigger, "/player/step", Trigger.Request()).success
+    probe.wait_for(lambda: len(powers) == 2, "the second sample")
+    seen = len(clocks)
+    probe.wait_for(lambda: len(clocks) > seen + 5, "time that is told while it stands")
+    assert {clock(m) for m in clocks[seen + 1 :]} == {int(RUN.power.stamp[1])}
+    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
+    probe.wait_for(lambda: len(powers) > 20, "more of them")
+    assert probe.call(Trigger, "/player/pause", Trigger.Request()).success
+    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
+    probe.wait_for(lambda: player.exit_code is not None, "end of the bag")
+    probe.wait_for(lambda: len(powers) == len(RUN.power.stamp), "the rest")
+    assert [stamp(m) for m in powers] == RUN.power.stamp.tolist()
+
+
+def test_it_starts_in_the_middle_with_what_was_latched(
+    processes: Processes, probe: Probe, bag: Path
+):
+    powers = probe.collect(Power, "power")
+    player = processes.start_executable(
+        "worm_model",
+        "play",
+        str(bag),
+        "--start",
+        "3",
+        "--rate",
+        "10",
+        "--exclude",
+        "tracker|length",
+    )
+    probe.wait_for(lambda: player.exit_code is not None, "end of the bag")
+    expected = RUN.power.stamp[RUN.power.stamp >= EPOCH + 3 * 10**9].tolist()
+    probe.wait_for(lambda: len(powers) == len(expected), "the later samples")
+    assert [stamp(m) for m in powers] == expected
+
+
+def test_it_begins_anew_at_the_end_until_it_is_stopped(
+    processes: Processes, probe: Probe, bag: Path
+):
+    clocks = probe.collect(Clock, "/clock")
+    player = processes.start_executable("worm_model", "play", str(bag), "--rate", "20", "--loop")
+
+    def jumps() -> int:
+        times = [clock(m) for m in clocks]
+        return sum(later < earlier for earlier, later in pairwise(times))
+
+    probe.wait_for(lambda: jumps() >= 2, "the third round")
+    player.interrupt()
+    assert player.wait(TIMEOUT_S) == 0
+
+
+def test_the_live_twin_yields_what_the_offline_replay_yields(
+    processes: Processes, probe: Probe, bag: Path
+):
+    states = probe.collect(TwinState, "twin/state", 10_000)
+    twin = processes.start_node("worm_model", "twin_node", use_sim_time=True)
+    probe.wait_for(lambda: probe.node.count_subscribers("/worm/power") > 0, "the twin", TIMEOUT_S)
+    player = processes.start_executable("worm_model", "play", str(bag), "--rate", "2")
+    probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
+    offline = replay_run(RUN, PAPER).states
+    last = int(offline["stamp_ns"][-1])
+    probe.wait_for(lambda: states and stamp(states[-1]) >= last, "the last state")
+    twin.interrupt()
+    assert twin.wait(TIMEOUT_S) == 0
+    live = {
+        name: np.array([getattr(m, name) for m in states]) for name in offline if name != "stamp_ns"
+    }
+    assert [stamp(m) for m in states] == offline["stamp_ns"].tolist()
+    for name, values in live.items():
+        np.testing.assert_allclose(values, offline[name], rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["no_bag"], "no_bag does not exist"),
+        (["{bag}", "--rate", "0"], "--rate"),
+        (["{bag}", "--start", "1000"], "behind the end"),
+        (["{bag}", "--topic", "/no"], "no topic /no"),
+        (["{bag}", "--exclude", "."], "none of the topics"),
+        (["{bag}", "--exclude", "("], "regular expression"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(
+    processes: Processes, bag: Path, arguments: list[str], words: str
+):
+    filled = [argument.format(bag=bag) for argument in arguments]
+    player = processes.start_executable("worm_model", "play", *filled)
+    assert player.wait(TIMEOUT_S) == 2
+    assert words in player.last_line()
+    assert "Traceback" not in player.output()
+
+
+def test_the_run_of_these_tests_is_one_that_moves():
+    assert isinstance(RUN, Run)
+    moving = RUN.tracker.rear_position[-1] - RUN.tracker.rear_position[0]
+    assert moving > 0.01
+    assert (RUN.tracker.stamp[-1] - EPOCH) * 1e-9 == pytest.approx(
+        REST_S + 2 * GAIT.period, abs=0.1
+    )

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder with real publishers over real DDS."""
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+from harness import LATCHED, Probe, Processes
+from mcap.reader import make_reader
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosbags.highlevel import AnyReader
+
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_msgs.msg import Gait, GaitState, Power, Tracker
+
+ACKNOWLEDGED = Duration(seconds=20)
+BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+TIMEOUT_S = 30.0
+
+
+def tracker(number: int) -> Tracker:
+    return Tracker(rear_position=float(number), front_position=float("nan"))
+
+
+def publish(publisher: Publisher, numbers: range) -> None:
+    """Publish trackers and wait until the recorder has them."""
+    for number in numbers:
+        publisher.publish(tracker(number))
+    assert publisher.wait_for_all_acked(ACKNOWLEDGED)
+
+
+def recorded(bag: Path) -> list[float]:
+    with open_bag(bag, lambda _: None) as reader:
+        return read_run(reader).tracker.rear_position.tolist()
+
+
+def test_topics_of_all_kinds_are_recorded(processes: Processes, probe: Probe, tmp_path: Path):
+    states = probe.node.create_publisher(GaitState, "gait_state", LATCHED)
+    gait = Gait(stroke=0.07, frequency=0.2, direction=Gait.FORWARD, margin=0.0034)
+    states.publish(GaitState(state=GaitState.RUNNING, gait=gait, cycles=5))
+    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
+    powers = probe.node.create_publisher(Power, "power", BEST_EFFORT)
+    parameters = tmp_path / "robot.yaml"
+    parameters.write_text("pitch: 0.0173\n")
+    recorder = processes.start_node(
+        "worm_driver",
+        "record",
+        *("gait_state", "tracker", "power", "--output", str(tmp_path / "bag"), "--json"),
+        *("--parameters", str(parameters), "--seed", "4", "--note", "pipe=B"),
+    )
+    for topic in ("gait_state", "tracker", "power"):
+        recorder.wait_for_line(f"recording /worm/{topic} ", TIMEOUT_S)
+    probe.wait_for(lambda: powers.get_subscription_count() > 0, "subscription to power")
+    powers.publish(Power(power=2.0))
+    publish(positions, range(500))
+    recorder.interrupt()
+    assert recorder.wait(TIMEOUT_S) == 0
+
+    outcome = json.loads(next(x for x in recorder.output().splitlines() if x.startswith("{")))
+    assert outcome["dropped"] == 0
+    assert outcome["missing"] == []
+    with AnyReader([tmp_path / "bag"]) as reader:  # checks type hashes, too
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    assert counts == {"/worm/gait_state": 1, "/worm/tracker": 500, "/worm/power": 1}
+    assert recorded(tmp_path / "bag") == [float(i) for i in range(500)]
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        attachments = {a.name: a.data for a in reader.iter_attachments()}
+    assert attachments == {"parameters.yaml": parameters.read_bytes()}
+    assert metadata["worm_run"]["seed"] == "4"
+    assert metadata["worm_run"]["note.pipe"] == "B"
+    assert metadata["worm_gait"]["stroke"] == "0.07"
+    assert metadata["worm_gait"]["margin"] == "0.0034"
+
+
+def test_all_topics_and_a_new_publisher_that_offers_less(
+    processes: Processes, probe: Probe, tmp_path: Path
+):
+    reliable = probe.node.create_publisher(Tracker, "tracker", 1000)
+    recorder = processes.start_executable(
+        "worm_driver", "record", "--all", "--exclude", "rosout", "--output", str(tmp_path / "bag")
+    )
+    recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
+    publish(reliable, range(10))
+    best_effort = probe.node.create_publisher(Tracker, "tracker", BEST_EFFORT)
+    recorder.wait_for_line("/worm/tracker: a new publisher offers less", TIMEOUT_S)
+    probe.wait_for(lambda: best_effort.get_subscription_count() > 0, "subscription")
+    best_effort.publish(tracker(10))
+    probe.wait_for(lambda: reliable.get_subscription_count() > 0, "subscription")
+    probe.node.destroy_publisher(best_effort)
+    recorder.signal(signal.SIGTERM)
+    assert recorder.wait(TIMEOUT_S) == 0
+    assert recorded(tmp_path / "bag") == [float(i) for i in range(11)]
+    with open_bag(tmp_path / "bag") as bag:
+        assert "/rosout" not in bag.topics
+
+
+def test_a_killed_recorder_leaves_a_bag_that_is_recovered(
+    processes: Processes, probe: Probe, tmp_path: Path
+):
+    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
+    recorder = processes.start_node("worm_driver", "record", "tracker", "-o", str(tmp_path / "bag"))
+    recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
+    file = tmp_path / "bag" / "bag_0.mcap"
+    empty = file.stat().st_size
+    publish(positions, range(200))
+    probe.wait_for(lambda: file.stat().st_size > empty, "synchronised messages")
+    full = file.stat().st_size
+    publish(positions, range(200, 400))
+    probe.wait_for(lambda: file.stat().st_size > full, "more of them")
+    recorder.kill()
+    recorder.wait(TIMEOUT_S)
+    found = recorded(tmp_path / "bag")
+    assert len(found) >= 200
+    assert found == [float(i) for i in range(len(found))]
+    with AnyReader([tmp_path / "bag_recovered"]) as reader:
+        assert reader.message_count == len(found)
+
+
+def test_a_bag_is_split_while_it_is_recorded(processes: Processes, probe: Probe, tmp_path: Path):
+    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
+    recorder = processes.start_node(
+        *("worm_driver", "record", "-e", "/tracker$", "-o", str(tmp_path / "bag")),
+        *("-b", "20000", "--compression", "none"),
+    )
+    recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
+    second = tmp_path / "bag" / "bag_1.mcap"
+    count = 0
+    while not second.exists():
+        publish(positions, range(count, count + 100))
+        count += 100
+        assert count < 100_000
+    recorder.interrupt()
+    assert recorder.wait(TIMEOUT_S) == 0
+    assert recorded(tmp_path / "bag") == [float(i) for i in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "no topics"),
+        (["--regex", "("], "not a regular expression"),
+        (["-a", "--note", "x"], "KEY=VALUE"),
+        (["-a", "--parameters", "no.yaml"], "no.yaml"),
+        (["-a", "--output", "."], "exists already"),
+        (["-a", "-b", "-1"], "negative"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(processes: Processes, arguments: list[str], words: str):
+    recorder = processes.start_executable("worm_driver", "record", *arguments)
+    assert recorder.wait(TIMEOUT_S) == 2
+    assert words in recorder.last_line()
+    assert "Traceback" not in recorder.output()

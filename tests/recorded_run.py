@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A small run for tests, simulated: what the driver and the tracker would have published."""
+
+from pathlib import Path
+
+import numpy as np
+
+from worm_model.bags.run_writer import write_run
+from worm_model.bags.writer import BagWriter
+from worm_model.gait import Gait
+from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+from worm_model.simulator import simulate
+
+EPOCH = 1_800_000_000_000_000_000
+REST_S = 1.5
+GAIT = Gait(0.07, 0.4)
+INITIAL_LENGTH = 0.2952
+RESTING, RUNNING, IDLE = 2, 3, 1
+
+
+def simulated_run(cycles: int = 2, seed: int = 0) -> Run:
+    """Rest, some cycles, at 50 Hz (commands, power) and 30 Hz (tracker), with a little noise and two occlusions."""
+    draw = np.random.default_rng(seed)
+    end = REST_S + cycles * GAIT.period
+    fast, slow = np.arange(0.0, end, 0.02), np.arange(0.003, end, 1.0 / 30.0)
+    trajectory = simulate(GAIT, cycles=cycles)
+    moving = trajectory.at(np.clip(slow - REST_S, 0.0, cycles * GAIT.period))
+    power = trajectory.at(np.clip(fast - REST_S, 0.0, cycles * GAIT.period)).power
+    x1 = moving.x1 + draw.normal(0.0, 1e-4, slow.size)
+    x2 = moving.x2 + draw.normal(0.0, 1e-4, slow.size)
+    x1[40:44] = np.nan
+    phase = 2.0 * np.pi * GAIT.frequency * np.clip(fast - REST_S, 0.0, None)
+    command = -0.5 * GAIT.stroke * (1.0 - np.cos(phase))
+    seen = np.isfinite(x1)
+    length = (x2 - x1)[seen]
+    power = power + draw.normal(0.0, 0.05, fast.size)
+    return Run(
+        origin=EPOCH,
+        commanded=LengthSamples(_stamp(fast), INITIAL_LENGTH + command, command),
+        measured=LengthSamples(_stamp(slow)[seen], length, length - INITIAL_LENGTH),
+        tracker=TrackerSamples(_stamp(slow), x1, x2),
+        power=PowerSamples(
+            _stamp(fast), np.zeros(fast.size, np.int64), 0.0 * fast + 12.0, power / 12.0, power
+        ),
+        gait_state=_gait_states(cycles, end),
+    )
+
+
+def _stamp(time: np.ndarray) -> np.ndarray:
+    return EPOCH + np.rint(time * 1e9).astype(np.int64)
+
+
+def _gait_states(cycles: int, end: float) -> GaitStates:
+    begins = REST_S + np.arange(cycles) * GAIT.period
+    times = np.concatenate([[0.0], begins, [end - 0.02]])
+    cycle = np.array([0, *range(1, cycles + 1), cycles])
+    count = times.size
+    return GaitStates(
+        stamp=_stamp(times),
+        state=np.array([RESTING, *[RUNNING] * cycles, IDLE]),
+        stroke=np.full(count, GAIT.stroke),
+        frequency=np.full(count, GAIT.frequency),
+        direction=np.full(count, GAIT.direction),
+        margin=np.full(count, GAIT.margin),
+        onset=np.where(cycle > 0, int(_stamp(np.array(REST_S))), 0),
+        cycle=cycle,
+        cycles=np.full(count, cycles),
+    )
+
+
+def write_bag(path: Path, run: Run, namespace: str = "/worm") -> Path:
+    """The run as a bag."""
+    with BagWriter(path) as writer:
+        writer.add_metadata("worm_run", {"made_by": "tests/recorded_run.py"})
+        write_run(writer, run, namespace)
+    return path
