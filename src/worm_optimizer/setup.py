@@ -11,6 +11,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "optimize = worm_optimizer.optimize:main",
     "scan_margin = worm_optimizer.scan_margin:main",
     "request = worm_optimizer.request:main",
+    "demo = worm_optimizer.bringup.demo:main",
 ]
 
 setup(

@@ -111,9 +111,11 @@ def test_the_table_shows_differences_to_the_measurement():
     lines = table.splitlines()
     assert "5.00 mm/s" in lines[1]
     assert "%" not in lines[1]
-    for text in ("5.50 mm/s +10.0 %", "1.90 W  -5.0 %", "45.0 -10.0 %"):
+    for text in ("5.50 mm/s  +10.0 %", "1.90 W   -5.0 %", "45.0  -10.0 %"):
         assert text in lines[2]
-    assert len({len(line) for line in lines[:1] + lines[2:]}) == 1
+    for head, value in (("speed", "5.50 mm/s"), ("power", "1.90 W"), ("transport", "45.0")):
+        end = lines[0].index(head) + len(head)
+        assert lines[2].index(value) + len(value) == end
 
 
 def test_differences_of_nothing_are_not_numbers():

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from worm_model.parameters import Parameters
 from worm_model.run import Run
+from worm_model.twin_replay import Replay, valid_power
 from worm_optimizer.bringup.figures import (
     Figures,
-    TwinTrace,
     Window,
     accumulate,
     averaged_window,
@@ -34,22 +34,25 @@ class Comparison:
     robust: Figures
 
 
-def compare(
-    run: Run, twin: TwinTrace, prediction: Prediction, parameters: Parameters
-) -> Comparison:
+def compare(run: Run, replay: Replay, prediction: Prediction, parameters: Parameters) -> Comparison:
     """Compare the last gait of a run; raises `RecordingError` if the recording lacks something."""
     window = averaged_window(run.gait_state)
     mass = parameters.mass
-    tracker = run.tracker
+    tracker, states = run.tracker, replay.states
     return Comparison(
         window=window,
         measured=figures(
             (tracker.stamp, tracker.rear_position),
-            accumulate(run.power.stamp, run.power.power),
+            accumulate(run.power.stamp, valid_power(run.power)),
             mass,
             window,
         ),
-        twin=figures((twin.stamp, twin.rear_position), (twin.stamp, twin.energy), mass, window),
+        twin=figures(
+            (states["stamp_ns"], states["rear_position"]),
+            (states["stamp_ns"], states["energy"]),
+            mass,
+            window,
+        ),
         predicted=Figures(
             prediction.nominal_speed,
             prediction.nominal_power,

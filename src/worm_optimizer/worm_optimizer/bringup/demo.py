@@ -31,6 +31,7 @@ from worm_model.command_line import (
     run_command,
 )
 from worm_model.parameters import Parameters, load_parameters
+from worm_model.twin_replay import replay_run
 from worm_optimizer.bringup.comparison import Comparison, compare
 from worm_optimizer.bringup.drive import Say, drive
 from worm_optimizer.bringup.figure import draw_run
@@ -139,3 +140,54 @@ def _work_folder() -> Iterator[Path]:
 
 def _absolute(path: str) -> str:
     return str(Path(path).resolve()) if path else ""
+
+
+def _look_back(
+    bag: Path, prediction: Prediction, parameters: Parameters
+) -> tuple[Comparison, Path]:
+    """Replay a recording into the twin, compare, and draw the figure beside the bag."""
+    with open_bag(bag) as content:
+        run = read_run(content)
+    replay = replay_run(run, parameters)
+    comparison = compare(run, replay, prediction, parameters)
+    figure = bag.with_suffix(".png")
+    draw_run(figure, _title(prediction), run, replay, comparison.window)
+    return comparison, figure
+
+
+def _title(prediction: Prediction) -> str:
+    gait = prediction.gait
+    return (
+        f"stroke {1e3 * gait.stroke:.1f} mm, frequency {gait.frequency:.3f} Hz, "
+        f"robust by {1e3 * gait.margin:.1f} mm"
+    )
+
+
+def _print(
+    options: argparse.Namespace,
+    prediction: Prediction,
+    comparison: Comparison,
+    bag: Path,
+    figure: Path,
+) -> None:
+    if options.json:
+        print_json(
+            {
+                "gait": asdict(prediction),
+                **asdict(comparison),
+                "bag": str(bag),
+                "figure": str(figure),
+            }
+        )
+        return
+    phase = 1e3 * prediction.groove_phase
+    predictions = {
+        "twin, driven by the recording": comparison.twin,
+        "optimizer, before the run": comparison.predicted,
+        f"the same with {1e3 * prediction.margin:.1f} mm margin": comparison.robust,
+    }
+    print(  # noqa: T201
+        f"Last 3 of 5 cycles, {_title(prediction)}; predictions for a groove phase of "
+        f"{phase:.1f} mm:\n\n{comparison_table(comparison.measured, predictions)}\n\n"
+        f"recording  {bag}\nfigure     {figure}"
+    )

@@ -34,17 +34,6 @@ class Figures:
 
 
 @dataclass(frozen=True)
-class TwinTrace:
-    """What the twin made of a run: x1 and L in m, power in W, energy in J, at stamps in ns."""
-
-    stamp: Stamps
-    rear_position: Array
-    length: Array
-    power: Array
-    energy: Array
-
-
-@dataclass(frozen=True)
 class Window:
     """The averaged cycles of a run, from the point of rest before them to the one after, in ns."""
 

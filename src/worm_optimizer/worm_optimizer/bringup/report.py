@@ -7,7 +7,13 @@ from collections.abc import Mapping
 
 from worm_optimizer.bringup.figures import Figures
 
-_WIDTH = 34
+_NAME_WIDTH = 34
+_COLUMNS = (
+    ("speed", "speed", 12),
+    ("power", "power", 9),
+    ("cost_of_transport", "cost of transport", 18),
+)
+_SHARE_WIDTH = 9  # of a relative difference after its value
 
 
 def relative_difference(value: float, reference: float) -> float:
@@ -20,25 +26,23 @@ def comparison_table(measured: Figures, predictions: Mapping[str, Figures]) -> s
 
     Arguments are in SI units; the table shows mm/s, W and percent.
     """
-    lines = [
-        f"{'':{_WIDTH}}{'speed':>18}{'power':>18}{'cost of transport':>20}",
-        _row("measured on the robot", measured),
-    ]
-    for name, figures in predictions.items():
-        lines.append(_row(name, figures, measured))
+    heads = "".join(f"{head:>{width}}{'':{_SHARE_WIDTH}}" for _, head, width in _COLUMNS)
+    lines = [f"{'':{_NAME_WIDTH}}{heads}".rstrip(), _row("measured on the robot", measured)]
+    lines += [_row(name, figures, measured) for name, figures in predictions.items()]
     return "\n".join(lines)
 
 
 def _row(name: str, figures: Figures, reference: Figures | None = None) -> str:
-    cells = (
-        (f"{1e3 * figures.speed:.2f} mm/s", "speed", 18),
-        (f"{figures.power:.2f} W", "power", 18),
-        (f"{figures.cost_of_transport:.1f}", "cost_of_transport", 20),
-    )
-    text = f"{name:{_WIDTH}}"
-    for cell, field, width in cells:
+    cells = {
+        "speed": f"{1e3 * figures.speed:.2f} mm/s",
+        "power": f"{figures.power:.2f} W",
+        "cost_of_transport": f"{figures.cost_of_transport:.1f}",
+    }
+    text = f"{name:{_NAME_WIDTH}}"
+    for field, _, width in _COLUMNS:
+        share = ""
         if reference is not None:
-            share = relative_difference(getattr(figures, field), getattr(reference, field))
-            cell = f"{cell} {100.0 * share:+5.1f} %"
-        text += f"{cell:>{width}}"
-    return text
+            value = relative_difference(getattr(figures, field), getattr(reference, field))
+            share = f"{100.0 * value:+.1f} %"
+        text += f"{cells[field]:>{width}}{share:>{_SHARE_WIDTH}}"
+    return text.rstrip()
