@@ -26,7 +26,9 @@ _MARGIN_PASSES = 10
 
 @dataclass(frozen=True)
 class PromiseTask:
-    """eq:moo_formulation with P(n ≥ promised) ≥ ``probability`` over ``scenarios`` in place of a margin.
+    """eq:moo_formulation with P(n ≥ promised) ≥ ``probability`` over ``scenarios``.
+
+    The task's margin holds in the scenarios too; it is usually 0.
 
     A gait's promise is the greatest number of grooves per cycle that it keeps with that probability; its
     speed is promise · d · f and its power that of the nominal robot. Raises `OptimizerError` unless
@@ -48,11 +50,9 @@ class PromiseTask:
 
     def points(self, stroke: ArrayLike, frequency: ArrayLike) -> Points:
         """Evaluates gaits by what they promise; ``stroke`` in m and ``frequency`` in Hz of shape (n,)."""
-        nominal = self.task.with_margin(0.0)
-        points = nominal.points(stroke, frequency)
-        promise = self._promise(
-            grooves_in(nominal, points.stroke, points.frequency, self.scenarios)
-        )
+        points = self.task.with_margin(0.0).points(stroke, frequency)
+        gained = grooves_in(self.task, points.stroke, points.frequency, self.scenarios)
+        promise = self._promise(gained)
         speed = promise * self.task.parameters.pitch * points.frequency
         violation = np.where(promise >= 1, points.violation, 1.0)
         return Points(points.stroke, points.frequency, speed, points.power, promise, violation)

@@ -156,7 +156,7 @@ def _followed_borders(task: Task, points: Points, settings: MapSettings) -> Poin
     count = (settings.frequencies - 1) * (settings.followed + 1) + 1
     frequency = np.setdiff1d(np.linspace(low, high, count), borders.frequency)
     stroke = np.array([np.interp(frequency, borders.frequency, row) for row in borders.stroke])
-    stroke = stroke.reshape(-1, 1, frequency.size)
+    stroke = stroke.reshape(len(borders.branch), 1, frequency.size)
     tried = stroke + settings.tolerance * np.array(_STEPS_ABOVE)[:, np.newaxis]
     tried = np.minimum(tried, task.bounds.stroke_high)
     frequencies = np.broadcast_to(frequency, tried.shape)

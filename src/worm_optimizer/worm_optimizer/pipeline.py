@@ -27,7 +27,7 @@ from worm_optimizer.search import Generation
 from worm_optimizer.served import ServedFront
 from worm_optimizer.settings import Robustness, Settings
 from worm_optimizer.task import Index, MarginTask, Points, Task
-from worm_optimizer.uncertainty import every_phase, phase_known
+from worm_optimizer.uncertainty import every_phase, phase_guard, phase_known
 
 # Shares of the whole time, roughly, at which the stages of a front end.
 _SCANNED, _SEARCHED, _DONE = 0.7, 0.85, 1.0
@@ -141,8 +141,10 @@ def _computed_front(
 ) -> ServedFront:
     task, margin, reason = _robust_task(content, settings, direction, cache, report)
 
+    start = _SCANNED if _scans(settings) else 0.0
+
     def searched(generation: Generation) -> None:
-        done = _SCANNED + (_SEARCHED - _SCANNED) * generation.number / generation.of
+        done = start + (_SEARCHED - start) * generation.number / generation.of
         size, volume = len(generation.front), generation.hypervolume
         doing = f"generation {generation.number} of {generation.of}"
         report(Progress(done, doing, generation.number, generation.of, volume, size))
@@ -182,7 +184,8 @@ def _robust_task(
             promise = PromiseTask(task, scenarios, settings.probability)
             return promise, 0.0, f"its grooves are kept with probability {settings.probability:g}"
         case Robustness.ANY_PHASE:
-            promise = PromiseTask(task, every_phase(content.parameters), 1.0)
+            guarded = task.with_margin(phase_guard(content.parameters))
+            promise = PromiseTask(guarded, every_phase(content.parameters), 1.0)
             return promise, 0.0, "its grooves are kept at every groove phase"
     if settings.margin is not None:
         return task.with_margin(settings.margin), settings.margin, "given"
@@ -192,6 +195,11 @@ def _robust_task(
 
     price = scanned_price(content, settings, direction, cache, scanned)
     return task.with_margin(price.margin), price.margin, reason_for(price)
+
+
+def _scans(settings: Settings) -> bool:
+    """Whether the margin is to be chosen by a scan."""
+    return settings.robustness is Robustness.MARGIN and settings.margin is None
 
 
 def reason_for(price: PriceOfRobustness) -> str:

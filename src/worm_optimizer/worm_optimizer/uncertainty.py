@@ -29,6 +29,7 @@ DEFAULT_HALF_WIDTHS: Mapping[str, float] = {
     "slack": 0.05,
 }
 
+_PHASES = 64  # of every_phase
 _NORMAL_95 = 1.959963984540054  # standard deviations within which a normal variable lies in 95 %
 _MOST_DEVIATIONS = 4.0  # draws are cut there, so that none leaves the admissible range
 
@@ -80,15 +81,28 @@ def phase_unknown(content: ParameterFile, samples: int, seed: int) -> Scenarios:
     return Scenarios({**overrides, **_at_phase(content.parameters, overrides["pitch"], phase)})
 
 
-def every_phase(parameters: Parameters, count: int = 64) -> Scenarios:
-    """The parameters as they are at ``count`` groove phases, evenly over a pitch."""
-    turn = (np.arange(count) + 0.5) / count - 0.5
-    pitch = np.full(count, parameters.pitch)
+def every_phase(parameters: Parameters) -> Scenarios:
+    """The parameters as they are at groove phases evenly over a pitch; see `phase_guard`."""
+    turn = (np.arange(_PHASES) + 0.5) / _PHASES - 0.5
+    pitch = np.full(_PHASES, parameters.pitch)
     return Scenarios(_at_phase(parameters, pitch, turn * parameters.pitch))
 
 
+def phase_guard(parameters: Parameters) -> float:
+    """The margin in m with which what holds at the phases of `every_phase` holds at those between.
+
+    In the slow limit a gait gains what its travel from threshold to threshold c allows, and a phase
+    between two of them costs as much as a c that is longer by their spacing (see
+    `worm_model.closed_form.switching_travel`).
+    """
+    spacing = parameters.pitch / _PHASES
+    return spacing / (1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness)
+
+
 def _at_phase(parameters: Parameters, pitch: Array, phase: Array) -> dict[str, Array]:
-    return {"initial_length": front_groove(parameters) * pitch + phase}
+    """The initial length at a phase; one a pitch on is the same, so the nearest groove serves all."""
+    wrapped = phase - pitch * np.round(phase / pitch)
+    return {"initial_length": front_groove(parameters) * pitch + wrapped}
 
 
 def _deviates(samples: int, seed: int, stream: int) -> Array:

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The optimisation task: bounds, what counts as moving, and the actuator limits."""
+
+import math
+
+import numpy as np
+import pytest
+
+from worm_model.batch import evaluate_gaits
+from worm_model.gait import REVERSE, Gait
+from worm_model.parameters import PAPER
+from worm_optimizer.errors import OptimizerError
+from worm_optimizer.limits import ActuatorLimits, peaks
+from worm_optimizer.task import Bounds, MarginTask, branch_of
+
+
+@pytest.mark.parametrize(
+    "bounds",
+    [(0.09, 0.01, 0.08, 0.4), (0.0, 0.09, 0.08, 0.4), (0.01, 0.09, -0.1, 0.4), (0.01, 90, 0.1, 1)],
+)
+def test_a_box_that_is_none_is_refused(bounds):
+    with pytest.raises(OptimizerError, match=r"bounds: (stroke|frequency)"):
+        Bounds(*bounds)
+
+
+@pytest.mark.parametrize("margin", [-1e-3, math.nan, 1.0])
+def test_a_margin_that_is_none_is_refused(margin):
+    with pytest.raises(OptimizerError, match="margin"):
+        MarginTask(margin=margin)
+
+
+def test_a_direction_that_is_none_is_refused():
+    with pytest.raises(OptimizerError, match=r"neither 1 .* nor -1"):
+        MarginTask(direction=0)
+
+
+def test_standing_still_is_not_admissible():
+    """It needs the least power of all, so it would be Pareto-optimal (model_notes.md, 5)."""
+    points = MarginTask().points([0.01, 0.05, 0.07], [0.3575, 0.2, 0.2])
+    assert points.branch.tolist() == [0, 0, 1]
+    assert points.admissible.tolist() == [False, False, True]
+    assert points.power.argmin() == 0
+
+
+def test_speed_counts_along_the_direction():
+    forward, reverse = (
+        MarginTask(direction=way).points([0.0762], [0.2325]) for way in (1, REVERSE)
+    )
+    assert forward.speed[0] == pytest.approx(2 * 0.0173 * 0.2325, rel=1e-6)
+    assert reverse.speed[0] == pytest.approx(forward.speed[0], rel=1e-9)
+    assert reverse.branch.tolist() == [2]
+
+
+def test_longer_strokes_at_equal_frequency_are_not_faster():
+    """Remains of the transient must not make a dearer gait of the same branch Pareto-optimal."""
+    strokes = np.linspace(0.075, 0.09, 7)
+    points = MarginTask().points(strokes, np.full(7, 0.4))
+    assert points.branch.tolist() == [2] * 7
+    assert np.unique(points.speed).size == 1
+    assert np.all(np.diff(points.power) > 0.0)
+
+
+def test_a_branch_is_whole_grooves_and_a_given_up_gait_has_none():
+    table = evaluate_gaits([0.07, 0.0706, 0.05, 0.07], [0.2, 0.1525, 0.2, 0.2])
+    table.min_grooves[:] = [1.0 - 1e-3, 2.0 + 1e-6, -0.3, math.nan]
+    assert branch_of(table).tolist() == [1, 2, 0, 0]
+
+
+def test_limits_exclude_gaits_and_tell_by_how_much():
+    stroke, frequency = np.array([0.0754, 0.09]), np.array([0.1, 0.4])
+    limits = ActuatorLimits(cable_force=100.0, electrical_power=38.4)
+    free = MarginTask().points(stroke, frequency)
+    limited = MarginTask(limits=limits).points(stroke, frequency)
+    force, power = peaks(Gait(0.09, 0.4), PAPER)
+    assert free.admissible.tolist() == [True, True]
+    assert limited.admissible.tolist() == [True, False]
+    assert limited.violation[1] == pytest.approx(max(force / 100.0, power / 38.4) - 1.0)
+
+
+def test_the_cable_speed_limit_is_that_of_the_command():
+    task = MarginTask(limits=ActuatorLimits(cable_speed=math.pi * 0.08 * 0.3))
+    points = task.points([0.0799, 0.0801], [0.3, 0.3])
+    assert points.admissible.tolist() == [True, False]
+
+
+def test_peaks_at_the_fast_corner_are_those_of_the_notes():
+    """model_notes.md, 16: the electrical peak there is 38 W, beyond a 3.2 A sensor at 12 V."""
+    force, power = peaks(Gait(0.09, 0.4), PAPER)
+    assert 130.0 < force < 140.0
+    assert 38.0 < power < 41.0
+
+
+def test_a_limit_must_be_positive():
+    with pytest.raises(OptimizerError, match="cable_force = -1"):
+        ActuatorLimits(cable_force=-1.0)
