@@ -75,7 +75,7 @@ def test_unreadable_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="cannot be read"):
         load_parameters(tmp_path / "none.yaml")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ParameterError, match="binary.yaml"):
+    with pytest.raises(ParameterError, match=r"binary\.yaml"):
         load_parameters(tmp_path / "binary.yaml")
 
 
