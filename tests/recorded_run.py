@@ -12,7 +12,7 @@ from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, Tracker
 from worm_model.simulator import simulate
 
 EPOCH = 1_800_000_000_000_000_000
-REST_S = 1.5
+REST_S, AFTER_S = 1.5, 0.3  # at rest before the gait, and recorded beyond it
 GAIT = Gait(0.07, 0.4)
 INITIAL_LENGTH = 0.2952
 RESTING, RUNNING, IDLE = 2, 3, 1
@@ -21,7 +21,7 @@ RESTING, RUNNING, IDLE = 2, 3, 1
 def simulated_run(cycles: int = 2, seed: int = 0) -> Run:
     """Rest, some cycles, at 50 Hz (commands, power) and 30 Hz (tracker), with a little noise and two occlusions."""
     draw = np.random.default_rng(seed)
-    end = REST_S + cycles * GAIT.period
+    end = REST_S + cycles * GAIT.period + AFTER_S
     fast, slow = np.arange(0.0, end, 0.02), np.arange(0.003, end, 1.0 / 30.0)
     trajectory = simulate(GAIT, cycles=cycles)
     moving = trajectory.at(np.clip(slow - REST_S, 0.0, cycles * GAIT.period))
@@ -29,7 +29,7 @@ def simulated_run(cycles: int = 2, seed: int = 0) -> Run:
     x1 = moving.x1 + draw.normal(0.0, 1e-4, slow.size)
     x2 = moving.x2 + draw.normal(0.0, 1e-4, slow.size)
     x1[40:44] = np.nan
-    phase = 2.0 * np.pi * GAIT.frequency * np.clip(fast - REST_S, 0.0, None)
+    phase = 2.0 * np.pi * GAIT.frequency * np.clip(fast - REST_S, 0.0, cycles * GAIT.period)
     command = -0.5 * GAIT.stroke * (1.0 - np.cos(phase))
     seen = np.isfinite(x1)
     length = (x2 - x1)[seen]
@@ -52,7 +52,7 @@ def _stamp(time: np.ndarray) -> np.ndarray:
 
 def _gait_states(cycles: int, end: float) -> GaitStates:
     begins = REST_S + np.arange(cycles) * GAIT.period
-    times = np.concatenate([[0.0], begins, [end - 0.02]])
+    times = np.concatenate([[0.0], begins, [end - 0.1]])
     cycle = np.array([0, *range(1, cycles + 1), cycles])
     count = times.size
     return GaitStates(

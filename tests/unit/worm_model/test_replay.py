@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag through the twin, offline."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_run import GAIT, REST_S, simulated_run, write_bag
+from rosbags.highlevel import AnyReader
+
+from worm_model import replay
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.parameters import PAPER
+from worm_model.replay_metrics import report_replay
+from worm_model.twin_replay import replay_run
+
+CYCLES = 3
+RUN = simulated_run(CYCLES)
+KEYS = {"x1_rmse", "length_rmse", "power_rmse", "energy_error", "cycles", "real_time_factor"}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("bags") / "bag", RUN)
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["replay", *map(str, arguments)])
+    return replay.main()
+
+
+def test_the_twin_follows_a_robot_of_its_own_kind(bag: Path, monkeypatch, capsys):
+    """The recorded motion is the simulator's: what is left is the noise that was put on it."""
+    assert command(monkeypatch, bag, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report.keys() >= KEYS
+    assert report["x1_rmse"] < 4e-4
+    assert report["length_rmse"] < 4e-4
+    assert report["power_rmse"] < 0.5
+    assert abs(report["energy_error"]) < 0.03
+    assert [round(c["start"], 6) for c in report["cycles"]] == [
+        round(REST_S + k * GAIT.period, 6) for k in range(CYCLES)
+    ]
+    for cycle in report["cycles"]:
+        assert cycle["complete"]
+        assert abs(cycle["x1_residual"]) < 4e-4
+        assert cycle["grooves"] == pytest.approx(cycle["measured_grooves"], abs=1.0)
+    assert sum(c["grooves"] for c in report["cycles"]) > CYCLES
+
+
+def test_another_robot_is_seen_to_differ(bag: Path, tmp_path: Path, monkeypatch, capsys):
+    parameters = tmp_path / "robot.yaml"
+    parameters.write_text("idle_power: 1.82\ngain: 0.80\n")
+    assert command(monkeypatch, bag, "--parameters", parameters, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["energy_error"] < -0.05
+    assert report["length_rmse"] > 1e-3
+
+
+def test_the_same_bag_gives_the_same_bytes(bag: Path, tmp_path: Path, monkeypatch):
+    for name in ("a", "b"):
+        assert command(monkeypatch, bag, "--output", tmp_path / name) == 0
+    one, other = ((tmp_path / n / f"{n}_0.mcap").read_bytes() for n in ("a", "b"))
+    assert one == other
+
+
+def test_the_twins_topics_lie_beside_the_original_ones(bag: Path, tmp_path: Path, monkeypatch):
+    assert command(monkeypatch, bag, "--output", tmp_path / "both") == 0
+    offline = replay_run(RUN, PAPER)
+    with open_bag(bag) as before, open_bag(tmp_path / "both") as after:
+        assert before.topics.keys() < after.topics.keys()
+        for topic in before.topics:
+            assert list(before.messages([topic])) == list(after.messages([topic]))
+        assert after.metadata["worm_run"] == before.metadata["worm_run"]
+        estimated = read_run(after).estimated
+    assert estimated.stamp.tolist() == offline.lengths["stamp_ns"].tolist()
+    np.testing.assert_array_equal(estimated.length, offline.lengths["length"])
+    with AnyReader([tmp_path / "both"]) as reader:
+        found = {"/worm/twin/state": [], "/worm/twin/residuals": []}
+        for connection, time, data in reader.messages():
+            if connection.topic in found:
+                found[connection.topic].append((time, reader.deserialize(data, connection.msgtype)))
+    states = [message for _, message in found["/worm/twin/state"]]
+    assert [m.rear_position for m in states] == offline.states["rear_position"].tolist()
+    assert [m.rear_groove for m in states] == offline.states["rear_groove"].tolist()
+    assert len(found["/worm/twin/residuals"]) == len(offline.residuals["stamp_ns"])
+
+
+def test_a_replayed_bag_is_replayed_again(bag: Path, tmp_path: Path, monkeypatch):
+    """The twin's topics that it holds are replaced: the same bag comes out."""
+    assert command(monkeypatch, bag, "--output", tmp_path / "a") == 0
+    assert command(monkeypatch, tmp_path / "a", "--output", tmp_path / "b") == 0
+    assert (tmp_path / "a/a_0.mcap").read_bytes() == (tmp_path / "b/b_0.mcap").read_bytes()
+
+
+def test_two_robots_in_a_bag_are_told_apart(tmp_path: Path, monkeypatch, capsys):
+    from worm_model.bags.run_writer import write_run
+    from worm_model.bags.writer import BagWriter
+
+    with BagWriter(tmp_path / "two") as writer:
+        write_run(writer, RUN, "/one")
+        write_run(writer, RUN, "/two")
+    assert command(monkeypatch, tmp_path / "two") == 2
+    assert "choose with --namespace" in capsys.readouterr().err
+    assert command(monkeypatch, tmp_path / "two", "--namespace", "/two") == 0
+
+
+def test_without_a_gait_state_everything_is_judged_and_no_cycles_are_claimed():
+    from dataclasses import replace
+
+    from worm_model.run import GaitStates
+
+    run = replace(RUN, gait_state=GaitStates())
+    report = report_replay(run, replay_run(run, PAPER), PAPER.pitch)
+    assert report.cycles == ()
+    assert np.isfinite(report.residuals.x1_rmse)
+
+
+def test_without_measurements_there_are_no_residuals():
+    from worm_model.run import Run
+
+    run = Run(origin=RUN.origin, commanded=RUN.commanded, gait_state=RUN.gait_state)
+    offline = replay_run(run, PAPER)
+    report = report_replay(run, offline, PAPER.pitch)
+    assert len(offline.states["stamp_ns"]) > 100
+    assert np.isnan(report.residuals.x1_rmse)
+    assert np.isnan(report.energy_error)
+    assert report.cycles[0].grooves > 0
+
+
+def test_bad_input_ends_with_status_2(bag: Path, tmp_path: Path, monkeypatch, capsys):
+    for arguments in ([tmp_path / "no"], [bag, "--output", bag], [bag, "--namespace", "/x"]):
+        assert command(monkeypatch, *arguments) == 2
+        assert capsys.readouterr().err.count("\n") == 1
