@@ -14,6 +14,7 @@ from worm_optimizer.prediction import Prediction
 
 READY_TIMEOUT_S = 30.0
 CYCLES = 5
+DRIVER, RECORDER = "driver", "recorder"  # names of nodes in system.yaml
 PATIENCE_S = 5.0  # between two lines that say that there is no gait yet
 
 Say = Callable[[str], None]
@@ -52,14 +53,13 @@ def _run_gait(node: OperatorNode, system: System, say: Say) -> Prediction:
         f"the optimizer answers: stroke {1e3 * gait.stroke:.1f} mm, frequency "
         f"{gait.frequency:.3f} Hz, margin {1e3 * gait.margin:.1f} mm"
     )
-    for description in system.nodes:
-        if description.lifecycle:
-            say(f"activating {description.name}")
-            node.activate(description.name)
+    say("activating the driver")
+    node.activate(DRIVER)
+    node.wait_for_recorder(RECORDER)
     say(f"running {CYCLES} cycles, {CYCLES / gait.frequency:.0f} s")
     node.run_gait(gait, CYCLES, _once_per_cycle(say))
     node.stop()
-    node.deactivate("driver")
+    node.deactivate(DRIVER)
     say("the robot has stopped, its torque is off")
     return prediction
 

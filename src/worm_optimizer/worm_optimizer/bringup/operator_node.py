@@ -80,6 +80,26 @@ class OperatorNode(Node):
                 f"{', '.join(found)}; end it, or set ROS_DOMAIN_ID to another number for one of them"
             )
 
+    def wait_for_recorder(self, name: str) -> None:
+        """Wait until a node subscribes to all visible topics of this namespace that are published.
+
+        What is published before that is not in its recording. Raises `OperatorError` with a topic
+        that it does not subscribe to in time.
+        """
+        if not self._wait(lambda: not self._unheard_topics(name), DISCOVERY_TIMEOUT_S):
+            raise OperatorError(f"{name} does not subscribe to {self._unheard_topics(name)[0]}")
+
+    def _unheard_topics(self, listener: str) -> list[str]:
+        prefix = self.get_namespace() + "/"
+        return [
+            topic
+            for topic, _ in self.get_topic_names_and_types()
+            if topic.startswith(prefix)
+            and "/_" not in topic
+            and self.count_publishers(topic) > 0
+            and listener not in [i.node_name for i in self.get_subscriptions_info_by_topic(topic)]
+        ]
+
     def _names(self) -> list[str]:
         nodes = self.get_node_names_and_namespaces()
         return [name for name, namespace in nodes if namespace == self.get_namespace()]
