@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from worm_model.parameters import Parameters
-from worm_model.twin_anchors import cycle_at, observe_anchors
+from worm_model.twin_anchors import Cycle, cycle_at, observe_anchors
+from worm_model.twin_hypotheses import hypotheses, observe_power
 from worm_model.twin_records import (
     NANOSECONDS,
     MeasuredLength,
@@ -65,12 +66,12 @@ def _judge(
     if isinstance(sample, TrackerSample):
         return _judge_position(state, sample, parameters, settings)
     if isinstance(sample, PowerSample):
-        return _judge_power(state, sample, settings)
+        return _judge_power(state, sample, parameters, settings)
     return _judge_length(state, sample, settings)
 
 
 def _judge_power(
-    state: TwinState, sample: PowerSample, settings: TwinSettings
+    state: TwinState, sample: PowerSample, parameters: Parameters, settings: TwinSettings
 ) -> Comparison | None:
     predicted = None if state.track is None else power_at(state.track, sample.stamp_ns)
     if predicted is None:
@@ -81,10 +82,42 @@ def _judge_power(
     # No window resolves the step of the length rate at the onset.
     if sample.stamp_ns - state.run.start_ns > 4.0 * settings.smoothing_s * NANOSECONDS:
         monitor = observe(monitor, POWER, sample.stamp_ns, residual, settings.power_scale_W)
-    found = record(
-        monitor, settings, sample.stamp_ns, power=residual, energy=monitor.energy - energy
-    )
-    return state.but(monitor=monitor), [found], []
+    state, notices = _watch_power(state.but(monitor=monitor), sample, parameters)
+    energy_residual = monitor.energy - energy
+    found = record(state.monitor, settings, sample.stamp_ns, power=residual, energy=energy_residual)
+    return state, [found], notices
+
+
+def _watch_power(
+    state: TwinState, sample: PowerSample, parameters: Parameters
+) -> tuple[TwinState, list[Notice]]:
+    cycle = _cycle(state, sample.stamp_ns)
+    if cycle is None or state.run.gait is None:
+        return state, []
+    pair = hypotheses(state.run.gait, parameters)
+    if not pair.telling:
+        return state, []
+    watch, text = observe_power(state.watch, cycle, sample.power, pair)
+    return _warn(state.but(watch=watch), sample.stamp_ns, cycle, text)
+
+
+def _cycle(state: TwinState, stamp_ns: int) -> Cycle | None:
+    """The cycle that a stamp falls in, None outside a run."""
+    run = state.run
+    if run.gait is None or not run.active or stamp_ns < run.start_ns:
+        return None
+    return cycle_at(stamp_ns, run.start_ns, run.gait.period)
+
+
+def _warn(
+    state: TwinState, stamp_ns: int, cycle: Cycle, text: str
+) -> tuple[TwinState, list[Notice]]:
+    """Tells of a missed or extra groove, and keeps the health at suspect for the cycle after it."""
+    if not text or state.run.gait is None:
+        return state, []
+    until = cycle.start_ns + round(state.run.gait.period * NANOSECONDS)
+    monitor = replace(state.monitor, warning=text, warning_until_ns=until)
+    return state.but(monitor=monitor), [Notice(stamp_ns, Severity.WARNING, text)]
 
 
 def _judge_length(
@@ -173,14 +206,10 @@ def _refuse(
 def _watch_anchors(
     state: TwinState, sample: TrackerSample, residual: float, parameters: Parameters
 ) -> tuple[TwinState, list[Notice]]:
-    run = state.run
-    if run.gait is None or not run.active or sample.stamp_ns < run.start_ns:
+    cycle = _cycle(state, sample.stamp_ns)
+    if cycle is None:
         return state, []
-    cycle = cycle_at(sample.stamp_ns, run.start_ns, run.gait.period)
-    anchors, text = observe_anchors(state.anchors, cycle, residual, parameters.pitch, run.direction)
-    state = state.but(anchors=anchors)
-    if not text:
-        return state, []
-    until = cycle.start_ns + round(run.gait.period * NANOSECONDS)
-    monitor = replace(state.monitor, warning=text, warning_until_ns=until)
-    return state.but(monitor=monitor), [Notice(sample.stamp_ns, Severity.WARNING, text)]
+    anchors, text = observe_anchors(
+        state.anchors, cycle, residual, parameters.pitch, state.run.direction
+    )
+    return _warn(state.but(anchors=anchors), sample.stamp_ns, cycle, text)

@@ -50,6 +50,7 @@ def report(state: TwinState) -> Report:
         ("run", "running" if state.run.active else "none"),
         ("initial length (m)", f"{state.run.initial_length:.5f}"),
         ("grooves missed", str(state.anchors.missed)),
+        ("grooves missed by power", str(state.watch.missed)),
         ("grooves gained", str(state.anchors.extra)),
     ]
     values += [(f"samples {verdict.value}", str(counts.get(verdict, 0))) for verdict in Verdict]

@@ -10,6 +10,7 @@ from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.twin_actuation import Actuation, engage, join
 from worm_model.twin_anchors import Anchors
+from worm_model.twin_hypotheses import PowerWatch
 from worm_model.twin_records import (
     NANOSECONDS,
     Activity,
@@ -92,6 +93,7 @@ def begin_run(
         observations=(),
         monitor=start_monitor(state.monitor, start),
         anchors=Anchors(),
+        watch=PowerWatch(),
     )
     return begun, _announcement(length, late, from_camera=seen)
 

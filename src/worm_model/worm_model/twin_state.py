@@ -10,6 +10,7 @@ from typing import Any
 from worm_model.gait import FORWARD, Gait
 from worm_model.twin_actuation import Actuation
 from worm_model.twin_anchors import Anchors
+from worm_model.twin_hypotheses import PowerWatch
 from worm_model.twin_records import (
     Activity,
     MeasuredLength,
@@ -80,6 +81,7 @@ class TwinState:
     sight: Sight = field(default_factory=Sight)
     monitor: Monitor = field(default_factory=Monitor)
     anchors: Anchors = field(default_factory=Anchors)
+    watch: PowerWatch = field(default_factory=PowerWatch)
 
     def but(self, **changes: Any) -> TwinState:
         """A copy with some fields changed: `dataclasses.replace` at a tenth of its price, some ten times a sample."""

@@ -21,7 +21,7 @@ from worm_model.kernel.lag import follow_target
 
 Array = NDArray[np.float64]
 
-GRID_STEP = 0.004  # s, on which a response is computed
+GRID_STEP = 0.008  # s, on which a response is computed: a tenth of the fastest relaxation of a fin
 CLOCK_SPREAD = 0.02  # s, standard deviation of the offset before the data are seen: clocks, and the servo's delay
 LATEST_ENGAGEMENT = 0.25  # s after the onset
 ENGAGEMENT_SPREAD = 0.05  # s

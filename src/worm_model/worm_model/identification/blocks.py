@@ -55,6 +55,16 @@ class Solution:
     cost: float
 
 
+def with_fixed(problem: Problem, entry: int, value: float) -> Problem:
+    """The problem without a shared parameter, which is held at a value."""
+
+    def residuals(run: int, shared: Array, own: Array) -> Array:
+        return problem.residuals(run, np.insert(shared, entry, value), own)
+
+    shared = [quantity for k, quantity in enumerate(problem.shared) if k != entry]
+    return Problem(residuals, shared, problem.own)
+
+
 def solve(
     problem: Problem,
     shared: Array,
@@ -66,7 +76,7 @@ def solve(
     state = _evaluate(problem, np.array(shared, float), np.array(own, float), weights)
     damping = 1e-3
     for _ in range(iterations):
-        matrix, gradient = _normal_equations(problem, state, weights)
+        matrix, gradient = normal_equations(problem, state, weights)
         while damping < 1e6:
             step = -np.linalg.solve(
                 matrix + damping * np.diag(np.diag(matrix) + 1e-12), gradient
@@ -125,9 +135,10 @@ def _prior_cost(values: Array, quantities: Sequence[Quantity]) -> float:
     )
 
 
-def _normal_equations(
+def normal_equations(
     problem: Problem, state: Solution, weights: Sequence[Array] | None
 ) -> tuple[Array, Array]:
+    """(matrix, gradient) of half the cost, shared parameters first, then run after run; priors included."""
     count, (runs, own_count) = len(problem.shared), state.own.shape
     size = count + runs * own_count
     matrix, gradient = np.zeros((size, size)), np.zeros(size)
@@ -149,15 +160,19 @@ def _normal_equations(
 
 
 def _jacobian(problem: Problem, state: Solution, run: int) -> Array:
-    """Of a run's residuals by the shared parameters and its own nuisances, by differences within the bounds."""
+    """Of a run's residuals by the shared parameters and its own nuisances, by central differences.
+
+    One-sided ones would not do: parameters that can hardly be told apart (η and a stiffness that all grooves
+    share) would look as if they could, by their curvatures' difference. At a bound there is no choice.
+    """
     values = np.concatenate([state.shared, state.own[run]])
     quantities = [*problem.shared, *problem.own[run]]
     count = len(problem.shared)
     columns = np.empty((state.residuals[run].size, values.size))
     for k, quantity in enumerate(quantities):
-        step = quantity.step if values[k] + quantity.step <= quantity.high else -quantity.step
-        moved = values.copy()
-        moved[k] += step
-        columns[:, k] = problem.residuals(run, moved[:count], moved[count:]) - state.residuals[run]
-        columns[:, k] /= step
+        sides = values.copy(), values.copy()
+        sides[0][k] = max(values[k] - quantity.step, quantity.low)
+        sides[1][k] = min(values[k] + quantity.step, quantity.high)
+        low, high = (problem.residuals(run, side[:count], side[count:]) for side in sides)
+        columns[:, k] = (high - low) / (sides[1][k] - sides[0][k])
     return columns

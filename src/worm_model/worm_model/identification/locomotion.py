@@ -31,7 +31,9 @@ SEARCHED_FRICTION = np.geomspace(4.0, 1500.0, 14)  # N·s/m
 SEARCHED_THRESHOLD_STEP = 2e-4  # m
 MOST_THRESHOLD = 1.7  # pitches
 VALLEYS = 6  # that are refined
+FIRST_DRY = (0.05, 0.05)  # N, from which dry friction is looked for
 LOST = 1e3  # residual of a sample that no motion explains: the anchors switch without end
+ALIKE = np.zeros((1, dry_friction.GROOVE_COLUMNS))  # all grooves are as the parameters say
 SHARED = ("viscous_friction", "switching_threshold", "rear_dry_friction", "front_dry_friction")
 
 
@@ -50,26 +52,6 @@ class Traverse:
     noise: float
     end: float
     complete: bool
-
-
-@dataclass(frozen=True)
-class LocomotionFit:
-    """η in N·s/m and p_sw in m; dry friction of both modules in N; ``initial_length`` (runs,) in m; ``residuals``
-    of each run in m.
-    """
-
-    viscous_friction: float
-    switching_threshold: float
-    rear_dry_friction: float
-    front_dry_friction: float
-    initial_length: Array
-    residuals: tuple[Array, ...]
-    solution: Solution
-
-    @property
-    def values(self) -> Array:
-        """(η, p_sw, rear and front dry friction)."""
-        return self.solution.shared
 
 
 def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> Traverse:
@@ -93,10 +75,18 @@ def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> T
     )
 
 
-SAME=np.zeros((1,2))
 def slide(
-    traverse: Traverse, parameters: Parameters, dry: tuple[float, float], stride: int = 1,rg=SAME,fg=SAME) -> Array | None:
-    """Samples of `worm_model.kernel.dry_friction` at every ``stride``-th time of the length; None on chatter."""
+    traverse: Traverse,
+    parameters: Parameters,
+    dry: tuple[float, float],
+    rear_grooves: Array = ALIKE,
+    front_grooves: Array = ALIKE,
+    stride: int = 1,
+) -> Array | None:
+    """Samples of `worm_model.kernel.dry_friction` at every ``stride``-th time of the length; None on chatter.
+
+    ``dry``: friction of the rear and the front module in N; the grooves' deviations are those of that kernel.
+    """
     length_changes = np.ascontiguousarray(traverse.length.length_change[::stride])
     samples = np.empty((length_changes.size, dry_friction.SAMPLE_COLUMNS))
     worm = dry_friction.Worm(
@@ -112,38 +102,54 @@ def slide(
         parameters.clearance,
         *dry,
     )
-    switches = dry_friction.slide(traverse.length.step * stride, length_changes, worm, rg,fg,samples)
+    step = traverse.length.step * stride
+    switches = dry_friction.slide(
+        step, length_changes, worm, rear_grooves, front_grooves, samples
+    )
     return None if switches < 0 else samples
 
 
-def locomotion_problem(traverses: Sequence[Traverse], parameters: Parameters, stride: int = 1) -> Problem:
-    """Residuals of x1 in units of the camera's noise; the other parameters are given."""
+def shared_quantities(parameters: Parameters) -> list[Quantity]:
+    """Of (η, p_sw, rear and front dry friction)."""
     low = least_threshold(parameters)
-    shared = (
+    return [
         Quantity(1.0, 1.0, 1e4),
         Quantity(3e-5, low, MOST_THRESHOLD * parameters.pitch),
         Quantity(0.02, 0.0, 5.0),
         Quantity(0.02, 0.0, 5.0),
-    )
+    ]
+
+
+def own_quantities(traverse: Traverse) -> list[Quantity]:
+    """Of a run's nuisance L0, which the camera has seen at rest."""
+    length = traverse.length
+    return [Quantity(5e-5, 0.0, np.inf, length.initial_length, length.initial_spread)]
+
+
+def x1_residuals(traverse: Traverse, samples: Array | None, stride: int = 1) -> Array:
+    """Measured minus predicted x1 in units of the camera's noise."""
+    if samples is None:
+        return np.full(traverse.time.size, LOST)
+    time = traverse.length.time[::stride]
+    predicted = np.interp(traverse.time, time, samples[:, dry_friction.X1])
+    return (traverse.x1 - predicted) / traverse.noise
+
+
+def locomotion_problem(
+    traverses: Sequence[Traverse], parameters: Parameters, stride: int = 1
+) -> Problem:
+    """The problem in which all grooves are alike; the parameters that are not sought are given."""
 
     def residuals(run: int, values: Array, own: Array) -> Array:
-        traverse = traverses[run]
         tried = parameters.replace(
             viscous_friction=values[0], switching_threshold=values[1], initial_length=own[0]
         )
-        samples = slide(traverse, tried, (values[2], values[3]), stride)
-        if samples is None:
-            return np.full(traverse.time.size, LOST)
-        predicted = np.interp(
-            traverse.time, traverse.length.time[::stride], samples[:, dry_friction.X1]
-        )
-        return (traverse.x1 - predicted) / traverse.noise
+        samples = slide(traverses[run], tried, (values[2], values[3]), stride=stride)
+        return x1_residuals(traverses[run], samples, stride)
 
-    own = [
-        (Quantity(5e-5, 0.0, np.inf, t.length.initial_length, t.length.initial_spread),)
-        for t in traverses
-    ]
-    return Problem(residuals, shared, own)
+    return Problem(
+        residuals, shared_quantities(parameters), [own_quantities(t) for t in traverses]
+    )
 
 
 def least_threshold(parameters: Parameters) -> float:
@@ -209,31 +215,19 @@ def valleys(landscape: Landscape, count: int = VALLEYS) -> Array:
     )
 
 
-def fit_locomotion(
-    traverses: Sequence[Traverse], parameters: Parameters, landscape: Landscape | None = None
-) -> LocomotionFit:
-    """η and p_sw, the best of the refined valleys; the other values of ``parameters`` are given.
+def find_locomotion(
+    traverses: Sequence[Traverse], parameters: Parameters, landscape: Landscape
+) -> Solution:
+    """The best of the landscape's valleys, refined with all nuisances, all grooves alike.
 
     Raises `IdentificationError` if nothing explains the motion.
     """
-    surface = search(traverses, parameters) if landscape is None else landscape
     problem = locomotion_problem(traverses, parameters)
     own = np.array([[t.length.initial_length] for t in traverses])
-    solutions = [
-        solve(problem, np.array([*start, 0.05, 0.05]), own) for start in valleys(surface)
-    ]
-    best = min(solutions, key=lambda solution: solution.cost)
-    worst = max(float(np.sqrt(np.mean(r**2))) for r in best.residuals)
-    if worst >= LOST:
-        raise IdentificationError("no friction and threshold explain the motion of x1: is it a worm's?")
-    return locomotion_fit(traverses, best)
-
-
-def locomotion_fit(traverses: Sequence[Traverse], solution: Solution) -> LocomotionFit:
-    """Names the entries of a solution of `locomotion_problem`."""
-    return LocomotionFit(
-        *map(float, solution.shared),
-        initial_length=solution.own[:, 0],
-        residuals=tuple(r * t.noise for r, t in zip(solution.residuals, traverses, strict=True)),
-        solution=solution,
-    )
+    found = [solve(problem, np.array([*start, *FIRST_DRY]), own) for start in valleys(landscape)]
+    best = min(found, key=lambda solution: solution.cost)
+    if max(float(np.sqrt(np.mean(r**2))) for r in best.residuals) >= LOST:
+        raise IdentificationError(
+            "no friction and threshold explain the motion of x1: is this a worm in a corrugated pipe?"
+        )
+    return best

@@ -63,47 +63,62 @@ def _drag(velocity: float, dry: float, worm: Worm) -> float:
     return worm.friction + dry / (abs(velocity) + FADING_SPEED)
 
 
-@inlined
-def _step(
-    y: float,
-    rate: float,
-    h: float,
-    start: float,
-    slope: float,
-    rear_anchor: float,
-    front_anchor: float,
-    rear_factor: float,
-    front_factor: float,
-    worm: Worm,
-) -> tuple[float, float, float]:
-    """(y, ẏ, force of friction and fin on the rear module) after ``h`` seconds in which ΔL goes from ``start`` with a slope.
+class _Piece(NamedTuple):
+    """What stays during a step: ΔL at its start and its slope, the anchors and the factors of their stiffness."""
 
-    The fins' regions and the drags are those at the start; the rest is solved implicitly, by the
-    trapezoidal rule unless the drag is so high that it would ring.
+    start: float
+    slope: float
+    rear_anchor: float
+    front_anchor: float
+    rear_factor: float
+    front_factor: float
+
+
+@inlined
+def _implicit_step(
+    y: float, rate: float, h: float, piece: _Piece, y_seen: float, rate_seen: float, at: float, worm: Worm
+) -> tuple[float, float, float, float]:
+    """(mean ẏ, weight of the end, drag and fin force of the rear module) of a step of ``h`` seconds.
+
+    The fins' regions and the drags are those of the state ``y_seen``, ``rate_seen``, ``at`` seconds into the step;
+    the rest is solved implicitly, by the trapezoidal rule unless the drag is so high that it would ring.
     """
     mass = worm.rear_mass + worm.front_mass
     mu = worm.front_mass / mass
-    v1 = rate - mu * slope
+    v1 = rate_seen - mu * piece.slope
     rear_drag = _drag(v1, worm.rear_dry, worm)
-    front_drag = _drag(v1 + slope, worm.front_dry, worm)
+    front_drag = _drag(v1 + piece.slope, worm.front_dry, worm)
     drag = rear_drag + front_drag
-    rear_k, rear_rest = _spring(y - mu * start - rear_anchor, rear_factor, worm)
-    front_start = y + (1.0 - mu) * start + worm.initial_length
-    front_k, front_rest = _spring(front_start - front_anchor, front_factor, worm)
-    k = rear_k + front_k
-    weight = max(0.5, 1.0 - mass / (drag * h))  # of the step's end
-    along = start + weight * h * slope
-    force = (rear_drag * mu - front_drag * (1.0 - mu)) * slope
-    force += rear_k * (mu * along + rear_anchor + rear_rest)
-    force += front_k * (front_anchor + front_rest - worm.initial_length - (1.0 - mu) * along)
+    seen = piece.start + at * piece.slope
+    rear_k, rear_rest = _spring(y_seen - mu * seen - piece.rear_anchor, piece.rear_factor, worm)
+    front_offset = worm.initial_length - piece.front_anchor
+    front_seen = y_seen + (1.0 - mu) * seen + front_offset
+    front_k, front_rest = _spring(front_seen, piece.front_factor, worm)
+    weight = max(0.5, 1.0 - mass / (drag * h))
+    along = piece.start + weight * h * piece.slope
+    rear_rest += mu * along + piece.rear_anchor
+    force = (rear_drag * mu - front_drag * (1.0 - mu)) * piece.slope + rear_k * rear_rest
+    force += front_k * (front_rest - front_offset - (1.0 - mu) * along)
     # mass·(ẏ' − ẏ)/h = force − drag·ẏw − k·yw at the weighted moment, y' = y + h·ẏw, yw = y + weight·h·ẏw
-    inertia = mass / (weight * h)
+    inertia, k = mass / (weight * h), rear_k + front_k
     mean_rate = (force + inertia * rate - k * y) / (inertia + drag + k * weight * h)
-    new_y = y + h * mean_rate
-    new_rate = rate + (mean_rate - rate) / weight
-    rear_stretch = y + weight * h * mean_rate - mu * along - rear_anchor
-    holding = rear_drag * (mean_rate - mu * slope) + rear_k * (rear_stretch - rear_rest)
-    return new_y, new_rate, holding
+    fin_force = rear_k * (y + weight * h * mean_rate - rear_rest)
+    return mean_rate, weight, rear_drag, fin_force
+
+
+@inlined
+def _step(
+    y: float, rate: float, h: float, piece: _Piece, worm: Worm
+) -> tuple[float, float, float]:
+    """(y, ẏ, force of friction and fin on the rear module) after ``h`` seconds, of second order in ``h``."""
+    mean_rate, weight, drag, force = _implicit_step(y, rate, h, piece, y, rate, 0.0, worm)
+    middle, middle_rate = y + 0.5 * h * mean_rate, rate + 0.5 * (mean_rate - rate) / weight
+    mean_rate, weight, drag, force = _implicit_step(
+        y, rate, h, piece, middle, middle_rate, 0.5 * h, worm
+    )
+    mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
+    holding = drag * (mean_rate - mu * piece.slope) + force
+    return y + h * mean_rate, rate + (mean_rate - rate) / weight, holding
 
 
 @inlined
@@ -163,20 +178,15 @@ def slide(
         for attempt in range(MOST_SWITCHES + 1):
             rear_row, front_row = _row(rear, rear_grooves), _row(front, front_grooves)
             rear_anchor, front_anchor = rear * worm.pitch, lattice + front * worm.pitch
-            rear_factor = 1.0 + rear_grooves[rear_row, STIFFNESS]
-            front_factor = 1.0 + front_grooves[front_row, STIFFNESS]
-            new_y, new_rate, holding = _step(
-                y,
-                rate,
-                left,
+            piece = _Piece(
                 start,
                 slope,
                 rear_anchor,
                 front_anchor,
-                rear_factor,
-                front_factor,
-                worm,
+                1.0 + rear_grooves[rear_row, STIFFNESS],
+                1.0 + front_grooves[front_row, STIFFNESS],
             )
+            new_y, new_rate, holding = _step(y, rate, left, piece, worm)
             fraction, rear_move, front_move = _first_switch(
                 y - mu * start - rear_anchor,
                 new_y - mu * end - rear_anchor,
@@ -191,18 +201,7 @@ def slide(
                 return -1
             spent = fraction * left
             if spent > 0.0:
-                y, rate, holding = _step(
-                    y,
-                    rate,
-                    spent,
-                    start,
-                    slope,
-                    rear_anchor,
-                    front_anchor,
-                    rear_factor,
-                    front_factor,
-                    worm,
-                )
+                y, rate, holding = _step(y, rate, spent, piece, worm)
             start += spent * slope
             left = max(left - spent, 1e-9)
             rear += rear_move
