@@ -29,10 +29,21 @@ def shared() -> Path:
     return path
 
 
+def _free_domain(environment: pytest.MonkeyPatch) -> Iterator[int]:
+    domain_coordinator = pytest.importorskip("domain_coordinator", reason="no ROS is installed")
+    with domain_coordinator.domain_id() as domain:
+        environment.setenv("ROS_DOMAIN_ID", str(domain))
+        yield domain
+
+
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """A free ROS domain, in the environment of the test and of all that it starts."""
-    domain_coordinator = pytest.importorskip("domain_coordinator", reason="no ROS is installed")
-    with domain_coordinator.domain_id() as domain:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-        yield domain
+    yield from _free_domain(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def module_domain() -> Iterator[int]:
+    """The same for fixtures that the tests of one module share."""
+    with pytest.MonkeyPatch.context() as environment:
+        yield from _free_domain(environment)

@@ -25,6 +25,7 @@ from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
 from worm_optimizer.prediction import Prediction
 
+NODES_TIMEOUT_S = 120.0  # a twin whose kernel is not compiled yet does that first
 DISCOVERY_TIMEOUT_S = 30.0
 CALL_TIMEOUT_S = 10.0
 OPTIMIZER_TIMEOUT_S = 120.0  # it may still be searching its front
@@ -69,11 +70,11 @@ class OperatorNode(Node):
         commands would reach both.
         """
         expected = sorted({*names, self.get_name()})
-        self._wait(lambda: set(expected) <= set(self._names()), DISCOVERY_TIMEOUT_S)
+        self._wait(lambda: set(expected) <= set(self._names()), NODES_TIMEOUT_S)
         found = sorted(self._names())
         missing = [name for name in expected if name not in found]
         if missing:
-            raise OperatorError(f"no node {missing[0]} within {DISCOVERY_TIMEOUT_S:g} s")
+            raise OperatorError(f"no node {missing[0]} within {NODES_TIMEOUT_S:g} s")
         if found != expected:
             raise OperatorError(
                 f"another worm runs in this ROS domain: the nodes of {self.get_namespace()} are "

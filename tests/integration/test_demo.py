@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The main job: a gait request, motion, a bag, its replay; and a demo that is interrupted."""
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+import yaml
+from harness import TIMEOUT_S, Processes
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+DEMO_TIMEOUT_S = 240.0  # the first front on a machine takes a minute, the gait half of one
+TOPICS = {
+    "/worm/joint_states": "sensor_msgs/msg/JointState",
+    "/worm/body_length/commanded": "worm_msgs/msg/BodyLength",
+    "/worm/body_length/cable": "worm_msgs/msg/BodyLength",
+    "/worm/body_length/estimated": "worm_msgs/msg/BodyLength",
+    "/worm/body_length/measured": "worm_msgs/msg/BodyLength",
+    "/worm/power": "worm_msgs/msg/Power",
+    "/worm/tracker": "worm_msgs/msg/Tracker",
+    "/worm/gait_state": "worm_msgs/msg/GaitState",
+    "/worm/twin/state": "worm_msgs/msg/TwinState",
+    "/worm/twin/residuals": "worm_msgs/msg/TwinResiduals",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+
+pytestmark = pytest.mark.timeout(300)
+
+
+def processes_with(text: str) -> list[str]:
+    """Command lines of the running processes that contain a text."""
+    lines = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = path.read_bytes().split(b"\0")
+        except OSError:
+            continue  # it has just ended
+        line = b" ".join(words).decode(errors="replace")
+        if text in line:
+            lines.append(line)
+    return lines
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory, module_domain):
+    """One finished demo: its JSON output and its log."""
+    folder = tmp_path_factory.mktemp("demo")
+    with Processes(folder) as group:
+        demo = group.start_executable(
+            "worm_optimizer", "demo", "--bags", str(folder / "bags"), "--json"
+        )
+        code = demo.wait(DEMO_TIMEOUT_S)
+        assert code == 0, demo.output()
+    return json.loads(demo.output().splitlines()[-1])
+
+
+def test_predictions_and_measurements_are_there_and_agree(demo):
+    measured = demo["measured"]
+    assert measured["speed"] == pytest.approx(demo["gait"]["nominal_speed"], rel=0.05)
+    for source in ("twin", "predicted"):
+        assert demo[source]["speed"] == pytest.approx(measured["speed"], rel=0.05)
+        assert demo[source]["power"] == pytest.approx(measured["power"], rel=0.15)
+        # of one another they know nothing: to the last digit they differ
+        assert demo[source]["power"] != measured["power"]
+    assert demo["robust"]["power"] == demo["gait"]["power"]
+
+
+def test_the_figure_is_a_picture(demo):
+    assert Path(demo["figure"]).read_bytes().startswith(b"\x89PNG\r\n")
+
+
+def test_nothing_keeps_running(demo):
+    assert processes_with(demo["bag"]) == []
+
+
+def test_the_bag_is_rosbag2s(demo):
+    bag = Path(demo["bag"])
+    content = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert content["version"] == 9
+    assert content["storage_identifier"] == "mcap"
+    found = {
+        row["topic_metadata"]["name"]: row["topic_metadata"]["type"]
+        for row in content["topics_with_message_count"]
+    }
+    assert TOPICS.items() <= found.items()
+
+
+def test_rosbags_reads_the_bag(demo):
+    with AnyReader([Path(demo["bag"])]) as reader:
+        assert TOPICS.items() <= {c.topic: c.msgtype for c in reader.connections}.items()
+        tracker = [c for c in reader.connections if c.topic == "/worm/tracker"]
+        positions = [
+            reader.deserialize(data, connection.msgtype).rear_position
+            for connection, _, data in reader.messages(tracker)
+        ]
+    assert len(positions) > 500
+    assert positions[-1] - positions[0] > 0.1
+
+
+def test_mcap_ros2_support_reads_the_bag(demo):
+    (file,) = Path(demo["bag"]).glob("*_0.mcap")
+    with file.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        summary = reader.get_summary()
+        assert summary is not None
+        assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}
+        states = [
+            message.decoded_message
+            for message in reader.iter_decoded_messages(topics=["/worm/gait_state"])
+        ]
+    gaits = {(s.gait.stroke, s.gait.frequency) for s in states if s.state == 3}
+    assert gaits == {(demo["gait"]["stroke"], demo["gait"]["frequency"])}
+    assert max(s.cycle for s in states) == 5
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_demo_leaves_no_process_and_a_whole_bag(processes, tmp_path, number):
+    bags = tmp_path / "bags"
+    demo = processes.start_executable("worm_optimizer", "demo", "--bags", str(bags))
+    demo.wait_for_line("cycle 1 of 5", DEMO_TIMEOUT_S)
+    assert len(processes_with(str(bags))) > 1
+    demo.signal(number)
+    assert demo.wait(TIMEOUT_S) == 1
+    assert "cancelled" in demo.last_line()
+    assert processes_with(str(bags)) == []
+    (bag,) = bags.iterdir()
+    with AnyReader([bag]) as reader:
+        assert reader.message_count > 100
+
+
+def test_a_failed_stage_is_told_in_one_line(processes, tmp_path):
+    plant = tmp_path / "plant.yaml"
+    plant.write_text("no_such_key: 1\n")
+    demo = processes.start_executable(
+        "worm_optimizer", "demo", "--bags", str(tmp_path / "bags"), "--plant", str(plant)
+    )
+    assert demo.wait(TIMEOUT_S) == 1
+    assert "Traceback" not in demo.output()
+    assert "virtual_robot ended with exit status" in demo.last_line()
+    assert "no_such_key" in demo.last_line()
+
+
+def test_a_missing_parameter_file_is_bad_input(processes, tmp_path):
+    demo = processes.start_executable(
+        "worm_optimizer", "demo", "--bags", str(tmp_path), "--parameters", "nowhere.yaml"
+    )
+    assert demo.wait(TIMEOUT_S) == 2
+    assert "nowhere.yaml" in demo.last_line()
