@@ -131,13 +131,13 @@ def _front(axes: Axes, front: ServedFront, marks: Mapping[str, Prediction]) -> N
     _cost_lines(axes, weight)
     for name, gait in marks.items():
         axes.plot(1e3 * gait.speed, gait.power, "*", color="black", markersize=13)
-        fast = gait.speed > 0.8 * speed.max()  # there the front leaves room above, else below
+        offset, side = _label_place(gait.speed / speed.max())
         axes.annotate(
             f"{_LABELS.get(name, name)}\nCOT {gait.cost_of_transport:.1f}",
             (1e3 * gait.speed, gait.power),
             textcoords="offset points",
-            xytext=(-8, 10) if fast else (8, -30),
-            ha="right" if fast else "left",
+            xytext=offset,
+            ha=side,
         )
     axes.set(
         xlabel="mean speed along the gait's direction (mm/s)",
@@ -146,6 +146,13 @@ def _front(axes: Axes, front: ServedFront, marks: Mapping[str, Prediction]) -> N
         f"groove phase {1e3 * front.predictions[0].groove_phase:+.2f} mm",
     )
     axes.legend(loc="upper left")
+
+
+def _label_place(part: float) -> tuple[tuple[float, float], str]:
+    """Offset in points and alignment of a label where a rising front leaves room, by part of its speeds."""
+    if part > 0.8:
+        return (-8.0, 10.0), "right"
+    return ((8.0, -30.0) if part > 0.25 else (-10.0, 26.0)), "left"
 
 
 def _cost_lines(axes: Axes, weight: float) -> None:

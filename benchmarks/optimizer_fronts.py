@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""NSGA-II against the exhaustive map, the margin scan, and what a new parameter file costs."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.report import Row
+from worm_model.parameters import PAPER, ParameterFile
+from worm_optimizer.cache import Cache
+from worm_optimizer.certificate import CertifiedFront, certified_front
+from worm_optimizer.margin import price_of_robustness, scan
+from worm_optimizer.pipeline import make_front
+from worm_optimizer.settings import Settings
+from worm_optimizer.task import MarginTask
+
+TITLE = "certified fronts, the margin scan, a cold start"
+SEEDS = range(1, 11)
+MARGINS = (0.0, 2e-3, 3.4e-3, 5e-3)
+DEFAULTS = Settings()
+
+
+def certify(margin: float, seed: int) -> CertifiedFront:
+    """A front with the default settings but for the seed."""
+    search = type(DEFAULTS.search)(seed=seed)
+    return certified_front(MarginTask(margin=margin), search, DEFAULTS.map, lambda _: None)
+
+
+def _share_row() -> Row:
+    fronts = [certify(margin, seed) for margin in MARGINS for seed in SEEDS]
+    shares = np.array([front.hypervolume_share for front in fronts])
+    missed = sum(bool(front.missed_branches) for front in fronts)
+    told = f"{100 * shares.min():.2f} % least, {100 * np.median(shares):.2f} % median"
+    how = f"{len(SEEDS)} seeds at each of {len(MARGINS)} margins; {missed} of them missed a branch"
+    return Row("hypervolume share of NSGA-II", told, "99.5 %", how)
+
+
+def _scan_row(initial_length: float) -> Row:
+    parameters = PAPER.replace(initial_length=initial_length)
+    start = time.perf_counter()
+    margins = DEFAULTS.scan.margins()
+    points = list(scan(MarginTask(parameters), DEFAULTS.map, margins))
+    price = price_of_robustness(points, parameters)
+    seconds = time.perf_counter() - start
+    cliff = (
+        f"{1e3 * price.margin:.1f} mm ({1e3 * price.closed_form_cliff_margin:.2f} in closed form)"
+    )
+    how = f"{margins.size} margins at L0 = {initial_length} m; cliff at {cliff}"
+    return Row("margin scan", f"{seconds:.1f} s", "60 s", how)
+
+
+def _cold_row() -> Row:
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        front = make_front(ParameterFile(), DEFAULTS, 1, Cache.at(Path(folder)), lambda _: None)
+        seconds = time.perf_counter() - start
+    how = f"scan, front, success of {len(front.predictions)} gaits over {DEFAULTS.samples} draws"
+    return Row("from parameters to a served front", f"{seconds:.1f} s", "60 s", how)
+
+
+def run() -> list[Row]:
+    """Measures."""
+    certify(0.0, 1)  # compiles the kernel, if it is not in its cache
+    return [_share_row(), _scan_row(0.2952), _scan_row(0.2941), _cold_row()]
