@@ -13,6 +13,7 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from std_msgs.msg import Header
 
 from worm_model.gait import Gait, GaitError
+from worm_model.twin_forecast import Forecast
 from worm_model.twin_records import (
     NANOSECONDS,
     Activity,
@@ -26,7 +27,16 @@ from worm_model.twin_records import (
     TrackerSample,
 )
 from worm_model.twin_settings import TwinSettings
-from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
+from worm_msgs.msg import (
+    BodyLength,
+    GaitPrediction,
+    GaitState,
+    Power,
+    Tracker,
+    TwinResiduals,
+    TwinState,
+)
+from worm_msgs.msg import Gait as GaitMessage
 
 
 def nanoseconds(stamp: Any) -> int:
@@ -69,12 +79,7 @@ def gait_sample(message: Any) -> GaitSample:
     """Of a GaitState; a gait that is not admissible counts as none."""
     gait: Gait | None
     try:
-        gait = Gait(
-            message.gait.stroke,
-            message.gait.frequency,
-            message.gait.direction,
-            message.gait.margin,
-        )
+        gait = gait_of(message.gait)
     except GaitError:
         gait = None
     return GaitSample(
@@ -120,6 +125,46 @@ def _filled(message: Any, record: Any) -> Any:
         if name != "stamp_ns":
             setattr(message, name, value)
     return message
+
+
+def gait_of(message: Any) -> Gait:
+    """Of a Gait; raises `worm_model.gait.GaitError`."""
+    return Gait(message.stroke, message.frequency, message.direction, message.margin)
+
+
+def fill_forecast(response: Any, found: Forecast) -> Any:
+    """A forecast as the response of PredictGait."""
+    nan = math.nan
+    gait = found.robust.gait
+    response.success = True
+    response.prediction = GaitPrediction(
+        gait=GaitMessage(
+            stroke=gait.stroke,
+            frequency=gait.frequency,
+            direction=gait.direction,
+            margin=gait.margin,
+        ),
+        speed=found.robust.speed,
+        power=found.robust.power,
+        cost_of_transport=found.robust.cost_of_transport,
+        grooves_per_cycle=found.robust.grooves_per_cycle,
+        groove_phase=found.groove_phase,
+        nominal_speed=found.nominal.speed,
+        nominal_power=found.nominal.power,
+        nominal_cost_of_transport=found.nominal.cost_of_transport,
+        nominal_grooves_per_cycle=found.nominal.grooves_per_cycle,
+        stroke_to_lower_edge=nan,
+        stroke_to_upper_edge=nan,
+        success_probability=nan,
+        success_probability_any_phase=nan,
+    )
+    response.time = found.time.tolist()
+    response.rear_position = found.rear_position.tolist()
+    response.front_position = found.front_position.tolist()
+    response.power = found.power.tolist()
+    response.energy = found.energy
+    response.grooves = found.grooves
+    return response
 
 
 # --- settings ----------------------------------------------------------------------------------------

@@ -326,6 +326,8 @@ class Locomotion:
         """
         knots = np.ascontiguousarray(breaks, dtype=float)
         forms = np.ascontiguousarray(coefficients, dtype=float)
+        if not (np.all(np.isfinite(knots)) and np.all(np.isfinite(forms))):
+            raise ValueError("times and lengths must be finite: leave out what was not seen")
         samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
         samples[:, march.TIME] = _ascending(times, knots[0], knots[-1])
         ledger = np.zeros(march.LEDGER_SIZE)

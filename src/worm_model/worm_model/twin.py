@@ -151,7 +151,7 @@ class Twin:
     # --- the driving length ---------------------------------------------------------------------
 
     def _take_command(self, state: TwinState, sample: CommandedLength, sink: _Sink) -> TwinState:
-        parameters = self._effective(state)
+        parameters = self.effective_parameters(state)
         before = state.actuation or Actuation(sample.stamp_ns)
         if begin_implied_run(state, before, sample):
             state = self._begin_implied(state, before, sink)
@@ -241,13 +241,13 @@ class Twin:
         return self._compare(state, sink)
 
     def _compare(self, state: TwinState, sink: _Sink) -> TwinState:
-        state, records, notices = compare(state, self._effective(state), self.settings)
+        state, records, notices = compare(state, self.effective_parameters(state), self.settings)
         sink.residuals += records
         sink.notices += notices
         return state
 
     def _record(self, state: TwinState, track: Track) -> StateRecord:
-        parameters = self._effective(state)
+        parameters = self.effective_parameters(state)
         row = track.rows[-1]
         moved = state.anchors.grooves_at(row.stamp_ns)
         zero = state.run.origin + moved * parameters.pitch
@@ -275,11 +275,12 @@ class Twin:
             energy=track.energy,
         )
 
-    def _effective(self, state: TwinState) -> Parameters:
+    def effective_parameters(self, state: TwinState) -> Parameters:
+        """The parameters with the L0 of the state's run."""
         return _with_length(self.parameters, state.run.initial_length)
 
     def _model(self, state: TwinState) -> Locomotion:
-        return Locomotion(self._effective(state), state.run.direction)
+        return Locomotion(self.effective_parameters(state), state.run.direction)
 
 
 @lru_cache(maxsize=16)

@@ -21,17 +21,24 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from visualization_msgs.msg import MarkerArray
 
 from worm_model import ros_twin, warm_up
+from worm_model.gait import GaitError
 from worm_model.parameters import ParameterError, load_parameters
+from worm_model.ros_scene import marker_array
 from worm_model.twin import Twin
-from worm_model.twin_records import Notice, Output, Sample, Severity
+from worm_model.twin_forecast import ForecastError, forecast
+from worm_model.twin_records import Notice, Output, Sample, Severity, StateRecord, TrackerSample
 from worm_model.twin_report import Level, report
+from worm_model.twin_scene import Sighting, scene
 from worm_msgs.msg import BodyLength, TwinResiduals, TwinState
+from worm_msgs.srv import PredictGait
 
 PARAMETER_FILE = "parameter_file"
 POLL_S = 0.002
 POLLS_PER_SPIN = 5  # how often the executor gets its turn
+MARKER_PERIOD_S = 0.1
 DEPTH = 1000  # of samples that may wait, for every topic
 
 _LATCHED = QoSProfile(
@@ -82,8 +89,13 @@ class TwinNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
+        self._markers = self.create_publisher(MarkerArray, "twin/markers", 10)
+        self._shown: StateRecord | None = None
+        self._sighting = Sighting()
+        self.create_service(PredictGait, "predict_gait", self._predict)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        self.create_timer(MARKER_PERIOD_S, self._publish_markers, clock=steady)
 
     def poll(self) -> None:
         """Takes all that has come, in the order of its stamps, and publishes what it yields."""
@@ -93,6 +105,11 @@ class TwinNode(Node):
         samples.sort(key=lambda sample: sample.stamp_ns)
         self._state, output = self._twin.step(self._state, samples)
         self._publish(output)
+        if output.states:
+            self._shown = output.states[-1]
+        for sample in samples:
+            if isinstance(sample, TrackerSample):
+                self._sighting = Sighting(sample.rear_position, sample.front_position)
 
     def _subscribe(
         self, topic: str, kind: type, convert: Callable[[Any], Sample], group: CallbackGroup
@@ -149,6 +166,27 @@ class TwinNode(Node):
     def _take_parameters(self, _: Sequence[Parameter]) -> None:
         """The state stays: the twin goes on with the new values from its next sample on."""
         self._twin = self._make_twin()
+
+    # --- what if, and what is seen -------------------------------------------------------------------
+
+    def _predict(
+        self, request: PredictGait.Request, response: PredictGait.Response
+    ) -> PredictGait.Response:
+        try:
+            gait = ros_twin.gait_of(request.gait)
+            found = forecast(self._twin, self._state, gait, request.horizon)
+        except (GaitError, ForecastError) as error:
+            response.success, response.message = False, str(error)
+            return response
+        return ros_twin.fill_forecast(response, found)
+
+    def _publish_markers(self) -> None:
+        if self._shown is None or not self._markers.get_subscription_count():
+            return
+        parameters = self._twin.effective_parameters(self._state)
+        shapes = scene(self._shown, self._sighting, parameters, self._state.run.direction)
+        stamp = ros_twin.time_message(self._shown.stamp_ns)
+        self._markers.publish(marker_array(shapes, stamp))
 
     # --- diagnostics ------------------------------------------------------------------------------
 

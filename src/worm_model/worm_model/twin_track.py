@@ -192,7 +192,7 @@ def _rows(
         motions.length_rate,
         motions.cable_force,
         rates,
-        _power(motions.cable_force, motions.length_rate, rates, parameters),
+        power_at_rate(motions.cable_force, motions.length_rate, rates, parameters),
     ]
     rows: list[Row] = []
     for knot, line in zip(knots, np.array(columns).T.tolist(), strict=True):
@@ -215,7 +215,8 @@ def force_at_rate(chord_force: Any, chord_rate: Any, rate: Any, parameters: Para
     return chord_force - drag * (rate - chord_rate)
 
 
-def _power(chord_force: Any, chord_rate: Any, rate: Any, parameters: Parameters) -> Any:
+def power_at_rate(chord_force: Any, chord_rate: Any, rate: Any, parameters: Parameters) -> Any:
+    """Source power in W (eq:power_model) at another length rate than the chord's."""
     force = force_at_rate(chord_force, chord_rate, rate, parameters)
     return parameters.idle_power + parameters.power_factor * np.maximum(-force * rate, 0.0)
 
@@ -278,7 +279,9 @@ def _settle(track: Track, parameters: Parameters, smoothing_s: float) -> Track:
     force = np.array([row.chord_force for row in chosen])
     slope = np.array([row.chord_rate for row in chosen])
     settled = list(track.settled)
-    for row, power in zip(chosen, _power(force, slope, rates, parameters).tolist(), strict=True):
+    for row, power in zip(
+        chosen, power_at_rate(force, slope, rates, parameters).tolist(), strict=True
+    ):
         last = settled[-1]
         step = (row.stamp_ns - last.stamp_ns) / NANOSECONDS
         energy = last.energy + 0.5 * (last.power + power) * step

@@ -12,9 +12,11 @@ from typing import Any, NamedTuple, Protocol
 import yaml
 
 from worm_model.bags.errors import BagError
+from worm_model.bags.payloads import Payloads
 
 METADATA_FILE = "metadata.yaml"
 METADATA_ROOT = "rosbag2_bagfile_information"
+YAML_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the one in C is ten times faster
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,10 @@ class Storage(Protocol):
 
     def batches(self, topics: frozenset[str]) -> Iterator[list[Message]]:
         """Messages of some topics by rising log time."""
+        ...
+
+    def payloads(self, topics: frozenset[str]) -> dict[str, Payloads]:
+        """All messages of some topics, by topic."""
         ...
 
     def close(self) -> None:
@@ -155,13 +161,24 @@ class Bag:
 
     def batches(self, topics: Iterable[str] | None = None) -> Iterator[list[Message]]:
         """As `messages`, many at a time."""
+        return self._storage.batches(self._wanted(topics))
+
+    def payloads(self, topics: Iterable[str]) -> dict[str, Payloads]:
+        """All messages of some topics at once, by topic: fast, and as large as the topics are.
+
+        Raises:
+            BagError: as `messages`.
+        """
+        return self._storage.payloads(self._wanted(topics))
+
+    def _wanted(self, topics: Iterable[str] | None) -> frozenset[str]:
         wanted = frozenset(self.topics if topics is None else topics)
         unknown = sorted(wanted - self.topics.keys())
         if unknown:
             raise BagError(
                 f"{self.path} has no topic {unknown[0]}; it has {', '.join(sorted(self.topics))}"
             )
-        return self._storage.batches(wanted)
+        return wanted
 
 
 def read_metadata(directory: Path) -> dict[str, Any]:
@@ -172,7 +189,7 @@ def read_metadata(directory: Path) -> dict[str, Any]:
     """
     path = directory / METADATA_FILE
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = yaml.load(path.read_text(encoding="utf-8"), Loader=YAML_LOADER)
     except FileNotFoundError:
         raise BagError(f"{path} is missing; worm_model recover {directory} makes one") from None
     except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError) as error:

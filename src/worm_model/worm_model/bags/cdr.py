@@ -21,6 +21,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
 from worm_model.bags.errors import BagError
+from worm_model.bags.payloads import Bytes, Payloads
 
 HEADER_BYTES = 4
 BIG, LITTLE = b"\x00\x00", b"\x00\x01"  # representation identifiers of plain CDR
@@ -179,7 +180,7 @@ class Columns:
     texts: dict[str, list[str | None]]
 
 
-def decode(messages: Sequence[bytes], type_name: str, types: Types) -> Columns:
+def decode(messages: Payloads, type_name: str, types: Types) -> Columns:
     """Columns of messages of one type.
 
     Raises:
@@ -187,13 +188,11 @@ def decode(messages: Sequence[bytes], type_name: str, types: Types) -> Columns:
     """
     columns = Columns({}, {})
     waiting = np.arange(len(messages))
-    sizes = np.array([len(data) for data in messages], dtype=np.int64)
     while len(waiting):
-        template = messages[waiting[0]]
+        template = messages.message(int(waiting[0]))
         cursor = _template_cursor(template, type_name, types)
-        candidates = waiting[sizes[waiting] == len(template)]
-        block = np.frombuffer(b"".join([messages[i] for i in candidates]), np.uint8)
-        block = block.reshape(len(candidates), len(template))
+        candidates = waiting[messages.size[waiting] == len(template)]
+        block = messages.rows(candidates)
         same = _same_layout(block, cursor, template)
         _take(columns, cursor, block[same], candidates[same], len(messages))
         waiting = np.setdiff1d(waiting, candidates[same], assume_unique=True)
@@ -210,7 +209,7 @@ def _template_cursor(template: bytes, type_name: str, types: Types) -> _ReadCurs
     return cursor
 
 
-def _same_layout(block: NDArray[np.uint8], cursor: _Cursor, template: bytes) -> NDArray[np.bool_]:
+def _same_layout(block: Bytes, cursor: _Cursor, template: bytes) -> NDArray[np.bool_]:
     """Which rows have the representation and all lengths of the template."""
     fixed = [0, 1] + [offset + i for offset, _ in cursor.words for i in range(4)]
     expected = np.frombuffer(template, np.uint8)[fixed]
@@ -221,7 +220,7 @@ def _same_layout(block: NDArray[np.uint8], cursor: _Cursor, template: bytes) -> 
 def _take(
     columns: Columns,
     cursor: _ReadCursor,
-    block: NDArray[np.uint8],
+    block: Bytes,
     rows: NDArray[np.int64],
     total: int,
 ) -> None:

@@ -10,13 +10,14 @@ from __future__ import annotations
 import fcntl
 import struct
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -26,12 +27,25 @@ from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
 from worm_model.bags.errors import BagError
+from worm_model.bags.payloads import Bytes, Payloads, payloads_of
 
 MAGIC = b"\x89MCAP0\r\n"
 PLAIN_EXTENT_BYTES = 1 << 20  # messages outside of chunks are taken in runs of about this size
 MAX_CHUNK_BYTES = 1 << 31  # more than any writer makes: a damaged length, not a chunk
 _RECORD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+_HEAD = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)  # the same as columns
+_INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
+_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 _DAMAGE = (
     McapError,
     struct.error,
@@ -65,6 +79,8 @@ class Extent(NamedTuple):
         start, end: least and greatest log time, ns.
         offset, length: where in the file its records lie.
         is_chunk: whether they are wrapped in one chunk record.
+        index: where in the file the message index of each channel lies, None if there is none.
+        index_length: bytes of all these indexes, which lie together.
     """
 
     start: int
@@ -72,6 +88,8 @@ class Extent(NamedTuple):
     offset: int
     length: int
     is_chunk: bool
+    index: Mapping[int, int] | None = None
+    index_length: int = 0
 
 
 @dataclass
@@ -147,6 +165,24 @@ class McapFile:
         messages.sort(key=_log_time)
         return messages
 
+    def payloads(self, extent: Extent, wanted: frozenset[int]) -> dict[int, Payloads]:
+        """As `load`, by channel and in arrays: with a message index, without an object per message."""
+        with explained(self.path):
+            self._stream.seek(extent.offset)
+            data = self._stream.read(extent.length)
+            records = _unwrap(data) if extent.is_chunk else data
+            if extent.index is None:
+                return _walked_payloads(records, wanted)
+            first = min(extent.index.values())
+            self._stream.seek(first)
+            index = self._stream.read(extent.index_length)
+            buffer = np.frombuffer(records, np.uint8)
+            return {
+                channel: _indexed_payloads(buffer, index, place - first, channel)
+                for channel, place in extent.index.items()
+                if channel in wanted
+            }
+
     def attachments(self) -> Iterator[Attachment]:
         """The files kept inside."""
         for offset, length in self.contents.attachments:
@@ -213,7 +249,13 @@ def _by_summary(stream: BinaryIO, size: int) -> Contents | None:
         channels=summary.channels,
         extents=[
             Extent(
-                c.message_start_time, c.message_end_time, c.chunk_start_offset, c.chunk_length, True
+                start=c.message_start_time,
+                end=c.message_end_time,
+                offset=c.chunk_start_offset,
+                length=c.chunk_length,
+                is_chunk=True,
+                index=c.message_index_offsets or None,
+                index_length=c.message_index_length,
             )
             for c in summary.chunk_indexes
         ],
@@ -356,6 +398,39 @@ def _registrations(data: bytes) -> list[object]:
             found.append(_READERS[opcode](ReadDataStream(BytesIO(data[start : start + length]))))
         position = start + length
     return found
+
+
+def _walked_payloads(records: bytes, wanted: frozenset[int]) -> dict[int, Payloads]:
+    found: dict[int, list[RawMessage]] = {}
+    for message in walk_messages(records, wanted):
+        found.setdefault(message.channel, []).append(message)
+    return {
+        channel: payloads_of([m.data for m in messages], [m.log_time for m in messages])
+        for channel, messages in found.items()
+    }
+
+
+def _indexed_payloads(records: Bytes, index: bytes, place: int, channel: int) -> Payloads:
+    """Messages of a channel by its message index.
+
+    Raises:
+        ValueError, struct.error: the index does not fit the records.
+    """
+    opcode, _, owner, size = _INDEX.unpack_from(index, place)
+    start = place + _INDEX.size
+    if opcode != Opcode.MESSAGE_INDEX or owner != channel or start + size > len(index):
+        raise ValueError("a message index is not where it should be")
+    entries = np.frombuffer(index, _INDEX_ENTRY, size // _INDEX_ENTRY.itemsize, start)
+    offset = entries["offset"].astype(np.int64)
+    if offset.size and not 0 <= offset.min() <= offset.max() <= len(records) - _MESSAGE.size:
+        raise ValueError("a message index points out of its chunk")
+    heads = records[offset[:, np.newaxis] + np.arange(_MESSAGE.size)].reshape(-1).view(_HEAD)
+    size_of = heads["length"].astype(np.int64) - (_MESSAGE.size - _RECORD.size)
+    fits = (heads["opcode"] == Opcode.MESSAGE) & (heads["channel"] == channel) & (size_of >= 0)
+    if not (fits & (offset + _MESSAGE.size + size_of <= len(records))).all():
+        raise ValueError("a message index points to something else")
+    log_time = heads["log_time"].astype(np.int64)
+    return Payloads(records, offset + _MESSAGE.size, size_of, log_time).compact()
 
 
 def walk_messages(data: bytes, wanted: frozenset[int] | None) -> Iterator[RawMessage]:

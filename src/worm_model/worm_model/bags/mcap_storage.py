@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from worm_model.bags.bag import AttachedFile, Message, Topic
 from worm_model.bags.errors import BagError
 from worm_model.bags.mcap_file import McapFile, merge
+from worm_model.bags.payloads import Payloads, join
 
 
 class McapStorage:
@@ -45,17 +46,29 @@ class McapStorage:
                     seen.add(attached)
                     yield attached
 
+    def payloads(self, topics: frozenset[str]) -> dict[str, Payloads]:
+        """All messages of some topics, by topic."""
+        parts: dict[str, list[Payloads]] = {topic: [] for topic in topics}
+        for file, names, wanted in self._channels(topics):
+            for extent in file.contents.extents:
+                for channel, payloads in file.payloads(extent, wanted).items():
+                    parts[names[channel]].append(payloads)
+        return {topic: join(found) for topic, found in parts.items()}
+
+    def _channels(
+        self, topics: frozenset[str]
+    ) -> Iterator[tuple[McapFile, dict[int, str], frozenset[int]]]:
+        """Each file with its topics by channel, and its channels of some topics."""
+        for file in self._files:
+            names = {number: channel.topic for number, channel in file.contents.channels.items()}
+            wanted = frozenset(number for number, topic in names.items() if topic in topics)
+            yield file, names, wanted
+
     def batches(self, topics: frozenset[str]) -> Iterator[list[Message]]:
         """Messages of some topics by rising log time."""
-        names = [
-            {number: channel.topic for number, channel in f.contents.channels.items()}
-            for f in self._files
-        ]
-        wanted = [
-            frozenset(number for number, topic in known.items() if topic in topics)
-            for known in names
-        ]
-        for batch in merge(list(zip(self._files, wanted, strict=True))):
+        files = list(self._channels(topics))
+        names = [known for _, known, _ in files]
+        for batch in merge([(file, wanted) for file, _, wanted in files]):
             yield [
                 Message(names[index][raw.channel], raw.log_time, raw.data, raw.publish_time)
                 for index, raw in batch

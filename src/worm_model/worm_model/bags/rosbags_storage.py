@@ -14,6 +14,7 @@ from rosbags.rosbag2 import Reader
 
 from worm_model.bags.bag import AttachedFile, Message, Topic
 from worm_model.bags.errors import BagError
+from worm_model.bags.payloads import Payloads, payloads_of
 
 BATCH = 1000
 _FORMATS = MappingProxyType(
@@ -79,6 +80,17 @@ class RosbagsStorage:
             if not batch:
                 return
             yield batch
+
+    def payloads(self, topics: frozenset[str]) -> dict[str, Payloads]:
+        """All messages of some topics, by topic."""
+        found: dict[str, list[Message]] = {topic: [] for topic in topics}
+        for batch in self.batches(topics):
+            for message in batch:
+                found[message.topic].append(message)
+        return {
+            topic: payloads_of([m.data for m in messages], [m.log_time for m in messages])
+            for topic, messages in found.items()
+        }
 
 
 def _topic(connection: Connection) -> Topic:

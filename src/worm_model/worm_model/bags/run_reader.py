@@ -12,6 +12,7 @@ from worm_model.bags.bag import Bag, Topic
 from worm_model.bags.cdr import Columns, decode, parse_types
 from worm_model.bags.definitions import installed_types
 from worm_model.bags.errors import BagError
+from worm_model.bags.payloads import Payloads
 from worm_model.bags.worm_topics import find_topic
 from worm_model.run import (
     GaitStates,
@@ -89,14 +90,11 @@ def read_columns(bag: Bag, topics: list[Topic]) -> dict[str, Columns]:
     Raises:
         BagError: a topic cannot be decoded.
     """
-    payloads: dict[str, list[bytes]] = {topic.name: [] for topic in topics}
-    for batch in bag.batches(payloads):
-        for message in batch:
-            payloads[message.topic].append(message.data)
+    payloads = bag.payloads([topic.name for topic in topics])
     return {topic.name: decode_topic(topic, payloads[topic.name]) for topic in topics}
 
 
-def decode_topic(topic: Topic, payloads: list[bytes]) -> Columns:
+def decode_topic(topic: Topic, payloads: Payloads) -> Columns:
     """Columns of messages of a topic, by the definition inside the bag, or by the installed one if it has none.
 
     Raises:

@@ -12,6 +12,7 @@ import numpy as np
 from worm_model.bags.bag import Bag, Message, Topic
 from worm_model.bags.cdr import Columns
 from worm_model.bags.errors import BagError
+from worm_model.bags.payloads import payloads_of
 from worm_model.bags.run_reader import decode_topic
 
 LOG_TIME = "log_time_ns"
@@ -74,10 +75,9 @@ def _by_topic(batch: Iterable[Message]) -> dict[str, list[Message]]:
 
 def _flat(topic: Topic, messages: list[Message]) -> dict[str, tuple[Kind, list[Any]]]:
     """Kind and values of each column."""
-    columns = decode_topic(topic, [message.data for message in messages])
-    flat: dict[str, tuple[Kind, list[Any]]] = {
-        LOG_TIME: ("int64", [message.log_time for message in messages])
-    }
+    times = [message.log_time for message in messages]
+    columns = decode_topic(topic, payloads_of([message.data for message in messages], times))
+    flat: dict[str, tuple[Kind, list[Any]]] = {LOG_TIME: ("int64", times)}
     for path, values in columns.numbers.items():
         if path.endswith(SECONDS) and path.removesuffix(SECONDS) + NANOSECONDS in columns.numbers:
             stem = path.removesuffix(SECONDS)

@@ -19,6 +19,8 @@ Residuals = Callable[[int, Array, Array], Array]
 
 HUBER = 2.5  # scales beyond which a residual counts by its size, not by its square
 MOST_ITERATIONS = 40
+MOST_DAMPING = 1e6
+NARROW = 0.15  # of the derivatives' steps, once the wide ones lead no further
 TOLERANCE = 1e-6  # relative decrease of the cost at which a fit has arrived
 
 
@@ -74,24 +76,35 @@ def solve(
 ) -> Solution:
     """The minimum next to a start; ``weights`` are those of the samples of every run, by default 1."""
     state = _evaluate(problem, np.array(shared, float), np.array(own, float), weights)
-    damping = 1e-3
+    damping, width = 1e-3, 1.0
     for _ in range(iterations):
-        matrix, gradient = normal_equations(problem, state, weights)
-        while damping < 1e6:
-            step = -np.linalg.solve(
-                matrix + damping * np.diag(np.diag(matrix) + 1e-12), gradient
-            )
-            trial = _evaluate(problem, *_moved(problem, state, step), weights)
-            if trial.cost < state.cost:
-                break
-            damping *= 8.0
-        else:
-            break
-        gained, state = state.cost - trial.cost, trial
-        damping = max(damping / 8.0, 1e-6)
+        matrix, gradient = normal_equations(problem, state, weights, width)
+        trial, damping = _best_step(problem, state, matrix, gradient, damping, weights)
+        gained = state.cost - trial.cost
+        state = trial
         if gained <= TOLERANCE * state.cost:
-            break
+            if width < 1.0:
+                break
+            width = NARROW  # perhaps a jump lies between the points of the differences
     return state
+
+
+def _best_step(
+    problem: Problem,
+    state: Solution,
+    matrix: Array,
+    gradient: Array,
+    damping: float,
+    weights: Sequence[Array] | None,
+) -> tuple[Solution, float]:
+    """(state after a step that lowers the cost, next damping); the same state if there is none."""
+    while damping < MOST_DAMPING:
+        step = -np.linalg.solve(matrix + damping * np.diag(np.diag(matrix) + 1e-12), gradient)
+        trial = _evaluate(problem, *_moved(problem, state, step), weights)
+        if trial.cost < state.cost:
+            return trial, max(damping / 8.0, 1e-6)
+        damping *= 8.0
+    return state, 1e-3
 
 
 def _moved(problem: Problem, state: Solution, step: Array) -> tuple[Array, Array]:
@@ -136,14 +149,17 @@ def _prior_cost(values: Array, quantities: Sequence[Quantity]) -> float:
 
 
 def normal_equations(
-    problem: Problem, state: Solution, weights: Sequence[Array] | None
+    problem: Problem, state: Solution, weights: Sequence[Array] | None = None, width: float = 1.0
 ) -> tuple[Array, Array]:
-    """(matrix, gradient) of half the cost, shared parameters first, then run after run; priors included."""
+    """(matrix, gradient) of half the cost, shared parameters first, then run after run; priors included.
+
+    ``width`` multiplies the steps of the numerical derivatives.
+    """
     count, (runs, own_count) = len(problem.shared), state.own.shape
     size = count + runs * own_count
     matrix, gradient = np.zeros((size, size)), np.zeros(size)
     for run, residuals in enumerate(state.residuals):
-        jacobian = _jacobian(problem, state, run)
+        jacobian = _jacobian(problem, state, run, width)
         weight = np.minimum(1.0, HUBER / np.maximum(np.abs(residuals), 1e-12))
         if weights is not None:
             weight = weight * weights[run]
@@ -159,7 +175,7 @@ def normal_equations(
     return matrix, gradient + precision * (values - centre)
 
 
-def _jacobian(problem: Problem, state: Solution, run: int) -> Array:
+def _jacobian(problem: Problem, state: Solution, run: int, width: float) -> Array:
     """Of a run's residuals by the shared parameters and its own nuisances, by central differences.
 
     One-sided ones would not do: parameters that can hardly be told apart (η and a stiffness that all grooves
@@ -171,8 +187,8 @@ def _jacobian(problem: Problem, state: Solution, run: int) -> Array:
     columns = np.empty((state.residuals[run].size, values.size))
     for k, quantity in enumerate(quantities):
         sides = values.copy(), values.copy()
-        sides[0][k] = max(values[k] - quantity.step, quantity.low)
-        sides[1][k] = min(values[k] + quantity.step, quantity.high)
+        sides[0][k] = max(values[k] - width * quantity.step, quantity.low)
+        sides[1][k] = min(values[k] + width * quantity.step, quantity.high)
         low, high = (problem.residuals(run, side[:count], side[count:]) for side in sides)
         columns[:, k] = (high - low) / (sides[1][k] - sides[0][k])
     return columns

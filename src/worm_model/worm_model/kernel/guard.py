@@ -29,6 +29,7 @@ NOTHING, REAR_HIGH, REAR_LOW, FRONT_HIGH, FRONT_LOW, FORCE_SIGN, RATE_SIGN, END 
 SHORTEST_STEP = 1e-10  # s, keeps a gap that opens from zero moving
 SIMULTANEOUS = 1e-11  # s, events closer than this are one moment: the guard named first comes first
 MOST_NEWTON_STEPS = 50
+NEVER = 1e300  # s; infinity has no meaning here, see `worm_model.kernel.compiled`
 
 
 class Followed(NamedTuple):
@@ -124,11 +125,11 @@ def _enclosure(gap: float, rate: float, least: float, most: float) -> tuple[floa
     """(earliest, latest) zero of a gap; the latest is infinite where a zero is not certain."""
     discriminant = rate * rate - 2.0 * least * gap
     if rate >= 0.0:
-        return ((rate + math.sqrt(discriminant)) / -least if least < 0.0 else math.inf), math.inf
+        return ((rate + math.sqrt(discriminant)) / -least if least < 0.0 else NEVER), math.inf
     earliest = 2.0 * gap / (math.sqrt(discriminant) - rate)
     discriminant = rate * rate - 2.0 * most * gap
     if discriminant <= 0.0:
-        return earliest, math.inf
+        return earliest, NEVER
     return earliest, 2.0 * gap / (math.sqrt(discriminant) - rate)
 
 

@@ -337,7 +337,7 @@ def _follow_mode(
             return s, ahead.stop, b
 
 
-@compiled
+@inlined
 def march(
     segment: Segment,
     motion: Motion,

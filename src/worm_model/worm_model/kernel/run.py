@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from worm_model.kernel.compiled import compiled, inlined, unlocked
+from worm_model.kernel.compiled import compiled, entry, inlined, unlocked
 from worm_model.kernel.linear import Coefficients, Wave
 from worm_model.kernel.march import (
     CHATTER,
@@ -45,7 +45,7 @@ MEAN_ADVANCE, MEAN_POWER, LEAST_ADVANCE, RUN_SWITCHES, RUN_CHATTER = range(5)
 RESULT_COLUMNS = 5
 
 
-@compiled
+@entry
 def constants_of(p: np.ndarray, direction: float, margin: float) -> Constants:
     """Constants of a parameter row; forward, the fin is stiff when pushed backward (below its clearance)."""
     mass = p[REAR_MASS] + p[FRONT_MASS]
@@ -119,7 +119,7 @@ def _end_value(segment: Segment) -> float:
     )
 
 
-@compiled
+@entry
 def run_gait(
     stroke: float,
     frequency: float,
@@ -149,35 +149,34 @@ def run_gait(
     boundaries[0, 0] = boundaries[0, 1] = 0.0
     for cycle in range(cycles):
         start = cycle * period
-        for part in range(3):
-            if part == 1 and clipped_throughout:
-                continue
-            if part == 0:
-                segment = _clipped_segment(start, start + opening, length_change, p, c.mass)
-            elif part == 1:
-                segment = _open_segment(
-                    start + opening,
-                    start + period - opening,
-                    omega * opening,
-                    length_change,
-                    stroke,
-                    p,
-                    omega,
-                    c.mass,
-                )
-            else:
-                segment = _clipped_segment(
-                    start + period - opening, start + period, length_change, p, c.mass
-                )
-            motion = march(segment, motion, c, ledger, samples, events)
-            length_change = _end_value(segment)
-            if ledger[CHATTER] != 0.0:
-                return
+        segment = _clipped_segment(start, start + opening, length_change, p, c.mass)
+        motion = march(segment, motion, c, ledger, samples, events)
+        length_change = _end_value(segment)
+        if not clipped_throughout:
+            opened = _open_segment(
+                start + opening,
+                start + period - opening,
+                omega * opening,
+                length_change,
+                stroke,
+                p,
+                omega,
+                c.mass,
+            )
+            motion = march(opened, motion, c, ledger, samples, events)
+            length_change = _end_value(opened)
+        segment = _clipped_segment(
+            start + period - opening, start + period, length_change, p, c.mass
+        )
+        motion = march(segment, motion, c, ledger, samples, events)
+        length_change = _end_value(segment)
+        if ledger[CHATTER] != 0.0:
+            return
         boundaries[cycle + 1, 0] = motion.y - c.mu * length_change
         boundaries[cycle + 1, 1] = ledger[WORK_DONE]
 
 
-@compiled
+@entry
 def evaluate(
     stroke: float,
     frequency: float,

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pipe, the robot as the tracker sees it, and the twin's ghost, as simple shapes.
+
+The pipe lies along x in the frame ``FRAME``; lengths in m, colours as (red, green, blue, opacity) in 0 to 1.
+Fins are green where they hold, amber where they yield, grey where they touch nothing.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+from worm_model.gait import FORWARD
+from worm_model.parameters import Parameters
+from worm_model.twin_records import StateRecord
+
+FRAME = "pipe"
+PIPE_RADIUS = 0.06
+MODULE = (0.04, 0.07, 0.07)
+BELLOWS_DIAMETER = 0.05
+VIEW = 0.6  # m of pipe shown before and behind the robot
+
+Colour = tuple[float, float, float, float]
+Vector = tuple[float, float, float]
+
+RIDGE_COLOUR: Colour = (0.55, 0.55, 0.6, 0.5)
+ROBOT_COLOUR: Colour = (0.15, 0.35, 0.75, 1.0)
+GHOST_COLOUR: Colour = (0.95, 0.75, 0.2, 0.35)
+HOLDING: Colour = (0.1, 0.7, 0.2, 1.0)
+YIELDING: Colour = (0.95, 0.6, 0.1, 1.0)
+FREE: Colour = (0.6, 0.6, 0.6, 1.0)
+
+
+class Kind(enum.Enum):
+    """Of a shape."""
+
+    BOX = "box"
+    BOXES = "boxes"
+    CYLINDER = "cylinder along x"
+
+
+@dataclass(frozen=True)
+class Shape:
+    """``name`` is its own among the shapes; ``points`` are the centres of BOXES, relative to ``position``."""
+
+    name: str
+    kind: Kind
+    position: Vector
+    size: Vector
+    colour: Colour
+    points: tuple[Vector, ...] = ()
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What the tracker saw last: x1 and x2 in m, NaN where it did not."""
+
+    rear_position: float = math.nan
+    front_position: float = math.nan
+
+
+def scene(
+    twin: StateRecord, robot: Sighting, parameters: Parameters, direction: int = FORWARD
+) -> list[Shape]:
+    """All shapes; the robot is left out while the tracker does not see both modules."""
+    shapes = [ridges(twin, parameters)]
+    shapes += body("twin", twin.rear_position, twin.front_position, GHOST_COLOUR)
+    shapes += [
+        fin("rear", twin.rear_position, twin.rear_anchor, parameters, direction),
+        fin("front", twin.front_position, twin.front_anchor, parameters, direction),
+    ]
+    if math.isfinite(robot.rear_position) and math.isfinite(robot.front_position):
+        shapes += body("robot", robot.rear_position, robot.front_position, ROBOT_COLOUR)
+    return shapes
+
+
+def ridges(twin: StateRecord, parameters: Parameters) -> Shape:
+    """The pipe's ridges about the robot, midway between grooves."""
+    pitch, zero = parameters.pitch, twin.rear_anchor
+    first = math.floor((twin.rear_position - VIEW - zero) / pitch)
+    last = math.ceil((twin.front_position + VIEW - zero) / pitch)
+    points = tuple(
+        (zero + (k + 0.5) * pitch, 0.0, side * PIPE_RADIUS)
+        for k in range(first, last)
+        for side in (-1.0, 1.0)
+    )
+    size = (0.2 * pitch, 2.0 * PIPE_RADIUS, 0.006)
+    return Shape("pipe ridges", Kind.BOXES, (0.0, 0.0, 0.0), size, RIDGE_COLOUR, points)
+
+
+def body(name: str, rear: float, front: float, colour: Colour) -> list[Shape]:
+    """Both modules and the bellows between them."""
+    gap = max(front - rear - MODULE[0], 1e-3)
+    middle = 0.5 * (rear + front)
+    return [
+        Shape(f"{name} rear module", Kind.BOX, (rear, 0.0, 0.0), MODULE, colour),
+        Shape(f"{name} front module", Kind.BOX, (front, 0.0, 0.0), MODULE, colour),
+        Shape(
+            f"{name} bellows",
+            Kind.CYLINDER,
+            (middle, 0.0, 0.0),
+            (BELLOWS_DIAMETER, BELLOWS_DIAMETER, gap),
+            (*colour[:3], 0.5 * colour[3]),
+        ),
+    ]
+
+
+def fin(name: str, position: float, anchor: float, parameters: Parameters, direction: int) -> Shape:
+    """A fin pair from its root to its groove, coloured by its engagement (eq:fin_force_piecewise)."""
+    reach = anchor - position
+    size = (max(abs(reach), 0.004), 0.02, 2.0 * PIPE_RADIUS)
+    colour = engagement(position - anchor, parameters, direction)
+    return Shape(f"{name} fins", Kind.BOX, (position + 0.5 * reach, 0.0, 0.0), size, colour)
+
+
+def engagement(displacement: float, parameters: Parameters, direction: int) -> Colour:
+    """The colour of a fin that is displaced (m) from its groove: forward, it holds when pushed backward."""
+    if abs(displacement) <= 0.5 * parameters.clearance:
+        return FREE
+    return HOLDING if displacement * direction < 0.0 else YIELDING
