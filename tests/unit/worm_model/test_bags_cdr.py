@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from worm_model.bags.cdr import decode, encode, parse_types
 from worm_model.bags.definitions import definition_files, installed_types, topic_of
 from worm_model.bags.errors import BagError
+from worm_model.bags.payloads import payloads_of
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 for type_name, path in definition_files().items():
@@ -96,7 +97,7 @@ def test_decoding_gives_what_an_independent_encoder_was_given(type_name: str, da
         bytes(STORE.serialize_cdr(message, type_name, little_endian=endian))
         for message in given_messages
     ]
-    columns = decode(payloads, type_name, installed_types())
+    columns = decode(payloads_of(payloads, [0] * len(payloads)), type_name, installed_types())
     for row, message in enumerate(given_messages):
         for path, expected in flat(message).items():
             column = columns.texts[path] if isinstance(expected, str) else columns.numbers[path]
@@ -157,7 +158,9 @@ def refusal(call: Callable[[], object]) -> str:
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=80), st.sampled_from(TYPES))
 def test_random_bytes_are_decoded_or_refused(data: bytes, type_name: str):
-    assert "\n" not in refusal(lambda: decode([data], type_name, installed_types()))
+    assert "\n" not in refusal(
+        lambda: decode(payloads_of([data], [0]), type_name, installed_types())
+    )
 
 
 @settings(max_examples=150, deadline=None)
@@ -166,7 +169,9 @@ def test_random_definitions_are_read_or_refused(text: str):
     data = b"\0\1\0\0" + bytes(64)
     for kind in ("ros2msg", "ros2idl"):
         assert "\n" not in refusal(
-            lambda kind=kind: decode([data], "a/msg/B", parse_types("a/msg/B", text, kind))
+            lambda kind=kind: decode(
+                payloads_of([data], [0]), "a/msg/B", parse_types("a/msg/B", text, kind)
+            )
         )
 
 

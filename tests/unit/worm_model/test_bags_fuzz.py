@@ -74,7 +74,8 @@ def edit(data: bytes, edits) -> bytes:
 def read(path: Path) -> None:
     with open_bag(path, lambda _: None) as bag:
         for topic in list(bag.topics.values()):
-            decode_topic(topic, [message.data for message in bag.messages([topic.name])])
+            list(bag.messages([topic.name]))
+            decode_topic(topic, bag.payloads([topic.name])[topic.name])
         list(bag.attachments())
 
 

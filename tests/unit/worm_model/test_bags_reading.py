@@ -134,6 +134,12 @@ def test_bags_of_all_writers_are_read_by_rising_time(tmp_path: Path, writer: str
         assert numbers(bag) == list(range(COUNT))
         assert numbers(bag, ["/b"]) == list(range(1, COUNT, 2))
         assert numbers(bag, []) == []
+        at_once = bag.payloads(["/a", "/b"])
+        for k, topic in enumerate(("/a", "/b")):
+            assert at_once[topic].log_time.tolist() == [i * 1000 + 1 for i in range(k, COUNT, 2)]
+            found = [at_once[topic].message(row) for row in range(len(at_once[topic]))]
+            assert found == [payload(i) for i in range(k, COUNT, 2)]
+        assert bag.payloads([]) == {}
 
 
 def test_files_of_a_split_bag_are_one(tmp_path: Path):

@@ -235,8 +235,15 @@ def _take(
         _place(columns.numbers, path, values, rows, total)
     for path, (offset, length) in cursor.texts.items():
         texts = columns.texts.setdefault(path, [None] * total)
-        for row, characters in zip(rows, block[:, offset : offset + length], strict=True):
-            texts[row] = characters.tobytes().decode(errors="replace")
+        for row, text in zip(rows, _texts(block[:, offset : offset + length]), strict=True):
+            texts[row] = text
+
+
+def _texts(characters: Bytes) -> list[str]:
+    """A text a row; most often all are the same."""
+    if (characters == characters[0]).all():
+        return [characters[0].tobytes().decode(errors="replace")] * len(characters)
+    return [row.tobytes().decode(errors="replace") for row in characters]
 
 
 def _place(

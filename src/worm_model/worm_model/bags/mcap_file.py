@@ -79,8 +79,8 @@ class Extent(NamedTuple):
         start, end: least and greatest log time, ns.
         offset, length: where in the file its records lie.
         is_chunk: whether they are wrapped in one chunk record.
-        index: where in the file the message index of each channel lies, None if there is none.
-        index_length: bytes of all these indexes, which lie together.
+        indexes: where in the file the message index of each channel lies, None if there is none.
+        indexes_length: bytes of all these indexes, which lie together.
     """
 
     start: int
@@ -88,8 +88,8 @@ class Extent(NamedTuple):
     offset: int
     length: int
     is_chunk: bool
-    index: Mapping[int, int] | None = None
-    index_length: int = 0
+    indexes: Mapping[int, int] | None = None
+    indexes_length: int = 0
 
 
 @dataclass
@@ -171,15 +171,15 @@ class McapFile:
             self._stream.seek(extent.offset)
             data = self._stream.read(extent.length)
             records = _unwrap(data) if extent.is_chunk else data
-            if extent.index is None:
+            if extent.indexes is None:
                 return _walked_payloads(records, wanted)
-            first = min(extent.index.values())
+            first = min(extent.indexes.values())
             self._stream.seek(first)
-            index = self._stream.read(extent.index_length)
+            index = self._stream.read(extent.indexes_length)
             buffer = np.frombuffer(records, np.uint8)
             return {
                 channel: _indexed_payloads(buffer, index, place - first, channel)
-                for channel, place in extent.index.items()
+                for channel, place in extent.indexes.items()
                 if channel in wanted
             }
 
@@ -254,8 +254,8 @@ def _by_summary(stream: BinaryIO, size: int) -> Contents | None:
                 offset=c.chunk_start_offset,
                 length=c.chunk_length,
                 is_chunk=True,
-                index=c.message_index_offsets or None,
-                index_length=c.message_index_length,
+                indexes=c.message_index_offsets or None,
+                indexes_length=c.message_index_length,
             )
             for c in summary.chunk_indexes
         ],
