@@ -248,3 +248,9 @@ def test_times_outside_the_run_are_refused() -> None:
     with pytest.raises(ValueError, match="ascend"):
         trajectory.at([1.0, 0.5])
     assert trajectory.at([]).x1.shape == (0,)
+
+
+def test_lengths_that_are_not_finite_are_refused() -> None:
+    model = Locomotion()
+    with pytest.raises(ValueError, match="must be finite"):
+        model.follow(model.start(), [0.1, 0.2], [-0.001, math.nan])

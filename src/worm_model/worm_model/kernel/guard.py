@@ -122,10 +122,10 @@ def above(r: Reading, border: float) -> Reading:
 
 @compiled
 def _enclosure(gap: float, rate: float, least: float, most: float) -> tuple[float, float]:
-    """(earliest, latest) zero of a gap; the latest is infinite where a zero is not certain."""
+    """(earliest, latest) zero of a gap; the latest is NEVER where a zero is not certain."""
     discriminant = rate * rate - 2.0 * least * gap
     if rate >= 0.0:
-        return ((rate + math.sqrt(discriminant)) / -least if least < 0.0 else NEVER), math.inf
+        return ((rate + math.sqrt(discriminant)) / -least if least < 0.0 else NEVER), NEVER
     earliest = 2.0 * gap / (math.sqrt(discriminant) - rate)
     discriminant = rate * rate - 2.0 * most * gap
     if discriminant <= 0.0:
