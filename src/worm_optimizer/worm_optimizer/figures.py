@@ -28,7 +28,7 @@ def draw_front(front: ServedFront, marks: Mapping[str, Prediction], path: Path) 
     """Draws a front with marked gaits and their cost of transport."""
     plt = _pyplot()
     figure, axes = plt.subplots(figsize=(6.5, 4.8), layout="constrained")
-    _front(axes, front, marks)
+    plot_front(axes, front, marks)
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
@@ -39,7 +39,7 @@ def draw_front_and_map(
     """Draws a front beside the map of the grooves per cycle that its gaits lie in, at the task's margin."""
     plt = _pyplot()
     figure, (left, right) = plt.subplots(1, 2, figsize=(12.5, 4.8), layout="constrained")
-    _front(left, front, marks)
+    plot_front(left, front, marks)
     _map(right, task)
     strokes, frequencies = _columns(front.predictions, "stroke", "frequency")
     right.plot(
@@ -64,6 +64,13 @@ def draw_price(price: PriceOfRobustness, path: Path) -> None:
     """Draws the lowest cost of transport over the margin, with the cliff and the closed form's."""
     plt = _pyplot()
     figure, axes = plt.subplots(figsize=(6.8, 4.5), layout="constrained")
+    plot_price(axes, price)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def plot_price(axes: Axes, price: PriceOfRobustness) -> None:
+    """The lowest cost of transport over the margin, by branches, with the cliff and the closed form's."""
     margins = 1e3 * np.array([point.margin for point in price.points])
     costs = np.array([point.cost_of_transport for point in price.points])
     branches = np.array([point.branch for point in price.points])
@@ -88,8 +95,6 @@ def draw_price(price: PriceOfRobustness, path: Path) -> None:
         ylim=(0.0, None),
     )
     axes.legend(loc="lower right")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
 
 
 def _pyplot() -> Any:
@@ -116,7 +121,8 @@ def _branch_style(branch: int, size: float) -> dict[str, Any]:
     }
 
 
-def _front(axes: Axes, front: ServedFront, marks: Mapping[str, Prediction]) -> None:
+def plot_front(axes: Axes, front: ServedFront, marks: Mapping[str, Prediction]) -> None:
+    """A front in speed and power, by branches, with lines of equal cost of transport and marked gaits."""
     speed, power, grooves, cost = _columns(
         front.predictions, "speed", "power", "grooves_per_cycle", "cost_of_transport"
     )

@@ -70,8 +70,8 @@ def figures(
     Values between samples are interpolated, samples that are NaN are skipped. Raises
     `RecordingError` if the samples do not reach over the window.
     """
-    speed = _change(*position, window, "position") / window.duration
-    power = _change(*energy, window, "energy") / window.duration
+    speed = mean_rate(position, window, "position")
+    power = mean_rate(energy, window, "energy")
     with np.errstate(divide="ignore"):
         cost = float(np.divide(power, mass * STANDARD_GRAVITY * abs(speed)))
     return Figures(speed, power, cost)
@@ -85,11 +85,16 @@ def accumulate(stamps: Stamps, power: Array) -> tuple[Stamps, Array]:
     return stamps, np.concatenate(([0.0], np.cumsum(steps)))[: stamps.size]
 
 
-def _change(stamps: Stamps, values: Array, window: Window, name: str) -> float:
+def mean_rate(samples: tuple[Stamps, Array], window: Window, name: str) -> float:
+    """Mean rate of change over a window, per s, of samples (stamps, values) that are interpolated.
+
+    Samples that are NaN are skipped. Raises `RecordingError` if the others do not reach over the window.
+    """
+    stamps, values = samples
     valid = np.isfinite(values)
     stamps, values = stamps[valid], values[valid]
     if stamps.size == 0 or stamps[0] > window.start or stamps[-1] < window.end:
         raise RecordingError(f"the recording has no {name} over the averaged cycles")
     seconds = (stamps - window.start) * 1e-9
     first, last = np.interp([0.0, window.duration], seconds, values)
-    return float(last - first)
+    return float(last - first) / window.duration
