@@ -39,6 +39,7 @@ PARAMETER_FILE = "parameter_file"
 POLL_S = 0.002
 POLLS_PER_SPIN = 5  # how often the executor gets its turn
 MARKER_PERIOD_S = 0.1
+BURST = 200  # of records that one poll may yield, after a stall of the machine
 DEPTH = 1000  # of samples that may wait, for every topic
 
 _LATCHED = QoSProfile(
@@ -83,9 +84,9 @@ class TwinNode(Node):
             self._subscribe(topic, kind, convert, group)
             for topic, (kind, convert) in ros_twin.INPUTS.items()
         ]
-        self._states = self.create_publisher(TwinState, "twin/state", 10)
-        self._residuals = self.create_publisher(TwinResiduals, "twin/residuals", 10)
-        self._lengths = self.create_publisher(BodyLength, "body_length/estimated", 10)
+        self._states = self.create_publisher(TwinState, "twin/state", BURST)
+        self._residuals = self.create_publisher(TwinResiduals, "twin/residuals", BURST)
+        self._lengths = self.create_publisher(BodyLength, "body_length/estimated", BURST)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The twin node as a process: what it publishes is what the core makes of the same messages."""
+
+import math
+
+import pytest
+from harness import LATCHED, NAMESPACE, Probe, Processes
+
+rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from visualization_msgs.msg import MarkerArray  # noqa: E402
+
+from worm_model import ros_twin  # noqa: E402
+from worm_model.gait import Gait  # noqa: E402
+from worm_model.twin import Twin  # noqa: E402
+from worm_msgs.msg import (  # noqa: E402
+    BodyLength,
+    GaitState,
+    Power,
+    Tracker,
+    TwinResiduals,
+    TwinState,
+)
+from worm_msgs.msg import Gait as GaitMessage  # noqa: E402
+from worm_msgs.srv import PredictGait  # noqa: E402
+
+GAIT = Gait(0.07, 0.4)
+MESSAGE = GaitMessage(stroke=GAIT.stroke, frequency=GAIT.frequency, direction=1)
+ONSET = 1_700_000_000_000_000_000
+
+
+class Robot:
+    """Publishes what a robot would, with stamps of its own."""
+
+    def __init__(self, probe: Probe) -> None:
+        node = probe.node
+        self.sent: list[tuple[str, object]] = []
+        self.publishers = {
+            topic: node.create_publisher(kind, topic, LATCHED if topic == "gait_state" else 1000)
+            for topic, (kind, _) in ros_twin.INPUTS.items()
+        }
+        probe.wait_for(
+            lambda: all(p.get_subscription_count() for p in self.publishers.values()), "twin"
+        )
+
+    def send(self, topic: str, time: float, message: object) -> None:
+        message.header.stamp = ros_twin.time_message(ONSET + round(time * 1e9))
+        self.sent.append((topic, message))
+        self.publishers[topic].publish(message)
+
+    def announce(self, time: float, state: int) -> None:
+        onset = ONSET if state == GaitState.RUNNING else 0
+        message = GaitState(state=state, gait=MESSAGE, onset=ros_twin.time_message(onset))
+        self.send("gait_state", time, message)
+
+    def move(self, time: float) -> None:
+        command = GAIT.command(time) if time > 0 else 0.0
+        length = BodyLength(source=BodyLength.COMMANDED, length_change=command)
+        self.send("body_length/commanded", time, length)
+        self.send("power", time, Power(status=Power.VALID, power=1.0))
+        self.send("tracker", time, Tracker(rear_position=0.3, front_position=math.nan))
+
+
+def play(robot: Robot, probe: Probe, states: list, end: float = 2.0) -> None:
+    """A rest and part of a cycle at 100 Hz, as fast as the twin follows."""
+    robot.announce(-1.0, GaitState.RESTING)
+    for k in range(-100, round(100 * end) + 1):
+        if k == 0:
+            robot.announce(0.0, GaitState.RUNNING)
+        robot.move(k / 100)
+        if k % 20 == 0 and k > 0:
+            stamp = ONSET + round(k * 1e7)
+            probe.wait_for(lambda s=stamp: reached(states, s), f"state at {k / 100} s")
+
+
+def reached(states: list, stamp: int) -> bool:
+    return bool(states) and ros_twin.nanoseconds(states[-1].header.stamp) >= stamp
+
+
+def offline(sent: list) -> object:
+    twin = Twin()
+    samples = [ros_twin.INPUTS[topic][1](message) for topic, message in sent]
+    return twin.step(twin.start(), samples)[1]
+
+
+def numbers(message: TwinResiduals) -> str:
+    """As text, in which NaN equals itself; the health depends on the order of equal stamps."""
+    found = (message.header.stamp, message.rear_position, message.power, message.energy)
+    return repr(found)
+
+
+def test_live_equals_offline_and_ctrl_c_is_clean(processes: Processes, probe: Probe):
+    states = probe.collect(TwinState, "twin/state")
+    residuals = probe.collect(TwinResiduals, "twin/residuals")
+    lengths = probe.collect(BodyLength, "body_length/estimated")
+    diagnostics = probe.collect(DiagnosticArray, "/diagnostics")
+    process = processes.start_node("worm_model", "twin_node")
+    robot = Robot(probe)
+    play(robot, probe, states)
+    expected = offline(robot.sent)
+    probe.wait_for(lambda: len(states) >= len(expected.states), "all states")
+    probe.wait_for(lambda: len(residuals) >= len(expected.residuals), "all residuals")
+    assert states == [ros_twin.state_message(record) for record in expected.states]
+    assert lengths == [ros_twin.length_message(record) for record in expected.lengths]
+    assert {numbers(m) for m in residuals} == {
+        numbers(ros_twin.residuals_message(r)) for r in expected.residuals
+    }
+    status = probe.wait_for(
+        lambda: [s for m in diagnostics for s in m.status if s.name == "twin: model"], "diagnostics"
+    )
+    assert {v.key: v.value for v in status[-1].values}["samples late"] == "0"
+    process.interrupt()
+    assert process.wait(10.0) == 0
+    assert "Traceback" not in process.output()
+
+
+def test_it_predicts_shows_and_takes_new_parameters(processes: Processes, probe: Probe):
+    states = probe.collect(TwinState, "twin/state")
+    markers = probe.collect(MarkerArray, "twin/markers")
+    processes.start_node("worm_model", "twin_node")
+    robot = Robot(probe)
+    play(robot, probe, states, end=0.4)
+    answer = probe.call(PredictGait, "predict_gait", PredictGait.Request(gait=MESSAGE))
+    assert answer.success
+    assert len(answer.time) == len(answer.rear_position) == 500
+    assert answer.time[-1] == pytest.approx(10.0)
+    assert answer.prediction.nominal_speed > 0.0
+    refused = probe.call(PredictGait, "predict_gait", PredictGait.Request())
+    assert not refused.success
+    assert "stroke" in refused.message
+    shown = probe.wait_for(lambda: markers, "markers")[-1]
+    assert {"pipe ridges", "twin rear module", "rear fins"} <= {m.ns for m in shown.markers}
+    node = f"{NAMESPACE}/twin"
+    wrong = Parameter("measured_stale_s", value=-1.0).to_parameter_msg()
+    bad_file = Parameter("parameter_file", value="/nowhere.yaml").to_parameter_msg()
+    for parameter in (wrong, bad_file):
+        request = SetParameters.Request(parameters=[parameter])
+        answer = probe.call(SetParameters, f"{node}/set_parameters", request)
+        assert not answer.results[0].successful
+    good = Parameter("pause_s", value=2.0).to_parameter_msg()
+    request = SetParameters.Request(parameters=[good])
+    assert probe.call(SetParameters, f"{node}/set_parameters", request).results[0].successful
+    before = len(states)
+    robot.move(0.41)
+    probe.wait_for(lambda: len(states) > before, "a state after the change")
+
+
+def test_a_bad_parameter_file_is_refused(processes: Processes, tmp_path):
+    file = tmp_path / "bad.yaml"
+    file.write_text("rear_mas: 1\n")
+    process = processes.start_node("worm_model", "twin_node", parameter_file=str(file))
+    assert process.wait(60.0) == 2
+    assert "did you mean rear_mass" in process.output()
