@@ -50,9 +50,8 @@ class McapStorage:
         """All messages of some topics, by topic."""
         parts: dict[str, list[Payloads]] = {topic: [] for topic in topics}
         for file, names, wanted in self._channels(topics):
-            for extent in file.contents.extents:
-                for channel, payloads in file.payloads(extent, wanted).items():
-                    parts[names[channel]].append(payloads)
+            for channel, payloads in file.payloads(wanted):
+                parts[names[channel]].append(payloads)
         return {topic: join(found) for topic, found in parts.items()}
 
     def _channels(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -35,17 +36,18 @@ RUN_TOPICS = (
 )
 
 
-def read_run(bag: Bag, namespace: str = "") -> Run:
-    """All of the worm's samples in a bag.
+def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -> Run:
+    """The worm's samples in a bag.
 
     Args:
         bag: an open bag.
         namespace: of the robot; empty: the one there is.
+        names: of RUN_TOPICS, those that are read.
 
     Raises:
         BagError: the bag holds several robots, none of the topics, or something that cannot be decoded.
     """
-    found = {name: find_topic(bag.topics.values(), name, namespace) for name in RUN_TOPICS}
+    found = {name: find_topic(bag.topics.values(), name, namespace) for name in names}
     topics = {name: topic for name, topic in found.items() if topic is not None}
     if not topics:
         where = f" under {namespace}" if namespace else ""
