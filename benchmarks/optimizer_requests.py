@@ -12,8 +12,15 @@ import numpy as np
 
 from benchmarks.report import Row
 from tests.harness import Probe, Processes
+from worm_model.parameters import ParameterFile
 from worm_msgs.action import OptimizeGaits
 from worm_msgs.srv import RequestGait
+from worm_optimizer.cache import Cache
+from worm_optimizer.desk import answer, request_of
+from worm_optimizer.pipeline import load_served
+from worm_optimizer.ros_messages import fill_response
+from worm_optimizer.served import ServedFront
+from worm_optimizer.settings import Settings
 
 TITLE = "latency of request_gait through the middleware (needs the built workspace)"
 REQUESTS = 3000
@@ -31,6 +38,17 @@ def latencies(probe: Probe, count: int) -> np.ndarray:
         answer = probe.result(client.call_async(request), "answer")
         times[k] = 1e3 * (time.perf_counter() - start)
         assert answer.success, answer.message
+    return times
+
+
+def answers(front: ServedFront, count: int) -> np.ndarray:
+    """Times in ms of what the node's callback does, requests of every kind in turn."""
+    times = np.empty(count)
+    for k in range(count):
+        start = time.perf_counter()
+        told = answer({1: front}, "", 1, request_of(k % 5, 0.004, 3.0))
+        fill_response(RequestGait.Response(), told)
+        times[k] = 1e3 * (time.perf_counter() - start)
     return times
 
 
@@ -52,6 +70,8 @@ def _measure(processes: Processes, probe: Probe, folder: Path) -> list[Row]:
     cache = folder / "cache"
     processes.start_node("worm_optimizer", "optimizer_node", cache_directory=cache, margin_m=0.0034)
     _wait_for_front(probe)
+    front = load_served(ParameterFile(), Settings(margin=0.0034), 1, Cache.at(cache))
+    assert front is not None, "the node has not stored its front"
     idle = latencies(probe, REQUESTS)
     goal = OptimizeGaits.Goal(margin=0.002, direction=1, generations=100_000)
     handle = probe.send_goal(OptimizeGaits, "optimize_gaits", goal)
@@ -61,6 +81,7 @@ def _measure(processes: Processes, probe: Probe, folder: Path) -> list[Row]:
     probe.result(handle.get_result_async(), "result")
     cancel = 1e3 * (time.perf_counter() - start)
     return [
+        _row("answer alone", answers(front, REQUESTS), "in this process, without the middleware"),
         _row("request, node at rest", idle, f"{REQUESTS} round trips one after the other"),
         _row("request, worker computing", busy, "the same during an endless optimisation"),
         Row("cancel to result", f"{cancel:.0f} ms", "at once", "of that optimisation"),
