@@ -28,7 +28,7 @@ GAITS = [
     Gait(0.085, 0.25),
     Gait(0.055, 0.1),
 ]
-SEEDS = range(6)
+SEEDS = range(16)
 CYCLES = 10
 SCATTER_M = 0.0025  # of the thresholds from groove to groove: rough enough for misses
 ZERO_NS = 1_000_000_000_000
@@ -102,9 +102,7 @@ def count(gait: Gait) -> Counts:
         for cycle in range(FIRST_JUDGED, CYCLES + 1):
             alarm = cycle in raised
             if true[cycle - 1] < usual:
-                counts = replace(
-                    counts, missed=counts.missed + 1, detected=counts.detected + alarm
-                )
+                counts = replace(counts, missed=counts.missed + 1, detected=counts.detected + alarm)
             else:
                 counts = replace(counts, sound=counts.sound + 1, false=counts.false + alarm)
     return counts

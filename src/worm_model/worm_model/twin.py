@@ -160,14 +160,23 @@ class Twin:
             return state
         after = respond(before, sample.stamp_ns, sample.length_change, parameters)
         knot = Knot(after.stamp_ns, after.length_change, after.rate, LengthSource.ESTIMATED)
-        length = parameters.initial_length + after.length_change
-        sink.lengths.append(LengthRecord(knot.stamp_ns, length, after.length_change))
+        state = self._publish_length(state, after, parameters, sink)
         state = state.but(
             actuation=after,
             estimates=_recent((*state.estimates, knot)),
             waiting=(*state.waiting, knot),
         )
         return self._drive_estimated(state, sink)
+
+    def _publish_length(
+        self, state: TwinState, after: Actuation, parameters: Parameters, sink: _Sink
+    ) -> TwinState:
+        period = round(self.settings.output_period_s * NANOSECONDS)
+        if after.stamp_ns - state.estimated_ns < period:
+            return state
+        length = parameters.initial_length + after.length_change
+        sink.lengths.append(LengthRecord(after.stamp_ns, length, after.length_change))
+        return state.but(estimated_ns=after.stamp_ns)
 
     def _begin_implied(self, state: TwinState, before: Actuation, sink: _Sink) -> TwinState:
         state = self._flush(state, sink)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import fmean
 
 from worm_model.twin_records import NANOSECONDS, MeasuredLength, TrackerSample
@@ -20,10 +20,11 @@ Series = tuple[tuple[int, float], ...]
 
 @dataclass(frozen=True)
 class Rest:
-    """Recent measured lengths and rear positions in m, each with its stamp in ns."""
+    """Recent measured lengths, rear positions and distances of both modules in m, each with its stamp in ns."""
 
     lengths: Series = ()
     positions: Series = ()
+    spans: Series = ()
 
 
 @dataclass(frozen=True)
@@ -36,19 +37,26 @@ class RestPose:
 
 def observe_rest(rest: Rest, sample: MeasuredLength | TrackerSample, span_s: float) -> Rest:
     """The recent past with a sample in it."""
+    stamp = sample.stamp_ns
     if isinstance(sample, MeasuredLength):
-        return Rest(_append(rest.lengths, sample.stamp_ns, sample.length, span_s), rest.positions)
-    if math.isnan(sample.rear_position):
-        return rest
-    positions = _append(rest.positions, sample.stamp_ns, sample.rear_position, span_s)
-    return Rest(rest.lengths, positions)
+        return replace(rest, lengths=_append(rest.lengths, stamp, sample.length, span_s))
+    span = sample.front_position - sample.rear_position
+    if math.isfinite(sample.rear_position):
+        positions = _append(rest.positions, stamp, sample.rear_position, span_s)
+        rest = replace(rest, positions=positions)
+    if math.isfinite(span):
+        rest = replace(rest, spans=_append(rest.spans, stamp, span, span_s))
+    return rest
 
 
 def rest_pose(rest: Rest, onset_ns: int, span_s: float) -> RestPose:
-    """The means over a span (s) that ends shortly before the onset."""
+    """The means over a span (s) that ends shortly before the onset; without a measured length the tracker's."""
     last = onset_ns - GUARD_NS
     first = last - round(span_s * NANOSECONDS)
-    return RestPose(_mean(rest.lengths, first, last), _mean(rest.positions, first, last))
+    length = _mean(rest.lengths, first, last)
+    if math.isnan(length):
+        length = _mean(rest.spans, first, last)
+    return RestPose(length, _mean(rest.positions, first, last))
 
 
 def _append(series: Series, stamp_ns: int, value: float, span_s: float) -> Series:

@@ -31,7 +31,7 @@ class TwinSettings:
         0.05, 0.0, 1.0, "while the driver rests before a gait, the twin runs this far behind"
     )
     output_period_s: float = _row(
-        0.004, 0.0, 1.0, "least time by stamps between two published states"
+        0.004, 0.0, 1.0, "least time by stamps between two published states, and estimated lengths"
     )
     rest_s: float = _row(
         1.0, 0.1, 10.0, "span before the onset over which rest pose and initial length are averaged"

@@ -62,7 +62,8 @@ class TwinState:
 
     ``estimates`` are the recent lengths estimated from the command; ``waiting`` those of them that may
     yet drive; ``queued`` the driving lengths that the motion has not followed yet; ``held`` the samples
-    held back while the driver rests; ``observations`` those to be compared once the motion has come to them.
+    held back while the driver rests; ``published_ns`` and ``estimated_ns`` the stamps of the last state and
+    estimated length that were published; ``observations`` those to be compared once the motion has come to them.
     """
 
     streams: Streams = field(default_factory=Streams)
@@ -76,6 +77,7 @@ class TwinState:
     held: tuple[Sample, ...] = ()
     measured_ns: int = 0
     published_ns: int = 0
+    estimated_ns: int = 0
     track: Track | None = None
     observations: tuple[Observation, ...] = ()
     sight: Sight = field(default_factory=Sight)

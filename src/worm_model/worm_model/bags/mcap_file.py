@@ -41,7 +41,7 @@ def explained(path: Path) -> Iterator[None]:
         yield
     except BagError:
         raise
-    except DAMAGE as error:
+    except (*DAMAGE, OSError) as error:  # OSError: an offset that no file has
         reason = str(error) or type(error).__name__
         raise BagError(
             f"{path} is damaged ({reason}); worm_model recover saves what is whole"

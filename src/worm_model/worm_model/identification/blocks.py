@@ -75,7 +75,7 @@ def solve(
     iterations: int = MOST_ITERATIONS,
 ) -> Solution:
     """The minimum next to a start; ``weights`` are those of the samples of every run, by default 1."""
-    state = _evaluate(problem, np.array(shared, float), np.array(own, float), weights)
+    state = evaluate(problem, np.array(shared, float), np.array(own, float), weights)
     damping, width = 1e-3, 1.0
     for _ in range(iterations):
         matrix, gradient = normal_equations(problem, state, weights, width)
@@ -100,7 +100,7 @@ def _best_step(
     """(state after a step that lowers the cost, next damping); the same state if there is none."""
     while damping < MOST_DAMPING:
         step = -np.linalg.solve(matrix + damping * np.diag(np.diag(matrix) + 1e-12), gradient)
-        trial = _evaluate(problem, *_moved(problem, state, step), weights)
+        trial = evaluate(problem, *_moved(problem, state, step), weights)
         if trial.cost < state.cost:
             return trial, max(damping / 8.0, 1e-6)
         damping *= 8.0
@@ -121,9 +121,10 @@ def _clipped(values: Array, quantities: Sequence[Quantity]) -> Array:
     return np.clip(values, low, high)
 
 
-def _evaluate(
-    problem: Problem, shared: Array, own: Array, weights: Sequence[Array] | None
+def evaluate(
+    problem: Problem, shared: Array, own: Array, weights: Sequence[Array] | None = None
 ) -> Solution:
+    """The state at given parameters."""
     residuals = tuple(
         problem.residuals(run, shared, own[run]) for run in range(len(problem.own))
     )

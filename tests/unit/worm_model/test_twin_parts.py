@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The twin's forecast, scene, hypotheses and rest pose."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from worm_model.gait import REVERSE, Gait
+from worm_model.parameters import PAPER
+from worm_model.simulator import simulate
+from worm_model.twin import Twin
+from worm_model.twin_actuation import Actuation, engage, respond
+from worm_model.twin_anchors import Cycle
+from worm_model.twin_forecast import ForecastError, forecast
+from worm_model.twin_hypotheses import PHASES, PowerWatch, hypotheses, observe_power
+from worm_model.twin_records import (
+    Activity,
+    CommandedLength,
+    GaitSample,
+    LengthSource,
+    StateRecord,
+    TrackerSample,
+)
+from worm_model.twin_scene import FREE, HOLDING, YIELDING, Sighting, engagement, scene
+
+GAIT = Gait(0.08, 0.2)
+ONSET = 10**18
+
+
+def test_a_forecast_from_rest_is_the_simulators():
+    twin = Twin()
+    found = forecast(twin, twin.start(), GAIT, 20.0)
+    exact = simulate(GAIT, cycles=4).at(found.time)
+    # At 50 Hz, the step of the length rate at the onset is not in a chord.
+    assert found.rear_position == pytest.approx(exact.x1, abs=2e-4)
+    assert found.front_position == pytest.approx(exact.x2, abs=2e-4)
+    assert found.energy == pytest.approx(exact.energy[-1], rel=0.01)
+    assert found.nominal.speed > 0.0
+
+
+def test_a_forecast_begins_where_the_twin_is():
+    twin = Twin()
+    state, _ = twin.step(
+        twin.start(),
+        [GaitSample(ONSET, Activity.RUNNING, GAIT, ONSET)]
+        + [
+            CommandedLength(ONSET + round(t * 1e9), GAIT.command(t))
+            for t in np.arange(1, 1001) * 0.01
+        ],
+    )
+    now = simulate(GAIT).at([10.0])
+    found = forecast(twin, state, replace(GAIT, direction=REVERSE))
+    assert found.rear_position[0] == pytest.approx(now.x1[0], abs=2e-3)
+    assert found.rear_position[-1] < now.x1[0] - PAPER.pitch
+    assert found.grooves >= 1
+
+
+@pytest.mark.parametrize("horizon", [-1.0, math.nan, 1000.0])
+def test_an_impossible_horizon_is_refused(horizon):
+    twin = Twin()
+    with pytest.raises(ForecastError, match="horizon"):
+        forecast(twin, twin.start(), GAIT, horizon)
+
+
+def test_the_command_is_followed_exactly_through_the_clip():
+    """One long ramp through the slack is the same as the same ramp in many steps."""
+    start = engage(0, PAPER)
+    whole = respond(start, 10**9, -0.02, PAPER)
+    stepped: Actuation = start
+    for k in range(1, 1001):
+        stepped = respond(stepped, k * 10**6, -0.02 * k / 1000, PAPER)
+    assert whole.length_change == pytest.approx(stepped.length_change, abs=1e-12)
+    assert whole.rate == pytest.approx(stepped.rate, abs=1e-11)
+
+
+def record(**changes) -> StateRecord:
+    values = dict.fromkeys(StateRecord.__dataclass_fields__, 0.0)
+    values |= {"stamp_ns": 1, "length_source": LengthSource.MEASURED, "front_position": 0.3}
+    return StateRecord(**values | {"front_anchor": 0.2941} | changes)
+
+
+def test_the_scene_shows_robot_and_ghost_on_the_pipes_lattice():
+    shapes = {s.name: s for s in scene(record(), Sighting(0.01, 0.31), PAPER)}
+    assert shapes["robot rear module"].position[0] == 0.01
+    assert shapes["twin front module"].position[0] == 0.3
+    ridges = sorted({x for x, _, _ in shapes["pipe ridges"].points})
+    assert np.diff(ridges) == pytest.approx(PAPER.pitch)
+    assert ridges[0] % PAPER.pitch == pytest.approx(PAPER.pitch / 2)
+    hidden = {s.name for s in scene(record(), Sighting(), PAPER)}
+    assert not any(name.startswith("robot") for name in hidden)
+
+
+def test_fins_are_coloured_by_what_they_do():
+    assert engagement(0.0, PAPER, 1) is FREE
+    assert engagement(-0.005, PAPER, 1) is HOLDING
+    assert engagement(0.005, PAPER, 1) is YIELDING
+    assert engagement(0.005, PAPER, REVERSE) is HOLDING
+
+
+def cycles_of_power(waves: list) -> list[str]:
+    """Alarms of a watch that sees these waves, one a cycle."""
+    pair = hypotheses(GAIT, PAPER)
+    watch, texts = PowerWatch(), []
+    for number, wave in enumerate([*waves, waves[-1]], start=1):
+        for k, power in enumerate(wave):
+            cycle = Cycle(number, (k + 0.5) / PHASES, 0)
+            watch, text = observe_power(watch, cycle, power, pair)
+            texts += [text] if text else []
+    return texts
+
+
+def test_power_tells_a_missed_groove_against_a_model_that_is_off():
+    pair = hypotheses(GAIT, PAPER)
+    assert pair.grooves == 2
+    assert pair.telling
+    usual = 1.1 * np.array(pair.expected) + 0.2
+    missed = usual + np.array(pair.difference)
+    assert cycles_of_power([usual] * 6) == []
+    (text,) = cycles_of_power([usual] * 4 + [missed] + [usual] * 2)
+    assert text.startswith("cycle 5")
+
+
+def test_power_says_where_it_cannot_tell():
+    assert not hypotheses(Gait(0.02, 0.1), PAPER).telling  # stands still
+    assert not hypotheses(Gait(0.055, 0.1), PAPER).telling
+
+
+def test_the_tracker_gives_the_length_where_nothing_else_does():
+    twin = Twin()
+    rest = [
+        TrackerSample(ONSET - round(t * 1e9), 0.5, 0.5 + 0.297) for t in np.arange(40, 0, -1) / 30
+    ]
+    start = GaitSample(ONSET, Activity.RUNNING, GAIT, ONSET)
+    state, output = twin.step(twin.start(), [*rest, start])
+    assert state.run.initial_length == pytest.approx(0.297)
+    assert output.states[-1].rear_position == pytest.approx(0.5)
+    assert output.states[-1].groove_phase == pytest.approx(0.297 - 17 * PAPER.pitch)
