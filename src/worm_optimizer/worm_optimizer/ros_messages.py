@@ -17,7 +17,7 @@ from worm_optimizer.prediction import Prediction
 from worm_optimizer.search import SearchSettings
 from worm_optimizer.selection import three_gaits
 from worm_optimizer.served import ServedFront
-from worm_optimizer.settings import Robustness, ScanSettings, Settings
+from worm_optimizer.settings import ScanSettings, Settings, robustness_of
 
 _GAIT_FIELDS = frozenset({"stroke", "frequency", "direction", "margin"})
 
@@ -61,18 +61,9 @@ def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
         base,
         search=search,
         margin=None if math.isnan(goal.margin) else goal.margin,
-        robustness=robustness_of(goal.robustness or Robustness.MARGIN.value),
+        robustness=robustness_of(goal.robustness) if goal.robustness else base.robustness,
         probability=goal.probability or base.probability,
     )
-
-
-def robustness_of(name: str) -> Robustness:
-    """The kind of robustness of that name; raises `OptimizerError` naming those that there are."""
-    try:
-        return Robustness(name)
-    except ValueError:
-        known = ", ".join(each.value for each in Robustness)
-        raise OptimizerError(f"robustness: {name!r} is none of {known}") from None
 
 
 def direction_of(value: int) -> int:

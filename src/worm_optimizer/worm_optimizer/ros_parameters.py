@@ -14,7 +14,7 @@ from rclpy.node import Node
 from worm_optimizer.cache import default_directory
 from worm_optimizer.limits import ActuatorLimits
 from worm_optimizer.search import SearchSettings
-from worm_optimizer.settings import ScanSettings, Settings
+from worm_optimizer.settings import ScanSettings, Settings, robustness_of
 from worm_optimizer.task import Bounds
 
 
@@ -46,6 +46,8 @@ _PLAIN = Settings()
 _ROWS = (
     _Row("cache_directory", "", "Directory of cached fronts; empty: ~/.cache/worm_optimizer."),
     _Row("margin_m", math.nan, "Robustness margin, m; NaN: chosen at the cliff of the scan."),
+    _Row("robustness", "margin", "What keeps gaits robust: margin, chance or any_phase."),
+    _Row("probability", _PLAIN.probability, "Of keeping the grooves, for chance.", 0.0, 1.0),
     _Row("stroke_low_m", _BOX.stroke_low, "Least stroke, m.", 1e-4, 1.0),
     _Row("stroke_high_m", _BOX.stroke_high, "Greatest stroke, m.", 1e-4, 1.0),
     _Row("frequency_low_hz", _BOX.frequency_low, "Least frequency, Hz.", 1e-3, 20.0),
@@ -58,9 +60,9 @@ _ROWS = (
     _Row("scan_step_m", _SCAN.step, "Step between the margins of the scan, m.", 1e-6, 0.1),
     _Row("samples", _PLAIN.samples, "Draws of the success probability.", 1, 1_000_000),
     _Row("served_gaits", _PLAIN.served, "Gaits of a front that are kept.", 3, 100_000),
-    _Row("cable_speed_limit_mps", 0.0, "Greatest cable speed, m/s; 0: none.", 0.0, 100.0),
-    _Row("cable_force_limit_n", 0.0, "Greatest cable force, N; 0: none.", 0.0, 1e5),
-    _Row("electrical_power_limit_w", 0.0, "Greatest source power, W; 0: none.", 0.0, 1e5),
+    _Row("limits.max_cable_speed_m_s", 0.0, "Greatest cable speed, m/s; 0: none.", 0.0, 100.0),
+    _Row("limits.max_cable_force_n", 0.0, "Greatest cable force, N; 0: none.", 0.0, 1e5),
+    _Row("limits.max_power_w", 0.0, "Greatest source power, W; 0: none.", 0.0, 1e5),
 )
 
 PARAMETER_FILE = "parameter_file"
@@ -96,12 +98,14 @@ def settings_of(node: Node) -> Settings:
             *(value["frequency_low_hz"], value["frequency_high_hz"]),
         ),
         limits=ActuatorLimits(
-            limit("cable_speed_limit_mps"),
-            limit("cable_force_limit_n"),
-            limit("electrical_power_limit_w"),
+            limit("limits.max_cable_speed_m_s"),
+            limit("limits.max_cable_force_n"),
+            limit("limits.max_power_w"),
         ),
         search=SearchSettings(value["population"], value["generations"], value["seed"]),
         scan=ScanSettings(value["scan_lowest_m"], value["scan_highest_m"], value["scan_step_m"]),
+        robustness=robustness_of(value["robustness"]),
+        probability=value["probability"],
         margin=None if math.isnan(value["margin_m"]) else value["margin_m"],
         samples=value["samples"],
         served=value["served_gaits"],

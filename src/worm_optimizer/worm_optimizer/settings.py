@@ -52,6 +52,15 @@ class Robustness(str, enum.Enum):
     ANY_PHASE = "any_phase"  # the promised grooves are kept at every groove phase
 
 
+def robustness_of(name: str) -> Robustness:
+    """The kind of robustness of that name; raises `OptimizerError` naming those that there are."""
+    try:
+        return Robustness(name)
+    except ValueError:
+        known = ", ".join(each.value for each in Robustness)
+        raise OptimizerError(f"robustness: {name!r} is none of {known}") from None
+
+
 @dataclass(frozen=True)
 class Settings:
     """What an optimisation is done with.

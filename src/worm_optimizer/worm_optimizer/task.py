@@ -9,7 +9,7 @@ or with a promised probability (`chance.PromiseTask`).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -25,7 +25,6 @@ from worm_optimizer.limits import ActuatorLimits, peaks
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Evaluate = Callable[..., GaitTable]  # the signature of worm_model.batch.evaluate_gaits
 
 # Decimals of a speed in m/s that tell gaits apart. Without it, at equal frequency, the remains of the
 # transient and of rounding would let a longer stroke pass for faster and so for Pareto-optimal.
@@ -120,7 +119,6 @@ class Task(Protocol):
 class MarginTask:
     """The problem of eq:moo_formulation with thresholds enlarged by ``margin`` m (eq:A1_switch_robust).
 
-    ``evaluate`` is the simulator's batch evaluation; tests put a closed form in its place.
     Raises `OptimizerError` if the margin or the direction is not admissible.
     """
 
@@ -129,7 +127,6 @@ class MarginTask:
     margin: float = 0.0
     bounds: Bounds = field(default_factory=Bounds)
     limits: ActuatorLimits = field(default_factory=ActuatorLimits)
-    evaluate: Evaluate = evaluate_gaits
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.margin <= MAX_MARGIN:
@@ -154,7 +151,7 @@ class MarginTask:
 
         ``margin`` in m replaces the task's; ``overrides`` holds arrays of parameter values by key.
         """
-        return self.evaluate(
+        return evaluate_gaits(
             stroke,
             frequency,
             margin=self.margin if margin is None else margin,

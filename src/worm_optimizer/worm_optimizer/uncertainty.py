@@ -56,6 +56,20 @@ def half_widths(content: ParameterFile) -> dict[str, tuple[float, float]]:
     return reach
 
 
+def told(content: ParameterFile) -> str:
+    """Where the uncertainty of a parameter file comes from, in words."""
+    own = [key for key in DEFAULT_HALF_WIDTHS if key in content.intervals]
+    if len(own) == len(DEFAULT_HALF_WIDTHS):
+        return "the parameter file's 95 % intervals"
+    others = ", ".join(
+        f"{key} ±{100.0 * width:g} %"
+        for key, width in DEFAULT_HALF_WIDTHS.items()
+        if key not in content.intervals
+    )
+    mine = f"the parameter file's 95 % intervals of {', '.join(own)}; " if own else ""
+    return f"{mine}assumed at 95 %: {others}"
+
+
 def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
     """Draws of the parameters at the file's groove phase φ, to within its initial_length's interval.
 

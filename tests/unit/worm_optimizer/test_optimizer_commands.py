@@ -62,6 +62,7 @@ def test_optimize_for_people_names_margin_phase_and_share(run):
     assert "groove phase       +1.10 mm" in out
     assert "branches missed: none" in out
     assert "nominal max speed" in out
+    assert "assumed at 95 %: rear_mass ±1 %" in out
 
 
 def test_scan_margin_prints_the_contracts_keys(run):

@@ -22,6 +22,7 @@ from worm_optimizer.uncertainty import (
     phase_guard,
     phase_known,
     phase_unknown,
+    told,
 )
 
 FILE = ParameterFile()
@@ -61,6 +62,15 @@ def test_a_files_intervals_replace_the_defaults_on_each_side():
     draws = phase_known(file, 4000, seed=1).overrides
     assert np.all(draws["pitch"] == 0.0173)
     assert np.quantile(draws["slack"], [0.025, 0.975]) == pytest.approx([0.0079, 0.0090], abs=6e-5)
+
+
+def test_what_is_assumed_is_told_apart_from_what_the_file_says():
+    assert told(FILE).startswith("assumed at 95 %: rear_mass ±1 %, front_mass ±1 %, pitch ±0.5 %")
+    mixed = told(ParameterFile(intervals={"slack": (0.0079, 0.0090)}))
+    assert mixed.startswith("the parameter file's 95 % intervals of slack; assumed")
+    assert "slack ±" not in mixed
+    everything = {key: (0.9 * PAPER.as_dict()[key], 1.1) for key in DEFAULT_HALF_WIDTHS}
+    assert told(ParameterFile(intervals=everything)) == "the parameter file's 95 % intervals"
 
 
 def test_the_known_phase_is_held_whatever_the_pitch():
@@ -111,14 +121,14 @@ def test_wide_intervals_stay_admissible():
 def test_nominal_gaits_are_fragile_and_robust_ones_are_not():
     nominal, robust = MarginTask(), MarginTask(margin=3.4e-3)
     scenarios = phase_known(FILE, 200, seed=1)
-    told = []
+    success = []
     for task in (nominal, robust):
         front = build_map(task, COARSE_MAP).front
-        told.append(
+        success.append(
             success_probability(task, front.stroke, front.frequency, front.branch, scenarios)
         )
-    assert told[0].max() < 0.7
-    assert told[1].min() > 0.99
+    assert success[0].max() < 0.7
+    assert success[1].min() > 0.99
 
 
 def test_without_the_phase_even_robust_gaits_fail_at_times():
@@ -181,11 +191,11 @@ def test_a_chance_constrained_front_keeps_its_probability_on_other_draws():
     task = MarginTask()
     promise = PromiseTask(task, phase_known(FILE, 60, seed=7), 0.9)
     front = build_map(promise, TINY_MAP).front
-    told = success_probability(
+    kept = success_probability(
         task, front.stroke, front.frequency, front.branch, phase_known(FILE, 300, seed=8)
     )
-    assert told.min() > 0.75  # 60 draws tell 0.9 to within 0.04, one standard deviation
-    assert np.median(told) > 0.85
+    assert kept.min() > 0.75  # 60 draws tell 0.9 to within 0.04, one standard deviation
+    assert np.median(kept) > 0.85
 
 
 def test_a_higher_probability_amounts_to_a_larger_margin():
