@@ -15,6 +15,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "play = worm_model.play_node:main",
     "replay = worm_model.replay:main",
     "twin_node = worm_model.twin_node:main",
+    "watch = worm_model.watch_node:main",
 ]
 
 setup(
@@ -30,6 +31,8 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
+        (f"share/{NAME}/rviz", sorted(glob("rviz/*"))),
+        (f"share/{NAME}/foxglove", sorted(glob("foxglove/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
     entry_points={"console_scripts": EXECUTABLES},

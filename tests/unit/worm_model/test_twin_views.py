@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The terminal view, and the layouts against the interfaces that they show."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from worm_model.parameters import PAPER
+from worm_model.twin_records import Activity, Health
+from worm_model.watch import CLEAR, View, render
+
+ROOT = Path(__file__).resolve().parents[3]
+ANSI = re.compile(r"\033\[\d+m")
+VIEW = View(
+    activity=Activity.RUNNING,
+    gait="70.0 mm at 0.200 Hz forward",
+    cycle=2,
+    cycles=5,
+    health=Health.SUSPECT,
+    message="the robot missed a groove",
+    twin=(0.1, 0.39),
+    robot=(0.0827, 0.3727),
+    rear_anchor=0.1,
+    power=(3.0, 6.0),
+)
+
+
+def text(view: View, width: int = 80) -> list[str]:
+    return [ANSI.sub("", line) for line in render(view, PAPER.pitch, width)]
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize("view", [View(), VIEW])
+def test_no_line_is_wider_than_the_terminal(view, width):
+    assert max(map(len, text(view, width))) <= width
+    assert CLEAR not in "".join(text(view, width))
+
+
+def test_what_matters_is_on_the_screen():
+    lines = text(VIEW)
+    assert lines[0] == "worm  running  70.0 mm at 0.200 Hz forward  cycle 2 of 5"
+    assert lines[1] == "twin  suspect  the robot missed a groove"
+    twin, ridges, robot = lines[3:6]
+    assert ridges.count("^") > 20
+    # The robot is a groove behind: 17.3 mm are two or three characters of 7.5 mm.
+    assert twin.index("#") - robot.index("#") in (2, 3)
+    assert "100.00        82.70       -17.30" in next(line for line in lines if line[:2] == "x1")
+    measured, predicted = (next(x for x in lines if x.startswith(n)) for n in ("measured", "predi"))
+    assert measured.count("█") == 2 * predicted.count("█")
+
+
+def test_before_anything_has_come_it_says_so():
+    assert "no driver" in text(View())[0]
+    assert "(no twin yet)" in text(View())
+    unseen = text(replace(VIEW, robot=(float("nan"), float("nan"))))
+    assert "#" not in unseen[5]
+
+
+def fields(name: str) -> set[str]:
+    lines = (ROOT / "src/worm_msgs/msg" / f"{name}.msg").read_text().splitlines()
+    return {line.split()[1] for line in lines if re.match(r"[a-z]\w*(/\w+)? +\w+ ", line + " ")}
+
+
+def test_the_foxglove_layout_shows_topics_and_fields_that_exist():
+    layout = json.loads((ROOT / "src/worm_model/foxglove/worm.json").read_text())
+    types = {
+        "/worm/tracker": "Tracker",
+        "/worm/power": "Power",
+        "/worm/twin/state": "TwinState",
+        "/worm/twin/residuals": "TwinResiduals",
+    }
+    paths = [
+        path["value"] for panel in layout["configById"].values() for path in panel.get("paths", [])
+    ]
+    assert len(paths) > 10
+    for path in paths:
+        topic, field = path.split(".")
+        assert field in fields(types.get(topic, "BodyLength")), path
+
+    def panels(node):
+        return [node] if isinstance(node, str) else panels(node["first"]) + panels(node["second"])
+
+    assert sorted(panels(layout["layout"])) == sorted(layout["configById"])
+
+
+def test_the_rviz_configuration_shows_the_twins_markers():
+    content = yaml.safe_load((ROOT / "src/worm_model/rviz/worm.rviz").read_text())
+    manager = content["Visualization Manager"]
+    assert manager["Global Options"]["Fixed Frame"] == "pipe"
+    topics = [d["Topic"]["Value"] for d in manager["Displays"] if "Topic" in d]
+    assert topics == ["/worm/twin/markers"]
