@@ -9,6 +9,7 @@ NAME = "worm_driver"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
     "virtual_robot = worm_driver.virtual_robot.virtual_robot_node:main",
     "driver_node = worm_driver.driver_node:main",
+    "calibrate = worm_driver.calibrate:main",
     "record = worm_driver.record_node:main",
 ]
 
@@ -25,6 +26,10 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
+        (f"share/{NAME}/udev", sorted(glob("udev/*"))),
+        (f"share/{NAME}/systemd", sorted(glob("systemd/*"))),
+        (f"share/{NAME}/security", sorted(glob("security/*.*"))),
+        (f"share/{NAME}/security/policies", sorted(glob("security/policies/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
     entry_points={"console_scripts": EXECUTABLES},

@@ -150,10 +150,14 @@ class ControlLoop:
         """Has the thread end after its step, releasing the robot wherever it is. Safe in a signal handler."""
         self._thread.ask_to_end()
 
-    def join(self, timeout: float) -> bool:
-        """Waits for the thread to end; when the time (s) is up it ends after its step, releasing the robot."""
+    def join(self, timeout: float, meanwhile: Callable[[], None] = lambda: None) -> bool:
+        """Waits for the thread to end; when the time (s) is up it ends after its step, releasing the robot.
+
+        ``meanwhile`` is called every few milliseconds.
+        """
         end = time.monotonic() + timeout
         while self.alive and time.monotonic() < end:
+            meanwhile()
             time.sleep(0.005)
         return self._thread.end(timeout=1.0)
 

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -28,7 +29,7 @@ from worm_driver.diagnostics import offline_report
 from worm_driver.errors import ConfigurationError, DriverError
 from worm_driver.hardware import Hardware
 from worm_driver.ros_messages import ClockPair
-from worm_driver.run_action import RunGaitAction
+from worm_driver.ros_run_action import RunGaitAction
 from worm_driver.telemetry import Snapshot
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker
 
@@ -37,6 +38,10 @@ T = TypeVar("T")
 #: s, how long the interpreter lets a thread run before another may; the default of 5 ms would be half a cycle
 _SWITCH_INTERVAL = 0.0005
 
+_DELIVERY = Duration(seconds=0.5)
+
+#: reliable; deep enough for what piles up while the executor's thread waits for a processor
+_TELEMETRY = QoSProfile(depth=200)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -50,10 +55,10 @@ class DriverNode(LifecycleNode):
         self._latest: Snapshot | None = None
         self._shown: tuple[object, ...] | None = None
         self._failure: Exception | None = None
-        self._joint_states = self.create_publisher(JointState, "joint_states", 10)
-        self._commanded = self.create_publisher(BodyLength, "body_length/commanded", 10)
-        self._cable = self.create_publisher(BodyLength, "body_length/cable", 10)
-        self._power = self.create_publisher(Power, "power", 10)
+        self._joint_states = self.create_publisher(JointState, "joint_states", _TELEMETRY)
+        self._commanded = self.create_publisher(BodyLength, "body_length/commanded", _TELEMETRY)
+        self._cable = self.create_publisher(BodyLength, "body_length/cable", _TELEMETRY)
+        self._power = self.create_publisher(Power, "power", _TELEMETRY)
         self._gait_state = self.create_publisher(GaitState, "gait_state", _LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._action = RunGaitAction(self, lambda: self._hardware)
@@ -114,7 +119,7 @@ class DriverNode(LifecycleNode):
         hardware = self._hardware
         if hardware is None:
             return
-        problems = hardware.close(reason)
+        problems = hardware.close(reason, self._publish)
         self._hardware = self._latest = None
         for problem in problems:
             self.get_logger().error(f"on release: {problem}")
@@ -122,6 +127,12 @@ class DriverNode(LifecycleNode):
             self._publish_all(hardware)
             self._action.abandon(reason)
             self._show_inactive(reason)
+            self._deliver()
+
+    def _deliver(self) -> None:
+        """Waits until those who listen have the last words, for they are lost with the node."""
+        for publisher in (self._joint_states, self._cable, self._power, self._gait_state):
+            publisher.wait_for_all_acked(_DELIVERY)
 
     def let_go(self) -> None:
         """Cuts a release short: the torque goes at once. Safe in a signal handler."""
@@ -208,7 +219,7 @@ class DriverNode(LifecycleNode):
             return
 
     def _publish(self) -> None:
-        if self._hardware is not None:
+        if self._hardware is not None and self.context.ok():
             self._publish_all(self._hardware)
 
     def _publish_all(self, hardware: Hardware) -> None:

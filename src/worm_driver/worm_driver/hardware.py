@@ -16,6 +16,9 @@ from worm_driver.servo_bus import BusCounters, ServoBus
 from worm_driver.settings import DriverSettings, PowerSettings
 from worm_driver.telemetry import Snapshot
 
+#: s, for which snapshots may pile up before the robot is held
+_UNHEARD = 3.0
+
 
 @dataclass
 class _Seen:
@@ -81,10 +84,13 @@ class Hardware:
         travel = self.settings.max_stroke + 0.02
         return math.pi / 2 * travel / self.settings.player.return_speed + 1.0
 
-    def close(self, reason: str) -> list[str]:
-        """Brings the robot to rest, releases it and closes everything; returns what failed, in words."""
+    def close(self, reason: str, meanwhile: Callable[[], None] = lambda: None) -> list[str]:
+        """Brings the robot to rest, releases it and closes everything; returns what failed, in words.
+
+        ``meanwhile`` is called every few milliseconds until the robot is released.
+        """
         self.loop.leave(reason)
-        ended = self.loop.join(self.release_time)
+        ended = self.loop.join(self.release_time, meanwhile)
         if self._power is not None:
             self._power.end()
         problems = list(self.loop.release_problems)
@@ -121,7 +127,14 @@ class Hardware:
         return 0 if self._power is None else self._power.valid_samples
 
     def _on_snapshot(self, snapshot: Snapshot) -> None:
+        """In the loop's thread: hands a snapshot over; a robot that nobody listens to any more is held."""
         self.snapshots.append(snapshot)
+        unheard = snapshot.command_time - self.snapshots[0].command_time
+        if snapshot.active and unheard > _UNHEARD:
+            reason = (
+                f"the node has not listened for {unheard:.0f} s: the service stop would not work"
+            )
+            self.robot.fail(snapshot.command_time, reason)
         self._wake()
 
     def _on_sample(self, sample: PowerSample) -> None:

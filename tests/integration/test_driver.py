@@ -1,0 +1,455 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver node as a process, on the virtual robot as another one."""
+
+import math
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from harness import LATCHED, TIMEOUT_S
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from worm_driver.registers import COMMON
+from worm_driver.servo_bus import ServoBus
+from worm_msgs.action import RunGait
+from worm_msgs.msg import BodyLength, Gait, GaitState, Power, Tracker
+from worm_msgs.srv import InjectFault
+
+SERVOS = (1, 11, 12)
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/GoalStatus
+
+
+@pytest.fixture
+def directory(processes, tmp_path: Path) -> Path:
+    """Of a virtual robot that is ready."""
+    path = tmp_path / "robot"
+    robot = processes.start_node("worm_driver", "virtual_robot", "--directory", str(path))
+    robot.wait_for_line("^ready: ", TIMEOUT_S)
+    return path
+
+
+def parameters(directory: Path, **changes: object) -> dict[str, object]:
+    """Of a driver on that robot; patient, as a test's machine may be busy with something else."""
+    return {
+        "port": directory / "servo_bus",
+        "i2c_bus": directory / "i2c.sock",
+        "cable_servos.spool_radius_m": "[0.025]",
+        "home_at_start": "true",
+        "bus_watchdog_s": 1.0,
+        "limits.max_silence_s": 0.8,
+        "limits.max_following_error_m": 0.06,
+        **changes,
+    }
+
+
+@pytest.fixture
+def driver(processes, directory):
+    return processes.start_node("worm_driver", "driver_node", **parameters(directory))
+
+
+class Commander:
+    """What an operator does with the driver."""
+
+    def __init__(self, probe) -> None:
+        self.probe = probe
+        self.states = probe.collect(GaitState, "gait_state", LATCHED)
+        self.reports: list[DiagnosticArray] = probe.collect(DiagnosticArray, "/diagnostics")
+
+    def change(self, transition: int) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self.probe.call(ChangeState, "driver/change_state", request).success
+
+    def activate(self) -> None:
+        assert self.change(Transition.TRANSITION_CONFIGURE)
+        assert self.change(Transition.TRANSITION_ACTIVATE)
+
+    def lifecycle_state(self) -> int:
+        return self.probe.call(GetState, "driver/get_state", GetState.Request()).current_state.id
+
+    def send(self, stroke=0.03, frequency=0.4, cycles=1, direction=Gait.FORWARD, feedback=None):
+        gait = Gait(stroke=stroke, frequency=frequency, direction=direction)
+        goal = RunGait.Goal(gait=gait, cycles=cycles)
+        return self.probe.send_goal(RunGait, "run_gait", goal, feedback)
+
+    def result(self, goal, timeout_s: float = TIMEOUT_S):
+        return self.probe.result(goal.get_result_async(), "result of the gait", timeout_s)
+
+    def trigger(self, name: str) -> Trigger.Response:
+        return self.probe.call(Trigger, name, Trigger.Request())
+
+    def inject(self, **fields: object) -> None:
+        request = InjectFault.Request(**fields)
+        assert self.probe.call(InjectFault, "inject_fault", request).success
+
+    def wait_for_state(self, state: int, what: str) -> GaitState:
+        self.probe.wait_for(lambda: self.states and self.states[-1].state == state, what)
+        return self.states[-1]
+
+    def wait_for_report(self, name: str, level: bytes, words: str) -> DiagnosticStatus:
+        def found():
+            statuses = [s for report in self.reports for s in report.status]
+            return [
+                s for s in statuses if s.name == name and s.level == level and words in s.message
+            ]
+
+        return self.probe.wait_for(found, f"report of {name} with {words!r}")[0]
+
+
+@pytest.fixture
+def commander(probe) -> Commander:
+    return Commander(probe)
+
+
+def torques(directory: Path) -> list[int]:
+    """Torque of each servo, asked by the test itself once the driver has given the port back."""
+    bus = ServoBus.open(str(directory / "servo_bus"), 1_000_000, latency=0.1)
+    try:
+        return [bus.read(servo, COMMON["torque_enable"]) for servo in SERVOS]
+    finally:
+        bus.close()
+
+
+def stamp(message) -> float:
+    return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+
+
+# --- the main thing --------------------------------------------------------------------------------
+
+
+def test_a_gait_from_rest_to_figures(driver, commander, probe):
+    feedback = []
+    commander.activate()
+    commander.wait_for_state(GaitState.IDLE, "activation")
+    goal = commander.send(cycles=2, feedback=lambda m: feedback.append(m.feedback))
+    answer = commander.result(goal)
+    result = answer.result
+    assert answer.status == SUCCEEDED
+    assert result.success
+    assert (result.cycles_completed, result.cycles_averaged) == (2, 2)
+    assert result.idle_power == pytest.approx(0.84, abs=0.1)
+    assert result.power > result.idle_power + 0.1
+    assert math.isfinite(result.speed)
+    seen = [state.state for state in commander.states]
+    order = [GaitState.RESTING, GaitState.RUNNING, GaitState.IDLE]
+    assert [state for state in dict.fromkeys(seen) if state in order[:2]] == order[:2]
+    assert feedback[0].elapsed <= 0.0
+    assert feedback[-1].cycle == 2
+    assert math.isfinite(feedback[-1].distance)
+    assert math.isfinite(feedback[-1].power)
+
+
+def test_every_cycle_is_published_with_its_stamp(driver, commander, probe):
+    topics = {
+        "joint_states": probe.collect(JointState, "joint_states"),
+        "body_length/cable": probe.collect(BodyLength, "body_length/cable"),
+        "body_length/commanded": probe.collect(BodyLength, "body_length/commanded"),
+        "power": probe.collect(Power, "power"),
+    }
+    commander.activate()
+    probe.wait_for(lambda: all(len(found) > 200 for found in topics.values()), "two seconds")
+    for name, messages in topics.items():
+        stamps = [stamp(message) for message in messages]
+        assert stamps == sorted(set(stamps)), name
+        assert stamps[-1] <= probe.node.get_clock().now().nanoseconds * 1e-9
+
+    def cycles() -> int:
+        """That the driver says it has made, a little while ago."""
+        statuses = [s for report in commander.reports for s in report.status]
+        timings = [s for s in statuses if s.name == "driver: timing"]
+        return max((int({v.key: v.value for v in s.values}["cycles"]) for s in timings), default=0)
+
+    made = probe.wait_for(lambda: cycles() >= 200 and cycles(), "200 cycles")
+    probe.wait_for(lambda: len(topics["joint_states"]) >= made, "one message per cycle")
+    assert topics["joint_states"][0].name == ["cable_1", "fin_11", "fin_12"]
+    assert {m.source for m in topics["body_length/cable"]} == {BodyLength.CABLE}
+    assert {m.source for m in topics["body_length/commanded"]} == {BodyLength.COMMANDED}
+    assert topics["body_length/cable"][-1].length == pytest.approx(0.2952, abs=1e-3)
+
+
+def test_diagnostics_name_every_part(driver, commander, probe):
+    commander.activate()
+
+    def latest() -> dict[str, DiagnosticStatus]:
+        return {
+            status.name: status for report in commander.reports[-1:] for status in report.status
+        }
+
+    parts = ("gait", "servo bus", "timing", "servo 1", "servo 11", "servo 12", "power sensor")
+    names = {f"driver: {part}" for part in parts}
+    probe.wait_for(lambda: set(latest()) == names, "report on every part")
+    for part in ("gait", "servo 1", "servo 11", "servo 12", "power sensor"):
+        commander.wait_for_report(f"driver: {part}", DiagnosticStatus.OK, "")
+    timing = {value.key: value.value for value in latest()["driver: timing"].values}
+    assert {"p99_period_error_s", "missed_deadlines", "mean_period_s"} <= set(timing)
+
+
+# --- what is refused --------------------------------------------------------------------------------
+
+
+def test_goals_that_cannot_be_played_are_refused_with_the_reason(driver, commander):
+    early = commander.result(commander.send())
+    assert early.status == ABORTED
+    assert "not configured" in early.result.message
+    commander.activate()
+    for stroke, frequency, words in (
+        (math.nan, 0.2, "stroke is nan"),
+        (0.07, -0.2, "frequency -0.2"),
+        (0.5, 0.2, "limits.max_stroke_m"),
+    ):
+        refused = commander.result(commander.send(stroke, frequency))
+        assert refused.status == ABORTED
+        assert not refused.result.success
+        assert words in refused.result.message
+    first = commander.send(cycles=1)
+    second = commander.result(commander.send(cycles=1))
+    assert second.status == ABORTED
+    assert "running already" in second.result.message
+    assert commander.result(first).status == SUCCEEDED
+
+
+def test_cancel_ends_at_rest(driver, commander, probe):
+    lengths = probe.collect(BodyLength, "body_length/commanded")
+    commander.activate()
+    goal = commander.send(cycles=20)
+    commander.wait_for_state(GaitState.RUNNING, "running gait")
+    probe.result(goal.cancel_goal_async(), "answer to the cancellation")
+    answer = commander.result(goal)
+    assert answer.status == CANCELED
+    assert answer.result.cycles_completed == 1
+    assert "cancelled, at rest after 1 cycles" in answer.result.message
+    assert lengths[-1].length_change == pytest.approx(0.0, abs=1e-9)
+
+
+def test_stop_holds_at_once_and_the_next_gait_returns_to_rest_first(driver, commander, probe):
+    lengths = probe.collect(BodyLength, "body_length/commanded")
+    commander.activate()
+    goal = commander.send(stroke=0.06, cycles=5)
+    contracted = lambda: lengths and lengths[-1].length_change < -0.02  # noqa: E731
+    probe.wait_for(contracted, "contraction")
+    assert commander.trigger("stop").success
+    answer = commander.result(goal)
+    assert answer.status == ABORTED
+    assert "stopped: the service stop was called" in answer.result.message
+    held = commander.wait_for_state(GaitState.IDLE, "hold")
+    assert "stop was called" in held.message
+    assert lengths[-1].length_change < -0.015
+    assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
+    assert lengths[-1].length_change == 0.0
+
+
+# --- every way out ------------------------------------------------------------------------------------
+
+
+def run_into_a_gait(commander, probe) -> list[BodyLength]:
+    lengths = probe.collect(BodyLength, "body_length/cable")
+    commander.activate()
+    commander.send(stroke=0.06, cycles=20)
+    probe.wait_for(lambda: lengths and lengths[-1].length_change < -0.02, "contraction")
+    return lengths
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_brings_the_gait_to_rest_and_releases(driver, commander, probe, directory, number):
+    lengths = run_into_a_gait(commander, probe)
+    driver.signal(number)
+    assert driver.wait(TIMEOUT_S) == 0
+    assert torques(directory) == [0, 0, 0]
+    assert commander.wait_for_state(GaitState.INACTIVE, "last word").message == "the driver ends"
+    probe.wait_for(lambda: abs(lengths[-1].length_change) < 2e-3, "cable at rest")
+
+
+def test_deactivation_brings_the_gait_to_rest_and_releases(driver, commander, probe, directory):
+    run_into_a_gait(commander, probe)
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
+    assert commander.change(Transition.TRANSITION_CLEANUP)
+    assert torques(directory) == [0, 0, 0]
+    commander.activate()
+
+
+def test_shutdown_while_active_releases(driver, commander, probe, directory):
+    run_into_a_gait(commander, probe)
+    assert commander.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert torques(directory) == [0, 0, 0]
+
+
+_SABOTAGE = """
+import sys
+import rclpy
+from worm_driver import driver_node
+from worm_driver.gait_player import Phase
+
+class Sabotaged(driver_node.DriverNode):
+    def _on_tracker(self, message):
+        latest = self._latest
+        if latest is not None and latest.player.phase is Phase.RUNNING and latest.cable < -0.02:
+            {deed}
+
+driver_node.DriverNode = Sabotaged
+sys.exit(driver_node.main(sys.argv))
+"""
+
+
+@pytest.mark.parametrize(
+    "deed",
+    ["raise RuntimeError('sabotage')", "rclpy.shutdown()"],
+    ids=["exception", "context gone"],
+)
+def test_whatever_ends_the_node_the_servos_are_released(
+    processes, commander, directory, deed, tmp_path
+):
+    script = tmp_path / "sabotaged.py"
+    script.write_text(_SABOTAGE.format(deed=deed))
+    ros = ["--ros-args", "-r", "__ns:=/worm"]
+    for key, value in parameters(directory).items():
+        ros += ["-p", f"{key}:={value}"]
+    driver = processes.start("sabotaged", [sys.executable, str(script), *ros])
+    commander.activate()
+    commander.send(stroke=0.06, cycles=20)
+    assert driver.wait(TIMEOUT_S) != 0
+    assert torques(directory) == [0, 0, 0]
+
+
+def test_after_a_kill_the_servos_stop_by_themselves(driver, commander, probe, directory):
+    run_into_a_gait(commander, probe)
+    seen = probe.collect(Tracker, "tracker")
+    driver.kill()
+    driver.wait(TIMEOUT_S)
+    end = probe.node.get_clock().now().nanoseconds * 1e-9 + 1.5
+    # whoever asks the servos feeds their watchdogs: the camera tells that the time has passed
+    probe.wait_for(lambda: seen and stamp(seen[-1]) > end, "passing time")
+    bus = ServoBus.open(str(directory / "servo_bus"), 1_000_000, latency=0.1)
+    assert [bus.read(servo, COMMON["bus_watchdog"]) for servo in SERVOS] == [-1, -1, -1]
+    first = bus.read(1, COMMON["present_position"])
+    assert bus.read(1, COMMON["present_position"]) == pytest.approx(first, abs=2)
+    bus.close()
+
+
+def test_after_a_kill_a_new_driver_takes_over(processes, commander, probe, directory):
+    given = parameters(directory)
+    first = processes.start_node("worm_driver", "driver_node", **given)
+    run_into_a_gait(commander, probe)
+    first.kill()
+    first.wait(TIMEOUT_S)
+    processes.processes.pop("driver_node")
+    processes.start_node("worm_driver", "driver_node", **given, autostart="true")
+    commander.wait_for_state(GaitState.IDLE, "second driver")
+    goal = commander.send(cycles=1)
+    assert commander.result(goal).status == SUCCEEDED
+
+
+# --- faults: that they reach the outside ---------------------------------------------------------------
+
+
+def test_a_silent_servo_is_a_fault_that_is_named_and_mended(processes, commander, directory):
+    given = parameters(directory, **{"limits.max_silence_s": 0.2})
+    processes.start_node("worm_driver", "driver_node", **given)
+    commander.activate()
+    goal = commander.send(stroke=0.06, cycles=20)
+    commander.wait_for_state(GaitState.RUNNING, "running gait")
+    commander.inject(name="no_answer", target=1, duration=2.0)
+    answer = commander.result(goal)
+    assert answer.status == ABORTED
+    assert "fault: servo 1 gives no state" in answer.result.message
+    assert "servo 1" in commander.wait_for_state(GaitState.FAULT, "fault").message
+    commander.wait_for_report("driver: gait", DiagnosticStatus.ERROR, "servo 1 gives no state")
+    commander.wait_for_report("driver: servo bus", DiagnosticStatus.WARN, "timeouts")
+    refused = commander.result(commander.send())
+    assert "in fault" in refused.result.message
+    commander.inject(name="clear")
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.change(Transition.TRANSITION_ACTIVATE)
+    assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
+
+
+def test_an_unplugged_port_is_a_fault_and_a_new_configuration_mends_it(
+    driver, commander, directory, probe
+):
+    run_into_a_gait(commander, probe)
+    commander.inject(name="unplugged", duration=1.0)
+    assert "is gone" in commander.wait_for_state(GaitState.FAULT, "fault").message
+    commander.wait_for_report("driver: gait", DiagnosticStatus.ERROR, "plug it in again")
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.change(Transition.TRANSITION_CLEANUP)
+    probe.wait_for((directory / "servo_bus").is_symlink, "port")
+    commander.activate()
+    commander.wait_for_state(GaitState.IDLE, "activation")
+
+
+def test_faults_of_the_power_sensor_are_samples_without_a_value(driver, commander, probe):
+    samples = probe.collect(Power, "power")
+    commander.activate()
+
+    def seen(status: int):
+        return lambda: [sample for sample in samples if sample.status == status]
+
+    for name, status, words in (
+        ("i2c_nack", Power.BUS_ERROR, "bus error"),
+        ("ina219_overflow", Power.OVERFLOW, "overflow"),
+        ("ina219_reset", Power.SENSOR_RESET, "sensor reset"),
+    ):
+        commander.inject(name=name)
+        found = probe.wait_for(seen(status), f"sample with {words}")
+        assert all(math.isnan(sample.power) for sample in found)
+        commander.wait_for_report("driver: power sensor", DiagnosticStatus.WARN, words)
+    count = len(seen(Power.VALID)())
+    probe.wait_for(lambda: len(seen(Power.VALID)()) > count + 10, "valid samples")
+
+
+# --- what is missing -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"port": "/dev/no_worm"}, "/dev/no_worm does not exist"),
+        ({"i2c_bus": "/dev/i2c-77"}, "I2C bus /dev/i2c-77 does not exist"),
+        ({"i2c_address": "69"}, "0x45 .*does not acknowledge"),
+        ({"cable_servos.ids": "[9]"}, "servo 9 does not answer .* id"),
+        ({"baud_rate": "115200"}, "does not answer .* at 115200 baud"),
+        ({"cable_servos.signs": "[2]"}, "sign of cable servo 1 must be 1 or -1"),
+        ({"cable_servos.ids": "[1, 2]"}, "one entry per servo"),
+        ({"home_at_start": "false"}, "turn count of the cable servo is not known"),
+    ],
+    ids=["port", "bus", "address", "id", "baud rate", "sign", "lengths", "home"],
+)
+def test_what_is_missing_is_said_in_one_line(processes, directory, change, words):
+    given = parameters(directory, **{"autostart": "true", **change})
+    driver = processes.start_node("worm_driver", "driver_node", **given)
+    assert driver.wait(TIMEOUT_S) in (1, 2)
+    driver.wait_for_line(f"^driver: .*{words}", TIMEOUT_S)
+    assert "Traceback" not in driver.output()
+
+
+def test_a_parameter_out_of_its_range_is_refused_in_one_line(processes, directory):
+    given = parameters(directory, **{"limits.max_stroke_m": -1.0})
+    driver = processes.start_node("worm_driver", "driver_node", **given)
+    assert driver.wait(TIMEOUT_S) == 2
+    driver.wait_for_line("^driver: .*limits.max_stroke_m", TIMEOUT_S)
+
+
+def test_a_failed_configuration_leaves_the_node_unconfigured_and_can_be_repeated(
+    driver, commander, directory, probe
+):
+    commander.inject(name="i2c_nack", duration=3600.0)
+    assert not commander.change(Transition.TRANSITION_CONFIGURE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
+    commander.wait_for_report("driver: gait", DiagnosticStatus.ERROR, "does not acknowledge")
+    commander.inject(name="clear")
+    commander.activate()
+
+
+def test_a_second_driver_on_the_same_port_is_refused(driver, processes, commander, directory):
+    commander.activate()
+    given = parameters(directory, autostart="true")
+    ros = ["--ros-args", "-r", "__ns:=/other"]
+    for key, value in given.items():
+        ros += ["-p", f"{key}:={value}"]
+    second = processes.start_executable("worm_driver", "driver_node", *ros, name="second")
+    assert second.wait(TIMEOUT_S) == 1
+    second.wait_for_line("in use by another program", TIMEOUT_S)
