@@ -68,7 +68,7 @@ class VirtualRobot:
         self._set_laws()
 
     def _random(self, purpose: str) -> Random:
-        return Random(f"{self.settings.seed} {purpose}")
+        return Random(f"{self.settings.seed} {self.settings.recording} {purpose}")
 
     def _make_servo(self, item: CableServoSettings | FinServoSettings, mode: int) -> Servo:
         return Servo(

@@ -92,7 +92,7 @@ class TrackerSettings:
 
 @dataclass(frozen=True)
 class RobotSettings:
-    """All of a virtual robot."""
+    """All of a virtual robot; each recording of it has noise of its own, in the same pipe."""
 
     seed: int
     step: float
@@ -106,6 +106,7 @@ class RobotSettings:
     power_sensor: SensorSettings
     tracker: TrackerSettings
     parameter_spread: float = 0.0
+    recording: int = 0
 
     def with_seed(self, seed: int) -> "RobotSettings":
         """The same robot with another seed."""
@@ -191,7 +192,7 @@ def _build(kind: type[T], values: dict[str, Any], place: str) -> T:
     unknown = sorted(set(values) - set(wanted))
     if unknown:
         raise SettingsError(f"{place}: unknown name {unknown[0]!r} ({', '.join(wanted)})")
-    missing = sorted(set(wanted) - set(values) - {"parameter_spread"})
+    missing = sorted(set(wanted) - set(values) - {"parameter_spread", "recording"})
     if missing:
         raise SettingsError(f"{place}: {missing[0]!r} is missing")
     for name, value in values.items():
