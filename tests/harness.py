@@ -18,7 +18,7 @@ from rclpy.task import Future
 
 from worm_optimizer.bringup.drive import start_nodes
 from worm_optimizer.bringup.processes import Process, ProcessGroup, executable_command
-from worm_optimizer.bringup.system import System, SystemFile, load_system_file
+from worm_optimizer.bringup.system import SystemFile, load_system_file
 
 NAMESPACE = "/worm"
 TIMEOUT_S = 30.0  # generous: only a failure waits for so long
@@ -114,18 +114,25 @@ class Probe:
 
 
 class VirtualWorm:
-    """Virtual robot and driver (and other nodes) of system.yaml, as the demo starts them."""
+    """The nodes of system.yaml in virtual mode, as the demo starts them."""
 
     def __init__(self, processes: Processes, probe: Probe, directory: Path) -> None:
         self.processes = processes
         self.probe = probe
         self.directory = directory
-        self.system = system_file().system("virtual", directory=str(directory))
+        self.system = system_file().system(
+            "virtual", directory=str(directory / "robot"), bag=str(directory / "bag")
+        )
 
-    def start(self, *names: str) -> None:
-        """Start some nodes of the system, in its order."""
-        chosen = tuple(node for node in self.system.nodes if node.name in names)
-        start_nodes(self.processes, System(self.system.namespace, chosen), say=print)
+    def start(self) -> None:
+        """Start all nodes, in the order of the file."""
+        start_nodes(self.processes, self.system, say=print)
+
+    def interrupt(self, name: str) -> int:
+        """Press Ctrl-C for one node and return its exit status."""
+        process = self.processes.processes[name]
+        process.interrupt()
+        return process.wait(TIMEOUT_S)
 
     def activate(self) -> None:
         """Configure and activate the driver."""
@@ -135,7 +142,7 @@ class VirtualWorm:
 
     def torques(self) -> dict[int, int]:
         """Torque Enable of each servo, read with the SDK; the driver must have let go of the bus."""
-        port = PortHandler(str(self.directory / "servo_bus"))
+        port = PortHandler(str(self.directory / "robot" / "servo_bus"))
         assert port.openPort()
         assert port.setBaudRate(BAUD_RATE)
         try:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from harness import Probe, Processes, VirtualWorm
+from harness import Probe, Processes
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -42,12 +42,3 @@ def probe(ros_domain: int) -> Iterator[Probe]:
     probe = Probe(ros_domain)
     yield probe
     probe.close()
-
-
-@pytest.fixture
-def worm(processes: Processes, probe: Probe, tmp_path: Path) -> VirtualWorm:
-    """A virtual robot with its driver, started and activated."""
-    worm = VirtualWorm(processes, probe, tmp_path / "robot")
-    worm.start("virtual_robot", "driver")
-    worm.activate()
-    return worm

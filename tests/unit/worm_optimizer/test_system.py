@@ -72,7 +72,7 @@ def test_command_arguments_keep_the_types_of_parameters():
 
 
 def test_an_argument_without_a_value_is_left_out(tmp_path):
-    twin = {"package": "p", "executable": "t", "arguments": {"--port": "{port}", "--seed": 3}}
+    twin = {"package": "p", "executable": "t", "arguments": [["--port", "{port}"], ["--seed", 3]]}
     content = load_system_file(written(tmp_path, {**MINIMAL, "nodes": {"twin": twin}}))
     assert content.system("replay").node("twin").arguments == ("--port", "/dev/bus", "--seed", "3")
     assert content.system("replay", port="").node("twin").arguments == ("--seed", "3")

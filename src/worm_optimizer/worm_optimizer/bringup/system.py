@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -123,7 +123,7 @@ class SystemFile:
                 executable=content["executable"],
                 ready=content.get("ready", ""),
                 lifecycle=content.get("lifecycle", False),
-                arguments=_arguments(content.get("arguments", {}), values),
+                arguments=_arguments(content.get("arguments", ()), values),
                 parameters={key: _fill(value, values) for key, value in parameters.items()},
                 remappings=dict(content.get("remappings", {})),
             )
@@ -163,10 +163,10 @@ def _is_wanted(content: Mapping[str, Any], values: Mapping[str, str]) -> bool:
     return "needs" not in content or bool(values[content["needs"]])
 
 
-def _arguments(options: Mapping[str, str], values: Mapping[str, str]) -> tuple[str, ...]:
-    """Options with their values; an option without one is left out."""
-    filled = {option: str(_fill(value, values)) for option, value in options.items()}
-    return tuple(word for option, value in filled.items() if value for word in (option, value))
+def _arguments(groups: Sequence[Sequence[str]], values: Mapping[str, str]) -> tuple[str, ...]:
+    """The words of all groups; a group with an empty word is left out as a whole."""
+    filled = [[str(_fill(word, values)) for word in group] for group in groups]
+    return tuple(word for group in filled if all(group) for word in group)
 
 
 def _fill(value: Value, values: Mapping[str, str]) -> Value:
