@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stage 4, continued: grooves that differ from each other, and what that does to the intervals of η and p_sw.
+
+The five ridges of every run are the same few ridges, so a robot whose grooves scatter shows the same deviation in
+every run, and a bootstrap over runs would never see it. Hence each groove gets a deviation of its threshold and of
+its stiffness for each module; their standard deviations come from the data (expectation maximisation), and vanish
+where grooves are alike. η and p_sw are the means; their intervals are profiles over all of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.identification.blocks import (
+    Problem,
+    Quantity,
+    Solution,
+    evaluate,
+    normal_equations,
+    solve,
+    with_fixed,
+)
+from worm_model.identification.locomotion import (
+    Traverse,
+    own_quantities,
+    shared_quantities,
+    slide,
+    x1_residuals,
+)
+from worm_model.kernel.dry_friction import FIRST_GROOVE, GROOVE_COLUMNS, STIFFNESS, THRESHOLD
+from worm_model.parameters import Parameters
+
+Array = NDArray[np.float64]
+
+ROWS = 10  # grooves of each module: FIRST_GROOVE behind the start, the rest ahead
+MEANS = 4  # shared parameters before the deviations
+FIRST_SCATTER = (1e-4, 0.02)  # m and 1, from which the scatter is looked for
+LEAST_SCATTER = (1e-6, 1e-4)  # that counts as none
+STEPS = (3e-5, 0.01)  # of numerical derivatives by deviations, m and 1
+SCANNED = np.linspace(-6e-4, 6e-4, 13)  # m, deviations of a threshold that are tried
+ROUNDS = 4  # of linearisation
+INNER_ROUNDS = 300
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Standard deviations of the grooves' ``threshold`` in m and relative ``stiffness``."""
+
+    threshold: float
+    stiffness: float
+
+    def of(self, column: int) -> float:
+        """The one that belongs to a column of grooves."""
+        return self.threshold if column == THRESHOLD else self.stiffness
+
+
+@dataclass(frozen=True)
+class GrooveFit:
+    """``solution`` of a `groove_problem` with ``places`` (k, 3), what each deviation after the means is: (module, row,
+    column of `worm_model.kernel.dry_friction`), under a ``scatter``.
+    """
+
+    solution: Solution
+    places: NDArray[np.int64]
+    scatter: Scatter
+
+    @property
+    def means(self) -> Array:
+        """(η, p_sw, rear and front dry friction)."""
+        return self.solution.shared[:MEANS]
+
+
+def all_places() -> NDArray[np.int64]:
+    """Every deviation that there could be."""
+    return np.array(
+        [
+            (module, row, column)
+            for module in range(2)
+            for row in range(ROWS)
+            for column in range(GROOVE_COLUMNS)
+        ]
+    )
+
+
+def tables_of(deviations: Array, places: NDArray[np.int64]) -> tuple[Array, Array]:
+    """The grooves of the rear and of the front module, as the kernel takes them."""
+    tables = np.zeros((2, ROWS, GROOVE_COLUMNS))
+    tables[tuple(places.T)] = deviations
+    return tables[0], tables[1]
+
+
+def groove_problem(
+    traverses: Sequence[Traverse],
+    parameters: Parameters,
+    places: NDArray[np.int64],
+    scatter: Scatter,
+) -> Problem:
+    """Residuals of x1 by the means and the deviations, which have priors by the scatter."""
+
+    def residuals(run: int, values: Array, own: Array) -> Array:
+        tried = parameters.replace(
+            viscous_friction=values[0], switching_threshold=values[1], initial_length=own[0]
+        )
+        grooves = tables_of(values[MEANS:], places)
+        samples = slide(traverses[run], tried, (values[2], values[3]), *grooves)
+        return x1_residuals(traverses[run], samples)
+
+    half = 0.5 * parameters.pitch
+    deviations = [
+        Quantity(STEPS[0], -half, half, 0.0, scatter.threshold)
+        if column == THRESHOLD
+        else Quantity(STEPS[1], -0.9, 9.0, 0.0, scatter.stiffness)
+        for _, _, column in places
+    ]
+    shared = [*shared_quantities(parameters), *deviations]
+    return Problem(residuals, shared, [own_quantities(t) for t in traverses])
+
+
+def fit_grooves(
+    traverses: Sequence[Traverse], parameters: Parameters, start: Solution
+) -> GrooveFit:
+    """Scatter, deviations and means, from a solution in which all grooves are alike."""
+    scatter = Scatter(*FIRST_SCATTER)
+    places = _passed(traverses, parameters, start)
+    shared = np.concatenate([start.shared, np.zeros(len(places))])
+    own = start.own
+    for _ in range(ROUNDS):
+        problem = groove_problem(traverses, parameters, places, scatter)
+        solution = _scanned(problem, solve(problem, shared, own, iterations=4), places)
+        shared, own = solution.shared, solution.own
+        scatter = _learned_scatter(problem, solution, places, scatter)
+    problem = groove_problem(traverses, parameters, places, scatter)
+    return GrooveFit(solve(problem, shared, own, iterations=6), places, scatter)
+
+
+def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) -> Solution:
+    """Tries other thresholds, groove by groove: a switch that just fails or just happens is a jump of the cost."""
+    for entry in MEANS + np.flatnonzero(places[:, 2] == THRESHOLD):
+        for value in SCANNED:
+            moved = solution.shared.copy()
+            moved[entry] = value
+            trial = evaluate(problem, moved, solution.own)
+            if trial.cost < solution.cost:
+                solution = trial
+    return solution
+
+
+def _passed(
+    traverses: Sequence[Traverse], parameters: Parameters, start: Solution
+) -> NDArray[np.int64]:
+    """The deviations that change anything: of the grooves that are passed."""
+    places = all_places()
+    problem = groove_problem(traverses, parameters, places, Scatter(*FIRST_SCATTER))
+    shared = np.concatenate([start.shared, np.zeros(len(places))])
+    matters = []
+    for entry in range(len(places)):
+        moved = shared.copy()
+        moved[MEANS + entry] += problem.shared[MEANS + entry].step
+        matters.append(
+            any(
+                not np.array_equal(problem.residuals(run, moved, start.own[run]), residuals)
+                for run, residuals in enumerate(start.residuals)
+            )
+        )
+    return places[matters]
+
+
+def _learned_scatter(
+    problem: Problem, solution: Solution, places: NDArray[np.int64], scatter: Scatter
+) -> Scatter:
+    """Expectation maximisation on the problem as it is linear around the solution."""
+    matrix, gradient = normal_equations(problem, solution)
+    values = np.concatenate([solution.shared, solution.own.ravel()])
+    entries = [MEANS + np.flatnonzero(places[:, 2] == k) for k in (THRESHOLD, STIFFNESS)]
+    spreads = [scatter.of(THRESHOLD), scatter.of(STIFFNESS)]
+    pull = matrix @ values - gradient
+    for index, spread in zip(entries, spreads, strict=True):
+        matrix[index, index] -= spread**-2
+    for _ in range(INNER_ROUNDS):
+        posterior = matrix.copy()
+        for index, spread in zip(entries, spreads, strict=True):
+            posterior[index, index] += spread**-2
+        scale = 1.0 / np.sqrt(np.diag(posterior))
+        covariance = np.linalg.inv(posterior * np.outer(scale, scale)) * np.outer(scale, scale)
+        mean, variance = covariance @ pull, np.diag(covariance)
+        spreads = [
+            max(float(np.sqrt(np.mean(mean[index] ** 2 + variance[index]))), least)
+            if index.size
+            else least
+            for index, least in zip(entries, LEAST_SCATTER, strict=True)
+        ]
+    return Scatter(*spreads)
+
+
+def held(
+    traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit, entry: int, value: float
+) -> Solution:
+    """The solution when one of the means is held at a value and all else is refitted."""
+    problem = groove_problem(traverses, parameters, fit.places, fit.scatter)
+    shared = np.delete(fit.solution.shared, entry)
+    solution = solve(with_fixed(problem, entry, value), shared, fit.solution.own, iterations=8)
+    return replace(solution, shared=np.insert(solution.shared, entry, value))

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stage 6: idle power P_idle of each run from its first ten samples (eq:Pidle_est).
+
+The rule means something only if the robot rests through them. A slow sensor, or one that starts with the gait, bills
+motion as idle power: then the samples before the onset alone are used, and a run without any says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_model.identification.errors import IdentificationError
+from worm_model.identification.estimate import Estimate, quantile
+from worm_model.identification.recording import Recording
+
+SAMPLES = 10
+FEWEST_SAMPLES = 3
+SETTLED = 5.0  # standard errors by which the ten may differ from all samples at rest
+LEAST_DIFFERENCE = 0.02  # relative, that is worth a warning
+
+
+@dataclass(frozen=True)
+class IdlePower:
+    """``value`` W of a run, NaN if it never rested in sight of the sensor; ``deviation`` W of that mean."""
+
+    value: float
+    deviation: float
+    warning: str = ""
+
+
+def idle_power_of(recording: Recording) -> IdlePower:
+    """Mean of the run's first ten samples, as far as they were taken at rest."""
+    first = recording.power[:SAMPLES]
+    resting = recording.power_time[:SAMPLES] < 0.0
+    count = int(resting.sum())
+    if count < FEWEST_SAMPLES:
+        return IdlePower(
+            np.nan,
+            np.nan,
+            f"{recording.name}: {count} of the first ten power samples were taken at rest: no idle power from "
+            "this run; start the sensor before the gait",
+        )
+    value = float(first[resting].mean())
+    deviation = float(first[resting].std(ddof=1) / np.sqrt(count))
+    if count < SAMPLES:
+        warning = (
+            f"{recording.name}: the robot was not at rest in {SAMPLES - count} of the first ten power samples: "
+            f"only the other {count} are used"
+        )
+        return IdlePower(value, deviation, warning)
+    rest = recording.power[recording.power_time < 0.0]
+    later = float(np.median(rest))
+    off = abs(value - later)
+    if off > SETTLED * max(deviation, 1e-6) and off > LEAST_DIFFERENCE * later:
+        return IdlePower(
+            value,
+            deviation,
+            f"{recording.name}: the first ten power samples ({value:.3f} W) differ from the rest at rest "
+            f"({later:.3f} W): the power was still settling",
+        )
+    return IdlePower(value, deviation)
+
+
+def idle_power(runs: Sequence[IdlePower]) -> Estimate:
+    """The mean over runs; with one run the interval is that of its samples.
+
+    Raises `IdentificationError` if no run rested.
+    """
+    known = [run for run in runs if np.isfinite(run.value)]
+    if not known:
+        raise IdentificationError(
+            "no run has power samples at rest: record at least 2 s before the gait starts"
+        )
+    values = np.array([run.value for run in known])
+    mean = float(values.mean())
+    if len(known) > 1:
+        half = quantile(len(known) - 1) * float(values.std(ddof=1)) / np.sqrt(len(known))
+    else:
+        half = quantile(SAMPLES - 1) * known[0].deviation
+    return Estimate(mean, mean - half, mean + half)
