@@ -12,6 +12,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "scan_margin = worm_optimizer.scan_margin:main",
     "request = worm_optimizer.request:main",
     "demo = worm_optimizer.bringup.demo:main",
+    "report = worm_optimizer.report.command:main",
 ]
 
 setup(

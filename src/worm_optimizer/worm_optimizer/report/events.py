@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happened in a run, in words: the driver's states, complaints of the nodes, what the twin noticed, gaps."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_model.bags.bag import Bag
+from worm_model.bags.cdr import Columns
+from worm_model.bags.run_reader import read_columns
+from worm_model.bags.worm_topics import find_topic
+from worm_model.run import POWER_VALID, Run
+from worm_model.twin_replay import Replay
+
+_STATES = ("inactive", "idle", "resting", "running", "stopping", "fault")  # GaitState
+_LEVELS = ("ok", "warning", "error", "stale")  # DiagnosticStatus
+_SEVERITIES = ("note", "warning", "error")  # of the twin's notices
+_POWER_STATUS = ("valid", "overflow", "not ready", "bus error", "sensor reset")  # Power
+_DIAGNOSTICS = "/diagnostics"
+
+
+@dataclass(frozen=True)
+class Event:
+    """``time`` s since the run's first sample, NaN for what concerns all of it; ``level`` note, warning or error."""
+
+    time: float
+    source: str
+    level: str
+    text: str
+
+
+def events_of(bag: Bag, run: Run, replay: Replay) -> tuple[Event, ...]:
+    """All events of a run by rising time, those of the whole run last."""
+    found = [*_driver_events(bag, run), *_complaints(bag, run)]
+    found += [
+        Event((n.stamp_ns - run.origin) * 1e-9, "twin", _SEVERITIES[n.severity], n.text)
+        for n in replay.notices
+    ]
+    found.sort(key=lambda event: event.time)
+    return (*found, *_gaps(run))
+
+
+def _driver_events(bag: Bag, run: Run) -> Iterator[Event]:
+    """Changes of the driver's state, cycles apart."""
+    topic = find_topic(bag.topics.values(), "gait_state")
+    if topic is None:
+        return
+    messages = read_columns(bag, [topic])[topic.name].texts.get("message", [])
+    shown: tuple[int, str | None] | None = None
+    states = run.gait_state
+    for stamp, state, message in zip(
+        states.stamp.tolist(), states.state.tolist(), messages, strict=True
+    ):
+        if (state, message) == shown:
+            continue
+        shown = (state, message)
+        name = _STATES[state] if state < len(_STATES) else f"state {state}"
+        level = "error" if name == "fault" else "note"
+        text = f"{name}: {message}" if message and message != name else name
+        yield Event((stamp - run.origin) * 1e-9, "driver", level, text)
+
+
+def _complaints(bag: Bag, run: Run) -> Iterator[Event]:
+    """Diagnostics that are not ok: the first of each part and level, and how often it came."""
+    topic = bag.topics.get(_DIAGNOSTICS)
+    if topic is None:
+        return
+    columns = read_columns(bag, [topic])[topic.name]
+    if not columns.numbers:
+        return
+    stamp = columns.numbers["header.stamp.sec"].astype(np.int64) * 10**9
+    stamp += columns.numbers["header.stamp.nanosec"].astype(np.int64)
+    first: dict[tuple[str, int], tuple[int, str]] = {}
+    reports: Counter[str] = Counter()
+    complaints: Counter[tuple[str, int]] = Counter()
+    for row, time in enumerate(stamp.tolist()):
+        for name, level, message in _statuses(columns, row):
+            reports[name] += 1
+            if level:
+                first.setdefault((name, level), (time, message))
+                complaints[name, level] += 1
+    for (name, level), (time, message) in first.items():
+        kind = _LEVELS[level] if level < len(_LEVELS) else "error"
+        often = f"{complaints[name, level]} of {reports[name]} reports"
+        yield Event((time - run.origin) * 1e-9, name, kind, f"{message} (the first; {often})")
+
+
+def _statuses(columns: Columns, row: int) -> Iterator[tuple[str, int, str]]:
+    """(name, level, message) of each status in a message; columns are as wide as the longest message."""
+    index = 0
+    while (names := columns.texts.get(f"status[{index}].name")) is not None:
+        name, message = names[row], columns.texts[f"status[{index}].message"][row]
+        if name:
+            yield name, int(columns.numbers[f"status[{index}].level"][row]), message or ""
+        index += 1
+
+
+def _gaps(run: Run) -> Iterator[Event]:
+    """What the instruments did not give."""
+    for code in sorted(set(run.power.status.tolist()) - {POWER_VALID}):
+        count = int(np.count_nonzero(run.power.status == code))
+        name = _POWER_STATUS[code] if code < len(_POWER_STATUS) else f"status {code}"
+        text = f"{count} of {len(run.power.status)} power samples without a value: {name}"
+        yield Event(float("nan"), "power sensor", "note", text)
+    for name in ("rear", "front"):
+        hidden = int(np.count_nonzero(np.isnan(getattr(run.tracker, f"{name}_position"))))
+        if hidden:
+            text = f"{name} marker hidden in {hidden} of {len(run.tracker.stamp)} samples"
+            yield Event(float("nan"), "tracker", "note", text)

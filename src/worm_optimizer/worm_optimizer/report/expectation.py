@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the model expects of a gait, with 95 % intervals from the uncertainty of its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from worm_model.batch import evaluate_gaits
+from worm_model.gait import Gait
+from worm_model.parameters import ParameterFile
+from worm_model.simulator import GaitResult, cost_of_transport, evaluate_gait
+from worm_optimizer.uncertainty import phase_known
+
+# 95 % half-widths relative to the value, of the parameters that touch the power only, for those without an interval
+# in the parameter file. This project's judgement, as those of `worm_optimizer.uncertainty`. Damping and power factor
+# are drawn independently; a fit knows their product better than either, so that the band of power is rather too wide.
+POWER_HALF_WIDTHS: Mapping[str, float] = {
+    "bellows_stiffness": 0.03,
+    "bellows_damping": 0.10,
+    "idle_power": 0.05,
+    "power_factor": 0.05,
+}
+SAMPLES = 500
+SEED = 1
+_STREAM = 1000  # of the random numbers, apart from those of the parameters of motion
+_NORMAL_95 = 1.959963984540054
+_TAIL = 2.5  # percent beyond each end of a 95 % interval
+
+
+@dataclass(frozen=True)
+class Band:
+    """A ``value`` with bounds ``low`` and ``high`` in the same unit; NaN where there is none."""
+
+    value: float
+    low: float
+    high: float
+
+    def holds(self, value: float) -> bool:
+        """Whether a value lies within the bounds."""
+        return self.low <= value <= self.high
+
+
+@dataclass(frozen=True)
+class Bands:
+    """``speed`` m/s along the gait's direction, ``power`` W, ``cost_of_transport`` 1."""
+
+    speed: Band
+    power: Band
+    cost_of_transport: Band
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """Of a gait: ``nominal`` without its margin, ``robust`` with it, ``bands`` of the nominal one (95 %)."""
+
+    nominal: GaitResult
+    robust: GaitResult
+    bands: Bands
+
+
+def expect(gait: Gait, content: ParameterFile) -> Expectation:
+    """Predicts a gait from its command alone, at the groove phase of the parameter file."""
+    unmargined = Gait(gait.stroke, gait.frequency, gait.direction)
+    nominal = evaluate_gait(unmargined, content.parameters)
+    overrides = {**phase_known(content, SAMPLES, SEED).overrides, **_power_draws(content)}
+    table = evaluate_gaits(
+        gait.stroke,
+        gait.frequency,
+        direction=gait.direction,
+        parameters=content.parameters,
+        overrides=overrides,
+    )
+    mass = overrides["rear_mass"] + overrides["front_mass"]
+    cost = cost_of_transport(table.speed, table.power, mass)
+    return Expectation(
+        nominal,
+        evaluate_gait(gait, content.parameters),
+        Bands(
+            _band(nominal.speed, table.speed),
+            _band(nominal.power, table.power),
+            _band(nominal.cost_of_transport, cost),
+        ),
+    )
+
+
+def _power_draws(content: ParameterFile) -> dict[str, np.ndarray]:
+    values = content.parameters.as_dict()
+    draws = {}
+    for stream, (key, width) in enumerate(POWER_HALF_WIDTHS.items(), start=_STREAM):
+        value = values[key]
+        low, high = content.intervals.get(key, (value * (1.0 - width), value * (1.0 + width)))
+        deviate = np.random.default_rng([SEED, stream]).standard_normal(SAMPLES) / _NORMAL_95
+        drawn = value + np.where(deviate > 0.0, deviate * (high - value), deviate * (value - low))
+        draws[key] = np.clip(drawn, 0.1 * value, 10.0 * value)
+    return draws
+
+
+def _band(value: float, drawn: ArrayLike) -> Band:
+    known = np.asarray(drawn, dtype=float)
+    # A gait that stands still in some draws has an infinite cost there: no interpolation between the draws.
+    low, high = np.percentile(known, (_TAIL, 100.0 - _TAIL), method="nearest")
+    return Band(value, float(low), float(high))

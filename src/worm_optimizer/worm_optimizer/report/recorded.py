@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded gait with all that a report tells about it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from worm_model.bags.bag import Bag
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.command_line import InputError
+from worm_model.gait import Gait, GaitError
+from worm_model.parameters import (
+    ParameterError,
+    ParameterFile,
+    load_parameter_file,
+    parse_parameter_file,
+)
+from worm_model.replay_metrics import ReplayReport, report_replay
+from worm_model.run import RUNNING, GaitStates, Run
+from worm_model.simulator import cost_of_transport
+from worm_model.twin_replay import Replay, replay_run
+from worm_optimizer.bringup.figures import (
+    AVERAGED_CYCLES,
+    Array,
+    RecordingError,
+    Stamps,
+    Window,
+    accumulate,
+    averaged_window,
+    mean_rate,
+)
+from worm_optimizer.report.events import Event, events_of
+from worm_optimizer.report.expectation import Band, Bands, Expectation, expect
+
+_ATTACHED = "parameters.yaml"  # the recorder's name for the run's parameter file
+_MANIFEST = "worm_run"
+_PAPER = "the paper's values"
+_CHUNK = 1 << 20
+
+
+@dataclass(frozen=True)
+class RecordedGait:
+    """The last gait of a recording.
+
+    ``measured`` holds the averaged cycles' mean and, as bounds, the lowest and highest of these cycles; ``twin`` the
+    same of the twin that was driven with the recorded lengths; ``expected`` what the model says of the command alone,
+    with ``content``, the parameters of ``parameter_source``. ``missing`` says why a figure is NaN.
+    """
+
+    name: str
+    path: Path
+    run: Run
+    gait: Gait
+    onset: int
+    cycles: int
+    window: Window
+    content: ParameterFile
+    parameter_source: str
+    replay: Replay
+    judged: ReplayReport
+    measured: Bands
+    twin: Bands
+    expected: Expectation
+    events: tuple[Event, ...]
+    missing: tuple[str, ...]
+    provenance: dict[str, str]
+
+
+def read_recorded_gait(path: Path, parameters: str, notify: Callable[[str], None]) -> RecordedGait:
+    """Reads a bag, lets the twin follow it, and predicts its gait.
+
+    ``parameters`` is a parameter file; empty: the one inside the bag, else the paper's. Raises BagError,
+    ParameterError, or InputError if the bag holds no gait.
+    """
+    with open_bag(path, notify) as bag:
+        run = read_run(bag)
+        content, source = _parameters_of(bag, parameters)
+        gait, onset, cycles = _last_gait(run.gait_state, path)
+        replay = replay_run(run, content.parameters)
+        events = events_of(bag, run, replay)
+        provenance = _provenance(bag, path, source)
+    window = averaged_window(run.gait_state)
+    missing: list[str] = []
+    mass = content.parameters.mass
+    energy = accumulate(run.power.stamp, run.power.valid_power)
+    tracked = (run.tracker.stamp, run.tracker.rear_position)
+    states = replay.states
+    followed = (states["stamp_ns"], states["rear_position"])
+    return RecordedGait(
+        name=path.stem if path.is_file() else path.name,
+        path=path,
+        run=run,
+        gait=gait,
+        onset=onset,
+        cycles=cycles,
+        window=window,
+        content=content,
+        parameter_source=source,
+        replay=replay,
+        judged=report_replay(run, replay, content.parameters.pitch),
+        measured=_bands(tracked, energy, gait, window, mass, missing),
+        twin=_bands(followed, (states["stamp_ns"], states["energy"]), gait, window, mass, []),
+        expected=expect(gait, content),
+        events=events,
+        missing=tuple(missing),
+        provenance=provenance,
+    )
+
+
+def _parameters_of(bag: Bag, given: str) -> tuple[ParameterFile, str]:
+    if given:
+        return load_parameter_file(given), given
+    for attached in bag.attachments():
+        if attached.name == _ATTACHED:
+            try:
+                content = parse_parameter_file(yaml.safe_load(attached.data))
+            except (ParameterError, yaml.YAMLError) as error:
+                raise InputError(
+                    f"{bag.path}: its parameter file cannot be used ({error}); give --parameters"
+                ) from None
+            return content, "the parameter file inside the recording"
+    return ParameterFile(), _PAPER
+
+
+def _last_gait(states: GaitStates, path: Path) -> tuple[Gait, int, int]:
+    """The last gait that was played, its onset (ns) and its cycles."""
+    rows = np.flatnonzero((states.state == RUNNING) & (states.onset > 0))
+    if not rows.size:
+        raise InputError(
+            f"{path}: holds no gait that was run; record one with the topic gait_state"
+        )
+    row = int(rows[-1])
+    try:
+        gait = Gait(
+            float(states.stroke[row]),
+            float(states.frequency[row]),
+            int(states.direction[row]),
+            float(states.margin[row]),
+        )
+    except GaitError as error:
+        raise InputError(f"{path}: {error}") from None
+    return gait, int(states.onset[row]), int(states.cycles[row])
+
+
+def _bands(
+    position: tuple[Stamps, Array],
+    energy: tuple[Stamps, Array],
+    gait: Gait,
+    window: Window,
+    mass: float,
+    missing: list[str],
+) -> Bands:
+    """Figures over the averaged cycles, their bounds those of the single cycles."""
+    spans = [window, *_single_cycles(window, gait)]
+    speeds = [gait.direction * rate for rate in _rates(position, spans, "position of x1", missing)]
+    powers = list(_rates(energy, spans, "power", missing))
+    costs = [float(cost_of_transport(v, p, mass)) for v, p in zip(speeds, powers, strict=True)]
+    if math.isnan(speeds[0]) or math.isnan(powers[0]):
+        costs = [math.nan] * len(spans)
+    return Bands(*(_band(values) for values in (speeds, powers, costs)))
+
+
+def _band(values: list[float]) -> Band:
+    mean, *single = values
+    return Band(mean, min(single), max(single))
+
+
+def _single_cycles(window: Window, gait: Gait) -> Iterator[Window]:
+    count = max(1, min(AVERAGED_CYCLES, round(window.duration * gait.frequency)))
+    borders = np.linspace(window.start, window.end, count + 1).round().astype(np.int64).tolist()
+    for start, end in pairwise(borders):
+        yield Window(start, end)
+
+
+def _rates(
+    samples: tuple[Stamps, Array], spans: list[Window], name: str, missing: list[str]
+) -> Iterator[float]:
+    """Mean rate over each span; NaN where the samples do not reach, which ``missing`` then says once."""
+    for span in spans:
+        try:
+            yield mean_rate(samples, span, name)
+        except RecordingError as error:
+            if str(error) not in missing:
+                missing.append(str(error))
+            yield math.nan
+
+
+def _provenance(bag: Bag, path: Path, source: str) -> dict[str, str]:
+    """What the recording says of itself, its files' hashes, and what it was compared with."""
+    files = [path] if path.is_file() else sorted(f for f in path.iterdir() if f.is_file())
+    hashes = {f"sha256 of {file.name}": _sha256(file) for file in files}
+    manifest = {key: value for key, value in bag.metadata.get(_MANIFEST, {}).items() if value}
+    return {"recording": str(path), **hashes, "compared with": source, **manifest}
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while chunk := file.read(_CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest()

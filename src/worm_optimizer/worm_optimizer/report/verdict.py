@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What several measured gaits say about the predictions: within their intervals or not, in the same order or not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from worm_optimizer.report.expectation import Band
+from worm_optimizer.report.recorded import RecordedGait
+
+QUANTITIES = ("speed", "power", "cost_of_transport")
+
+
+@dataclass(frozen=True)
+class Order:
+    """Of one quantity: names of the gaits by rising expected and by rising measured value; None where one is NaN."""
+
+    quantity: str
+    expected: tuple[str, ...]
+    measured: tuple[str, ...] | None
+
+    @property
+    def preserved(self) -> bool | None:
+        """Whether both are the same; None if that cannot be told."""
+        return None if self.measured is None else self.measured == self.expected
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """One figure of one gait; ``inside`` is None where nothing was measured."""
+
+    gait: str
+    quantity: str
+    measured: Band
+    expected: Band
+
+    @property
+    def inside(self) -> bool | None:
+        """Whether the measured mean lies in the expected 95 % interval."""
+        if math.isnan(self.measured.value):
+            return None
+        return self.expected.holds(self.measured.value)
+
+    @property
+    def difference(self) -> float:
+        """Measured over expected, less 1; NaN where there is none."""
+        return self.measured.value / self.expected.value - 1.0 if self.expected.value else math.nan
+
+
+def orders(gaits: Sequence[RecordedGait]) -> tuple[Order, ...]:
+    """The order of at least two gaits in speed, power and cost of transport."""
+    if len(gaits) < 2:
+        return ()
+    return tuple(_order(gaits, quantity) for quantity in QUANTITIES)
+
+
+def agreements(gait: RecordedGait) -> tuple[Agreement, ...]:
+    """Measured against expected, figure by figure."""
+    return tuple(
+        Agreement(gait.name, name, getattr(gait.measured, name), getattr(gait.expected.bands, name))
+        for name in QUANTITIES
+    )
+
+
+def _order(gaits: Sequence[RecordedGait], quantity: str) -> Order:
+    expected = {gait.name: getattr(gait.expected.bands, quantity).value for gait in gaits}
+    measured = {gait.name: getattr(gait.measured, quantity).value for gait in gaits}
+    known = not any(map(math.isnan, measured.values()))
+    return Order(
+        quantity,
+        tuple(sorted(expected, key=expected.__getitem__)),
+        tuple(sorted(measured, key=measured.__getitem__)) if known else None,
+    )
