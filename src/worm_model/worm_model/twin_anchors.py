@@ -31,7 +31,11 @@ class Move:
 
 @dataclass(frozen=True)
 class Anchors:
-    """Moves so far (``base`` grooves of forgotten ones) and the residuals (m) of the running cycle's end."""
+    """Moves so far (``base`` grooves of forgotten ones) and the residuals (m) of the running cycle's end.
+
+    ``gained`` tells of each of the last cycles how many grooves more than predicted it gained along the
+    gait's direction.
+    """
 
     base: int = 0
     moves: tuple[Move, ...] = ()
@@ -39,6 +43,7 @@ class Anchors:
     residuals: tuple[float, ...] = ()
     missed: int = 0
     extra: int = 0
+    gained: tuple[int, ...] = ()
 
     def grooves_at(self, stamp_ns: int) -> int:
         """Grooves by which the anchors have been moved at a stamp."""
@@ -81,7 +86,10 @@ def _close(anchors: Anchors, cycle: Cycle, pitch: float, direction: int) -> tupl
         return ended, ""
     mean = fmean(anchors.residuals)
     grooves = round(mean / pitch)
-    if grooves == 0 or abs(mean - grooves * pitch) > TOLERANCE * pitch:
+    if abs(mean - grooves * pitch) > TOLERANCE * pitch:
+        return ended, ""
+    ended = replace(ended, gained=(*anchors.gained, grooves * direction)[-REMEMBERED:])
+    if grooves == 0:
         return ended, ""
     moves = (*anchors.moves, Move(cycle.start_ns + round(DELAY_S * NANOSECONDS), grooves))
     base = anchors.base + sum(move.grooves for move in moves[:-REMEMBERED])

@@ -10,7 +10,8 @@ from dataclasses import replace
 
 from worm_model.parameters import Parameters
 from worm_model.twin_anchors import Cycle, cycle_at, observe_anchors
-from worm_model.twin_hypotheses import hypotheses, observe_power
+from worm_model.twin_hypotheses import PowerWatch, hypotheses, observe_power
+from worm_model.twin_phase import CYCLES, length_for
 from worm_model.twin_records import (
     NANOSECONDS,
     MeasuredLength,
@@ -212,4 +213,27 @@ def _watch_anchors(
     anchors, text = observe_anchors(
         state.anchors, cycle, residual, parameters.pitch, state.run.direction
     )
-    return _warn(state.but(anchors=anchors), sample.stamp_ns, cycle, text)
+    state, notices = _warn(state.but(anchors=anchors), sample.stamp_ns, cycle, text)
+    state, more = _fit_phase(state, sample.stamp_ns, parameters, happened=bool(text))
+    return state, notices + more
+
+
+def _fit_phase(
+    state: TwinState, stamp_ns: int, parameters: Parameters, *, happened: bool
+) -> tuple[TwinState, list[Notice]]:
+    """Moves L0 when cycle after cycle gains another number of grooves than it should; see `worm_model.twin_phase`."""
+    run, last = state.run, state.anchors.gained[-CYCLES:]
+    settled = len(last) == CYCLES and last[0] != 0 and len(set(last)) == 1
+    if not happened or not settled or run.length_seen or run.gait is None:
+        return state, []
+    length = length_for(run.gait, parameters, last[0])
+    if length is None:
+        return state, []
+    text = (
+        f"{CYCLES} cycles running gained {last[0]:+d} grooves more than predicted: L0 is taken as "
+        f"{1e3 * length:.1f} mm instead of {1e3 * run.initial_length:.1f} mm"
+    )
+    run = replace(run, initial_length=length)
+    anchors = replace(state.anchors, gained=())
+    notice = Notice(stamp_ns, Severity.WARNING, text)
+    return state.but(run=run, anchors=anchors, watch=PowerWatch(state.watch.cycle)), [notice]

@@ -82,7 +82,7 @@ def begin_run(
         actuation = join(gait, onset_ns, start, effective)
     else:
         actuation = engage(start, effective)
-    run = Run(onset_ns, gait, active=True, origin=origin, initial_length=length)
+    run = Run(onset_ns, gait, True, origin, length, seen)
     begun = state.but(
         run=run,
         actuation=actuation,

@@ -31,7 +31,8 @@ class Run:
     """One run, or the time before the first.
 
     ``start_ns`` its start, 0 before the first; ``gait`` None where no gait state told; ``origin`` the
-    tracker's position of the twin's zero, m; ``initial_length`` L0 in m.
+    tracker's position of the twin's zero, m; ``initial_length`` L0 in m; ``length_seen`` whether an
+    instrument gave it.
     """
 
     start_ns: int = 0
@@ -39,6 +40,7 @@ class Run:
     active: bool = False
     origin: float = 0.0
     initial_length: float = math.nan
+    length_seen: bool = False
 
     @property
     def direction(self) -> int:

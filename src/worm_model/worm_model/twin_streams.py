@@ -4,7 +4,7 @@
 Within a stream stamps ascend. A sample whose stamp is not after its stream's newest is a duplicate (equal)
 or late (older): it is counted and left. Samples that are all older than the newest of any stream by more than
 ``jump_back_s``, three in a row, mean that the clock jumped (a bag that starts anew, a new time source): the
-twin restarts. Whatever is not a number is counted and left.
+twin restarts. Whatever is not a number, or no length of a worm, is counted and left.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from worm_model.twin_records import (
     TrackerSample,
 )
 
+LONGEST_M = 1.0  # no worm is longer; a wrong unit would have the twin count millions of grooves
 JUMP_CONFIRMATIONS = 3  # in a row: one wild stamp restarts nothing
 
 
@@ -79,9 +80,9 @@ def _judge(streams: Streams, sample: Sample, jump_back_s: float) -> tuple[Verdic
 
 def _is_number(sample: Sample) -> bool:
     if isinstance(sample, CommandedLength):
-        return math.isfinite(sample.length_change)
+        return abs(sample.length_change) <= LONGEST_M
     if isinstance(sample, MeasuredLength):
-        return math.isfinite(sample.length)
+        return 0.0 < sample.length <= LONGEST_M
     if isinstance(sample, PowerSample):
         return math.isfinite(sample.power)
     if isinstance(sample, TrackerSample):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
-from worm_model.simulator import simulate
+from worm_model.simulator import evaluate_gait, simulate
 from worm_model.twin import Twin, TwinSettings
 from worm_model.twin_records import (
     Activity,
@@ -157,7 +157,7 @@ def test_delays_between_topics_do_not_change_the_outcome():
 @settings(max_examples=20, deadline=None)
 @given(
     places=st.lists(st.integers(0, 600), min_size=1, max_size=10),
-    kind=st.sampled_from(["duplicate", "late", "nan", "zero stamp"]),
+    kind=st.sampled_from(["duplicate", "late", "nan", "infinite", "millimetres", "zero stamp"]),
 )
 def test_bad_samples_leave_no_trace(places, kind):
     clean = in_order(announcements(GAIT), commands(GAIT, 4.0))
@@ -169,6 +169,12 @@ def test_bad_samples_leave_no_trace(places, kind):
             "duplicate": replace(sample, length_change=-0.5),
             "late": replace(sample, stamp_ns=sample.stamp_ns - 5_000_000, length_change=-0.5),
             "nan": replace(sample, stamp_ns=sample.stamp_ns + 1_000_000, length_change=math.nan),
+            "infinite": replace(
+                sample, stamp_ns=sample.stamp_ns + 1_000_000, length_change=-math.inf
+            ),
+            "millimetres": replace(
+                sample, stamp_ns=sample.stamp_ns + 1_000_000, length_change=-70.0
+            ),
             "zero stamp": replace(sample, stamp_ns=0),
         }[kind]
         spoilt.insert(index, bad)
@@ -352,3 +358,23 @@ def test_ten_hours_need_no_more_memory_and_lose_no_accuracy():
     )
     cycles = hours * 3600 * gait.frequency
     assert last.rear_position == pytest.approx(cycles * per_cycle, rel=5e-3)
+
+
+@pytest.mark.parametrize(("stroke", "true_length"), [(0.0725, 0.2985), (0.07, 0.293)])
+def test_the_groove_phase_is_found_from_the_first_cycles(stroke, true_length):
+    """A tracker of the rear module alone; the twin believes another L0, with another number of grooves."""
+    truth = PAPER.replace(initial_length=true_length)
+    gait = Gait(stroke, 0.2)
+    wanted = evaluate_gait(gait, truth).grooves_per_cycle
+    assert round(wanted) != round(evaluate_gait(gait, PAPER).grooves_per_cycle)
+    times = np.arange(-60, 900) / 30
+    x1 = simulate(gait, truth, cycles=7).at(np.maximum(times, 0.0)).x1
+    seen = [TrackerSample(at(t), ORIGIN + x, math.nan) for t, x in zip(times, x1, strict=True)]
+    output = run(in_order(announcements(gait), commands(gait, 30.0), seen))
+    fits = [n.text for n in output.notices if "L0 is taken as" in n.text]
+    assert len(fits) == 1
+    last = output.states[-1]
+    found = PAPER.replace(initial_length=last.initial_length)
+    assert round(evaluate_gait(gait, found).grooves_per_cycle) == round(wanted)
+    late = [n.text for n in output.notices if n.stamp_ns > at(21.0)]
+    assert late == []
