@@ -49,7 +49,7 @@ def _start_in_order(
         node = _node(description, namespace)
         actions.append(node)
         if description.lifecycle:
-            actions.append(_activation(description.name))
+            actions.append(_activation(f"/{namespace}/{description.name}"))
         if description.ready:
             rest = _start_in_order(nodes[index + 1 :], namespace)
             return [_when_ready(node, description.ready, rest), *actions]
@@ -72,13 +72,18 @@ def _node(description: NodeDescription, namespace: str) -> Node:
         parameters=[parameters],
         remappings=list(description.remappings.items()),
         output="screen",
-        on_exit=Shutdown(reason=f"{description.name} has ended"),
+        on_exit=OpaqueFunction(function=_end_all, args=[description.name]),
     )
 
 
-def _activation(name: str) -> LifecycleTransition:
+def _end_all(context: LaunchContext, name: str) -> list[LaunchDescriptionEntity]:
+    """End the others when one ends; but not once more while all end already."""
+    return [] if context.is_shutdown else [Shutdown(reason=f"{name} has ended")]
+
+
+def _activation(full_name: str) -> LifecycleTransition:
     return LifecycleTransition(
-        lifecycle_node_names=[name],
+        lifecycle_node_names=[full_name],
         transition_ids=[Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE],
     )
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from worm_model.parameters import Parameters
 from worm_model.run import Run
-from worm_model.twin_replay import Replay, valid_power
+from worm_model.twin_replay import Replay
 from worm_optimizer.bringup.figures import (
     Figures,
     Window,
@@ -43,7 +43,7 @@ def compare(run: Run, replay: Replay, prediction: Prediction, parameters: Parame
         window=window,
         measured=figures(
             (tracker.stamp, tracker.rear_position),
-            accumulate(run.power.stamp, valid_power(run.power)),
+            accumulate(run.power.stamp, run.power.valid_power),
             mass,
             window,
         ),

@@ -9,12 +9,8 @@ measured with what was predicted.
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
-import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -35,14 +31,11 @@ from worm_model.twin_replay import replay_run
 from worm_optimizer.bringup.comparison import Comparison, compare
 from worm_optimizer.bringup.drive import Say, drive
 from worm_optimizer.bringup.figure import draw_run
-from worm_optimizer.bringup.figures import RecordingError
-from worm_optimizer.bringup.operator_node import OperatorError
-from worm_optimizer.bringup.processes import ProcessError, termination_as_interrupt
+from worm_optimizer.bringup.processes import termination_as_interrupt
 from worm_optimizer.bringup.report import comparison_table
+from worm_optimizer.bringup.session import FAILURES, Narrator, work_folder
 from worm_optimizer.bringup.system import load_system_file
 from worm_optimizer.prediction import Prediction
-
-_FAILURES = (ProcessError, OperatorError, RecordingError)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -74,28 +67,17 @@ def _parser() -> argparse.ArgumentParser:
 def _demo(options: argparse.Namespace) -> int:
     parameters = load_parameters(options.parameters)
     bag = _new_bag(options.bags)
-    say = _Narrator()
+    say = Narrator("demo")
     try:
         with termination_as_interrupt():
             prediction = _drive(options, bag, say)
             say("replaying the recording into the twin")
             comparison, figure = _look_back(bag, prediction, parameters)
-    except _FAILURES as error:
+    except FAILURES as error:
         print(f"demo: {error}", file=sys.stderr)  # noqa: T201
         return FAILED
     _print(options, prediction, comparison, bag, figure)
     return 0
-
-
-class _Narrator:
-    """Tells on standard error what goes on, and since when."""
-
-    def __init__(self) -> None:
-        self._start = time.monotonic()
-
-    def __call__(self, text: str) -> None:
-        elapsed = time.monotonic() - self._start
-        print(f"demo: {elapsed:5.1f} s  {text}", file=sys.stderr, flush=True)  # noqa: T201
 
 
 def _new_bag(folder: Path) -> Path:
@@ -109,9 +91,7 @@ def _new_bag(folder: Path) -> Path:
 
 def _drive(options: argparse.Namespace, bag: Path, say: Say) -> Prediction:
     share = Path(get_package_share_directory("worm_optimizer"))
-    with _work_folder() as folder:
-        logs = folder / "logs"
-        logs.mkdir()
+    with work_folder("demo") as folder:
         system = load_system_file(share / "config" / "system.yaml").system(
             "virtual",
             directory=str(folder),
@@ -120,22 +100,7 @@ def _drive(options: argparse.Namespace, bag: Path, say: Say) -> Prediction:
             plant=_absolute(options.plant),
             seed=str(options.seed),
         )
-        return drive(system, logs, say)
-
-
-@contextmanager
-def _work_folder() -> Iterator[Path]:
-    """A folder for sockets and logs, which stays only after a failure."""
-    folder = Path(tempfile.mkdtemp(prefix="worm_demo_"))
-    try:
-        yield folder
-    except _FAILURES:
-        print(f"demo: the logs of all nodes are in {folder / 'logs'}", file=sys.stderr)  # noqa: T201
-        raise
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    shutil.rmtree(folder, ignore_errors=True)
+        return drive(system, folder / "logs", say)
 
 
 def _absolute(path: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from worm_optimizer.bringup.operator_node import OperatorNode, operator
 from worm_optimizer.bringup.processes import ProcessError, ProcessGroup, executable_command
-from worm_optimizer.bringup.system import System
+from worm_optimizer.bringup.system import NodeDescription, System
 from worm_optimizer.prediction import Prediction
 
 READY_TIMEOUT_S = 30.0
@@ -31,7 +31,7 @@ def drive(system: System, logs: Path, say: Say) -> Prediction:
         with operator(system.namespace, group.check) as node:
             prediction = _run_gait(node, system, say)
         say("stopping the nodes")
-    _check_ends(group)
+    check_ends(group)
     return prediction
 
 
@@ -39,14 +39,23 @@ def start_nodes(group: ProcessGroup, system: System, say: Say) -> None:
     """Start the nodes in their order, waiting for those that say when they are ready."""
     for node in system.nodes:
         say(f"starting {node.name}: {node.package} {node.executable}")
-        command = executable_command(node.package, node.executable)
-        process = group.start(node.name, [*command, *node.command_arguments(system.namespace)])
-        if node.ready:
-            process.wait_for_line(node.ready, READY_TIMEOUT_S)
+        start_node(group, node, system.namespace, node.name)
+
+
+def start_node(
+    group: ProcessGroup, node: NodeDescription, namespace: str, process_name: str
+) -> None:
+    """Start one node and wait until it says that it is ready, if it does."""
+    command = executable_command(node.package, node.executable)
+    process = group.start(process_name, [*command, *node.command_arguments(namespace)])
+    if node.ready:
+        process.wait_for_line(node.ready, READY_TIMEOUT_S)
 
 
 def _run_gait(node: OperatorNode, system: System, say: Say) -> Prediction:
-    node.wait_for_nodes(description.name for description in system.nodes)
+    names = [description.name for description in system.nodes]
+    node.wait_for_nodes(names)
+    node.refuse_strangers(names)
     prediction = node.request_cruise(_now_and_then(say))
     gait = prediction.gait
     say(
@@ -57,7 +66,7 @@ def _run_gait(node: OperatorNode, system: System, say: Say) -> Prediction:
     node.activate(DRIVER)
     node.wait_for_recorder(RECORDER)
     say(f"running {CYCLES} cycles, {CYCLES / gait.frequency:.0f} s")
-    node.run_gait(gait, CYCLES, _once_per_cycle(say))
+    node.run_gait(gait, CYCLES, once_per_cycle(say))
     node.stop()
     node.deactivate(DRIVER)
     say("the robot has stopped, its torque is off")
@@ -75,7 +84,8 @@ def _now_and_then(say: Say) -> Callable[[str], None]:
     return progress
 
 
-def _once_per_cycle(say: Say) -> Callable[[int], None]:
+def once_per_cycle(say: Say) -> Callable[[int], None]:
+    """A progress of `OperatorNode.run_gait` that tells each cycle once."""
     told = {0}
 
     def progress(cycle: int) -> None:
@@ -86,7 +96,8 @@ def _once_per_cycle(say: Say) -> Callable[[int], None]:
     return progress
 
 
-def _check_ends(group: ProcessGroup) -> None:
+def check_ends(group: ProcessGroup) -> None:
+    """Raise `ProcessError` if a process that has ended did not do so in order."""
     for process in group.processes.values():
         if process.exit_code != 0:
             raise ProcessError(

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from worm_model.run import Run, seconds
-from worm_model.twin_replay import Replay, valid_power
+from worm_model.twin_replay import Replay
 from worm_optimizer.bringup.figures import Window
 
 _ROBOT = {"color": "#1b6ca8", "linewidth": 1.4}
@@ -42,7 +42,7 @@ def draw_run(path: Path, title: str, run: Run, replay: Replay, window: Window) -
     length.set_ylabel("length in mm")
 
     electric = seconds(run.power.stamp, run.origin)
-    power.plot(electric, valid_power(run.power), label="robot (INA219)", **_ROBOT)
+    power.plot(electric, run.power.valid_power, label="robot (INA219)", **_ROBOT)
     power.plot(twin_time, twin["power"], label="twin (replayed)", **_TWIN)
     power.set_ylabel("source power in W")
     power.set_xlabel("time since the first sample in s")

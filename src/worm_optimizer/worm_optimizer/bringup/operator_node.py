@@ -30,6 +30,7 @@ DISCOVERY_TIMEOUT_S = 30.0
 CALL_TIMEOUT_S = 10.0
 OPTIMIZER_TIMEOUT_S = 120.0  # it may still be searching its front
 REQUEST_PERIOD_S = 1.0
+ATTEMPTS = 6  # at transitions of a lifecycle node; two are enough when all goes well
 SPIN_S = 0.05
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
@@ -64,10 +65,10 @@ class OperatorNode(Node):
         self._check = check
 
     def wait_for_nodes(self, names: Iterable[str]) -> None:
-        """Wait until these nodes are there; raises `OperatorError` if they are not, or if there are others.
+        """Wait until these nodes are there; raises `OperatorError` if one is not, or is there twice.
 
-        A node of the same name or namespace in this ROS domain means that another worm runs, and
-        commands would reach both.
+        Two nodes of one name in this ROS domain mean that another worm runs, and commands would reach
+        both.
         """
         expected = sorted({*names, self.get_name()})
         self._wait(lambda: set(expected) <= set(self._names()), NODES_TIMEOUT_S)
@@ -75,11 +76,30 @@ class OperatorNode(Node):
         missing = [name for name in expected if name not in found]
         if missing:
             raise OperatorError(f"no node {missing[0]} within {NODES_TIMEOUT_S:g} s")
-        if found != expected:
-            raise OperatorError(
-                f"another worm runs in this ROS domain: the nodes of {self.get_namespace()} are "
-                f"{', '.join(found)}; end it, or set ROS_DOMAIN_ID to another number for one of them"
-            )
+        if any(found.count(name) > 1 for name in expected):
+            raise self._another_worm(found)
+
+    def refuse_strangers(self, names: Iterable[str]) -> None:
+        """Raise `OperatorError` if the namespace has other nodes than these: another worm runs."""
+        found = sorted(self._names())
+        if found != sorted({*names, self.get_name()}):
+            raise self._another_worm(found)
+
+    def _another_worm(self, found: list[str]) -> OperatorError:
+        return OperatorError(
+            f"another worm runs in this ROS domain: the nodes of {self.get_namespace()} are "
+            f"{', '.join(found)}; end it, or set ROS_DOMAIN_ID to another number for one of them"
+        )
+
+    def wait_for_publisher(self, topic: str, remedy: str) -> None:
+        """Wait until somebody publishes a topic; raises `OperatorError`, which tells the remedy."""
+        name = self.resolve_topic_name(topic)
+        if not self._wait(lambda: self.count_publishers(name) > 0, DISCOVERY_TIMEOUT_S):
+            raise OperatorError(f"nobody publishes {name}: {remedy}")
+
+    def rest(self, duration_s: float) -> None:
+        """Let time pass, while everything is checked to be alive."""
+        self._wait(lambda: False, duration_s)
 
     def wait_for_recorder(self, name: str) -> None:
         """Wait until a node subscribes to all visible topics of this namespace that are published.
@@ -106,15 +126,21 @@ class OperatorNode(Node):
         return [name for name, namespace in nodes if namespace == self.get_namespace()]
 
     def activate(self, node: str) -> None:
-        """Configure and activate a lifecycle node; raises `OperatorError` if it does not get there."""
+        """Configure and activate a lifecycle node; raises `OperatorError` if it does not get there.
+
+        A transition that fails is tried again: on a busy computer, a virtual servo may answer late.
+        """
+        attempts = 0
         while (state := self._state(node)).id != State.PRIMARY_STATE_ACTIVE:
-            if state.id not in _NEXT:
-                raise OperatorError(f"{node} is in state {state.label}, cannot be activated")
+            if state.id not in _NEXT or attempts == ATTEMPTS:
+                raise OperatorError(f"{node} stays {state.label}: its log says why")
+            attempts += 1
             self._change(node, _NEXT[state.id])
 
     def deactivate(self, node: str) -> None:
         """Deactivate a lifecycle node, which turns the torque of a driver off."""
-        self._change(node, Transition.TRANSITION_DEACTIVATE)
+        if not self._change(node, Transition.TRANSITION_DEACTIVATE):
+            raise OperatorError(f"{node} does not deactivate: its log says why")
 
     def request_cruise(self, progress: Callable[[str], None]) -> Prediction:
         """Ask the optimizer for its most economical forward gait, again until it has a front.
@@ -131,7 +157,7 @@ class OperatorNode(Node):
             if time.monotonic() > deadline:
                 raise OperatorError(f"the optimizer has no gait: {response.message}")
             progress(response.message)
-            self._wait(lambda: False, REQUEST_PERIOD_S)
+            self.rest(REQUEST_PERIOD_S)
 
     def run_gait(self, gait: model.Gait, cycles: int, progress: Callable[[int], None]) -> None:
         """Run a gait to its end; raises `OperatorError` if it is refused or fails.
@@ -167,10 +193,10 @@ class OperatorNode(Node):
         request = GetState.Request()
         return self._call(GetState, f"{node}/get_state", request, CALL_TIMEOUT_S).current_state
 
-    def _change(self, node: str, transition: int) -> None:
+    def _change(self, node: str, transition: int) -> bool:
         request = ChangeState.Request(transition=Transition(id=transition))
-        if not self._call(ChangeState, f"{node}/change_state", request, CALL_TIMEOUT_S).success:
-            raise OperatorError(f"{node} failed to change its state: its log says why")
+        response = self._call(ChangeState, f"{node}/change_state", request, CALL_TIMEOUT_S)
+        return bool(response.success)
 
     def _call(self, kind: Any, name: str, request: Any, timeout_s: float) -> Any:
         client: Client = self.create_client(kind, name)
