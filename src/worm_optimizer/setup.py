@@ -13,6 +13,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "request = worm_optimizer.request:main",
     "demo = worm_optimizer.bringup.demo:main",
     "report = worm_optimizer.report.command:main",
+    "campaign = worm_optimizer.campaign.command:main",
 ]
 
 setup(

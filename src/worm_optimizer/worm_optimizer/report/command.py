@@ -18,6 +18,7 @@ from worm_optimizer.cache import Cache, default_directory
 from worm_optimizer.pipeline import load_front, make_front, scanned_price
 from worm_optimizer.report.build import Identification, Optimisation, Report, build_report
 from worm_optimizer.report.recorded import RecordedGait, read_recorded_gait
+from worm_optimizer.report.text import describe
 from worm_optimizer.report.verdict import agreements, orders
 from worm_optimizer.settings import Settings
 
@@ -65,7 +66,7 @@ def _report(options: argparse.Namespace) -> None:
     if options.json:
         print_json({"page": str(page), **report_json(gaits)})
     else:
-        arguments.say(f"report  {page}")
+        arguments.say(f"{describe(gaits)}\n\nreport  {page}")
 
 
 def newest_bag(folder: Path) -> Path:

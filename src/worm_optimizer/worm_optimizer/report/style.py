@@ -10,7 +10,10 @@ from matplotlib.figure import Figure
 
 # Okabe and Ito's palette.
 BLUE, VERMILION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#999999"
-BLACK, PURPLE = "#000000", "#5D3A9B"  # on top of the front, whose branches have the palette's colours
+BLACK, PURPLE = (
+    "#000000",
+    "#5D3A9B",
+)  # on top of the front, whose branches have the palette's colours
 MEASURED: dict[str, Any] = {"color": BLUE, "linewidth": 1.5}
 PREDICTED: dict[str, Any] = {"color": VERMILION, "linewidth": 1.5, "linestyle": "--"}
 COMMANDED: dict[str, Any] = {"color": GREY, "linewidth": 1.5}

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: the validation campaign, on the virtual robot or on a real one."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import get_package_share_directory
+
+from worm_model.command_line import (
+    FAILED,
+    InputError,
+    Parser,
+    add_parameters,
+    number,
+    print_json,
+)
+from worm_model.gait import FORWARD, REVERSE
+from worm_model.parameters import load_parameter_file
+from worm_optimizer import arguments
+from worm_optimizer.bringup.processes import termination_as_interrupt
+from worm_optimizer.bringup.session import FAILURES, Narrator, work_folder
+from worm_optimizer.bringup.system import SystemFileError, load_system_file
+from worm_optimizer.cache import Cache, default_directory
+from worm_optimizer.campaign.plan import Plan, make_plan, write_promises
+from worm_optimizer.campaign.runs import Robot, run_gaits
+from worm_optimizer.report.build import Report, build_report
+from worm_optimizer.report.command import notify, report_json
+from worm_optimizer.report.recorded import RecordedGait, read_recorded_gait
+from worm_optimizer.report.text import describe
+
+_MODES = ("virtual", "robot")
+
+
+def main() -> int:
+    """Entry point of the executable campaign."""
+    return arguments.run(_parser(), _campaign)
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="campaign",
+        description="Runs the minimum-power, cruising and maximum-speed gaits of the robust front, five cycles each, "
+        "on the virtual robot or on a real one, records each, and compares what was measured with what was predicted.",
+    )
+    add = parser.add_argument
+    add("--mode", choices=_MODES, default=_MODES[0], help="which robot (default: virtual)")
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a setting of system.yaml, such as port=/dev/ttyUSB0 or seed=2; may be repeated",
+    )
+    add(
+        "--output",
+        type=Path,
+        metavar="FOLDER",
+        help="a new folder for bags and report (default: bags/campaign_TIME)",
+    )
+    add("--margin", type=number, metavar="M", help="robustness margin in m (default: at the cliff)")
+    add("--direction", type=int, default=FORWARD, choices=(FORWARD, REVERSE), help="default 1")
+    add("--json", action="store_true", help="print one JSON object")
+    add_parameters(parser)
+    return parser
+
+
+def _campaign(options: argparse.Namespace) -> int:
+    content = load_parameter_file(options.parameters)
+    settings = _settings(options)
+    folder = options.output or Path("bags") / time.strftime("campaign_%Y_%m_%d-%H_%M_%S")
+    say = Narrator("campaign")
+    cache = Cache.at(default_directory())
+    shown = arguments.shown_progress("front")
+    plan = make_plan(content, options.margin, options.direction, cache, shown)
+    folder.mkdir(parents=True)  # FileExistsError: nothing is overwritten
+    folder = folder.resolve()
+    write_promises(plan, folder)
+    try:
+        with termination_as_interrupt():
+            _run(options.mode, settings, plan, folder, say)
+    except FAILURES as error:
+        print(f"campaign: {error}", file=sys.stderr)  # noqa: T201
+        return FAILED
+    say("comparing")
+    gaits = [read_recorded_gait(folder / name, options.parameters, notify) for name in plan.gaits]
+    report = Report(f"Validation campaign ({options.mode} robot)", gaits, plan.optimisation)
+    page = build_report(report, folder / "report")
+    _print(options, gaits, folder, page)
+    return 0
+
+
+def _settings(options: argparse.Namespace) -> dict[str, str]:
+    settings = (
+        {"parameter_file": str(Path(options.parameters).resolve())} if options.parameters else {}
+    )
+    for text in options.set:
+        name, separator, value = text.partition("=")
+        if not (name and separator):
+            raise InputError(f"--set {text}: write NAME=VALUE")
+        settings[name] = value
+    return settings
+
+
+def _run(mode: str, settings: dict[str, str], plan: Plan, folder: Path, say: Narrator) -> None:
+    share = Path(get_package_share_directory("worm_optimizer"))
+    gaits = {name: prediction.gait for name, prediction in plan.gaits.items()}
+    with work_folder("campaign") as work:
+        try:
+            file = load_system_file(share / "config" / "system.yaml")
+            robot = Robot(file, mode, {"directory": str(work), **settings})
+            robot.system()
+        except SystemFileError as error:
+            raise InputError(str(error)) from None
+        run_gaits(robot, gaits, folder, work / "logs", say)
+
+
+def _print(
+    options: argparse.Namespace, gaits: Sequence[RecordedGait], folder: Path, page: Path
+) -> None:
+    if options.json:
+        content: dict[str, Any] = {"folder": str(folder), "page": str(page), **report_json(gaits)}
+        print_json(content)
+        return
+    arguments.say(f"{describe(gaits)}\n\nrecordings  {folder}\nreport      {page}")
