@@ -7,12 +7,14 @@ yields to others (its niceness is raised) and ends with the one that started it.
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 
 from worm_optimizer.errors import OptimizerError
@@ -42,8 +44,6 @@ class Ticket:
 
 
 def _work(job: Job, connection: Connection) -> None:
-    # A Ctrl-C in a terminal reaches the whole group; the node decides when the worker ends.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(_NICENESS)
     try:
         connection.send(Outcome(result=job.run(connection.send)))
@@ -51,6 +51,20 @@ def _work(job: Job, connection: Connection) -> None:
         return  # the node is gone, nobody wants the result any more
     except (OptimizerError, OSError) as error:
         connection.send(Outcome(failure=str(error)))
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Holds SIGINT back from what is started within, from its first moment on.
+
+    A Ctrl-C in a terminal reaches the whole group; the node decides when the worker ends.
+    """
+    resource_tracker.ensure_running()  # it would let interrupts through once it is started
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 class WorkQueue:
@@ -116,7 +130,8 @@ class WorkQueue:
         )  # a fork would copy the node's threads' locks
         receiver, sender = context.Pipe(duplex=False)
         process = context.Process(target=_work, args=(ticket.job, sender), daemon=True)
-        process.start()
+        with _interrupts_held():
+            process.start()
         sender.close()
         self._running = (ticket, process, receiver)
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Long work in a process of its own."""
 
+import multiprocessing
 import os
 import signal
 import time
@@ -145,6 +146,17 @@ def test_a_worker_that_dies_is_a_failure_and_the_next_job_runs(queue):
     wait_for(queue, lambda: next_one.ends)
     assert "ended unexpectedly (exit code -9)" in dying.ends[0].failure
     assert next_one.ends[0].result
+
+
+def test_an_interrupt_of_the_whole_group_is_left_to_the_node(queue):
+    listener = Listener(Steps(3))
+    queue.submit(listener.ticket)
+    pid = multiprocessing.active_children()[0].pid
+    for _ in range(20):  # also while it is still starting
+        os.kill(pid, signal.SIGINT)
+        time.sleep(0.005)
+    wait_for(queue, lambda: listener.ends)
+    assert listener.ends[0].result == pid
 
 
 def test_closing_ends_the_worker_and_forgets_what_waits():
