@@ -26,6 +26,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import TypeGuard
 
 from worm_model.closed_form import front_groove, groove_phase
 from worm_model.parameters import PAPER, Parameters
@@ -51,7 +52,7 @@ from worm_model.twin_records import (
 from worm_model.twin_rest import observe_rest
 from worm_model.twin_run import Run, begin_implied_run, begin_run, holding, is_new_run, run_goes_on
 from worm_model.twin_settings import DEFAULTS, TwinSettings
-from worm_model.twin_state import TwinState
+from worm_model.twin_state import Observation, TwinState
 from worm_model.twin_streams import Verdict, admit
 from worm_model.twin_track import HISTORY_S, Knot, Track, follow, force_at_rate, start_track
 
@@ -142,11 +143,18 @@ class Twin:
             return self._take_command(state, sample, sink)
         if not state.run.active and isinstance(sample, MeasuredLength | TrackerSample):
             state = state.but(rest=observe_rest(state.rest, sample, self.settings.rest_s))
-        if isinstance(sample, MeasuredLength | TrackerSample | PowerSample):
+        if self._comparable(sample, state):
             state = state.but(observations=(*state.observations, sample))
         if isinstance(sample, MeasuredLength):
             return self._drive_measured(state, sample, sink)
         return self._compare(state, sink)
+
+    def _comparable(self, sample: Sample, state: TwinState) -> TypeGuard[Observation]:
+        """Whether there is, or will be, something to compare a sample with; a length without commands has nothing."""
+        if not isinstance(sample, MeasuredLength):
+            return isinstance(sample, TrackerSample | PowerSample)
+        stale = round(self.settings.measured_stale_s * NANOSECONDS)
+        return bool(state.estimates) and sample.stamp_ns <= state.estimates[-1].stamp_ns + stale
 
     # --- the driving length ---------------------------------------------------------------------
 

@@ -30,8 +30,9 @@ class TwinSettings:
     start_hold_s: float = _row(
         0.05, 0.0, 1.0, "while the driver rests before a gait, the twin runs this far behind"
     )
+    # Below the driver's 10 ms by more than its jitter, so that each of its lengths yields a state.
     output_period_s: float = _row(
-        0.004, 0.0, 1.0, "least time by stamps between two published states, and estimated lengths"
+        0.008, 0.0, 1.0, "least time by stamps between two published states, and estimated lengths"
     )
     rest_s: float = _row(
         1.0, 0.1, 10.0, "span before the onset over which rest pose and initial length are averaged"
