@@ -16,7 +16,7 @@ class ServedFront:
     """A front with everything that is told about its gaits, by rising speed, and where it comes from.
 
     ``margin`` in m with the ``reason`` for it; ``source``, ``hypervolume_share`` and ``missed_branches``
-    as in `certificate.CertifiedFront`.
+    as in `certificate.CertifiedFront`, for the whole front of which some gaits are kept here.
     """
 
     direction: int
