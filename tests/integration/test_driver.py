@@ -5,6 +5,7 @@ import math
 import signal
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -21,6 +22,7 @@ from worm_msgs.msg import BodyLength, Gait, GaitState, Power, Tracker
 from worm_msgs.srv import InjectFault
 
 SERVOS = (1, 11, 12)
+POLICIES = Path(__file__).parents[2] / "src/worm_driver/security/policies"
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/GoalStatus
 
 
@@ -186,6 +188,50 @@ def test_diagnostics_name_every_part(driver, commander, probe):
         commander.wait_for_report(f"driver: {part}", DiagnosticStatus.OK, "")
     timing = {value.key: value.value for value in latest()["driver: timing"].values}
     assert {"p99_period_error_s", "missed_deadlines", "mean_period_s"} <= set(timing)
+
+
+def names_allowed(policy: Path, kind: str) -> set[str]:
+    """Full names of the topics, services or actions that an enclave's policy allows."""
+    profile = ElementTree.parse(policy).getroot().find(".//profile")
+    assert profile is not None
+    own = f"{profile.get('ns')}/{profile.get('node')}"
+    names = [(element.text or "").strip() for element in profile.iter(kind)]
+    return {
+        name if name.startswith("/") else own + name[1:] if name[0] == "~" else f"/worm/{name}"
+        for name in names
+    }
+
+
+def test_the_policy_of_the_drivers_enclave_allows_what_the_driver_has(driver, commander, probe):
+    commander.activate()
+    policy = POLICIES / "driver.policy.xml"
+    actions = names_allowed(policy, "action")
+    asked = {
+        "topic": (
+            probe.node.get_publisher_names_and_types_by_node,
+            probe.node.get_subscriber_names_and_types_by_node,
+        ),
+        "service": (probe.node.get_service_names_and_types_by_node,),
+    }
+    for kind, queries in asked.items():
+        found = {name for query in queries for name, _ in query("driver", "/worm")}
+        assert len(found) > 3
+        found = {name for name in found if name.split("/_action/")[0] not in actions}
+        assert found - names_allowed(policy, kind) == set()
+
+
+@pytest.mark.parametrize("policy", sorted(POLICIES.glob("*.xml")), ids=lambda path: path.name)
+def test_only_the_operator_may_command(policy):
+    root = ElementTree.parse(policy).getroot()
+    calls = {element.text for part in root.iter("actions") if part.get("call") for element in part}
+    asks = {
+        element.text for part in root.iter("services") if part.get("request") for element in part
+    }
+    if policy.name == "operator.policy.xml":
+        assert "run_gait" in calls
+        assert "stop" in asks
+    else:
+        assert calls == asks == set()
 
 
 # --- what is refused --------------------------------------------------------------------------------

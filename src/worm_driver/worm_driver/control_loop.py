@@ -9,11 +9,11 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, TimeoutError
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from worm_driver.errors import LimitError
+from worm_driver.errors import DriverError, LimitError
 from worm_driver.ina219 import INA219, PowerSample, SampleStatus
 from worm_driver.robot import Robot
 from worm_driver.telemetry import Snapshot
@@ -141,6 +141,15 @@ class ControlLoop:
         command = _Command(action, time.monotonic() + patience, Future())
         self._commands.append(command)
         return command.answer
+
+    def ask(self, action: Callable[[float], T], timeout: float = 2.0) -> T:
+        """As submit, and waits for the result. Raises DriverError, also when none came in time (s)."""
+        try:
+            return self.submit(action).result(timeout)
+        except TimeoutError:
+            raise DriverError(
+                f"the servo bus thread did not respond within {timeout:g} s"
+            ) from None
 
     def leave(self, reason: str) -> None:
         """Has the robot brought to rest and released, and the thread end after it. Safe in a signal handler."""

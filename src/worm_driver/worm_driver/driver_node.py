@@ -5,11 +5,11 @@ configure opens and checks everything, activate enables the torque; deactivate, 
 an escaped exception bring the gait to rest and release the servos.
 """
 
+import os
 import signal
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
 from types import FrameType
 from typing import TypeVar
 
@@ -86,7 +86,7 @@ class DriverNode(LifecycleNode):
         """Enables the torque."""
         try:
             self._do(lambda hardware, now: hardware.robot.activate(now))
-        except (DriverError, TimeoutError) as error:
+        except DriverError as error:
             return self._failed("activate", error)
         return super().on_activate(state)
 
@@ -94,7 +94,7 @@ class DriverNode(LifecycleNode):
         """Brings the gait to rest and releases the servos."""
         try:
             self._release()
-        except (DriverError, TimeoutError) as error:
+        except DriverError as error:
             self._failed("deactivate", error)
         return super().on_deactivate(state)
 
@@ -197,17 +197,16 @@ class DriverNode(LifecycleNode):
         try:
             self._do(action)
             response.success, response.message = True, done
-        except (DriverError, TimeoutError) as error:
+        except DriverError as error:
             response.success, response.message = False, str(error)
         return response
 
     def _do(self, action: Callable[[Hardware, float], T]) -> T:
-        """Has something done between two cycles. Raises DriverError, TimeoutError."""
+        """Has something done between two cycles. Raises DriverError."""
         hardware = self._hardware
         if hardware is None:
             raise DriverError("the driver is not configured")
-        answer: Future[T] = hardware.loop.submit(lambda now: action(hardware, now))
-        return answer.result(timeout=2.0)
+        return hardware.loop.ask(lambda now: action(hardware, now))
 
     # --- telemetry -----------------------------------------------------------------------------
 
@@ -292,8 +291,10 @@ class DriverNode(LifecycleNode):
 def main(args: list[str] | None = None) -> int:
     """Runs the driver until SIGINT, SIGTERM or SIGHUP; the servos are released on every way out.
 
-    A first signal brings the robot to rest, a second one lets go at once.
+    A first signal brings the robot to rest, a second one lets go at once. Discovery stays on this machine
+    unless the environment says otherwise (security/README.md).
     """
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     sys.setswitchinterval(_SWITCH_INTERVAL)
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     node: DriverNode | None = None

@@ -97,7 +97,7 @@ class RunGaitAction:
         gait, cycles = gait_from(goal.request.gait), goal.request.cycles
         try:
             current = self._begin(goal, gait, cycles)
-        except (DriverError, TimeoutError) as error:
+        except DriverError as error:
             self._node.get_logger().warning(f"gait refused: {error}")
             goal.abort()
             return _no_result(str(error))
@@ -109,8 +109,7 @@ class RunGaitAction:
         hardware = self._hardware()
         if hardware is None:
             raise DriverError("the driver is not configured: configure and activate it first")
-        started = hardware.loop.submit(lambda now: hardware.robot.start(now, gait, cycles))
-        number = started.result(timeout=1.0)
+        number = hardware.loop.ask(lambda now: hardware.robot.start(now, gait, cycles))
         self._current = _Current(goal, number, Future(), RunRecord())
         return self._current
 

@@ -4,14 +4,19 @@
 import itertools
 import math
 import re
+from dataclasses import replace
 
 import pytest
 from driver_rig import CABLE, Rig, settings
 
 from worm_driver.errors import BusError, ConfigurationError, HomingError, LimitError
 from worm_driver.gait_player import Ending, Phase
+from worm_driver.supervision import Limits
 from worm_driver.telemetry import SILENT
 from worm_driver.transmission import Fin, Spool
+from worm_driver.virtual_robot.control_table import XL330_M288, XL430_W250, XM430_W350, ServoModel
+from worm_driver.virtual_robot.robot import VirtualRobot
+from worm_driver.virtual_robot.settings import load_settings
 
 #: s, in which motion must have stopped after a fault that endangers the robot
 STOP = 0.100
@@ -415,7 +420,7 @@ def test_an_alert_is_ended_by_a_reboot_on_request_only():
     rig.robot.release()
     rig.run(0.5)
     assert rig.snapshots[-1].alerts == {12}
-    with pytest.raises(ConfigurationError, match="servo 12 reports overload: .* reboot"):
+    with pytest.raises(ConfigurationError, match=r"servo 12 reports overload: .* reboot"):
         rig.robot.activate(rig.clock.now)
     assert rig.robot.reboot() == (12,)
     rig.run(1.0)
@@ -455,3 +460,51 @@ def test_swapped_signs_are_a_matter_of_settings():
     assert min(s.cable for s in rig.snapshots) < -0.015
     assert min(position for _, position in rig.positions) < rig.home_ticks - 100
     assert max(position for _, position in rig.positions) < rig.home_ticks + 10
+
+
+# --- other robots ---------------------------------------------------------------------------------
+
+
+def other_robot(models: dict[int, ServoModel], voltage: float) -> VirtualRobot:
+    """A virtual robot with cable servos of these models by id, in place of its own."""
+    usual = load_settings(None)
+    (cable,) = usual.cable_servos
+    return VirtualRobot(
+        replace(
+            usual,
+            cable_servos=tuple(
+                replace(cable, id=number, model=model, spool_radius=0.01)
+                for number, model in models.items()
+            ),
+            fin_servos=(),
+            supply=replace(usual.supply, voltage=voltage),
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("model", "voltage"), [(XL330_M288, 5.0), (XL430_W250, 12.0), (XM430_W350, 12.0)]
+)
+def test_each_model_of_servo_plays_a_gait(model, voltage):
+    virtual = other_robot({3: model}, voltage)
+    given = settings(spools=(Spool(3, 1, 0.01),), fins=(), limits=Limits(max_current=5.0))
+    rig = Rig(given, virtual)
+    rig.activate()
+    rig.start(0.02, 0.2, cycles=1)
+    rig.run(12.0, until=lambda s: s.player.run.ending is Ending.COMPLETED)
+    assert min(s.cable for s in rig.snapshots) == pytest.approx(-0.02, abs=2e-3)
+    efforts = [s.servos[0].effort for s in rig.snapshots]
+    assert 0.0 < max(efforts) < 3.0
+
+
+def test_two_cable_servos_with_opposite_signs_pull_together():
+    usual = other_robot({1: XM430_W350, 2: XM430_W350}, 12.0).settings
+    first, second = usual.cable_servos
+    virtual = VirtualRobot(replace(usual, cable_servos=(first, replace(second, sign=-1))))
+    rig = Rig(settings(spools=(Spool(1, 1, 0.01), Spool(2, -1, 0.01)), fins=()), virtual)
+    rig.activate()
+    rig.start(0.03, 0.2, cycles=1)
+    rig.run(12.0, until=lambda s: s.player.run.ending is Ending.COMPLETED)
+    furthest = min(rig.snapshots, key=lambda s: s.cable if s.active else 0.0)
+    assert furthest.cable == pytest.approx(-0.03, abs=2e-3)
+    assert furthest.servos[0].ticks == pytest.approx(-furthest.servos[1].ticks, abs=30)

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver's 100 Hz loop against the virtual robot, both as processes, while a gait runs."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import rclpy
+from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from benchmarks.report import Row
+from worm_msgs.action import RunGait
+from worm_msgs.msg import Gait, Power
+from worm_optimizer.bringup.processes import ProcessGroup, executable_command
+
+TITLE = "period of the driver's loop, its load, and the age of a sample on arrival"
+
+DOMAIN = 38
+PERIOD = 0.01
+TIMEOUT = 60.0
+
+
+@contextlib.contextmanager
+def _robot_and_driver(folder: Path) -> Iterator[int]:
+    """Both processes; gives the process id of the driver."""
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)}
+    with ProcessGroup(folder, environment) as group:
+        robot = executable_command("worm_driver", "virtual_robot")
+        doors = folder / "robot"
+        group.start("robot", [*robot, "--directory", str(doors)]).wait_for_line("^ready", TIMEOUT)
+        parameters = {
+            "port": doors / "servo_bus",
+            "i2c_bus": doors / "i2c.sock",
+            "home_at_start": "true",
+            "autostart": "true",
+        }
+        command = [*executable_command("worm_driver", "driver_node"), "--ros-args"]
+        for key, value in parameters.items():
+            command += ["-p", f"{key}:={value}"]
+        yield group.start("driver", command).pid
+
+
+class Watcher:
+    """Runs a gait and listens."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        self.context.init(domain_id=DOMAIN)
+        self.node = Node("watcher", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.stamps: list[float] = []
+        self.ages: list[float] = []
+        self.power = 0
+        self.timing: dict[str, str] = {}
+        self.node.create_subscription(JointState, "joint_states", self._on_joints, 1000)
+        self.node.create_subscription(Power, "power", self._on_power, 1000)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def _on_joints(self, message: JointState) -> None:
+        stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+        self.ages.append(time.time() - stamp)
+        self.stamps.append(stamp)
+
+    def _on_power(self, _: Power) -> None:
+        self.power += 1
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == "driver: timing":
+                self.timing = {value.key: value.value for value in status.values}
+
+    def wait_for(self, condition: object) -> None:
+        """Spins until a future is done or a call gives true."""
+        end = time.monotonic() + TIMEOUT
+        done = condition.done if hasattr(condition, "done") else condition
+        while not done():
+            if time.monotonic() > end:
+                raise TimeoutError("the driver did not do what was asked of it")
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def run_gait(self, gait: Gait, cycles: int) -> None:
+        """From the goal to the result."""
+        client = ActionClient(self.node, RunGait, "run_gait")
+        self.wait_for(client.server_is_ready)
+        while True:
+            sent = client.send_goal_async(RunGait.Goal(gait=gait, cycles=cycles))
+            self.wait_for(sent)
+            result = sent.result().get_result_async()
+            self.wait_for(result)
+            if result.result().status == GoalStatus.STATUS_SUCCEEDED:
+                return
+            if "activate" not in result.result().result.message:
+                raise RuntimeError(result.result().result.message)
+
+    def close(self) -> None:
+        """Ends the node."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+def _processor_time(pid: int) -> float:
+    """Of a process and its threads so far, s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _percentile(values: list[float], fraction: float) -> float:
+    return sorted(values)[min(len(values) - 1, math.ceil(fraction * len(values)) - 1)]
+
+
+def run() -> list[Row]:
+    """Five cycles of 3 s."""
+    with tempfile.TemporaryDirectory() as name, _robot_and_driver(Path(name)) as pid:
+        watcher = Watcher()
+        try:
+            watcher.wait_for(lambda: len(watcher.stamps) > 100)
+            watcher.stamps.clear()
+            watcher.ages.clear()
+            before, start = _processor_time(pid), time.monotonic()
+            watcher.run_gait(Gait(stroke=0.07, frequency=1 / 3, direction=Gait.FORWARD), 5)
+            load = (_processor_time(pid) - before) / (time.monotonic() - start)
+            stamps, ages = list(watcher.stamps), list(watcher.ages)
+            watcher.wait_for(lambda: bool(watcher.timing))
+        finally:
+            watcher.close()
+    errors = [abs(b - a - PERIOD) for a, b in itertools.pairwise(stamps)]
+    own = float(watcher.timing["p99_period_error_s"])
+    lost = round((stamps[-1] - stamps[0]) / PERIOD) + 1 - len(stamps)
+    how = f"{len(stamps)} cycles of a running gait, 3 servos, INA219"
+    return [
+        Row("period error, p99, by the driver", f"{own * 1e3:.2f} ms", "< 2 ms", "diagnostics"),
+        Row(
+            "period error, p99, by the stamps", f"{_percentile(errors, 0.99) * 1e3:.2f} ms", "", how
+        ),
+        Row("period error, median", f"{statistics.median(errors) * 1e3:.3f} ms", "", how),
+        Row("deadlines without a sample", f"{lost}", "0", "gaps of the stamps"),
+        Row(
+            "age on arrival, median", f"{statistics.median(ages) * 1e3:.1f} ms", "", "joint_states"
+        ),
+        Row("age on arrival, p99", f"{_percentile(ages, 0.99) * 1e3:.1f} ms", "", "joint_states"),
+        Row("load of the driver", f"{load * 100:.0f} % of a core", "", "processor time"),
+    ]

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The calibration: its arithmetic, and a whole conversation with the virtual robot's servos."""
+
+import math
+
+import pytest
+import yaml
+from driver_rig import Clock, SimulatedPort, Wire
+from hypothesis import given
+from hypothesis import strategies as st
+
+from worm_driver.calibrate import Calibration, calibrate, main
+from worm_driver.calibration import Reading, parameter_text, spool_from
+from worm_driver.errors import ConfigurationError, DriverError
+from worm_driver.servo_bus import ServoBus
+from worm_driver.transmission import Fin, Spool
+from worm_driver.virtual_robot.faults import make_fault
+from worm_driver.virtual_robot.robot import VirtualRobot
+from worm_driver.virtual_robot.settings import load_settings
+
+
+@given(st.sampled_from([1, -1]), st.floats(0.008, 0.05), st.floats(0.2, 0.4))
+def test_exact_readings_give_the_spool_back(sign, radius, length):
+    ticks = [0, 700, 1400, 2100]
+    readings = [Reading(t, length - sign * radius * t * 2 * math.pi / 4096) for t in ticks]
+    spool, worst = spool_from(7, readings)
+    assert (spool.servo, spool.sign) == (7, sign)
+    assert spool.radius == pytest.approx(radius, abs=1e-5)
+    assert worst == pytest.approx(0.0, abs=1e-9)
+
+
+def test_readings_to_the_millimetre_give_the_radius_to_a_few_percent():
+    radius = 0.025
+    ticks = [0, 700, 1400, 2100]
+    readings = [Reading(t, round(0.3 - radius * t * 2 * math.pi / 4096, 3)) for t in ticks]
+    assert spool_from(1, readings)[0].radius == pytest.approx(radius, rel=0.03)
+
+
+def test_a_misread_ruler_is_noticed():
+    readings = [Reading(0, 0.300), Reading(700, 0.273), Reading(1400, 0.236), Reading(2100, 0.219)]
+    with pytest.raises(ConfigurationError, match="off the straight line"):
+        spool_from(1, readings)
+
+
+def test_a_cable_that_is_not_attached_is_noticed():
+    with pytest.raises(ConfigurationError, match="is the cable attached"):
+        spool_from(1, [Reading(t, 0.3) for t in (0, 700, 1400)])
+
+
+def test_one_position_is_not_enough():
+    with pytest.raises(ConfigurationError, match="two positions"):
+        spool_from(1, [Reading(0, 0.3), Reading(0, 0.2)])
+
+
+def test_the_file_is_one_that_ros_reads():
+    text = parameter_text("/dev/worm_bus", 1_000_000, [Spool(1, -1, 0.012)], [Fin(11, 1.0, 2.0)])
+    parameters = yaml.safe_load(text)["/**/driver"]["ros__parameters"]
+    assert parameters["cable_servos"] == {"ids": [1], "signs": [-1], "spool_radius_m": [0.012]}
+    assert parameters["fin_servos"] == {
+        "ids": [11],
+        "forward_angle_rad": [1.0],
+        "reverse_angle_rad": [2.0],
+    }
+
+
+class Bench:
+    """The virtual robot, and a person with a ruler who answers from its true length."""
+
+    def __init__(self) -> None:
+        self.clock = Clock()
+        self.robot = VirtualRobot(load_settings(None))
+        wire = Wire(
+            self.clock, lambda data, now: [(t.time, t.data) for t in self.robot.receive(data, now)]
+        )
+        self.bus = ServoBus(SimulatedPort(wire, self.clock), retries=0)
+        self.start = self.robot.servos[0].motor.position
+        self.said: list[str] = []
+        self.calibration = Calibration(self.bus, self.answer, self.said.append, self.wait)
+
+    def wait(self, duration: float) -> None:
+        self.clock.now += duration
+
+    def answer(self, question: str) -> str:
+        self.clock.now += 1.0
+        if "LED is lit" in question:
+            return "c" if "servo 1 " in question else "f"
+        if "auter" in question:
+            return "t"
+        if "ruler" in question:
+            self.robot.advance(self.clock.now)
+            turned = (self.robot.servos[0].motor.position - self.start) * 2 * math.pi / 4096
+            return f"{295.3 - turned * 25.0:.1f}".replace(".", ",")
+        return ""
+
+
+def test_a_conversation_finds_the_virtual_robots_parameters():
+    bench = Bench()
+    spools, fins = calibrate(bench.calibration, turns=0.3, points=4)
+    assert spools[0].servo == 1
+    assert spools[0].sign == 1
+    assert spools[0].radius == pytest.approx(0.025, rel=0.02)
+    assert [fin.servo for fin in fins] == [11, 12]
+    assert fins[0].forward_angle == pytest.approx(2.3562, abs=0.01)
+    assert [servo.memory["torque_enable"] for servo in bench.robot.servos] == [0, 0, 0]
+    assert [servo.memory["led"] for servo in bench.robot.servos] == [0, 0, 0]
+
+
+def test_a_blocked_cable_ends_the_conversation():
+    bench = Bench()
+    bench.robot.board.add(make_fault("stalled", target=1, duration=1e3))
+    servo = bench.calibration.find_servos()[0]
+    with pytest.raises(DriverError, match="blocked"):
+        bench.calibration.cable(servo, 0.3, 4)
+
+
+def test_nonsense_is_asked_again():
+    bench = Bench()
+    answers = iter(["x", "", "n"])
+    bench.calibration._ask = lambda _: next(answers)
+    assert bench.calibration.role(bench.calibration.find_servos()[0]) == "n"
+    assert bench.said == ["one of c, f, n, please"] * 2
+
+
+def test_without_servos_it_says_what_to_check():
+    clock = Clock()
+    bus = ServoBus(SimulatedPort(Wire(clock, lambda *_: []), clock), retries=0)
+    silent = Calibration(bus, lambda _: "", lambda _: None, lambda _: None)
+    with pytest.raises(ConfigurationError, match="no servo answers"):
+        calibrate(silent, 0.5, 4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["{}/exists.yaml"], "exists: move it"),
+        (["{}/no/folder.yaml"], "no folder"),
+        (["{}/new.yaml", "--points", "2"], "--points"),
+        (["{}/new.yaml", "--turns", "nan"], "--turns"),
+    ],
+)
+def test_a_bad_command_line_is_refused_before_anything_is_opened(
+    tmp_path, capsys, arguments, words
+):
+    (tmp_path / "exists.yaml").touch()
+    with pytest.raises(SystemExit) as ended:
+        main([argument.format(tmp_path) for argument in arguments])
+    assert ended.value.code == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_missing_port_is_said_in_one_line(tmp_path, capsys):
+    assert main([str(tmp_path / "new.yaml"), "--port", str(tmp_path / "ttyNO")]) == 1
+    assert "does not exist" in capsys.readouterr().err
+    assert not (tmp_path / "new.yaml").exists()

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The threads around the robot, with a robot that only takes notes."""
+
+import threading
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from worm_driver.control_loop import ControlLoop, PeriodicThread, PowerLoop
+from worm_driver.errors import DriverError, LimitError
+from worm_driver.ina219 import PowerSample, SampleStatus
+
+PATIENCE = 10.0  # s, only a failure waits for so long
+
+
+class NotingRobot:
+    """Counts cycles; needs a few of them to come to rest."""
+
+    settings = SimpleNamespace(period=0.002)
+
+    def __init__(self) -> None:
+        self.cycles = 0
+        self.until_rest = 5
+        self.releasing = ""
+        self.releases = 0
+        self.threads: set[str] = set()
+        self.failure: Exception | None = None
+        self.busy = threading.Event()
+
+    def cycle(self, now: float) -> float:
+        self.cycles += 1
+        self.threads.add(threading.current_thread().name)
+        if self.failure is not None:
+            raise self.failure
+        if self.releasing:
+            self.until_rest -= 1
+        return now
+
+    def begin_release(self, now: float, reason: str) -> None:
+        self.releasing = reason
+
+    @property
+    def released(self) -> bool:
+        return bool(self.releasing) and self.until_rest <= 0
+
+    def release(self) -> list[str]:
+        self.releases += 1
+        return ["a servo kept silent"]
+
+
+def wait_for(condition) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.001)
+
+
+@pytest.fixture
+def robot() -> NotingRobot:
+    return NotingRobot()
+
+
+@pytest.fixture
+def loop(robot):
+    loop = ControlLoop(robot, lambda _: None)
+    loop.start()
+    yield loop
+    loop.leave("the test is over")
+    loop.join(PATIENCE)
+
+
+def test_every_cycle_is_handed_over_in_order_and_one_thread_owns_the_robot(robot):
+    seen: list[float] = []
+    loop = ControlLoop(robot, seen.append)
+    loop.start()
+    wait_for(lambda: robot.cycles >= 50)
+    loop.leave("over")
+    assert loop.join(PATIENCE)
+    assert len(seen) == robot.cycles
+    assert seen == sorted(seen)
+    assert robot.threads == {"servo_bus"}
+
+
+def test_a_command_runs_in_the_robots_thread_and_gives_its_result_back(loop):
+    answer = loop.submit(lambda now: (threading.current_thread().name, now))
+    name, now = answer.result(PATIENCE)
+    assert name == "servo_bus"
+    assert now == pytest.approx(time.monotonic(), abs=PATIENCE)
+
+
+def test_a_commands_exception_goes_to_who_asked_and_not_into_the_loop(loop):
+    def refuse(_: float) -> None:
+        raise LimitError("too long")
+
+    with pytest.raises(LimitError, match="too long"):
+        loop.submit(refuse).result(PATIENCE)
+    assert loop.alive
+
+
+def test_a_stale_command_is_refused_and_not_carried_out(loop):
+    done: list[float] = []
+    late = loop.submit(done.append, patience=-1.0)
+    with pytest.raises(LimitError, match="stale"):
+        late.result(PATIENCE)
+    assert done == []
+
+
+def test_a_loop_that_does_not_respond_is_said_so(robot):
+    silent = ControlLoop(robot, lambda _: None)
+    with pytest.raises(DriverError, match=r"did not respond within 0\.01 s"):
+        silent.ask(lambda _: 1, timeout=0.01)
+
+
+def test_leaving_brings_the_robot_to_rest_and_releases_it_once(robot, loop):
+    wait_for(lambda: robot.cycles > 3)
+    loop.leave("over")
+    assert loop.join(PATIENCE)
+    assert robot.releasing == "over"
+    assert robot.until_rest <= 0
+    assert robot.releases == 1
+    assert loop.release_problems == ["a servo kept silent"]
+
+
+def test_a_robot_that_does_not_come_to_rest_is_released_all_the_same(robot):
+    robot.until_rest = 10**9
+    loop = ControlLoop(robot, lambda _: None)
+    loop.start()
+    loop.leave("over")
+    assert loop.join(0.05)
+    assert robot.releases == 1
+
+
+def test_letting_go_does_not_wait_for_rest(robot, loop):
+    robot.until_rest = 10**9
+    loop.leave("over")
+    loop.let_go()
+    assert loop.join(PATIENCE)
+    assert robot.releases == 1
+
+
+def test_an_exception_in_the_cycle_releases_the_robot_and_is_kept(robot, loop):
+    robot.failure = RuntimeError("a bug")
+    wait_for(lambda: not loop.alive)
+    assert robot.releases == 1
+    assert loop.failure is robot.failure
+
+
+def test_an_exception_in_the_hand_over_releases_the_robot(robot):
+    def full(_: object) -> None:
+        raise MemoryError
+
+    loop = ControlLoop(robot, full)
+    loop.start()
+    wait_for(lambda: not loop.alive)
+    assert robot.releases == 1
+
+
+def test_a_command_after_the_end_is_answered(robot, loop):
+    answers = [loop.submit(lambda _: 1) for _ in range(3)]
+    loop.leave("over")
+    loop.join(PATIENCE)
+    for answer in answers:
+        assert answer.result(PATIENCE) == 1 or answer.exception(PATIENCE)
+
+
+def test_waiting_for_the_end_leaves_time_for_something_else(robot, loop):
+    calls: list[int] = []
+    robot.until_rest = 50
+    loop.leave("over")
+    assert loop.join(PATIENCE, lambda: calls.append(1))
+    assert len(calls) > 3
+
+
+def test_a_periodic_thread_reports_its_timing():
+    thread = PeriodicThread("test", 0.001, lambda _: True)
+    thread.start()
+    wait_for(lambda: thread.report().cycles >= 1000)
+    report = thread.report()
+    assert report.mean_period == pytest.approx(0.001, rel=0.5)
+    assert report.missed >= 0
+    assert thread.end(PATIENCE)
+
+
+class Sensor:
+    """Gives samples of all kinds in turn."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.device = SimpleNamespace(close=lambda: setattr(self, "closed", True))
+        self.closed = False
+
+    def sample(self, now: float) -> PowerSample:
+        self.count += 1
+        status = SampleStatus.VALID if self.count % 2 else SampleStatus.NOT_READY
+        return PowerSample(now, status, 12.0, 0.1)
+
+
+def test_the_power_loop_hands_every_sample_over_and_counts_the_valid_ones():
+    sensor, samples = Sensor(), []
+    loop = PowerLoop(sensor, 0.001, samples.append)
+    loop.start()
+    wait_for(lambda: len(samples) >= 20)
+    loop.end()
+    assert len(samples) == sensor.count
+    assert loop.valid_samples == sum(s.status is SampleStatus.VALID for s in samples)
+    assert sensor.closed

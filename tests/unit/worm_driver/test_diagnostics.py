@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+from dataclasses import replace
+
+import pytest
+
+from worm_driver import diagnostics
+from worm_driver.diagnostics import Level
+from worm_driver.errors import PortError
+from worm_driver.gait_player import Phase, PlayerState
+from worm_driver.ina219 import SampleStatus
+from worm_driver.registers import XM430_W350
+from worm_driver.servo_bus import BusCounters
+from worm_driver.servos import Servo
+from worm_driver.telemetry import SILENT, ServoState
+from worm_driver.timing import TimingReport
+
+SERVO = Servo(1, XM430_W350, 48, 4.8, (9.5, 16.0), 80.0)
+STATE = ServoState(0, 0.1, 0.2, 0.3, 12.0, 30.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("state", "alert", "level", "words"),
+    [
+        (STATE, False, Level.OK, "ok"),
+        (SILENT, False, Level.ERROR, "does not answer"),
+        (STATE, True, Level.ERROR, "hardware error"),
+        (replace(STATE, voltage=9.0), False, Level.WARN, "supply 9.0 V is not 9.5 to 16.0 V"),
+        (replace(STATE, temperature=75.0), False, Level.WARN, "75 degC, it shuts down at 80"),
+    ],
+)
+def test_a_servo(state, alert, level, words):
+    report = diagnostics.servo_report(SERVO, state, alert=alert)
+    assert (report.level, report.name) == (level, "driver: servo 1")
+    assert words in report.message
+    assert report.hardware_id == "XM430-W350-T id 1 firmware 48"
+    assert {key for key, _ in report.values} >= {"position_rad", "voltage_V", "temperature_degC"}
+
+
+def test_the_bus_tells_what_went_wrong_since_the_last_report():
+    before = BusCounters(exchanges=100, timeouts=3)
+    after = BusCounters(exchanges=200, timeouts=5, stale=1)
+    report = diagnostics.bus_report("/dev/worm_bus", after, before, None)
+    assert report.level is Level.WARN
+    assert report.message == "2 timeouts, 1 stale in the last second"
+    assert diagnostics.bus_report("", after, after, 1).level is Level.OK
+
+
+def test_a_slow_latency_timer_is_named_with_the_remedy():
+    counters = BusCounters()
+    report = diagnostics.bus_report("/dev/ttyUSB0", counters, counters, 16)
+    assert report.level is Level.WARN
+    assert "latency timer is 16 ms: install the udev rule" in report.message
+
+
+def test_timing_warns_from_two_milliseconds_on():
+    good = TimingReport(0.01, 0.0019, 0.02, 1, 1000)
+    assert diagnostics.timing_report(good, 0.01).level is Level.OK
+    late = diagnostics.timing_report(replace(good, p99_error=0.0021), 0.01)
+    assert late.level is Level.WARN
+    assert "2.10 ms" in late.message
+    starting = TimingReport(math.nan, math.nan, math.nan, 0, 1)
+    assert diagnostics.timing_report(starting, 0.01).level is Level.OK
+
+
+@pytest.mark.parametrize(
+    ("counts", "level", "words"),
+    [
+        ({SampleStatus.VALID: 100}, Level.OK, "ok"),
+        ({SampleStatus.VALID: 90, SampleStatus.NOT_READY: 10}, Level.OK, "ok"),
+        ({SampleStatus.VALID: 90, SampleStatus.OVERFLOW: 10}, Level.WARN, "10 x overflow"),
+        ({SampleStatus.VALID: 99, SampleStatus.SENSOR_RESET: 1}, Level.WARN, "1 x sensor reset"),
+        ({SampleStatus.BUS_ERROR: 100}, Level.ERROR, "100 x bus error"),
+        ({}, Level.ERROR, "no samples"),
+    ],
+)
+def test_the_power_sensor(counts, level, words):
+    report = diagnostics.power_report(counts, "INA219 0x40 on 1")
+    assert report.level is level
+    assert words in report.message
+
+
+def test_the_gait():
+    fault = PlayerState(phase=Phase.FAULT, message="servo 1 is gone")
+    assert diagnostics.gait_report(fault, active=True, homed=True).level is Level.ERROR
+    assert "servo 1" in diagnostics.gait_report(fault, active=True, homed=True).message
+    idle = PlayerState()
+    assert diagnostics.gait_report(idle, active=False, homed=True).message == "torque is off"
+    assert "not homed" in diagnostics.gait_report(idle, active=False, homed=False).message
+
+
+def test_while_nothing_is_open_the_reason_is_given():
+    assert diagnostics.offline_report(None).level is Level.OK
+    failed = diagnostics.offline_report(PortError("servo bus /dev/x does not exist"))
+    assert (failed.level, failed.message) == (Level.ERROR, "servo bus /dev/x does not exist")
