@@ -81,11 +81,14 @@ def predicted_length_change(
     return np.interp(times + clock_offset, grid, length_change, left=0.0)
 
 
+def fitted_samples(recording: Recording) -> NDArray[np.bool_]:
+    """Which camera samples count: both markers seen, while commands are known."""
+    return np.isfinite(recording.length) & (recording.camera_time <= recording.command_time[-1])
+
+
 def actuation_problem(recordings: Sequence[Recording]) -> Problem:
     """Residuals of the measured lengths in units of the camera's noise."""
-    seen = [
-        np.isfinite(r.length) & (r.camera_time <= r.command_time[-1]) for r in recordings
-    ]
+    seen = [fitted_samples(recording) for recording in recordings]
     noise = [max(noise_of(r.length), LEAST_NOISE) for r in recordings]
 
     def residuals(run: int, shared: Array, own: Array) -> Array:
@@ -105,18 +108,19 @@ def actuation_problem(recordings: Sequence[Recording]) -> Problem:
 
 def fit_actuation(
     recordings: Sequence[Recording],
-    start: Array | None = None,
+    start: ActuationFit | None = None,
     weights: Sequence[Array] | None = None,
 ) -> ActuationFit:
-    """Fits the three parameters to all recordings at once, by default from the paper's values."""
-    problem = actuation_problem(recordings)
-    own = np.array([[float(np.median(r.length[r.at_rest])), 0.0, 0.0] for r in recordings])
-    first = np.array(START) if start is None else start
-    return actuation_fit(recordings, solve(problem, first, own, weights))
+    """Fits the three parameters to all recordings at once, by default from the paper's values.
 
-
-def actuation_fit(recordings: Sequence[Recording], solution: Solution) -> ActuationFit:
-    """Names the entries of a solution of `actuation_problem`."""
+    ``weights`` are those of every run's `fitted_samples`.
+    """
+    if start is None:
+        shared = np.array(START)
+        own = np.array([[float(np.median(r.length[r.at_rest])), 0.0, 0.0] for r in recordings])
+    else:
+        shared, own = start.solution.shared, start.solution.own
+    solution = solve(actuation_problem(recordings), shared, own, weights)
     noise = [max(noise_of(r.length), LEAST_NOISE) for r in recordings]
     return ActuationFit(
         *map(float, solution.shared),

@@ -9,7 +9,7 @@ same twenty times slower, and a bootstrap needs hundreds of fits.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +40,15 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Problem:
-    """``residuals(run, shared (s,), own (q,))`` in units of the noise; ``own`` holds a row of q nuisances a run."""
+    """``residuals(run, shared (s,), own (q,))`` in units of the noise; ``own`` holds a row of q nuisances a run.
+
+    ``jumps`` says that the residuals may jump, so that a derivative over a wide step may be worth nothing.
+    """
 
     residuals: Residuals
     shared: Sequence[Quantity]
     own: Sequence[Sequence[Quantity]]
+    jumps: bool = False
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,7 @@ def with_fixed(problem: Problem, entry: int, value: float) -> Problem:
         return problem.residuals(run, np.insert(shared, entry, value), own)
 
     shared = [quantity for k, quantity in enumerate(problem.shared) if k != entry]
-    return Problem(residuals, shared, problem.own)
+    return replace(problem, residuals=residuals, shared=shared)
 
 
 def solve(
@@ -83,7 +87,7 @@ def solve(
         gained = state.cost - trial.cost
         state = trial
         if gained <= TOLERANCE * state.cost:
-            if width < 1.0:
+            if width < 1.0 or not problem.jumps:
                 break
             width = NARROW  # perhaps a jump lies between the points of the differences
     return state

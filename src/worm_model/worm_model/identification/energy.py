@@ -9,12 +9,12 @@ off the camera's: a nuisance of each run.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.blocks import Problem, Quantity, Solution, solve
+from worm_model.identification.blocks import Problem, Quantity, Solution, solve, with_fixed
 from worm_model.identification.recording import Recording
 
 Array = NDArray[np.float64]
@@ -98,8 +98,13 @@ def predicted_energy(run: PowerRun, damping: float, factor: float, offset: float
     return values - values[0]
 
 
+def with_force(run: PowerRun, static_force: Array) -> PowerRun:
+    """The run with another static force, (k,) in N from the run's first time on, k at least as many as its times."""
+    return replace(run, static_force=static_force[: run.time.size])
+
+
 def energy_problem(runs: Sequence[PowerRun]) -> Problem:
-    """Residuals of the accumulated energy; every run counts alike, however long."""
+    """Residuals of the accumulated energy by (c_b, α_P) and each run's clock offset."""
     measured = [run.energy for run in runs]
 
     def residuals(index: int, shared: Array, own: Array) -> Array:
@@ -115,8 +120,12 @@ def fit_energy(
     runs: Sequence[PowerRun],
     weights: Array | None = None,
     start: EnergyFit | None = None,
+    damping: float | None = None,
 ) -> EnergyFit:
-    """Fits c_b and α_P; ``weights`` (runs,), by default 1, are those of the runs."""
+    """Fits c_b and α_P, or α_P alone under a given ``damping``; ``weights`` (runs,), by default 1, are the runs'.
+
+    Every run counts alike, however long.
+    """
     weight = np.ones(len(runs)) if weights is None else weights
     samples = [
         np.full(run.power_time.size, w * INDEPENDENT / run.power_time.size)
@@ -125,7 +134,11 @@ def fit_energy(
     problem = energy_problem(runs)
     shared = np.array(START) if start is None else start.solution.shared
     own = np.zeros((len(runs), 1)) if start is None else start.solution.own
-    solution = solve(problem, shared, own, samples)
+    if damping is None:
+        solution = solve(problem, shared, own, samples)
+    else:
+        held = solve(with_fixed(problem, 0, damping), shared[1:], own, samples)
+        solution = replace(held, shared=np.insert(held.shared, 0, damping))
     return EnergyFit(
         *map(float, solution.shared),
         clock_offset=solution.own[:, 0],

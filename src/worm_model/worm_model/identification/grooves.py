@@ -29,6 +29,8 @@ from worm_model.identification.locomotion import (
     own_quantities,
     shared_quantities,
     slide,
+    with_values,
+    worm_of,
     x1_residuals,
 )
 from worm_model.kernel.dry_friction import FIRST_GROOVE, GROOVE_COLUMNS, STIFFNESS, THRESHOLD
@@ -101,12 +103,11 @@ def groove_problem(
 ) -> Problem:
     """Residuals of x1 by the means and the deviations, which have priors by the scatter."""
 
+    worms = [worm_of(parameters, t.direction) for t in traverses]
+
     def residuals(run: int, values: Array, own: Array) -> Array:
-        tried = parameters.replace(
-            viscous_friction=values[0], switching_threshold=values[1], initial_length=own[0]
-        )
-        grooves = tables_of(values[MEANS:], places)
-        samples = slide(traverses[run], tried, (values[2], values[3]), *grooves)
+        worm = with_values(worms[run], values, own[0])
+        samples = slide(traverses[run], worm, *tables_of(values[MEANS:], places))
         return x1_residuals(traverses[run], samples)
 
     half = 0.5 * parameters.pitch
@@ -117,7 +118,7 @@ def groove_problem(
         for _, _, column in places
     ]
     shared = [*shared_quantities(parameters), *deviations]
-    return Problem(residuals, shared, [own_quantities(t) for t in traverses])
+    return Problem(residuals, shared, [own_quantities(t) for t in traverses], jumps=True)
 
 
 def fit_grooves(

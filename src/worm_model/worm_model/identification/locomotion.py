@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from worm_model.identification.blocks import Problem, Quantity, Solution, solve
 from worm_model.identification.errors import IdentificationError
@@ -57,9 +58,10 @@ class Traverse:
 def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> Traverse:
     """The part of a run from the onset until x1 has advanced by five pitches."""
     advance = recording.gait.direction * recording.x1
-    smooth = np.array([np.nanmedian(advance[max(k - 2, 0) : k + 3]) for k in range(advance.size)])
-    beyond = np.flatnonzero((smooth >= RIDGES * pitch) & (recording.camera_time > 0.0))
-    end = float(recording.camera_time[beyond[0]]) if beyond.size else recording.end
+    seen = np.isfinite(advance)
+    beyond = median_filter(advance[seen], 5) >= RIDGES * pitch  # one outlier is no arrival
+    arrivals = recording.camera_time[seen][beyond]
+    end = float(arrivals[0]) if arrivals.size else recording.end
     end = min(end, float(length.time[-1]))
     kept = (recording.camera_time >= length.time[0]) & (recording.camera_time <= end)
     kept &= np.isfinite(recording.x1)
@@ -71,41 +73,53 @@ def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> T
         length,
         max(noise_of(recording.x1), LEAST_NOISE),
         end,
-        bool(beyond.size),
+        bool(arrivals.size),
+    )
+
+
+def worm_of(parameters: Parameters, direction: int) -> dry_friction.Worm:
+    """The parameters as the kernel takes them, without dry friction."""
+    return dry_friction.Worm(
+        direction=float(direction),
+        rear_mass=parameters.rear_mass,
+        front_mass=parameters.front_mass,
+        initial_length=parameters.initial_length,
+        friction=parameters.viscous_friction,
+        pitch=parameters.pitch,
+        engaged_stiffness=parameters.engaged_stiffness,
+        disengaged_stiffness=parameters.disengaged_stiffness,
+        threshold=parameters.switching_threshold,
+        clearance=parameters.clearance,
+        rear_dry=0.0,
+        front_dry=0.0,
+    )
+
+
+def with_values(worm: dry_friction.Worm, values: Array, initial_length: float) -> dry_friction.Worm:
+    """The worm with other (η, p_sw, rear and front dry friction) and L0; plain, for it is done 10⁵ times."""
+    return worm._replace(
+        friction=float(values[0]),
+        threshold=float(values[1]),
+        rear_dry=float(values[2]),
+        front_dry=float(values[3]),
+        initial_length=float(initial_length),
     )
 
 
 def slide(
     traverse: Traverse,
-    parameters: Parameters,
-    dry: tuple[float, float],
+    worm: dry_friction.Worm,
     rear_grooves: Array = ALIKE,
     front_grooves: Array = ALIKE,
     stride: int = 1,
 ) -> Array | None:
-    """Samples of `worm_model.kernel.dry_friction` at every ``stride``-th time of the length; None on chatter.
-
-    ``dry``: friction of the rear and the front module in N; the grooves' deviations are those of that kernel.
-    """
-    length_changes = np.ascontiguousarray(traverse.length.length_change[::stride])
+    """Samples of `worm_model.kernel.dry_friction` at every ``stride``-th time of the length; None on chatter."""
+    length_changes = traverse.length.length_change
+    if stride > 1:
+        length_changes = np.ascontiguousarray(length_changes[::stride])
     samples = np.empty((length_changes.size, dry_friction.SAMPLE_COLUMNS))
-    worm = dry_friction.Worm(
-        float(traverse.direction),
-        parameters.rear_mass,
-        parameters.front_mass,
-        parameters.initial_length,
-        parameters.viscous_friction,
-        parameters.pitch,
-        parameters.engaged_stiffness,
-        parameters.disengaged_stiffness,
-        parameters.switching_threshold,
-        parameters.clearance,
-        *dry,
-    )
     step = traverse.length.step * stride
-    switches = dry_friction.slide(
-        step, length_changes, worm, rear_grooves, front_grooves, samples
-    )
+    switches = dry_friction.slide(step, length_changes, worm, rear_grooves, front_grooves, samples)
     return None if switches < 0 else samples
 
 
@@ -140,16 +154,14 @@ def locomotion_problem(
 ) -> Problem:
     """The problem in which all grooves are alike; the parameters that are not sought are given."""
 
-    def residuals(run: int, values: Array, own: Array) -> Array:
-        tried = parameters.replace(
-            viscous_friction=values[0], switching_threshold=values[1], initial_length=own[0]
-        )
-        samples = slide(traverses[run], tried, (values[2], values[3]), stride=stride)
-        return x1_residuals(traverses[run], samples, stride)
+    worms = [worm_of(parameters, t.direction) for t in traverses]
 
-    return Problem(
-        residuals, shared_quantities(parameters), [own_quantities(t) for t in traverses]
-    )
+    def residuals(run: int, values: Array, own: Array) -> Array:
+        worm = with_values(worms[run], values, own[0])
+        return x1_residuals(traverses[run], slide(traverses[run], worm, stride=stride), stride)
+
+    own = [own_quantities(t) for t in traverses]
+    return Problem(residuals, shared_quantities(parameters), own, jumps=True)
 
 
 def least_threshold(parameters: Parameters) -> float:

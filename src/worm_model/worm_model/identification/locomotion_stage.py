@@ -31,6 +31,8 @@ from worm_model.identification.locomotion import (
     find_locomotion,
     search,
     slide,
+    with_values,
+    worm_of,
 )
 from worm_model.kernel.dry_friction import HOLDING_FORCE, STIFFNESS, THRESHOLD, X1
 from worm_model.parameters import Parameters
@@ -52,7 +54,7 @@ class LocomotionResult:
     ``dry_friction`` (rear, front) N with ``dry_deviation`` their standard deviations; ``initial_length`` (runs,) m;
     ``residuals`` of each run in m; ``inflation`` of the variance for what is not white in them; ``correlation`` of
     (η, p_sw, rear, front dry friction); ``variants``: fits under a fin test that is one standard deviation off,
-    one a direction of its covariance.
+    one a direction of its covariance; ``stiffer``: a fit whose η is one standard deviation higher.
     """
 
     viscous_friction: Estimate
@@ -66,6 +68,7 @@ class LocomotionResult:
     landscape: Landscape
     fit: GrooveFit
     variants: tuple[tuple[Parameters, GrooveFit], ...]
+    stiffer: GrooveFit
 
 
 @dataclass(frozen=True)
@@ -119,15 +122,20 @@ def identify_locomotion(
         landscape=landscape,
         fit=fit,
         variants=variants,
+        stiffer=_stiffer(traverses, parameters, fit, friction),
     )
 
 
 def refit(
-    traverses: Sequence[Traverse], parameters: Parameters, like: GrooveFit, own: Array
+    traverses: Sequence[Traverse],
+    parameters: Parameters,
+    like: GrooveFit,
+    own: Array,
+    iterations: int = 10,
 ) -> GrooveFit:
     """The fit to other runs or under other parameters, from a known one and with its scatter; ``own`` (runs, 1)."""
     problem = groove_problem(traverses, parameters, like.places, like.scatter)
-    return replace(like, solution=solve(problem, like.solution.shared, own, iterations=10))
+    return replace(like, solution=solve(problem, like.solution.shared, own, iterations=iterations))
 
 
 def motions(
@@ -137,12 +145,8 @@ def motions(
     grooves = tables_of(fit.solution.shared[4:], fit.places)
     found = []
     for traverse, own in zip(traverses, fit.solution.own, strict=True):
-        values = parameters.replace(
-            viscous_friction=fit.means[FRICTION],
-            switching_threshold=fit.means[SWITCHING],
-            initial_length=own[0],
-        )
-        samples = slide(traverse, values, (fit.means[2], fit.means[3]), *grooves)
+        worm = with_values(worm_of(parameters, traverse.direction), fit.means, own[0])
+        samples = slide(traverse, worm, *grooves)
         assert samples is not None, "a fit moves without end"
         found.append(Motion(samples[:, X1], samples[:, HOLDING_FORCE]))
     return tuple(found)
@@ -230,3 +234,10 @@ def _variants(
 
     with ThreadPoolExecutor() as pool:
         return tuple(pool.map(variant, directions.T))
+
+
+def _stiffer(
+    traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit, friction: Estimate
+) -> GrooveFit:
+    value = float(fit.means[FRICTION]) + friction.spread / NORMAL
+    return replace(fit, solution=held(traverses, parameters, fit, FRICTION, value))

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stage 7 as a whole: c_b and α_P with intervals from a bootstrap over runs.
+
+In every refit the runs are weighted anew, and what earlier stages and the ruler left open is drawn: k_b, L_free, and
+the locomotion fit with its friction and fins. One gait frequency cannot tell c_b from α_P (their effects are
+proportional), and is reported so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.identification.energy import EnergyFit, PowerRun, fit_energy, with_force
+from worm_model.identification.estimate import Estimate
+from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
+
+Array = NDArray[np.float64]
+
+LEAST_FREQUENCY_RATIO = 1.4  # of the fastest to the slowest gait
+FEWEST_RUNS = 2
+VAGUE = 0.5  # half-width relative to the value from which a number would pretend
+
+
+@dataclass(frozen=True)
+class EnergyResult:
+    """``bellows_damping`` N·s/m and ``power_factor``; their ``correlation``; ``fit`` has the nuisances.
+
+    Without ``identifiable`` estimates, ``fit`` holds c_b at the given value.
+    """
+
+    bellows_damping: Estimate
+    power_factor: Estimate
+    correlation: float
+    fit: EnergyFit
+
+
+def identify_energy(
+    runs: Sequence[PowerRun],
+    frequencies: Sequence[float],
+    forces: Callable[[np.random.Generator], list[Array]],
+    given_damping: float,
+    random: np.random.Generator,
+) -> EnergyResult:
+    """``forces`` draws the static forces (n,) in N of every run; ``frequencies`` in Hz are those of the runs."""
+    note = _why_not(runs, frequencies)
+    if note:
+        return _given(runs, given_damping, note)
+    fit = fit_energy(runs)
+    weights = unit_weights(random, len(runs))
+    seeds = random.integers(2**63, size=weights.shape[0])
+
+    def refit(index: int) -> Array:
+        drawn = forces(np.random.default_rng(seeds[index]))
+        moved = [with_force(run, force) for run, force in zip(runs, drawn, strict=True)]
+        solution = fit_energy(moved, weights[index], fit)
+        return np.array([solution.damping, solution.factor])
+
+    refits = refitted(refit)
+    damping, factor = estimates(np.array([fit.damping, fit.factor]), refits, len(runs))
+    if damping.spread > VAGUE * damping.value or factor.spread > VAGUE * factor.value:
+        return _given(runs, given_damping, "the runs leave it open by more than half its value")
+    return EnergyResult(damping, factor, float(correlation(refits)[0, 1]), fit)
+
+
+def _why_not(runs: Sequence[PowerRun], frequencies: Sequence[float]) -> str:
+    if len(runs) < FEWEST_RUNS:
+        return "one run cannot tell c_b from α_P; record gaits of several frequencies"
+    if max(frequencies) < LEAST_FREQUENCY_RATIO * min(frequencies):
+        return (
+            f"gaits of {min(frequencies):g} to {max(frequencies):g} Hz cannot tell c_b from α_P; "
+            "record another frequency"
+        )
+    return ""
+
+
+def _given(runs: Sequence[PowerRun], damping: float, note: str) -> EnergyResult:
+    """c_b stays as given; the factor that goes with it is fitted, but is no more certain than c_b is."""
+    fit = fit_energy(runs, damping=damping)
+    nothing = float("nan")
+    return EnergyResult(
+        Estimate(damping, nothing, nothing, False, note),
+        Estimate(fit.factor, nothing, nothing, False, f"{note}; fitted under the given c_b"),
+        nothing,
+        fit,
+    )

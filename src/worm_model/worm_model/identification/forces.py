@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cable force but for its damping, along every run, and draws of it within what earlier stages left open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.identification.bellows import BellowsFit
+from worm_model.identification.estimate import quantile
+from worm_model.identification.given import Given
+from worm_model.identification.locomotion import Traverse
+from worm_model.identification.locomotion_stage import LocomotionResult, motions
+from worm_model.parameters import Parameters
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Forces:
+    """F_c + c_b·L̇ = H + k_b(L_free − L) of every run in N, on the times of its length.
+
+    ``holding``: H of the best fit and of fits that are one standard deviation off, each a list over runs;
+    ``change``: ΔL in m; ``initial_length`` (runs,) m; stiffness and free length with their standard deviations.
+    """
+
+    holding: tuple[tuple[Array, ...], ...]
+    change: tuple[Array, ...]
+    initial_length: Array
+    stiffness: float
+    stiffness_deviation: float
+    free_length: float
+    free_length_deviation: float
+
+    @property
+    def best(self) -> list[Array]:
+        """Of the best fit."""
+        return self._force(list(self.holding[0]), self.stiffness, self.free_length)
+
+    def draw(self, random: np.random.Generator) -> list[Array]:
+        """One of the forces that are as likely."""
+        size = random.standard_normal(len(self.holding) - 1)
+        holding = [
+            best + sum((z * (other[run] - best) for z, other in zip(size, self.holding[1:], strict=True)), 0.0)
+            for run, best in enumerate(self.holding[0])
+        ]
+        stiffness = self.stiffness + self.stiffness_deviation * random.standard_normal()
+        free_length = self.free_length + self.free_length_deviation * random.standard_normal()
+        return self._force(holding, stiffness, free_length)
+
+    def _force(self, holding: list[Array], stiffness: float, free_length: float) -> list[Array]:
+        return [
+            force + stiffness * (free_length - initial - change)
+            for force, initial, change in zip(
+                holding, self.initial_length, self.change, strict=True
+            )
+        ]
+
+
+def forces_of(
+    traverses: Sequence[Traverse],
+    parameters: Parameters,
+    locomotion: LocomotionResult,
+    bellows: BellowsFit | None,
+    given: Given,
+) -> Forces:
+    """What the locomotion fit, the bellows test and the ruler say of the force."""
+    fits = [(parameters, locomotion.fit), *locomotion.variants, (parameters, locomotion.stiffer)]
+    holding = tuple(
+        tuple(motion.holding for motion in motions(traverses, values, fit)) for values, fit in fits
+    )
+    free_length = given.estimate("unstressed_length")
+    return Forces(
+        holding=holding,
+        change=tuple(traverse.length.length_change for traverse in traverses),
+        initial_length=locomotion.initial_length,
+        stiffness=parameters.bellows_stiffness,
+        stiffness_deviation=bellows.deviation if bellows else 0.0,
+        free_length=free_length.value,
+        free_length_deviation=free_length.spread / quantile(np.inf),
+    )

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads what identification is given: bags or a lab's folder, and the bench tests."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.identification import bellows, fin
+from worm_model.identification.errors import IdentificationError
+from worm_model.identification.recording import Recording, recording_of
+from worm_model.lab_logs import LabError, LabSettings, read_columns, read_lab_run
+
+Array = NDArray[np.float64]
+
+RUN_FILE = "camera.csv"  # by which a run of a lab is known
+BELLOWS_FILE, FIN_FILE = "bellows.csv", "fin.csv"
+EPOCH = 10**9  # ns; logs of a lab carry no date, and a stamp of 0 means "unknown"
+TOPICS = (
+    "body_length/commanded",
+    "body_length/cable",
+    "tracker",
+    "power",
+    "gait_state",
+)
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class BenchTest:
+    """A table of two columns, ``x`` and ``y`` (n,) each, in SI units; the ``checksum`` of its file."""
+
+    x: Array
+    y: Array
+    checksum: str
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The recordings and the bench tests, None where there is none; ``folder`` of a lab, None for bags."""
+
+    recordings: tuple[Recording, ...]
+    bellows: BenchTest | None
+    fin: BenchTest | None
+    folder: Path | None
+
+
+def read_inputs(
+    paths: Sequence[Path], bellows_file: Path | None = None, fin_file: Path | None = None
+) -> Inputs:
+    """Bags, or one lab's folder, whose own bench tests are used unless others are named.
+
+    Raises `IdentificationError`, or `worm_model.bags.errors.BagError`, if something cannot be read.
+    """
+    folder = paths[0] if len(paths) == 1 and is_lab_folder(paths[0]) else None
+    if folder is not None:
+        runs = run_folders(folder)
+        recordings = tuple(read_lab_recording(run) for run in runs)
+        bellows_file = bellows_file or _existing(folder / BELLOWS_FILE)
+        fin_file = fin_file or _existing(folder / FIN_FILE)
+    else:
+        recordings = tuple(read_recording(path) for path in paths)
+    _check_names(recordings)
+    return Inputs(
+        recordings,
+        read_bench_test(bellows_file, bellows.COLUMNS) if bellows_file else None,
+        read_bench_test(fin_file, fin.COLUMNS) if fin_file else None,
+        folder,
+    )
+
+
+def is_lab_folder(path: Path) -> bool:
+    """Whether a path holds a lab's runs rather than being a bag."""
+    return path.is_dir() and bool(run_folders(path))
+
+
+def run_folders(folder: Path) -> list[Path]:
+    """Folders of a lab's runs, by name; the folder itself if it is one."""
+    if (folder / RUN_FILE).is_file():
+        return [folder]
+    return sorted(file.parent for file in folder.glob(f"*/{RUN_FILE}"))
+
+
+def read_recording(path: Path) -> Recording:
+    """The run in a bag, or in a lab's folder of one run."""
+    if is_lab_folder(path):
+        return read_lab_recording(path)
+    with open_bag(path) as bag:
+        run = read_run(bag, names=TOPICS)
+        start = bag.start
+    date = datetime.fromtimestamp(start * 1e-9, timezone.utc).isoformat(timespec="seconds")
+    files = [path] if path.is_file() else sorted(f for f in path.iterdir() if f.is_file())
+    checksums = {file.name: _checksum(file) for file in files}
+    return recording_of(run, path.resolve().name, checksums, date)
+
+
+def read_lab_recording(folder: Path) -> Recording:
+    """The run in a lab's folder."""
+    try:
+        lab = read_lab_run(folder, LabSettings(epoch=EPOCH))
+    except LabError as error:
+        raise IdentificationError(str(error)) from None
+    if lab.gait is None:
+        raise IdentificationError(
+            f"{folder}: no runs.json tells the gait; add one with stroke_m and frequency_Hz of each run"
+        )
+    return recording_of(lab.run, folder.resolve().name, lab.checksums)
+
+
+def read_bench_test(path: Path, columns: tuple[str, str]) -> BenchTest:
+    """A bench test of two columns, in any order of its rows."""
+    try:
+        table = read_columns(path, columns)
+    except LabError as error:
+        raise IdentificationError(str(error)) from None
+    return BenchTest(table[columns[0]], table[columns[1]], _checksum(path))
+
+
+def _checksum(path: Path) -> str:
+    """SHA-256 of a file."""
+    digest = hashlib.sha256()
+    with path.open("rb") as stream:
+        while block := stream.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _existing(path: Path) -> Path | None:
+    return path if path.is_file() else None
+
+
+def _check_names(recordings: Sequence[Recording]) -> None:
+    names = [recording.name for recording in recordings]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise IdentificationError(f"two runs are called {twice[0]}: rename one of them")

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a parameter set predicts of a run, and its errors: the exact model that the nodes use, no nuisance but L0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.identification.actuation import predicted_length_change
+from worm_model.identification.energy import accumulated
+from worm_model.identification.locomotion import Traverse
+from worm_model.identification.recording import Recording
+from worm_model.parameters import Parameters
+from worm_model.simulator import Locomotion
+from worm_model.smoothing import Smoothed
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Along a run over its five ridges, at ``time`` (n,) s of the camera: ``x1`` m under the measured length, ``power`` W
+    and ``energy`` J since the first power sample; ``length_change`` (samples,) m from the command at the camera's samples.
+    """
+
+    time: Array
+    x1: Array
+    power: Array
+    energy: Array
+    length_change: Array
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Root mean squares of x1 (m), ΔL (m) and power (W); ``energy_error`` relative at the end of the five ridges."""
+
+    x1_rmse: float
+    length_rmse: float
+    power_rmse: float
+    energy_error: float
+
+
+def predict(recording: Recording, traverse: Traverse, parameters: Parameters) -> Prediction:
+    """The prediction with the run's own initial length."""
+    length = traverse.length
+    values = parameters.replace(initial_length=length.initial_length)
+    time, change, rate = length.time, length.length_change, length.rate
+    model = Locomotion(values, traverse.direction)
+    breaks, coefficients = Smoothed(time, change, rate).cubic()
+    _, motions = model.follow_polynomial(
+        model.start(float(time[0])), breaks, coefficients, breaks
+    )
+    actuation = np.array([values.slack, values.gain, values.time_constant])
+    return Prediction(
+        time=time,
+        x1=motions.x1,
+        power=motions.power,
+        energy=accumulated(time, motions.power),
+        length_change=predicted_length_change(recording, actuation, recording.camera_time),
+    )
+
+
+def errors(recording: Recording, traverse: Traverse, prediction: Prediction) -> Errors:
+    """What is left between prediction and measurement over the five ridges."""
+    x1 = traverse.x1 - np.interp(traverse.time, prediction.time, prediction.x1)
+    seen = (recording.camera_time >= 0.0) & (recording.camera_time <= traverse.end)
+    change = recording.length - traverse.length.initial_length - prediction.length_change
+    time, power = measured_power(recording, traverse)
+    energy = float(accumulated(time, power)[-1])
+    ends = np.interp(time[[0, -1]], prediction.time, prediction.energy)
+    return Errors(
+        x1_rmse=_rms(x1),
+        length_rmse=_rms(change[seen & ~traverse.length.outliers]),
+        power_rmse=_rms(power - np.interp(time, prediction.time, prediction.power)),
+        energy_error=float(ends[1] - ends[0]) / energy - 1.0,
+    )
+
+
+def measured_power(recording: Recording, traverse: Traverse) -> tuple[Array, Array]:
+    """(times in s, W) of the power samples over the five ridges."""
+    time = recording.power_time
+    seen = (time >= max(0.0, traverse.length.time[0])) & (time <= traverse.end)
+    return time[seen], recording.power[seen]
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))

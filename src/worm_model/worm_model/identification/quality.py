@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong with a run, in words: hidden markers, gaps, outliers, too few ridges, a body that did not follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.identification.errors import IdentificationError
+from worm_model.identification.locomotion import RIDGES, Traverse
+from worm_model.identification.measured_length import MeasuredLength
+from worm_model.identification.recording import Recording
+from worm_model.identification.robust import noise_of
+
+Array = NDArray[np.float64]
+
+LONGEST_GAP = 1.0  # s without a length, which is bridged by the actuation model
+FOLLOWS = 0.4  # of the commanded range, which a body that follows covers at least
+ASTRAY = 10.0  # camera noises by which a body that follows departs from its actuation fit at most
+LEAST_ASTRAY = 1.5e-3  # m
+AVERAGED = 9  # samples
+
+
+def follows_command(recording: Recording, length: MeasuredLength) -> str:
+    """Empty, or why a run must not be averaged with the others: its body did not follow the cable.
+
+    A stuck servo, a slipped cable and a tracker that mixes up its markers look like this.
+    """
+    after = (recording.camera_time > 0.0) & np.isfinite(recording.length)
+    realised = float(np.ptp(np.quantile(recording.length[after], [0.02, 0.98])))
+    commanded = float(np.ptp(recording.command))
+    if realised < FOLLOWS * commanded:
+        return (
+            f"{recording.name}: the body changed its length by {realised * 1e3:.1f} mm under a command of "
+            f"{commanded * 1e3:.1f} mm: a stuck servo or a slipped cable"
+        )
+    present = np.isfinite(length.misfit)
+    misfit = np.abs(length.misfit[present])
+    window = min(AVERAGED, misfit.size)
+    averaged = np.array(
+        [np.median(misfit[k : k + window]) for k in range(misfit.size - window + 1)]
+    )
+    limit = max(ASTRAY * noise_of(recording.length), LEAST_ASTRAY)
+    astray = np.flatnonzero(averaged > limit)
+    if astray.size:
+        time = float(recording.camera_time[present][astray[0] + window // 2])
+        return (
+            f"{recording.name}: from {time:.1f} s after the onset the body does not follow its command: a stuck "
+            "servo or a slipped cable"
+        )
+    return ""
+
+
+def usable(
+    recordings: Sequence[Recording], lengths: Sequence[MeasuredLength]
+) -> tuple[list[int], list[str]]:
+    """(indices of the runs that are used, why the others are not).
+
+    Raises `IdentificationError` if none is left.
+    """
+    reasons = [follows_command(r, m) for r, m in zip(recordings, lengths, strict=True)]
+    kept = [index for index, reason in enumerate(reasons) if not reason]
+    if not kept:
+        raise IdentificationError(reasons[0])
+    return kept, [f"{reason}; the run is left out" for reason in reasons if reason]
+
+
+def remarks(recording: Recording, length: MeasuredLength, traverse: Traverse) -> list[str]:
+    """What was seen in a run and how it was handled, in words."""
+    found = []
+    hidden = int(np.sum(~np.isfinite(recording.length)))
+    gap = longest_gap(recording)
+    if hidden or gap > 3.0 * float(np.median(np.diff(recording.camera_time))):
+        found.append(
+            f"{hidden} camera samples with a hidden marker, longest gap {gap:.2f} s: x1 is compared where it was "
+            "seen, the length is bridged by the run's actuation fit"
+        )
+    if gap > LONGEST_GAP:
+        found.append(f"a gap of {gap:.1f} s is long: what happened in it is a guess")
+    outliers = int(np.sum(length.outliers))
+    if outliers:
+        found.append(f"{outliers} lengths left out as outliers")
+    if not traverse.complete:
+        reached = float(np.nanmax(np.abs(recording.x1)))
+        found.append(
+            f"never reached {RIDGES} ridges (x1 came to {reached * 1e3:.0f} mm): the whole run is used"
+        )
+    return [f"{recording.name}: {text}" for text in found]
+
+
+def longest_gap(recording: Recording) -> float:
+    """Longest time without a length between the first and the last one, s."""
+    seen = recording.camera_time[np.isfinite(recording.length)]
+    return float(np.diff(seen).max()) if seen.size > 1 else 0.0
