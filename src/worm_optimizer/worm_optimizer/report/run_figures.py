@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from worm_model.actuation import effective_command, length_change_of_command
 from worm_model.run import LengthSamples, seconds
 from worm_model.simulator import simulate
+from worm_model.twin_replay import Series
 from worm_optimizer.bringup.figures import accumulate
 from worm_optimizer.report.recorded import RecordedGait
 from worm_optimizer.report.style import (
@@ -34,24 +35,17 @@ def draw_motion(gait: RecordedGait) -> Figure:
     """x1 as the tracker saw it and as the twin says under the recorded length, and the difference."""
     figure = new_figure(10.0, 5.4)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    tracker, states = gait.run.tracker, gait.replay.states
-    measured, followed = (
-        _since_onset(gait, tracker.stamp),
-        _since_onset(gait, states["stamp_ns"]),
-    )
+    tracker = gait.run.tracker
+    measured = _since_onset(gait, tracker.stamp)
     start = _at_onset(measured, tracker.rear_position)
-    above.plot(measured, 1e3 * (tracker.rear_position - start), label="measured", **MEASURED)
+    seen = measured >= -_BEFORE  # it may have come from far away
     above.plot(
-        followed, 1e3 * (states["rear_position"] - start), label="twin, measured L", **PREDICTED
+        measured[seen], 1e3 * (tracker.rear_position[seen] - start), label="measured", **MEASURED
     )
-    residuals = gait.replay.residuals
-    known = np.isfinite(residuals["rear_position"])
-    below.plot(
-        _since_onset(gait, residuals["stamp_ns"][known]),
-        1e3 * residuals["rear_position"][known],
-        label="measured − twin",
-        **MEASURED,
-    )
+    followed, position = _of_run(gait, gait.replay.states, "rear_position")
+    above.plot(followed, 1e3 * (position - start), label="twin, measured L", **PREDICTED)
+    compared, residual = _of_run(gait, gait.replay.residuals, "rear_position")
+    below.plot(compared, 1e3 * residual, label="measured − twin", **MEASURED)
     _frame(gait, (above, below), ("rear module x1 (mm)", "residual (mm)"))
     ridges = 1e3 * gait.content.parameters.pitch
     above.set_yticks(*_ridge_ticks(above, ridges))
@@ -87,22 +81,15 @@ def draw_energy(gait: RecordedGait) -> Figure:
     """Source power and accumulated energy, measured and predicted, until five ridges are passed."""
     figure = new_figure(10.0, 5.4)
     above, below = figure.subplots(2, 1, sharex=True)
-    run, states = gait.run, gait.replay.states
-    power = run.power.valid_power
-    time, predicted = _since_onset(gait, run.power.stamp), _since_onset(gait, states["stamp_ns"])
+    twin = {**PREDICTED, "label": "twin, measured L"}
+    above.plot(*_of_run(gait, gait.replay.states, "power"), **{**twin, "linewidth": 0.8})
+    power, stamp = gait.run.power.valid_power, gait.run.power.stamp
     known = np.isfinite(power)
-    above.plot(
-        predicted, states["power"], label="twin, measured L", **{**PREDICTED, "linewidth": 0.8}
-    )
-    above.plot(time[known], power[known], label="measured", **MEASURED)
-    stamp, energy = accumulate(run.power.stamp, power)
-    below.plot(
-        _since_onset(gait, stamp),
-        energy - _at_onset(_since_onset(gait, stamp), energy),
-        label="measured",
-        **MEASURED,
-    )
-    below.plot(predicted, states["energy"], label="twin, measured L", **PREDICTED)
+    above.plot(_since_onset(gait, stamp[known]), power[known], label="measured", **MEASURED)
+    stamp, energy = accumulate(stamp, power)
+    time = _since_onset(gait, stamp)
+    below.plot(time, energy - _at_onset(time, energy), label="measured", **MEASURED)
+    below.plot(*_of_run(gait, gait.replay.states, "energy"), **twin)
     _plot_model(gait, above, below)
     passed = ridges_passed_at(gait)
     end = passed if np.isfinite(passed) else _duration(gait)
@@ -185,6 +172,13 @@ def ridges_passed_at(gait: RecordedGait) -> float:
 
 def _since_onset(gait: RecordedGait, stamps: np.ndarray) -> np.ndarray:
     return seconds(stamps, gait.onset)
+
+
+def _of_run(gait: RecordedGait, series: Series, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times since the onset (s) and known values of one of the twin's columns, within the run that began there."""
+    time, values = _since_onset(gait, series["stamp_ns"]), series[name]
+    shown = np.isfinite(values) & (time >= 0.0)
+    return time[shown], values[shown]
 
 
 def _duration(gait: RecordedGait) -> float:

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The commands that README.md, CONTRIBUTING.md and docs/ show, as data for tests."""
+
+import ast
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [
+    path
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md")))
+    if path.exists()
+]
+BLOCK_LINE = re.compile(
+    r"^(?: {4,}|\t)?(?:\$ )?((?:\./worm|ros2 (?:run|launch)) .*)$", re.MULTILINE
+)
+INLINE = re.compile(r"`((?:\./worm|ros2 (?:run|launch)) [^`\n]+)`")
+SHORTCUTS = ("demo", "report", "campaign")  # subcommands that are executables of worm_optimizer
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command as shown: the page, its words without brackets of optional parts and comments."""
+
+    page: str
+    words: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.page}: {shlex.join(self.words)}"
+
+    @property
+    def executable(self) -> tuple[str, str] | None:
+        """Package and executable that it runs, if it runs one."""
+        runs = self.words[:2] in (("./worm", "run"), ("ros2", "run"))
+        if runs and len(self.words) >= 4 and self.words[2] != "PACKAGE":
+            return self.words[2], self.words[3]
+        if self.words[0] == "./worm" and self.words[1] in SHORTCUTS:
+            return "worm_optimizer", self.words[1]
+        return None
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Arguments of the executable, without those of ROS."""
+        start = 2 if self.words[1] in SHORTCUTS else 4
+        words = self.words[start:]
+        return words[: words.index("--ros-args")] if "--ros-args" in words else words
+
+
+def commands() -> list[Command]:
+    """Every command of every page, once."""
+    found: dict[Command, None] = {}
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+        for line in [*BLOCK_LINE.findall(text), *INLINE.findall(text)]:
+            found[Command(str(page.relative_to(ROOT)), _words(line))] = None
+    return list(found)
+
+
+def _words(line: str) -> tuple[str, ...]:
+    """Words as a shell has them; brackets of optional parts, dots that mean "and so on" and what follows fall away."""
+    words = shlex.split(line.replace("…", " "), comments=True)
+    for end in ("&", "|", "&&", ">", ";"):
+        if end in words:
+            words = words[: words.index(end)]
+    return tuple(word.strip("[]") for word in words if word.strip("[]") not in ("", "..."))
+
+
+def entry_points() -> dict[tuple[str, str], str]:
+    """Module by package and executable, as the setup.py files declare them."""
+    found = {}
+    for setup in sorted((ROOT / "src").glob("*/setup.py")):
+        for node in ast.walk(ast.parse(setup.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.AnnAssign) and getattr(node.target, "id", "") == "EXECUTABLES":
+                for entry in ast.literal_eval(node.value):  # type: ignore[arg-type]
+                    name, target = (part.strip() for part in entry.split("="))
+                    found[setup.parent.name, name] = target.split(":")[0]
+    return found
