@@ -24,9 +24,12 @@ from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic, offered_
 from worm_model.bags.writer import BagWriter
 from worm_model.command_line import Parser, add_parameters, new_file, print_json, run_command
 from worm_model.parameters import Parameters, load_parameters
-from worm_model.replay_metrics import CycleReport, ReplayReport, report_replay
+from worm_model.replay_metrics import CycleReport, Followed, ReplayReport, report_replay
+from worm_model.run import Run
+from worm_model.twin_offline import predict_run
 from worm_model.twin_replay import Replay, Series, replay_run
 
+INPUTS = ("gait_state", "body_length/commanded", "body_length/measured", "tracker", "power")
 ESTIMATED = 2  # BodyLength.ESTIMATED
 
 
@@ -141,24 +144,35 @@ def _parser() -> Parser:
 
 
 def _replay(options: argparse.Namespace) -> None:
-    parameters: Parameters = load_parameters(options.parameters)
+    parameters = load_parameters(options.parameters)
     output = new_file(options.output) if options.output else None
     warm_up.main()  # compiling is not replaying
     begin = time.perf_counter()
     with open_bag(options.bag, _notify) as bag:
-        run = read_run(bag, options.namespace)
-        replay = replay_run(run, parameters)
-        if output is not None:
-            write_replay(bag, output, replay, options.namespace or namespace_of(bag))
+        run = read_run(bag, options.namespace, INPUTS)
+        followed = _follow(run, parameters, bag, output, options.namespace)
         duration = (bag.end - bag.start) * 1e-9
-    report = report_replay(run, replay, parameters.pitch)
+    report = report_replay(run, followed, parameters.pitch)
     elapsed = time.perf_counter() - begin
-    for notice in replay.notices:
-        sys.stderr.write(f"replay: {notice.text}\n")
     if options.json:
         print_json(report_json(report, duration, elapsed))
     else:
         sys.stdout.write(describe(report, duration, elapsed) + "\n")
+
+
+def _follow(
+    run: Run, parameters: Parameters, bag: Bag, output: Path | None, namespace: str
+) -> Followed:
+    """A report alone needs no sample-by-sample twin; what that is to publish does."""
+    predicted = predict_run(run, parameters) if output is None else None
+    if predicted is not None:
+        return predicted
+    replay = replay_run(run, parameters)
+    for notice in replay.notices:
+        _notify(notice.text)
+    if output is not None:
+        write_replay(bag, output, replay, namespace or namespace_of(bag))
+    return replay
 
 
 def _notify(line: str) -> None:

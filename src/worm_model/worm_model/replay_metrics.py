@@ -6,12 +6,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.run import RUNNING, Run
-from worm_model.twin_replay import Replay, Series, valid_power
+from worm_model.twin_replay import Series
 
 Array = NDArray[np.float64]
 
@@ -62,7 +63,21 @@ class ReplayReport:
     cycles: tuple[CycleReport, ...]
 
 
-def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
+class Followed(Protocol):
+    """What a report needs of a `twin_replay.Replay` or a `twin_offline.Prediction`."""
+
+    @property
+    def states(self) -> Series:
+        """With `stamp_ns` and `rear_groove`."""
+        ...
+
+    @property
+    def residuals(self) -> Series:
+        """With `stamp_ns`, `rear_position`, `length`, `power`, `energy`."""
+        ...
+
+
+def report_replay(run: Run, replay: Followed, pitch: float) -> ReplayReport:
     """Judge a replay; `pitch` of the grooves in m."""
     onset, period = _gait(run)
     end = _end(run)
@@ -131,7 +146,7 @@ def _root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
 
 
-def _energy_error(run: Run, replay: Replay, start: int) -> float:
+def _energy_error(run: Run, replay: Followed, start: int) -> float:
     """The twin's own energy residual at the last power sample, over the energy measured until then."""
     series = replay.residuals
     known = np.flatnonzero(np.isfinite(series["energy"]))
@@ -144,7 +159,7 @@ def _energy_error(run: Run, replay: Replay, start: int) -> float:
 
 def _energy(run: Run, start: int, end: int) -> float:
     """Measured energy (J) between two stamps by trapezoids, the first sample counting from the start on."""
-    power = valid_power(run.power)
+    power = run.power.valid_power
     inside = np.isfinite(power) & (run.power.stamp > start) & (run.power.stamp <= end)
     power, stamp = power[inside], run.power.stamp[inside]
     if not len(power):
@@ -154,7 +169,9 @@ def _energy(run: Run, start: int, end: int) -> float:
     return float(np.sum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
 
 
-def _cycle(run: Run, replay: Replay, span: tuple[int, int], pitch: float, end: int) -> CycleReport:
+def _cycle(
+    run: Run, replay: Followed, span: tuple[int, int], pitch: float, end: int
+) -> CycleReport:
     first, last = span
     states = replay.states
     displacement = _at(run.tracker.stamp, run.tracker.rear_position, last) - _at(

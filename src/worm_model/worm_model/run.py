@@ -61,6 +61,11 @@ class PowerSamples:
     current: Array = field(default_factory=_array)
     power: Array = field(default_factory=_array)
 
+    @property
+    def valid_power(self) -> Array:
+        """Power in W, NaN unless the sensor calls it valid."""
+        return np.where(self.status == POWER_VALID, self.power, np.nan)
+
 
 @dataclass(frozen=True)
 class GaitStates:

@@ -6,7 +6,6 @@ The samples go in by rising stamp, which is what a live twin makes of them, too.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from worm_model.gait import Gait, GaitError
 from worm_model.parameters import Parameters
-from worm_model.run import POWER_VALID, GaitStates, PowerSamples, Run
+from worm_model.run import GaitStates, Run
 from worm_model.twin import Twin
 from worm_model.twin_records import (
     Activity,
@@ -80,13 +79,8 @@ def samples_of(run: Run) -> list[Sample]:
         tracker.rear_position.tolist(),
         tracker.front_position.tolist(),
     )
-    samples += map(PowerSample, run.power.stamp.tolist(), valid_power(run.power).tolist())
+    samples += map(PowerSample, run.power.stamp.tolist(), run.power.valid_power.tolist())
     return sorted(samples, key=lambda sample: sample.stamp_ns)
-
-
-def valid_power(power: PowerSamples) -> NDArray[np.float64]:
-    """Power in W, NaN unless the sensor calls it valid."""
-    return np.where(power.status == POWER_VALID, power.power, math.nan)
 
 
 def _gait_samples(states: GaitStates) -> Iterable[GaitSample]:
@@ -94,12 +88,12 @@ def _gait_samples(states: GaitStates) -> Iterable[GaitSample]:
         yield GaitSample(
             int(states.stamp[row]),
             Activity(int(states.state[row])),
-            _gait(states, row),
+            gait_at(states, row),
             int(states.onset[row]),
         )
 
 
-def _gait(states: GaitStates, row: int) -> Gait | None:
+def gait_at(states: GaitStates, row: int) -> Gait | None:
     """The gait of a gait state; one that is not admissible counts as none."""
     try:
         return Gait(
