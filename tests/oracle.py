@@ -131,7 +131,8 @@ class Oracle:
             functions.append(lambda t, s, fin=fin, high=high: high - displacement(fin, s))
             functions.append(lambda t, s, fin=fin, low=low: displacement(fin, s) - low)
         functions.append(lambda t, s: d.force_sign * quantity(0, t, s))
-        functions.append(lambda t, s: d.rate_sign * quantity(1, t, s))
+        if not clipped:  # a mere decay keeps its sign
+            functions.append(lambda t, s: d.rate_sign * quantity(1, t, s))
         for function in functions:
             function.terminal, function.direction = True, -1.0  # type: ignore[attr-defined]
         return functions
@@ -188,26 +189,15 @@ class Oracle:
         time = start
         while time < end:
             d = self.signs(time, state, clipped, d)
-            inside = None
+            solution = self._solve(time, end, clipped, state, d)
+            reached = float(solution.t[-1])
             if samples is not None:
-                inside = samples[(samples > time) & (samples <= end)]
-            solution = solve_ivp(
-                lambda t, s, d=d: self.rates(t, s, clipped, d),
-                (time, end),
-                state,
-                events=self.gaps(clipped, d),
-                t_eval=inside,
-                dense_output=False,
-                **self.options,
-            )
-            if inside is not None and len(solution.t):
-                out.times.append(np.asarray(solution.t))
-                out.states.append(np.asarray(solution.y))
+                inside = samples[(samples > time) & (samples <= reached)]
+                out.times.append(inside)
+                out.states.append(solution.sol(inside) if inside.size else np.empty((4, 0)))
             hits = [k for k, times in enumerate(solution.t_events) if times.size]
             if not hits:
-                state = (
-                    solution.y[:, -1] if inside is None else self._end(time, end, clipped, state, d)
-                )
+                state = solution.y[:, -1]
                 break
             event = hits[0]
             time, state = solution.t_events[event][0], solution.y_events[event][0]
@@ -217,12 +207,29 @@ class Oracle:
                 out.switch_times.append(time)
         return state, d
 
-    def _end(self, time, end, clipped, state, d):  # type: ignore[no-untyped-def]
-        """State at the end of a segment, where t_eval keeps SciPy from returning it."""
-        solution = solve_ivp(
-            lambda t, s: self.rates(t, s, clipped, d), (time, end), state, **self.options
-        )
-        return solution.y[:, -1]
+    def _solve(self, time, end, clipped, state, d):  # type: ignore[no-untyped-def]
+        """Integrates to the next event, in steps so short that none is crossed and crossed back unseen."""
+        gaps = self.gaps(clipped, d)
+        for longest in (math.inf, 3e-3, 3e-4, 3e-5):
+            solution = solve_ivp(
+                lambda t, s: self.rates(t, s, clipped, d),
+                (time, end),
+                state,
+                events=gaps,
+                dense_output=True,
+                max_step=longest,
+                **self.options,
+            )
+            if not self._overlooked(solution, gaps[:4]):
+                return solution
+        raise AssertionError(f"an event was overlooked after {time} s")
+
+    def _overlooked(self, solution, gaps) -> bool:  # type: ignore[no-untyped-def]
+        """Whether a border was passed somewhere within the steps."""
+        steps = np.diff(solution.t)[:, np.newaxis]
+        times = (solution.t[:-1, np.newaxis] + steps * np.linspace(0.125, 1.0, 8)).ravel()
+        states = solution.sol(times)
+        return any(np.min(gap(times, states), initial=0.0) < -1e-11 for gap in gaps)
 
 
 def _region(displacement: float, half: float) -> int:

@@ -254,3 +254,12 @@ def test_lengths_that_are_not_finite_are_refused() -> None:
     model = Locomotion()
     with pytest.raises(ValueError, match="must be finite"):
         model.follow(model.start(), [0.1, 0.2], [-0.001, math.nan])
+
+
+def test_no_time_changes_nothing_but_is_sampled() -> None:
+    model = Locomotion()
+    before, _ = model.follow(model.start(), [0.1], [-0.002])
+    after, motions = model.follow(before, [0.1, 0.1], [-0.002, -0.002])
+    assert after == before
+    assert motions.x1 == pytest.approx(model.x1(before), abs=1e-15)
+    assert motions.length == pytest.approx(PAPER.initial_length - 0.002)

@@ -251,7 +251,7 @@ def run_sampled(
     still = Wave(c.mass, 0.0, 0.0)
     for k in range(breaks.size - 1):
         duration = breaks[k + 1] - breaks[k]
-        if duration <= 0.0:
+        if duration < 0.0:
             continue
         form = Coefficients(
             coefficients[0, k],
