@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiles the kernel into its cache, so that nothing compiles later: ``python -m worm_model.warm_up``."""
 
+from worm_model.actuation import length_change_of_command
 from worm_model.batch import evaluate_gaits
 from worm_model.gait import Gait
+from worm_model.parameters import PAPER
 from worm_model.simulator import Locomotion, evaluate_gait, simulate
 
 
@@ -16,6 +18,7 @@ def main() -> None:
     trajectory.events()
     model = Locomotion()
     model.follow(model.start(), [0.1, 0.2], [-0.001, -0.002])
+    length_change_of_command([0.0, 0.1], [0.0, -0.01], PAPER)
 
 
 if __name__ == "__main__":
