@@ -27,12 +27,13 @@ from worm_optimizer.bringup.processes import termination_as_interrupt
 from worm_optimizer.bringup.session import FAILURES, Narrator, work_folder
 from worm_optimizer.bringup.system import SystemFileError, load_system_file
 from worm_optimizer.cache import Cache, default_directory
-from worm_optimizer.campaign.plan import Plan, make_plan, write_promises
+from worm_optimizer.campaign.plan import make_plan, write_promises
 from worm_optimizer.campaign.runs import Robot, run_gaits
 from worm_optimizer.report.build import Report, build_report
 from worm_optimizer.report.command import notify, report_json
 from worm_optimizer.report.recorded import RecordedGait, read_recorded_gait
 from worm_optimizer.report.text import describe
+from worm_optimizer.settings import Settings
 
 _MODES = ("virtual", "robot")
 
@@ -72,30 +73,35 @@ def _parser() -> Parser:
 
 def _campaign(options: argparse.Namespace) -> int:
     content = load_parameter_file(options.parameters)
-    settings = _settings(options)
-    folder = options.output or Path("bags") / time.strftime("campaign_%Y_%m_%d-%H_%M_%S")
+    robot = _robot(options)
+    default = Path("bags") / time.strftime("campaign_%Y_%m_%d-%H_%M_%S")
+    folder = (options.output or default).resolve()
+    if folder.exists():
+        raise InputError(f"{folder}: exists already; give another name with --output")
     say = Narrator("campaign")
-    cache = Cache.at(default_directory())
+    settings, cache = Settings(margin=options.margin), Cache.at(default_directory())
     shown = arguments.shown_progress("front")
-    plan = make_plan(content, options.margin, options.direction, cache, shown)
-    folder.mkdir(parents=True)  # FileExistsError: nothing is overwritten
-    folder = folder.resolve()
+    plan = make_plan(content, settings, options.direction, cache, shown)
+    folder.mkdir(parents=True)
     write_promises(plan, folder)
     try:
-        with termination_as_interrupt():
-            _run(options.mode, settings, plan, folder, say)
+        with termination_as_interrupt(), work_folder("campaign") as work:
+            gaits = {name: prediction.gait for name, prediction in plan.gaits.items()}
+            run_gaits(robot.in_folder(work), gaits, folder, work / "logs", say)
     except FAILURES as error:
         print(f"campaign: {error}", file=sys.stderr)  # noqa: T201
         return FAILED
     say("comparing")
-    gaits = [read_recorded_gait(folder / name, options.parameters, notify) for name in plan.gaits]
-    report = Report(f"Validation campaign ({options.mode} robot)", gaits, plan.optimisation)
-    page = build_report(report, folder / "report")
-    _print(options, gaits, folder, page)
+    recorded = [
+        read_recorded_gait(folder / name, options.parameters, notify) for name in plan.gaits
+    ]
+    report = Report(f"Validation campaign ({options.mode} robot)", recorded, plan.optimisation)
+    _print(options, recorded, folder, build_report(report, folder / "report"))
     return 0
 
 
-def _settings(options: argparse.Namespace) -> dict[str, str]:
+def _robot(options: argparse.Namespace) -> Robot:
+    """The robot that is asked for; raises InputError if there is no such setting."""
     settings = (
         {"parameter_file": str(Path(options.parameters).resolve())} if options.parameters else {}
     )
@@ -104,20 +110,13 @@ def _settings(options: argparse.Namespace) -> dict[str, str]:
         if not (name and separator):
             raise InputError(f"--set {text}: write NAME=VALUE")
         settings[name] = value
-    return settings
-
-
-def _run(mode: str, settings: dict[str, str], plan: Plan, folder: Path, say: Narrator) -> None:
     share = Path(get_package_share_directory("worm_optimizer"))
-    gaits = {name: prediction.gait for name, prediction in plan.gaits.items()}
-    with work_folder("campaign") as work:
-        try:
-            file = load_system_file(share / "config" / "system.yaml")
-            robot = Robot(file, mode, {"directory": str(work), **settings})
-            robot.system()
-        except SystemFileError as error:
-            raise InputError(str(error)) from None
-        run_gaits(robot, gaits, folder, work / "logs", say)
+    try:
+        robot = Robot(load_system_file(share / "config" / "system.yaml"), options.mode, settings)
+        robot.system()
+    except SystemFileError as error:
+        raise InputError(str(error)) from None
+    return robot
 
 
 def _print(

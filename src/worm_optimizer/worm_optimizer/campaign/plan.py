@@ -28,13 +28,12 @@ class Plan:
 
 
 def make_plan(
-    content: ParameterFile, margin: float | None, direction: int, cache: Cache, report: Report
+    content: ParameterFile, settings: Settings, direction: int, cache: Cache, report: Report
 ) -> Plan:
-    """Minimum-power, cruising and maximum-speed gaits of the front at a margin in m, None: at the cliff.
+    """Minimum-power, cruising and maximum-speed gaits of the front that the settings make, from the cache if there.
 
     Raises `OptimizerError` if no gait moves.
     """
-    settings = Settings(margin=margin)
     price = scanned_price(content, settings, direction, cache, report)
     front = load_front(content, settings, direction, cache)
     if front is None:

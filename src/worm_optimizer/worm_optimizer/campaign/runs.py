@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from worm_model.gait import Gait
@@ -42,6 +42,10 @@ class Robot:
         return System(
             whole.namespace, tuple(node for node in whole.nodes if node.name not in _UNUSED)
         )
+
+    def in_folder(self, folder: Path) -> Robot:
+        """The same, its sockets in a folder, unless a setting says where."""
+        return replace(self, settings={"directory": str(folder), **self.settings})
 
     def recording_system(self, bag: Path) -> System:
         """The same robot as a system that has a recorder, for one bag."""

@@ -101,7 +101,7 @@ def report_json(gaits: Sequence[RecordedGait]) -> dict[str, Any]:
                 "expected": asdict(gait.expected.bands),
                 "twin": asdict(gait.twin),
                 "groove_phase": gait.expected.nominal.groove_phase,
-                "inside": {row.quantity: row.inside for row in agreements(gait)},
+                "agrees": {row.quantity: row.agrees for row in agreements(gait)},
                 "missing": list(gait.missing),
             }
             for gait in gaits

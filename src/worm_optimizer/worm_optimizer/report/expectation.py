@@ -39,9 +39,9 @@ class Band:
     low: float
     high: float
 
-    def holds(self, value: float) -> bool:
-        """Whether a value lies within the bounds."""
-        return self.low <= value <= self.high
+    def overlaps(self, other: Band) -> bool:
+        """Whether both have a value in common."""
+        return self.low <= other.high and other.low <= self.high
 
 
 @dataclass(frozen=True)

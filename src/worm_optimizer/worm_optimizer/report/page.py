@@ -56,12 +56,13 @@ def summary_section(gaits: Sequence[RecordedGait], orders: Sequence[Order]) -> s
         "expected",
         "95 % interval",
         "difference",
-        "inside",
+        "agrees",
     )
     notes = (
         "<p>Measured: the mean of the averaged cycles, and the lowest and highest of these cycles. Expected: the "
         "model, from the command alone and without a margin; its interval comes from the uncertainty of the "
-        "parameters at the groove phase of the parameter file. No number is passed from one to the other.</p>"
+        "parameters at the groove phase of the parameter file. They agree where that interval and the span of the "
+        "cycles overlap. No number is passed from one to the other.</p>"
     )
     lines = "".join(f"<li>{_order_text(order)}</li>" for order in orders)
     order = f"<h3>Order</h3><ul>{lines}</ul>" if lines else ""
@@ -70,10 +71,10 @@ def summary_section(gaits: Sequence[RecordedGait], orders: Sequence[Order]) -> s
 
 def _agreement_row(row: Agreement) -> list[str]:
     measured, expected = row.measured, row.expected
-    if row.inside is None:
+    if row.agrees is None:
         verdict = "not measured"
     else:
-        verdict = '<span class="yes">yes</span>' if row.inside else '<span class="no">no</span>'
+        verdict = '<span class="yes">yes</span>' if row.agrees else '<span class="no">no</span>'
     return [
         _text(row.gait),
         _NAMES[row.quantity],

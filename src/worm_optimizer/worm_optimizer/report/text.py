@@ -19,7 +19,7 @@ _FORMATS = {
 
 def describe(gaits: Sequence[RecordedGait]) -> str:
     """Each figure with its expected 95 % interval, then the orders; the groove phase that it holds for."""
-    heads = ("gait", "", "measured", "expected", "95 % interval", "difference", "inside")
+    heads = ("gait", "", "measured", "expected", "95 % interval", "difference", "agrees")
     rows = [heads, *(_row(row) for gait in gaits for row in agreements(gait))]
     widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
     lines = [
@@ -35,7 +35,7 @@ def describe(gaits: Sequence[RecordedGait]) -> str:
 
 def _row(row: Agreement) -> tuple[str, ...]:
     name, scale, digits = _FORMATS[row.quantity]
-    verdict = {True: "yes", False: "no", None: "not measured"}[row.inside]
+    verdict = {True: "yes", False: "no", None: "not measured"}[row.agrees]
     difference = f"{100.0 * row.difference:+.1f} %" if math.isfinite(row.difference) else "-"
     return (
         row.gait,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several measured gaits say about the predictions: within their intervals or not, in the same order or not."""
+"""What measured gaits say about the predictions: in agreement or not, in the same order or not."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Order:
 
 @dataclass(frozen=True)
 class Agreement:
-    """One figure of one gait; ``inside`` is None where nothing was measured."""
+    """One figure of one gait."""
 
     gait: str
     quantity: str
@@ -37,11 +37,14 @@ class Agreement:
     expected: Band
 
     @property
-    def inside(self) -> bool | None:
-        """Whether the measured mean lies in the expected 95 % interval."""
+    def agrees(self) -> bool | None:
+        """Whether the expected 95 % interval and the span of the measured cycles overlap; None if not measured.
+
+        The span stands for the uncertainty of the measurement: noise of the instruments, and grooves that differ.
+        """
         if math.isnan(self.measured.value):
             return None
-        return self.expected.holds(self.measured.value)
+        return self.expected.overlaps(self.measured)
 
     @property
     def difference(self) -> float:

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The campaign on the virtual robot, with real processes: two short gaits in the place of three."""
+
+from pathlib import Path
+
+import pytest
+from harness import system_file
+
+from worm_model.gait import Gait
+from worm_optimizer.campaign.runs import Robot, run_gaits
+from worm_optimizer.report.recorded import read_recorded_gait
+from worm_optimizer.report.verdict import agreements, orders
+
+pytestmark = pytest.mark.integration
+
+GAITS = {"slow": Gait(0.06, 0.38), "fast": Gait(0.08, 0.4)}
+
+
+@pytest.mark.timeout(300)
+def test_each_gait_has_a_recording_of_its_own_that_agrees(ros_domain: int, tmp_path: Path):
+    (tmp_path / "logs").mkdir()
+    robot = Robot(system_file(), "virtual", {"directory": str(tmp_path / "robot")})
+    run_gaits(robot, GAITS, tmp_path, tmp_path / "logs", say=print)
+
+    recorded = [read_recorded_gait(tmp_path / name, "", print) for name in GAITS]
+    assert [gait.name for gait in recorded] == list(GAITS)
+    for gait, played in zip(recorded, GAITS.values(), strict=True):
+        assert gait.gait == played
+        assert gait.cycles == 5
+        assert gait.missing == ()
+        assert [row.measured.value for row in agreements(gait)] == pytest.approx(
+            [row.expected.value for row in agreements(gait)], rel=0.2
+        )
+    assert orders(recorded)[0].preserved is True

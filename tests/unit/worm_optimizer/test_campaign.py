@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The validation campaign, as far as no robot is needed."""
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from worm_model.parameters import ParameterFile
+from worm_optimizer.bringup.system import load_system_file
+from worm_optimizer.cache import Cache
+from worm_optimizer.campaign import command
+from worm_optimizer.campaign.plan import make_plan, write_promises
+from worm_optimizer.campaign.runs import Robot
+from worm_optimizer.gait_map import MapSettings
+from worm_optimizer.search import SearchSettings
+from worm_optimizer.settings import ScanSettings, Settings
+
+FILE = load_system_file(Path(__file__).parents[3] / "src/worm_optimizer/config/system.yaml")
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory):
+    cache = Cache.at(tmp_path_factory.mktemp("cache"))
+    coarse = Settings(
+        margin=0.0034,
+        scan=ScanSettings(0.003, 0.004, 0.0005),
+        map=MapSettings(21, 17, 1e-5, 1),
+        search=SearchSettings(24, 10, 1),
+        samples=20,
+    )
+    return make_plan(ParameterFile(), coarse, 1, cache, lambda _: None)
+
+
+def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["campaign", *arguments])
+    return command.main()
+
+
+def test_the_plan_has_the_papers_three_gaits_by_rising_speed(plan):
+    assert list(plan.gaits) == ["min_power", "cruise", "max_speed"]
+    speeds = [gait.nominal_speed for gait in plan.gaits.values()]
+    assert speeds == sorted(speeds)
+    assert {gait.margin for gait in plan.gaits.values()} == {0.0034}
+
+
+def test_promises_are_written_once(plan, tmp_path: Path):
+    path = write_promises(plan, tmp_path)
+    content = json.loads(path.read_text())
+    assert content["cruise"] == dataclasses.asdict(plan.gaits["cruise"])
+    with pytest.raises(FileExistsError):
+        write_promises(plan, tmp_path)
+
+
+@pytest.mark.parametrize("mode", ["virtual", "robot"])
+def test_the_same_nodes_run_but_for_the_robot_itself(mode: str):
+    robot = Robot(FILE, mode, {})
+    names = [node.name for node in robot.system().nodes]
+    assert names == [*(["virtual_robot"] if mode == "virtual" else []), "twin", "driver"]
+    recorder = robot.recording_system(Path("/tmp/a bag")).node("recorder")
+    assert recorder.arguments[:2] == ("--output", "/tmp/a bag")
+
+
+def test_a_calibrated_driver_gets_its_file():
+    arguments = (
+        Robot(FILE, "robot", {"driver_file": "driver.yaml"}).system().node("driver").arguments
+    )
+    assert arguments == ("--ros-args", "--params-file", "driver.yaml")
+    assert Robot(FILE, "robot", {}).system().node("driver").arguments == ()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("--set", "port"), "write NAME=VALUE"),
+        (("--set", "prot=/dev/ttyUSB0"), "no setting 'prot'"),
+        (("--margin", "-1"), "margin: -1"),
+        (("--parameters", "none.yaml"), "none.yaml: cannot be read"),
+        (("--mode", "imaginary"), "invalid choice"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing_behind(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+    arguments: tuple[str, ...],
+    complaint: str,
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    try:
+        status = run_command(monkeypatch, *arguments, "--output", "folder")
+    except SystemExit as end:  # of argparse
+        status = end.code
+    assert status == 2
+    told = capsys.readouterr()
+    assert complaint in told.err.splitlines()[-1]
+    assert not (tmp_path / "folder").exists()
+
+
+def test_an_existing_folder_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+):
+    (tmp_path / "folder").mkdir()
+    assert run_command(monkeypatch, "--output", str(tmp_path / "folder")) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert list((tmp_path / "folder").iterdir()) == []

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reports of recorded gaits."""
+
+import dataclasses
+import json
+import math
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_run import GAIT, simulated_run, write_bag
+
+from worm_model.bags.bag import AttachedFile
+from worm_model.bags.run_writer import write_run
+from worm_model.bags.writer import BagWriter
+from worm_model.command_line import InputError
+from worm_model.parameters import PAPER, ParameterFile, format_parameter_file
+from worm_model.run import GaitStates, Run, TrackerSamples
+from worm_model.simulator import evaluate_gait
+from worm_optimizer.report import command
+from worm_optimizer.report.build import Identification, Report, build_report
+from worm_optimizer.report.expectation import Band, expect
+from worm_optimizer.report.recorded import RecordedGait, read_recorded_gait
+from worm_optimizer.report.run_figures import ridges_passed_at
+from worm_optimizer.report.text import describe
+from worm_optimizer.report.verdict import agreements, orders
+
+CYCLES = 5
+
+
+def silent(line: str) -> None:
+    raise AssertionError(line)
+
+
+@pytest.fixture(scope="module")
+def gait(tmp_path_factory: pytest.TempPathFactory) -> RecordedGait:
+    bag = write_bag(tmp_path_factory.mktemp("bags") / "five", simulated_run(CYCLES))
+    return read_recorded_gait(bag, "", silent)
+
+
+def read(path: Path, run: Run, parameters: str = "") -> RecordedGait:
+    return read_recorded_gait(write_bag(path, run), parameters, silent)
+
+
+def with_speed(gait: RecordedGait, name: str, measured: float, expected: float) -> RecordedGait:
+    """A gait of another name and speeds."""
+    band = Band(expected, 0.9 * expected, 1.1 * expected)
+    return dataclasses.replace(
+        gait,
+        name=name,
+        measured=dataclasses.replace(gait.measured, speed=Band(measured, measured, measured)),
+        expected=dataclasses.replace(
+            gait.expected, bands=dataclasses.replace(gait.expected.bands, speed=band)
+        ),
+    )
+
+
+# --- what is read of a recording -----------------------------------------------------------------
+
+
+def test_measured_figures_are_those_of_the_simulated_robot(gait: RecordedGait):
+    true = evaluate_gait(GAIT)
+    assert gait.measured.speed.value == pytest.approx(true.speed, rel=0.01)
+    assert gait.measured.power.value == pytest.approx(true.power, rel=0.01)
+    assert gait.measured.cost_of_transport.value == pytest.approx(true.cost_of_transport, rel=0.02)
+    assert gait.missing == ()
+
+
+def test_the_twin_follows_and_the_expectation_holds(gait: RecordedGait):
+    assert gait.twin.speed.value == pytest.approx(gait.measured.speed.value, rel=0.02)
+    assert gait.expected.nominal == evaluate_gait(GAIT)
+    assert all(row.agrees for row in agreements(gait))
+    assert gait.judged.cycles[-1].measured_grooves == pytest.approx(
+        gait.expected.nominal.grooves_per_cycle, abs=0.05
+    )
+
+
+def test_bounds_are_those_of_the_single_cycles(gait: RecordedGait):
+    for band in (gait.measured.speed, gait.measured.power):
+        assert band.low <= band.value <= band.high
+        assert band.low < band.high
+
+
+def test_without_a_tracker_power_is_told_and_the_reason_of_the_rest(tmp_path: Path):
+    run = dataclasses.replace(simulated_run(CYCLES), tracker=TrackerSamples())
+    gait = read(tmp_path / "blind", run)
+    assert math.isnan(gait.measured.speed.value)
+    assert math.isnan(gait.measured.cost_of_transport.value)
+    assert gait.measured.power.value == pytest.approx(evaluate_gait(GAIT).power, rel=0.01)
+    assert gait.missing == ("the recording has no position of x1 over the averaged cycles",)
+    assert [row.agrees for row in agreements(gait)] == [None, True, None]
+    build_report(Report("blind", [gait]), tmp_path / "report")
+
+
+def test_a_recording_without_a_gait_is_refused(tmp_path: Path):
+    run = dataclasses.replace(simulated_run(2), gait_state=GaitStates())
+    with pytest.raises(InputError, match="holds no gait"):
+        read(tmp_path / "idle", run)
+
+
+def test_the_parameter_file_inside_the_recording_counts(tmp_path: Path):
+    content = ParameterFile(PAPER.replace(idle_power=1.25))
+    text = format_parameter_file(content).encode()
+    with BagWriter(tmp_path / "own") as writer:
+        writer.add_attachment(AttachedFile("parameters.yaml", "application/yaml", text))
+        write_run(writer, simulated_run(CYCLES))
+    gait = read_recorded_gait(tmp_path / "own", "", silent)
+    assert gait.content.parameters.idle_power == 1.25
+    assert gait.parameter_source == "the parameter file inside the recording"
+    (tmp_path / "given.yaml").write_text("idle_power: 0.5\n")
+    given = read_recorded_gait(tmp_path / "own", str(tmp_path / "given.yaml"), silent)
+    assert given.content.parameters.idle_power == 0.5
+
+
+def test_events_tell_states_and_gaps(gait: RecordedGait):
+    texts = [event.text for event in gait.events]
+    assert "running" in texts
+    assert any("rear marker hidden in 4 of" in text for text in texts)
+    times = [event.time for event in gait.events if math.isfinite(event.time)]
+    assert times == sorted(times)
+
+
+def test_invalid_power_samples_are_counted(tmp_path: Path):
+    run = simulated_run(2)
+    status = run.power.status.copy()
+    status[10:13] = 1
+    power = dataclasses.replace(run.power, status=status)
+    gait = read(tmp_path / "overflow", dataclasses.replace(run, power=power))
+    assert any(f"3 of {status.size} power samples" in event.text for event in gait.events)
+
+
+def test_five_ridges_are_passed_when_the_tracker_says_so(gait: RecordedGait):
+    passed = ridges_passed_at(gait)
+    tracker = gait.run.tracker
+    time = (tracker.stamp - gait.onset) * 1e-9
+    rest = np.nanmean(tracker.rear_position[time < 0.0])
+    assert np.nanmax(tracker.rear_position[time < passed - 0.1]) - rest < 5 * PAPER.pitch
+    assert np.nanmax(tracker.rear_position[time <= passed]) - rest == pytest.approx(
+        5 * PAPER.pitch, abs=0.01
+    )
+
+
+# --- expectations ---------------------------------------------------------------------------------
+
+
+def test_intervals_hold_the_prediction_and_are_the_same_each_time():
+    first, second = expect(GAIT, ParameterFile()), expect(GAIT, ParameterFile())
+    assert first == second
+    for band in dataclasses.astuple(first.bands):
+        value, low, high = band
+        assert low <= value <= high
+
+
+def test_a_file_that_knows_its_parameters_narrows_the_interval():
+    wide = expect(GAIT, ParameterFile()).bands.power
+    exact = {key: (value, value) for key, value in PAPER.as_dict().items()}
+    narrow = expect(GAIT, ParameterFile(PAPER, exact)).bands.power
+    assert narrow.high - narrow.low < 1e-6 < wide.high - wide.low
+
+
+# --- several gaits --------------------------------------------------------------------------------
+
+
+def test_order_is_preserved_or_not_or_not_told(gait: RecordedGait):
+    slow, fast = with_speed(gait, "slow", 1.0, 1.1), with_speed(gait, "fast", 2.0, 1.9)
+    assert orders([gait]) == ()
+    assert orders([fast, slow])[0].preserved is True
+    assert orders([slow, with_speed(gait, "fast", 0.5, 1.9)])[0].preserved is False
+    assert orders([slow, with_speed(gait, "fast", math.nan, 1.9)])[0].preserved is None
+
+
+def test_the_text_names_what_is_outside(gait: RecordedGait):
+    text = describe([with_speed(gait, "slow", 1.0, 2.0), with_speed(gait, "fast", 0.5, 3.0)])
+    assert re.search(r"slow +speed \(mm/s\).*-50\.0 % +no", text)
+    assert "order by speed: not preserved; expected slow < fast, measured fast < slow" in text
+
+
+# --- the page -------------------------------------------------------------------------------------
+
+
+def test_the_page_needs_nothing_else_and_figures_lie_beside_it(gait: RecordedGait, tmp_path: Path):
+    named = dataclasses.replace(gait, name="<b>odd & name</b>")
+    page = build_report(Report("A <title>", [named]), tmp_path / "report")
+    text = page.read_text(encoding="utf-8")
+    sources = re.findall(r'(?:src|href)="([^"]{0,40})', text)
+    assert len(sources) == 4
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert "<script" not in text
+    assert "<b>odd" not in text
+    assert "&lt;b&gt;odd &amp; name" in text
+    figures = {path.name for path in (page.parent / "figures").iterdir()}
+    assert figures == {
+        f"run_1_{name}.{kind}"
+        for name in ("motion", "length", "energy", "cycles")
+        for kind in ("png", "pdf")
+    }
+
+
+def test_the_same_recording_gives_the_same_bytes(gait: RecordedGait, tmp_path: Path):
+    pages = [build_report(Report("same", [gait]), tmp_path / name) for name in ("one", "two")]
+    for path in pages[0].parent.rglob("*.*"):
+        other = pages[1].parent / path.relative_to(pages[0].parent)
+        assert path.read_bytes() == other.read_bytes(), path.name
+
+
+def test_identified_parameters_stand_beside_the_papers(tmp_path: Path):
+    content = ParameterFile(
+        PAPER.replace(gain=0.9), {"gain": (0.88, 0.92)}, {"bags": ["run_01"], "seed": 1}
+    )
+    page = build_report(
+        Report("identified", identification=Identification(content, "mine.yaml")), tmp_path / "r"
+    )
+    text = page.read_text(encoding="utf-8")
+    assert "0.88 to 0.92" in text
+    assert "run_01" in text
+    assert (tmp_path / "r" / "figures" / "parameters.png").stat().st_size > 0
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["report", *map(str, arguments)])
+    return command.main()
+
+
+def test_the_newest_recording_is_reported_by_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+):
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "bags" / "mine", simulated_run(CYCLES))
+    assert run_command(monkeypatch, "--without-front", "--json") == 0
+    content = json.loads(capsys.readouterr().out)
+    assert Path(content["page"]) == Path("bags/mine_report/report.html")
+    assert (tmp_path / content["page"]).is_file()
+    assert content["runs"][0]["agrees"] == {"speed": True, "power": True, "cost_of_transport": True}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ((), "no recording in"),
+        (("nowhere",), "nowhere does not exist"),
+        (("nowhere", "--output", "."), "exists already"),
+        (("nowhere", "--identification", "none.yaml"), "none.yaml: cannot be read"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+    arguments: tuple[str, ...],
+    complaint: str,
+):
+    monkeypatch.chdir(tmp_path)
+    assert run_command(monkeypatch, *arguments) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert complaint in told.err
+    assert told.err.count("\n") == 1
