@@ -10,6 +10,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "evaluate_gait = worm_model.evaluate_gait:main",
     "phase_map = worm_model.phase_map:main",
     "export = worm_model.export:main",
+    "identify = worm_model.identify:main",
     "import_lab = worm_model.import_lab:main",
     "recover = worm_model.recover:main",
     "play = worm_model.play_node:main",

@@ -86,10 +86,10 @@ def fitted_samples(recording: Recording) -> NDArray[np.bool_]:
     return np.isfinite(recording.length) & (recording.camera_time <= recording.command_time[-1])
 
 
-def actuation_problem(recordings: Sequence[Recording]) -> Problem:
-    """Residuals of the measured lengths in units of the camera's noise."""
+def actuation_problem(recordings: Sequence[Recording], known_noise: float = 0.0) -> Problem:
+    """Residuals of the measured lengths in units of the camera's noise, which the data tell unless it is known (m)."""
     seen = [fitted_samples(recording) for recording in recordings]
-    noise = [max(noise_of(r.length), LEAST_NOISE) for r in recordings]
+    noise = [known_noise or max(noise_of(r.length), LEAST_NOISE) for r in recordings]
 
     def residuals(run: int, shared: Array, own: Array) -> Array:
         recording, kept = recordings[run], seen[run]

@@ -103,14 +103,14 @@ def with_force(run: PowerRun, static_force: Array) -> PowerRun:
     return replace(run, static_force=static_force[: run.time.size])
 
 
-def energy_problem(runs: Sequence[PowerRun]) -> Problem:
-    """Residuals of the accumulated energy by (c_b, α_P) and each run's clock offset."""
+def energy_problem(runs: Sequence[PowerRun], scale: float = SCALE) -> Problem:
+    """Residuals of the accumulated energy by (c_b, α_P) and each run's clock offset, in units of ``scale`` J."""
     measured = [run.energy for run in runs]
 
     def residuals(index: int, shared: Array, own: Array) -> Array:
         run = runs[index]
         predicted = predicted_energy(run, shared[0], shared[1], own[0])
-        return (measured[index] - predicted) / SCALE
+        return (measured[index] - predicted) / scale
 
     own = (Quantity(1e-3, -0.1, 0.1, 0.0, CLOCK_SPREAD),)
     return Problem(residuals, SHARED, [own for _ in runs])

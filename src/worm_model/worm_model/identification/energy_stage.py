@@ -27,14 +27,16 @@ VAGUE = 0.5  # half-width relative to the value from which a number would preten
 
 @dataclass(frozen=True)
 class EnergyResult:
-    """``bellows_damping`` N·s/m and ``power_factor``; their ``correlation``; ``fit`` has the nuisances.
+    """``bellows_damping`` N·s/m and ``power_factor``; ``correlation`` (2, 2) of the two; ``inherited``: which part of their
+    variances comes from what earlier stages and the ruler left open; ``fit`` has the nuisances.
 
     Without ``identifiable`` estimates, ``fit`` holds c_b at the given value.
     """
 
     bellows_damping: Estimate
     power_factor: Estimate
-    correlation: float
+    correlation: Array
+    inherited: tuple[float, float]
     fit: EnergyFit
 
 
@@ -53,17 +55,20 @@ def identify_energy(
     weights = unit_weights(random, len(runs))
     seeds = random.integers(2**63, size=weights.shape[0])
 
-    def refit(index: int) -> Array:
+    def refit(index: int, weight: Array) -> Array:
         drawn = forces(np.random.default_rng(seeds[index]))
         moved = [with_force(run, force) for run, force in zip(runs, drawn, strict=True)]
-        solution = fit_energy(moved, weights[index], fit)
+        solution = fit_energy(moved, weight, fit)
         return np.array([solution.damping, solution.factor])
 
-    refits = refitted(refit)
+    refits = refitted(lambda index: refit(index, weights[index]))
+    alike = np.ones(len(runs))
+    inherited = refitted(lambda index: refit(index, alike)).var(axis=0) / refits.var(axis=0)
     damping, factor = estimates(np.array([fit.damping, fit.factor]), refits, len(runs))
     if damping.spread > VAGUE * damping.value or factor.spread > VAGUE * factor.value:
         return _given(runs, given_damping, "the runs leave it open by more than half its value")
-    return EnergyResult(damping, factor, float(correlation(refits)[0, 1]), fit)
+    shares = (min(float(inherited[0]), 1.0), min(float(inherited[1]), 1.0))
+    return EnergyResult(damping, factor, correlation(refits), shares, fit)
 
 
 def _why_not(runs: Sequence[PowerRun], frequencies: Sequence[float]) -> str:
@@ -84,6 +89,7 @@ def _given(runs: Sequence[PowerRun], damping: float, note: str) -> EnergyResult:
     return EnergyResult(
         Estimate(damping, nothing, nothing, False, note),
         Estimate(fit.factor, nothing, nothing, False, f"{note}; fitted under the given c_b"),
-        nothing,
+        np.full((2, 2), nothing),
+        (nothing, nothing),
         fit,
     )

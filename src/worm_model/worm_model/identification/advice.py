@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which further run would shrink the widest interval most.
+
+For gaits over the admissible box a run of five ridges is computed with the exact model, and what a recording of it
+would tell is added to what is known: the information of its residuals by the parameters, the run's own
+nuisances taken out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.gait import Gait
+from worm_model.identification.actuation import actuation_problem
+from worm_model.identification.blocks import Problem, evaluate, normal_equations
+from worm_model.identification.energy import INDEPENDENT, PowerRun, energy_problem
+from worm_model.identification.estimate import quantile
+from worm_model.identification.grooves import groove_problem
+from worm_model.identification.locomotion import RIDGES, traverse_of
+from worm_model.identification.measured_length import measured_length
+from worm_model.identification.pipeline import Identification
+from worm_model.identification.recording import Recording
+from worm_model.simulator import simulate
+
+Array = NDArray[np.float64]
+
+STROKES = (0.05, 0.07, 0.09)  # m
+FREQUENCIES = (0.08, 0.12, 0.2, 0.3, 0.4)  # Hz
+MOST_CYCLES = 12  # after which a gait that has not passed five ridges is no candidate
+CAMERA_RATE, COMMAND_RATE, POWER_RATE = 30.0, 100.0, 50.0  # Hz
+REST = 2.0  # s
+STAGES = {
+    "locomotion": ("viscous_friction", "switching_threshold"),
+    "actuation": ("slack", "gain", "time_constant"),
+    "energy": ("bellows_damping", "power_factor"),
+}
+NO_RUN_HELPS = {
+    "bellows_stiffness": "repeat the bellows test with four times the points",
+    "clearance": "repeat the fin test with four times the points near its knees",
+    "engaged_stiffness": "repeat the fin test with four times the points on its engaging side",
+    "disengaged_stiffness": "repeat the fin test with four times the points on its sliding side",
+    "idle_power": "let the robot rest longer before each run",
+}
+
+
+@dataclass(frozen=True)
+class Advice:
+    """``key`` of the widest interval relative to its value; the ``gait`` that would shrink it most, to ``shrunk`` of its
+    width, or None where no run helps; ``text`` says so in words.
+    """
+
+    key: str
+    gait: Gait | None
+    shrunk: float
+    text: str
+
+
+def advise(result: Identification) -> Advice:
+    """What to measure next."""
+    vague = [key for key in STAGES["energy"] if not result.estimates[key].identifiable]
+    if vague:
+        return Advice(
+            vague[0], None, np.nan, f"{vague[0]}: {result.estimates[vague[0]].note}"
+        )
+    known = [*NO_RUN_HELPS, *(key for keys in STAGES.values() for key in keys)]
+    width = {
+        key: result.estimates[key].spread / abs(result.estimates[key].value)
+        for key in known
+        if result.estimates[key].identifiable
+    }
+    key = max(width, key=lambda k: width[k])
+    head = f"the widest interval is that of {key} (±{100 * width[key]:.1f} %)"
+    if key in NO_RUN_HELPS:
+        return Advice(key, None, np.nan, f"{head}; no run would shrink it: {NO_RUN_HELPS[key]}")
+    stage = next(name for name, keys in STAGES.items() if key in keys)
+    gait, shrunk = _best_gait(result, stage, key)
+    text = f"{head}; of {len(STROKES) * len(FREQUENCIES)} gaits tried, one more run at {gait.stroke:g} m and "
+    text += f"{gait.frequency:g} Hz would shrink it most, to {100 * shrunk:.0f} % of its width"
+    if stage == "locomotion" and _limited_by_grooves(result, key):
+        text += "; grooves that differ limit it: start from other ridges, or run past more of them"
+    if _inherited(result, key) > 0.5:
+        text += "; most of it comes from what was given and from the bench tests: measure these more exactly"
+    return Advice(key, gait, shrunk, text)
+
+
+def _inherited(result: Identification, key: str) -> float:
+    """Which part of a variance further runs leave as it is: that of earlier stages, and of what was given."""
+    if key in STAGES["energy"]:
+        share = result.energy.inherited[STAGES["energy"].index(key)]
+    elif key in STAGES["locomotion"]:
+        entry, fit = STAGES["locomotion"].index(key), result.locomotion.fit
+        off = [v.means[entry] - fit.means[entry] for _, v in result.locomotion.variants]
+        share = float(np.sum(np.square(off))) / (result.estimates[key].spread / quantile(np.inf)) ** 2
+    else:
+        share = 0.0
+    return min(share, 0.98)
+
+
+def _limited_by_grooves(result: Identification, key: str) -> bool:
+    scatter = result.locomotion.fit.scatter
+    if key == "viscous_friction":
+        return scatter.stiffness > 0.01
+    return scatter.threshold > 5e-5
+
+
+def _best_gait(result: Identification, stage: str, key: str) -> tuple[Gait, float]:
+    keys = STAGES[stage]
+    entry = keys.index(key)
+    inherited = _inherited(result, key)
+    covariance = (1.0 - inherited) * _covariance(result, stage)
+    found = []
+    for stroke in STROKES:
+        for frequency in FREQUENCIES:
+            gait = Gait(stroke, frequency)
+            recording = recorded(gait, result)
+            if recording is None:
+                continue
+            information = _information(result, stage, recording)
+            posterior = np.linalg.inv(np.linalg.inv(covariance) + information)
+            own = posterior[entry, entry] / covariance[entry, entry]
+            shrunk = float(np.sqrt(inherited + (1.0 - inherited) * own))
+            found.append((shrunk, stroke, frequency))
+    shrunk, stroke, frequency = min(found)
+    return Gait(stroke, frequency), shrunk
+
+
+def _covariance(result: Identification, stage: str) -> Array:
+    keys = STAGES[stage]
+    deviation = np.array([result.estimates[key].spread / quantile(np.inf) for key in keys])
+    if stage == "locomotion":
+        correlation = result.locomotion.correlation[:2, :2]
+    elif stage == "actuation":
+        correlation = result.actuation.correlation
+    else:
+        correlation = result.energy.correlation
+    return correlation * np.outer(deviation, deviation)
+
+
+def recorded(gait: Gait, result: Identification) -> Recording | None:
+    """What the instruments would see of a gait over five ridges without noise; None if it does not get that far."""
+    parameters = result.parameters
+    trajectory = simulate(gait, parameters, MOST_CYCLES)
+    camera = np.arange(0.0, trajectory.duration, 1.0 / CAMERA_RATE)
+    motion = trajectory.at(camera)
+    arrived = np.flatnonzero(motion.x1 >= RIDGES * parameters.pitch)
+    if not arrived.size:
+        return None
+    end = int(arrived[0]) + 1
+    rest = np.arange(-REST, 0.0, 1.0 / CAMERA_RATE)
+    command = np.arange(0.0, camera[end - 1] + 0.5, 1.0 / COMMAND_RATE)
+    power = np.arange(0.0, camera[end - 1], 1.0 / POWER_RATE)
+    return Recording(
+        name="planned",
+        gait=gait,
+        camera_time=np.concatenate([rest, camera[:end]]),
+        x1=np.concatenate([0.0 * rest, motion.x1[:end]]),
+        x2=np.concatenate([0.0 * rest + parameters.initial_length, motion.x2[:end]]),
+        command_time=command,
+        command=np.array([gait.command(time) for time in command]),
+        power_time=power,
+        power=trajectory.at(power).power,
+    )
+
+
+def _information(result: Identification, stage: str, recording: Recording) -> Array:
+    """(k, k) of the stage's parameters, in inverse squares of their units."""
+    if stage == "actuation":
+        noise = float(np.median([np.std(r) for r in result.actuation.fit.residuals]))
+        problem = actuation_problem([recording], noise)
+        own = np.array([[result.parameters.initial_length, 0.0, 0.0]])
+        return _marginal(problem, result.actuation.fit.values, own, 3)
+    if stage == "energy":
+        return _energy_information(result, recording)
+    length = replace(
+        measured_length(recording), initial_spread=result.runs[0].length.initial_spread
+    )
+    noise = float(np.median([run.traverse.noise for run in result.runs]))
+    traverse = replace(traverse_of(recording, length, result.parameters.pitch), noise=noise)
+    fit = result.locomotion.fit
+    problem = groove_problem([traverse], result.parameters, fit.places, fit.scatter)
+    own = np.array([[result.parameters.initial_length]])
+    return _marginal(problem, fit.solution.shared, own, 2) / result.locomotion.inflation
+
+
+def _energy_information(result: Identification, recording: Recording) -> Array:
+    parameters = result.parameters
+    motion = simulate(recording.gait, parameters, MOST_CYCLES).at(recording.power_time)
+    static = motion.cable_force + parameters.bellows_damping * motion.length_rate
+    run = PowerRun(
+        recording.name,
+        recording.power_time,
+        motion.length_rate,
+        static,
+        recording.power_time,
+        recording.power,
+        parameters.idle_power,
+    )
+    values = np.array([parameters.bellows_damping, parameters.power_factor])
+    scatter = float(np.sqrt(np.mean([np.mean(r**2) for r in result.energy.fit.residuals])))
+    problem = energy_problem([run], scatter)
+    weights = [np.full(recording.power_time.size, INDEPENDENT / recording.power_time.size)]
+    return _marginal(problem, values, np.zeros((1, 1)), 2, weights)
+
+
+def _marginal(
+    problem: Problem,
+    shared: Array,
+    own: Array,
+    count: int,
+    weights: Sequence[Array] | None = None,
+) -> Array:
+    """Information on the first ``count`` shared parameters, all others unknown."""
+    matrix, _ = normal_equations(problem, evaluate(problem, shared, own), weights)
+    cross = matrix[:count, count:]
+    information: Array = matrix[:count, :count] - cross @ np.linalg.pinv(
+        matrix[count:, count:], hermitian=True
+    ) @ cross.T
+    return information

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report of an identification: one page of Markdown and the figures beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from worm_model.identification.advice import advise
+from worm_model.identification.estimate import Estimate
+from worm_model.identification.figures import all_figures
+from worm_model.identification.pipeline import Identification
+from worm_model.identification.prediction import Errors
+from worm_model.identification.results import code_version, correlations
+from worm_model.parameters import PAPER, SYMBOLS, UNITS
+
+PAGE = "report.md"
+FIGURES = "figures"
+DPI = 80
+# What tables are written in: unit, factor from SI, decimals
+SHOWN = {"m": ("mm", 1e3, 3)}
+FIGURE_TITLES = {
+    "bellows": "Bellows test and linear fit",
+    "fin": "Fin test and fitted law",
+    "search": "J_loc over the switching threshold",
+}
+
+
+def write_report(
+    result: Identification, folder: Path, progress: Callable[[float], None] = lambda _: None
+) -> Path:
+    """Writes report.md and figures/*.png into a folder that does not exist yet; returns the page's path.
+
+    Raises FileExistsError rather than overwrite anything.
+    """
+    folder.mkdir(parents=True)
+    pictures = folder / FIGURES
+    pictures.mkdir()
+    names = []
+    expected = 3 * len(result.runs) + 3
+    for name, figure in all_figures(result):
+        figure.savefig(pictures / f"{name}.png", dpi=DPI)
+        names.append(name)
+        progress(len(names) / expected)
+    page = folder / PAGE
+    page.write_text(text_of(result, names), encoding="utf-8")
+    return page
+
+
+def text_of(result: Identification, figures: list[str]) -> str:
+    """The page."""
+    parts = [
+        "# Identification",
+        _summary(result),
+        "## Parameters\n\n" + parameter_table(result.estimates),
+        _open_ends(result),
+        "## Left out one by one\n\n"
+        "Each run under the parameters that the *other* runs give, next to the paper's table; the exact model "
+        "without any nuisance but the run's own initial length. x1 is predicted under the measured length, ΔL from "
+        "the command; root mean squares over the five ridges, the energy's error at their end.\n\n"
+        + error_table(result.held_out, result.paper),
+    ]
+    if result.validation:
+        parts.append("## Validation runs\n\n" + error_table(result.validation, {}))
+    parts += [
+        "## Nuisances\n\n" + nuisance_text(result),
+        "## Remarks\n\n" + "\n".join(f"- {text}" for text in result.warnings or ["none"]),
+        "## Figures\n\n" + "\n\n".join(_picture(name) for name in figures),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _summary(result: Identification) -> str:
+    dates = sorted({run.recording.date for run in result.runs if run.recording.date})
+    when = f", recorded {dates[0]} to {dates[-1]}" if dates else ", of unknown date"
+    return (
+        f"{len(result.runs)} runs{when}. Given values: {result.given.source}. {code_version()}, seed {result.seed}. "
+        "Intervals are 95 %."
+    )
+
+
+def parameter_table(estimates: Mapping[str, Estimate]) -> str:
+    """All parameters with their intervals, next to the paper's table."""
+    lines = ["| | | value | 95 % interval | unit | paper | |", "| --- | --- | ---: | :---: | --- | ---: | --- |"]
+    for key, estimate in estimates.items():
+        unit, factor, _ = SHOWN.get(UNITS[key], (UNITS[key], 1.0, 0))
+        decimals = _decimals(estimate, factor)
+        value = f"{estimate.value * factor:.{decimals}f}"
+        if estimate.identifiable:
+            interval = f"{estimate.low * factor:.{decimals}f} … {estimate.high * factor:.{decimals}f}"
+        else:
+            interval = "not identified"
+        paper = f"{getattr(PAPER, key) * factor:g}"
+        lines.append(
+            f"| {SYMBOLS[key]} | {key} | {value} | {interval} | {unit} | {paper} | {estimate.note} |"
+        )
+    return "\n".join(lines)
+
+
+def _decimals(estimate: Estimate, factor: float) -> int:
+    """As many as the interval's width leaves meaning to: two digits of its half."""
+    half = estimate.spread * factor if estimate.identifiable else abs(estimate.value * factor) / 50.0
+    decimals = 0
+    while half < 9.95 and decimals < 6:
+        half, decimals = half * 10.0, decimals + 1
+    return decimals
+
+
+def _open_ends(result: Identification) -> str:
+    pairs = [
+        f"{SYMBOLS.get(a, a)} and {SYMBOLS.get(b, b)} {rho:+.2f}" for a, b, rho in correlations(result)
+    ]
+    together = f"Estimates that move together (correlation): {'; '.join(pairs)}." if pairs else ""
+    advice = advise(result).text
+    return "\n\n".join(part for part in (together, f"What next: {advice}.") if part)
+
+
+def error_table(found: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str:
+    """Errors of each run; in brackets those of the paper's table."""
+    if not found:
+        return "One run alone: none can be left out."
+    lines = ["| run | x1 (mm) | ΔL (mm) | power (W) | energy (%) |", "| --- | ---: | ---: | ---: | ---: |"]
+    for name, error in found.items():
+        other = paper.get(name)
+        cells = [
+            _cell(error.x1_rmse * 1e3, other and other.x1_rmse * 1e3, "{:.2f}"),
+            _cell(error.length_rmse * 1e3, other and other.length_rmse * 1e3, "{:.2f}"),
+            _cell(error.power_rmse, other and other.power_rmse, "{:.3f}"),
+            _cell(error.energy_error * 1e2, other and other.energy_error * 1e2, "{:+.1f}"),
+        ]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _cell(value: float, other: float | None, form: str) -> str:
+    return form.format(value) + (f" ({form.format(other)})" if other is not None else "")
+
+
+def nuisance_text(result: Identification) -> str:
+    """What was found on the way, and of each run."""
+    locomotion, scatter = result.locomotion, result.locomotion.fit.scatter
+    rear, front = (
+        f"{value:.2f} ± {1.96 * deviation:.2f} N"
+        for value, deviation in zip(
+            locomotion.dry_friction, locomotion.dry_deviation, strict=True
+        )
+    )
+    head = (
+        f"Dry friction: rear module {rear}, front module {front}. Grooves differ by {scatter.threshold * 1e3:.3f} mm in "
+        f"threshold and {scatter.stiffness * 100:.1f} % in stiffness (standard deviations). Residuals of x1 weigh "
+        f"{locomotion.inflation:.2f} times white noise of the camera.\n\n"
+    )
+    lines = [
+        "| run | L0 (mm) | P_idle (W) | camera after servo (ms) | power before camera (ms) | five ridges |",
+        "| --- | ---: | ---: | ---: | ---: | --- |",
+    ]
+    rows = zip(
+        result.runs,
+        locomotion.initial_length,
+        result.actuation.fit.clock_offset,
+        result.energy.fit.clock_offset,
+        strict=True,
+    )
+    for run, length, camera, power in rows:
+        reached = f"after {run.traverse.end:.1f} s" if run.traverse.complete else "not reached"
+        lines.append(
+            f"| {run.name} | {length * 1e3:.2f} | {run.idle.value:.3f} | {camera * 1e3:+.1f} | {power * 1e3:+.1f} | "
+            f"{reached} |"
+        )
+    return head + "\n".join(lines)
+
+
+def _picture(name: str) -> str:
+    title = FIGURE_TITLES.get(name, name.replace("_", " "))
+    return f"![{title}]({FIGURES}/{name}.png)"

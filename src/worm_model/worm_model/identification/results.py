@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an identification leaves behind: the parameter file of the nodes, and the machine-readable summary."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from worm_model.identification.estimate import Estimate
+from worm_model.identification.inputs import Inputs
+from worm_model.identification.pipeline import Identification
+from worm_model.parameters import ParameterFile
+
+VERSION = "0.1.0"
+CORRELATED = 0.8  # correlations from here on are named
+
+
+def code_version() -> str:
+    """Version of the package, and a fingerprint of its source files."""
+    package = Path(__file__).resolve().parents[1]
+    digest = hashlib.sha256()
+    for file in sorted(package.rglob("*.py")):
+        digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
+    return f"worm_model {VERSION}, sources {digest.hexdigest()[:12]}"
+
+
+def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
+    """Values, intervals of what was identified or given with bounds, and where everything comes from."""
+    intervals = {
+        key: (float(e.low), float(e.high))
+        for key, e in result.estimates.items()
+        if np.isfinite(e.low) and np.isfinite(e.high)
+    }
+    runs = {
+        run.name: {"date": run.recording.date or "not recorded", **run.recording.sources}
+        for run in result.runs
+    }
+    tests = {"bellows": inputs.bellows, "fin": inputs.fin}
+    provenance: dict[str, Any] = {
+        "made_by": "worm_model identify",
+        "code": code_version(),
+        "seed": result.seed,
+        "given": result.given.source,
+        "not_identified": {
+            key: e.note for key, e in result.estimates.items() if not e.identifiable
+        },
+        "dry_friction_N": dict(
+            zip(("rear", "front"), map(float, result.locomotion.dry_friction), strict=True)
+        ),
+        "bench_tests": {name: test.checksum for name, test in tests.items() if test},
+        "runs": runs,
+    }
+    return ParameterFile(result.parameters, intervals, provenance)
+
+
+def summary(result: Identification) -> dict[str, Any]:
+    """The JSON object of the command line."""
+    offsets = zip(
+        result.runs,
+        result.actuation.fit.clock_offset,
+        result.energy.fit.clock_offset,
+        strict=True,
+    )
+    return {
+        "parameters": {key: _estimate(e) for key, e in result.estimates.items()},
+        "runs": {name: asdict(error) for name, error in result.held_out.items()}
+        or {run.name: dict.fromkeys(_ERRORS) for run in result.runs},
+        "paper": {name: asdict(error) for name, error in result.paper.items()},
+        "validation": {name: asdict(error) for name, error in result.validation.items()},
+        "clock_offsets": {
+            run.name: {"camera_after_servo": camera, "power_before_camera": power}
+            for run, camera, power in offsets
+        },
+        "nuisances": nuisances(result),
+        "correlations": [
+            {"parameters": [a, b], "correlation": rho} for a, b, rho in correlations(result)
+        ],
+        "warnings": list(result.warnings),
+        "seed": result.seed,
+    }
+
+
+_ERRORS = ("x1_rmse", "length_rmse", "power_rmse", "energy_error")
+
+
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "value": estimate.value,
+        "low": estimate.low,
+        "high": estimate.high,
+        "identifiable": estimate.identifiable,
+    }
+    return {**found, "note": estimate.note} if estimate.note else found
+
+
+def nuisances(result: Identification) -> dict[str, Any]:
+    """What is no parameter of the model but was found on the way."""
+    locomotion = result.locomotion
+    return {
+        "rear_dry_friction": locomotion.dry_friction[0],
+        "front_dry_friction": locomotion.dry_friction[1],
+        "threshold_scatter": locomotion.fit.scatter.threshold,
+        "stiffness_scatter": locomotion.fit.scatter.stiffness,
+        "initial_length": {
+            run.name: length
+            for run, length in zip(result.runs, locomotion.initial_length, strict=True)
+        },
+        "idle_power": {run.name: run.idle.value for run in result.runs},
+    }
+
+
+def correlations(result: Identification) -> list[tuple[str, str, float]]:
+    """Pairs of estimates that move together, strongest first."""
+    names = ("viscous_friction", "switching_threshold", "rear_dry_friction", "front_dry_friction")
+    found = _pairs(names, result.locomotion.correlation)
+    found += _pairs(("slack", "gain", "time_constant"), result.actuation.correlation)
+    found += _pairs(("bellows_damping", "power_factor"), result.energy.correlation)
+    strong = [pair for pair in found if abs(pair[2]) >= CORRELATED]
+    return sorted(strong, key=lambda pair: -abs(pair[2]))
+
+
+def _pairs(names: tuple[str, ...], matrix: Any) -> list[tuple[str, str, float]]:
+    return [
+        (names[i], names[j], float(matrix[i, j]))
+        for i in range(len(names))
+        for j in range(i + 1, len(names))
+    ]

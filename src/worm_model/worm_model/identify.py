@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: from bags, or a lab's folder, to a parameter file with intervals."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from worm_model.command_line import (
+    InputError,
+    Parser,
+    Progress,
+    add_parameters,
+    new_file,
+    print_json,
+    run_command,
+)
+from worm_model.identification.errors import IdentificationError
+from worm_model.identification.given import Given, given_by_file, given_by_folder
+from worm_model.identification.inputs import Inputs, read_inputs, read_recording
+from worm_model.identification.pipeline import Identification, identify
+from worm_model.identification.report import parameter_table, write_report
+from worm_model.identification.results import parameter_file, summary
+from worm_model.parameters import ParameterFile, load_parameter_file, write_parameter_file
+
+SIDES = {"positive": 1, "negative": -1}
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="identify",
+        description="Identifies the worm's parameters from recorded runs, each from rest over five ridges.",
+    )
+    parser.add_argument(
+        "runs", type=Path, nargs="+", metavar="BAG", help="bags, one run each, or one folder of a lab's logs"
+    )
+    parser.add_argument("--bellows", type=Path, metavar="CSV", help="compression_m, force_N")
+    parser.add_argument("--fin", type=Path, metavar="CSV", help="displacement_m, force_N")
+    parser.add_argument(
+        "--fin-engages",
+        choices=sorted(SIDES),
+        help="sign of displacement in which the tested fin engages; default: its stiffer side",
+    )
+    parser.add_argument(
+        "--validation", type=Path, nargs="+", default=[], metavar="BAG", help="runs to check it against"
+    )
+    parser.add_argument("--output", metavar="FILE", help="the parameter file, which must not exist")
+    parser.add_argument("--report", metavar="DIR", help="folder for the report, which must not exist")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the bootstrap (default 0)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_parameters(parser)
+    return parser
+
+
+class _Reporter:
+    """One progress line for each stage."""
+
+    def __init__(self) -> None:
+        self._stage, self._line = "", Progress("")
+
+    def __call__(self, stage: str, done: float) -> None:
+        if stage != self._stage:
+            self._stage, self._line = stage, Progress(stage)
+        self._line(done)
+
+
+def _given(options: argparse.Namespace, inputs: Inputs) -> Given:
+    if options.parameters:
+        return given_by_file(load_parameter_file(options.parameters), Path(options.parameters).name)
+    if inputs.folder is not None:
+        return given_by_folder(inputs.folder)
+    return given_by_file(ParameterFile(), "the paper")
+
+
+def _print(result: Identification, *, as_json: bool) -> None:
+    for warning in result.warnings:
+        sys.stderr.write(f"{warning}\n")
+    if as_json:
+        print_json(summary(result))
+    else:
+        sys.stdout.write(parameter_table(result.estimates) + "\n")
+
+
+def _run(options: argparse.Namespace) -> None:
+    output = new_file(options.output) if options.output else None
+    report = new_file(options.report) if options.report else None
+    if options.seed < 0:
+        raise InputError("--seed must not be negative")
+    reporter = _Reporter()
+    try:
+        inputs = read_inputs(options.runs, options.bellows, options.fin)
+        result = identify(
+            inputs,
+            _given(options, inputs),
+            options.seed,
+            SIDES.get(options.fin_engages, 0),
+            [read_recording(path) for path in options.validation],
+            reporter,
+        )
+    except IdentificationError as error:
+        raise InputError(str(error)) from None
+    if output is not None:
+        write_parameter_file(output, parameter_file(result, inputs))
+    if report is not None:
+        write_report(result, report, lambda done: reporter("report", done))
+    _print(result, as_json=options.json)
+
+
+def main() -> int:
+    """Entry point of the executable identify."""
+    return run_command(_parser(), _run)
