@@ -99,15 +99,18 @@ def predict_run(
 
 def _announced_onset(states: GaitStates, settings: TwinSettings) -> tuple[int, int] | None:
     """(onset, first stamp that counts) in ns of the last run, if the driver rested before it and told of it in time."""
-    playing = np.isin(states.state, PLAYING) & (states.onset > 0)
-    if not playing.any():
+    playing = np.flatnonzero(np.isin(states.state, PLAYING) & (states.onset > 0))
+    if not len(playing):
         return None
-    onset = int(states.onset[playing][-1])
-    first = int(np.flatnonzero(playing & (np.abs(states.onset - onset) <= SAME_RUN_NS))[0])
+    # The driver states the onset anew with each cycle; the first word of it counts.
+    last = states.onset[playing[-1]]
+    first = int(playing[np.abs(states.onset[playing] - last) <= SAME_RUN_NS][0])
+    onset = int(states.onset[first])
+    one_run = (np.abs(states.onset[playing[playing >= first]] - onset) <= SAME_RUN_NS).all()
     rested = first > 0 and states.state[first - 1] == Activity.RESTING
     delay = int(states.stamp[first]) - onset
     in_time = -GUARD_NS < delay <= settings.start_hold_s * NANOSECONDS
-    if not (rested and in_time and states.onset[first] == onset) or gait_at(states, first) is None:
+    if not (one_run and rested and in_time) or gait_at(states, first) is None:
         return None
     # What comes at the onset itself is of the run only if this has been announced by then.
     return onset, onset if delay <= 0 else onset + 1
