@@ -9,6 +9,7 @@ from behind the four bytes of the encapsulation header.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -32,6 +33,9 @@ _CODES = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1"} | {
     for bits in (8, 16, 32, 64)
 }
 
+_CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
+_UNREADABLE = (TypesysError, ValueError, KeyError, IndexError, RecursionError)
+
 Fields = list[tuple[str, Any]]
 Types = Mapping[str, Fields]
 
@@ -44,17 +48,30 @@ def parse_types(type_name: str, definition: str, definition_format: str) -> Type
         BagError: the definition cannot be read.
     """
     try:
-        if definition_format == "ros2idl":
-            found: dict[str, Any] = {}
-            for part in definition.split("=" * 80 + "\n"):
-                idl = part.split("\n", 1)[1] if part.startswith("IDL:") else part
-                found.update(get_types_from_idl(idl) if idl.strip() else {})
-        else:
-            found = get_types_from_msg(definition, type_name)
-    except (TypesysError, ValueError, KeyError, IndexError, RecursionError) as error:
+        found = _parse(type_name, definition, definition_format)
+    except _UNREADABLE as error:
         reason = " ".join(str(error).split())
         raise BagError(f"the definition of {type_name} cannot be read: {reason}") from None
     return {name: list(fields) for name, (_, fields) in found.items()}
+
+
+def _parse(type_name: str, definition: str, definition_format: str) -> dict[str, Any]:
+    if definition_format != "ros2idl":
+        try:  # the parser takes its time for every line
+            return get_types_from_msg(_without_comments(definition), type_name)
+        except _UNREADABLE:
+            return get_types_from_msg(definition, type_name)
+    found: dict[str, Any] = {}
+    for part in definition.split("=" * 80 + "\n"):
+        idl = part.split("\n", 1)[1] if part.startswith("IDL:") else part
+        found.update(get_types_from_idl(idl) if idl.strip() else {})
+    return found
+
+
+def _without_comments(definition: str) -> str:
+    """The lines of a definition that matter for the layout: no comments, no constants."""
+    lines = (line.split("#", 1)[0].strip() for line in definition.splitlines())
+    return "\n".join(line for line in lines if line and not _CONSTANT.match(line)) + "\n"
 
 
 @dataclass
