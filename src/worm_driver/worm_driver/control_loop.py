@@ -5,6 +5,7 @@ Whoever wants something of the robot submits a command, which runs between two c
 callback. However the thread ends, the robot is released first, over serial, with nothing of ROS.
 """
 
+import contextlib
 import threading
 import time
 from collections import deque
@@ -13,13 +14,16 @@ from concurrent.futures import Future, TimeoutError
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from worm_driver.errors import DriverError, LimitError
+from worm_driver.errors import DriverError, LimitError, PowerSensorError
 from worm_driver.ina219 import INA219, PowerSample, SampleStatus
 from worm_driver.robot import Robot
 from worm_driver.telemetry import Snapshot
 from worm_driver.timing import DeadlineGrid, PeriodMeter, TimingReport
 
 T = TypeVar("T")
+
+#: bus errors in a row after which the power sensor's bus is opened anew
+_ERRORS_TO_REOPEN = 100
 
 
 class PeriodicThread:
@@ -208,6 +212,7 @@ class PowerLoop:
 
     def __init__(self, sensor: INA219, period: float, on_sample: Callable[[PowerSample], None]):
         self.valid_samples = 0
+        self._errors = 0
         self._sensor = sensor
         self._on_sample = on_sample
         self._thread = PeriodicThread("power_sensor", period, self._cycle)
@@ -227,6 +232,14 @@ class PowerLoop:
 
     def _cycle(self, now: float) -> bool:
         sample = self._sensor.sample(now)
+        self._revive(sample.status)
         self.valid_samples += sample.status is SampleStatus.VALID
         self._on_sample(sample)
         return True
+
+    def _revive(self, status: SampleStatus) -> None:
+        """Opens the bus anew now and then while nothing but errors comes from it."""
+        self._errors = self._errors + 1 if status is SampleStatus.BUS_ERROR else 0
+        if self._errors and self._errors % _ERRORS_TO_REOPEN == 0:
+            with contextlib.suppress(PowerSensorError):
+                self._sensor.device.reopen()

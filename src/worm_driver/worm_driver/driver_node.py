@@ -55,6 +55,7 @@ class DriverNode(LifecycleNode):
         self._latest: Snapshot | None = None
         self._shown: tuple[object, ...] | None = None
         self._failure: Exception | None = None
+        self._clocks: ClockPair | None = None
         self._joint_states = self.create_publisher(JointState, "joint_states", _TELEMETRY)
         self._commanded = self.create_publisher(BodyLength, "body_length/commanded", _TELEMETRY)
         self._cable = self.create_publisher(BodyLength, "body_length/cable", _TELEMETRY)
@@ -80,6 +81,8 @@ class DriverNode(LifecycleNode):
         except DriverError as error:
             return self._failed("configure", error)
         self._failure = None
+        for line in self._hardware.description():
+            self.get_logger().info(line)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -221,8 +224,20 @@ class DriverNode(LifecycleNode):
         if self._hardware is not None and self.context.ok():
             self._publish_all(self._hardware)
 
-    def _publish_all(self, hardware: Hardware) -> None:
+    def _read_clocks(self) -> ClockPair:
+        """Both clocks now; a step of the ROS clock (NTP, a Pi without a clock of its own) is told.
+
+        The robot goes by the monotonic clock: stamps jump with the ROS clock, motion and figures do not.
+        """
         clocks = ClockPair.read(lambda: self.get_clock().now().nanoseconds)
+        step = 0.0 if self._clocks is None else clocks.step_since(self._clocks)
+        if step:
+            self.get_logger().warning(f"the clock was set by {step:.3f} s: stamps jump by as much")
+        self._clocks = clocks
+        return clocks
+
+    def _publish_all(self, hardware: Hardware) -> None:
+        clocks = self._read_clocks()
         while hardware.samples:
             sample = hardware.samples.popleft()
             self._action.on_power(sample)
@@ -269,7 +284,7 @@ class DriverNode(LifecycleNode):
         self._gait_state.publish(message)
 
     def _on_tracker(self, message: Tracker) -> None:
-        clocks = ClockPair.read(lambda: self.get_clock().now().nanoseconds)
+        clocks = self._read_clocks()
         self._action.on_position(clocks.monotonic(message.header.stamp), message.rear_position)
 
     def _publish_diagnostics(self) -> None:

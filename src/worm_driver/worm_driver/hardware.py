@@ -7,12 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from worm_driver import diagnostics, i2c, serial_port
+from worm_driver.bus_types import BusCounters
 from worm_driver.control_loop import ControlLoop, PowerLoop
 from worm_driver.diagnostics import Report
 from worm_driver.errors import DriverError
 from worm_driver.ina219 import INA219, PowerSample, SampleStatus, calibration_for
 from worm_driver.robot import Robot
-from worm_driver.servo_bus import BusCounters, ServoBus
+from worm_driver.servo_bus import ServoBus
 from worm_driver.settings import DriverSettings, PowerSettings
 from worm_driver.telemetry import Snapshot
 
@@ -83,6 +84,21 @@ class Hardware:
         """s, which a release takes at most."""
         travel = self.settings.max_stroke + 0.02
         return math.pi / 2 * travel / self.settings.player.return_speed + 1.0
+
+    def description(self) -> list[str]:
+        """What was found, one line each."""
+        lines = [
+            f"servo {servo.number}: {servo.model.name}, firmware {servo.firmware}"
+            for servo in self.robot.servos
+        ]
+        limits = self.robot.limits
+        lines.append(
+            f"gaits to {limits.max_stroke:g} m, {limits.max_frequency:g} Hz, "
+            f"{limits.max_cable_speed:.4f} m/s of cable"
+        )
+        if not self.robot.homed:
+            lines.append("not homed: bring the robot to its initial length, then call home")
+        return lines
 
     def close(self, reason: str, meanwhile: Callable[[], None] = lambda: None) -> list[str]:
         """Brings the robot to rest, releases it and closes everything; returns what failed, in words.

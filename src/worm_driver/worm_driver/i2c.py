@@ -31,13 +31,24 @@ class WordBus(Protocol):
         """Gives the bus back."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class I2CDevice:
-    """A device of big-endian 16-bit registers at an address of a bus."""
+    """A device of big-endian 16-bit registers at an address of a bus.
+
+    Attributes:
+        bus: open.
+        bus_name: under which it was opened.
+        address: 7-bit.
+    """
 
     bus: WordBus
     bus_name: str
     address: int
+
+    def reopen(self) -> None:
+        """Opens the bus anew: an adapter that was unplugged leaves a dead handle. Raises PowerSensorError."""
+        self.close()
+        self.bus = open_device(self.bus_name, self.address).bus
 
     def read(self, register: int) -> int:
         """A register, unsigned. Raises PowerSensorError."""

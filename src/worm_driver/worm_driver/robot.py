@@ -56,6 +56,7 @@ class Robot:
         self._clock = clock
         self._valid_power_samples = valid_power_samples
         self._idle_from = 0
+        self._hold_ticks: dict[int, int] = {}
         self._counts = Counts()
         self._last_step: float | None = None
         self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
@@ -233,10 +234,19 @@ class Robot:
             self._idle_from = samples
 
     def _send_goals(self) -> None:
-        goals = {s.servo: s.ticks(self.player.length_change) for s in self.settings.spools}
+        goals = self._cable_goals()
         if self.player.direction:
             goals |= {f.servo: f.ticks(self.player.direction) for f in self.settings.fins}
         self.bus.sync_write(COMMON["goal_position"], goals)
+
+    def _cable_goals(self) -> dict[int, int]:
+        """Where each cable servo is to be, ticks.
+
+        Without a home a length means nothing: servos are left at the ticks where they were last seen.
+        """
+        if self.homed:
+            return {s.servo: s.ticks(self.player.length_change) for s in self.settings.spools}
+        return self._hold_ticks
 
     def _supervise(self, now: float, before: tuple[ServoState, ...]) -> None:
         silent = (
@@ -256,6 +266,11 @@ class Robot:
         )
         if reason is not None:
             self.fail(now, reason)
+            self._hold_ticks = {
+                servo.number: state.ticks
+                for servo, state in zip(self.cables, self._states, strict=False)
+                if state is not SILENT
+            }
             self._send_goals()
 
     def _count_deviations(self) -> Counts:

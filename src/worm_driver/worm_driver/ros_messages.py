@@ -44,6 +44,10 @@ _LEVEL = {
 }
 
 
+#: s, from where a change between two clocks is a step of one of them
+_CLOCK_STEP = 0.02
+
+
 @dataclass(frozen=True)
 class ClockPair:
     """The monotonic clock and the ROS clock, read at the same moment: turns times of one into the other's.
@@ -53,6 +57,11 @@ class ClockPair:
     """
 
     offset_ns: int
+
+    def step_since(self, earlier: "ClockPair") -> float:
+        """By how much (s) the ROS clock was set in between; 0 for what two clocks may drift apart."""
+        step = (self.offset_ns - earlier.offset_ns) * 1e-9
+        return step if abs(step) > _CLOCK_STEP else 0.0
 
     @staticmethod
     def read(ros_now_ns: Callable[[], int], attempts: int = 3) -> "ClockPair":

@@ -25,6 +25,7 @@ import serial
 from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PortHandler, Protocol2PacketHandler
 
 from worm_driver import serial_port
+from worm_driver.bus_types import BusCounters, Identity, Reply
 from worm_driver.encoding import pack, unpack
 from worm_driver.errors import (
     BusError,
@@ -47,50 +48,6 @@ _ID = 4
 _ERROR = 8
 _PARAMETERS = 9
 _ALERT = 0x80
-_ERROR_TEXT = {
-    1: "could not carry the instruction out",
-    2: "does not know the instruction",
-    3: "received a wrong CRC",
-    4: "refuses the value: out of range",
-    5: "refuses the length of the data",
-    6: "refuses the value: beyond its limit register",
-    7: "refuses the access (read-only, undefined, or EEPROM while torque is on)",
-}
-
-
-@dataclass(frozen=True)
-class Identity:
-    """A servo's answer to a ping."""
-
-    model_number: int
-    firmware: int
-
-
-@dataclass(frozen=True)
-class Reply:
-    """A servo's part of a sync read.
-
-    Attributes:
-        data: the block that was asked for, in register order.
-        alert: the servo reports a hardware error (see hardware_error_status).
-        error: error number of the status packet, 0 for none.
-    """
-
-    data: bytes
-    alert: bool
-    error: int
-
-
-@dataclass(frozen=True)
-class BusCounters:
-    """How often something went wrong since the port was opened."""
-
-    exchanges: int = 0
-    timeouts: int = 0
-    corrupt: int = 0
-    errors: int = 0
-    retries: int = 0
-    stale: int = 0
 
 
 class BusPort(PortHandler):
@@ -368,8 +325,7 @@ class ServoBus:
     def _content(self, servo: int, reply: Reply, size: int) -> bytes:
         if reply.error:
             self._count(errors=1)
-            text = _ERROR_TEXT.get(reply.error, f"answers with error number {reply.error}")
-            raise StatusError(f"servo {servo} {text}", reply.error)
+            raise StatusError(f"servo {servo} {error_text(reply.error)}", reply.error)
         if len(reply.data) != size:
             self._count(corrupt=1)
             raise CorruptReplyError(
@@ -379,10 +335,7 @@ class ServoBus:
 
     def _receive(self, handler: _PacketHandler) -> list[int] | None:
         """The next intact status packet within the wait, or None."""
-        try:
-            packet, result = handler.rxPacket(self.port, False)
-        except IndexError:  # the SDK indexes beyond what a garbled length left it
-            packet, result = [0], None
+        packet, result = handler.rxPacket(self.port, False)
         if result == COMM_SUCCESS and len(packet) >= _PARAMETERS + 2:
             return packet
         if packet:
@@ -422,11 +375,6 @@ class ServoBus:
     def _count(self, **more: int) -> None:
         now = self.counters
         self.counters = replace(now, **{name: getattr(now, name) + n for name, n in more.items()})
-
-
-def error_text(number: int) -> str:
-    """What a status packet's error number says, in words."""
-    return _ERROR_TEXT.get(number, f"answers with error number {number}")
 
 
 def _reply(packet: Sequence[int]) -> Reply:

@@ -4,9 +4,10 @@
 from collections.abc import Mapping, Sequence
 
 from worm_driver import tick_clock
+from worm_driver.bus_types import Reply, error_text
 from worm_driver.encoding import unpack_from
 from worm_driver.registers import COMMON, WATCHDOG_EXPIRED
-from worm_driver.servo_bus import Reply, ServoBus, error_text
+from worm_driver.servo_bus import ServoBus
 from worm_driver.servos import Servo
 from worm_driver.telemetry import SILENT, STATE_SIZE, STATE_START, ServoState, decode
 from worm_driver.tick_clock import TickClock

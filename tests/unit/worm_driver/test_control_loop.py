@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from worm_driver.control_loop import ControlLoop, PeriodicThread, PowerLoop
-from worm_driver.errors import DriverError, LimitError
+from worm_driver.errors import DriverError, LimitError, PowerSensorError
 from worm_driver.ina219 import PowerSample, SampleStatus
 
 PATIENCE = 10.0  # s, only a failure waits for so long
@@ -180,6 +180,22 @@ def test_a_periodic_thread_reports_its_timing():
     assert report.mean_period == pytest.approx(0.001, rel=0.5)
     assert report.missed >= 0
     assert thread.end(PATIENCE)
+
+
+def test_a_bus_that_only_fails_is_opened_anew():
+    opened: list[int] = []
+
+    def reopen() -> None:
+        opened.append(1)
+        raise PowerSensorError("still gone")
+
+    sensor = Sensor()
+    sensor.device.reopen = reopen
+    sensor.sample = lambda now: PowerSample(now, SampleStatus.BUS_ERROR)
+    loop = PowerLoop(sensor, 0.0005, lambda _: None)
+    loop.start()
+    wait_for(lambda: len(opened) >= 2)
+    loop.end()
 
 
 class Sensor:

@@ -115,6 +115,15 @@ def test_an_overflow_is_no_number(chip, fault):
     assert chip.sample().status is SampleStatus.VALID
 
 
+def test_the_chips_overflow_bit_counts_even_where_the_shunt_is_in_range():
+    """It is the current register that overflows, which happens first with a small max_current_A."""
+    registers = {1: 20_000, 2: 3000 << 3 | 0b11, 5: 4194}
+    sensor = INA219(I2CDevice(Words(registers), "1", 0x40), 0.1, 4194)
+    assert sensor.sample(1.0).status is SampleStatus.OVERFLOW
+    registers[2] = 3000 << 3 | 0b10
+    assert sensor.sample(1.0).current == pytest.approx(2.0)
+
+
 def test_a_brown_out_is_noticed_with_the_next_sample_and_repaired(chip):
     """Without a look at the calibration, a chip that lost it reads as if nothing had happened."""
     chip.inject("ina219_reset")
@@ -160,6 +169,12 @@ def test_a_current_beyond_the_shunts_range_is_refused():
 def test_a_shunt_that_cannot_be_is_refused(resistance, current):
     with pytest.raises(ConfigurationError):
         calibration_for(resistance, current)
+
+
+def test_a_bus_can_be_opened_anew(tmp_path):
+    device = I2CDevice(Words({}), str(tmp_path / "i2c-9"), 0x40)
+    with pytest.raises(PowerSensorError, match="does not exist"):
+        device.reopen()
 
 
 def test_a_missing_bus_is_named_with_the_remedy(tmp_path):

@@ -11,6 +11,7 @@ from driver_rig import CABLE, Rig, settings
 
 from worm_driver.errors import BusError, ConfigurationError, HomingError, LimitError
 from worm_driver.gait_player import Ending, Phase
+from worm_driver.registers import COMMON
 from worm_driver.supervision import Limits
 from worm_driver.telemetry import SILENT
 from worm_driver.transmission import Fin, Spool
@@ -377,6 +378,25 @@ def test_a_restart_between_two_drivers_is_noticed():
     assert rig.restarted_driver().robot.homed
     restart_cable_servo(rig)
     assert not rig.restarted_driver().robot.homed
+
+
+def test_another_operating_mode_has_folded_the_turns():
+    rig = Rig()
+    rig.bus.write(CABLE, COMMON["operating_mode"], 3)
+    assert not rig.restarted_driver(settings(home_at_start=False)).robot.homed
+    assert rig.bus.read(CABLE, COMMON["operating_mode"]) == 4
+
+
+def test_a_position_that_jumps_by_a_turn_is_a_fault():
+    rig = moving()
+    rig.run(1.0, until=lambda s: s.cable < -0.06)
+    rig.cable._fold()
+    snapshot = rig.run(0.02)
+    assert snapshot.player.phase is Phase.FAULT
+    assert "turn count of servo 1 jumped by -40" in snapshot.player.message
+    before = rig.cable.motor.position
+    assert rig.time_to_stop(1.0) < STOP
+    assert abs(rig.cable.motor.position - before) < 200
 
 
 def test_a_home_survives_a_restart_of_the_driver_in_the_middle_of_a_stroke():

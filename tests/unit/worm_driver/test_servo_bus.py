@@ -15,6 +15,7 @@ from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from worm_driver.bus_types import Identity
 from worm_driver.encoding import pack
 from worm_driver.errors import (
     BusError,
@@ -25,7 +26,7 @@ from worm_driver.errors import (
     StatusError,
 )
 from worm_driver.registers import COMMON, Register
-from worm_driver.servo_bus import BusPort, Identity, ServoBus
+from worm_driver.servo_bus import BusPort, ServoBus
 from worm_driver.telemetry import STATE_SIZE, STATE_START
 from worm_driver.virtual_robot.faults import make_fault
 from worm_driver.virtual_robot.packet import InstructionReader, status_packet
@@ -203,6 +204,14 @@ def test_a_double_answer_does_not_answer_the_next_question(line):
     assert line.bus.read(1, COMMON["firmware_version"]) == 48
 
 
+def test_an_answer_of_another_length_is_none():
+    clock = Clock()
+    stale, right = status_packet(1, 0, b"\x01\x02\x03\x04"), status_packet(1, 0, b"\x78\x00")
+    answers = iter([stale, right])
+    bus = ServoBus(SimulatedPort(Wire(clock, lambda _, now: [(now, next(answers))]), clock))
+    assert bus.read(1, COMMON["present_input_voltage"]) == 120
+
+
 def test_a_silent_servo_is_named_with_the_remedy(line):
     with pytest.raises(NoReplyError, match=r"servo 7 does not answer .* 1000000 baud: check .* id"):
         line.bus.ping(7)
@@ -323,6 +332,7 @@ def test_the_default_clock_is_monotonic(terminal, monkeypatch):
 
 def test_an_exception_in_an_exchange_leaves_the_bus_usable(line):
     """The SDK's busy flag would stick, and every later call fail with COMM_PORT_BUSY."""
+    line.bus.ping(1)
     line.wire.unplugged = True
     with pytest.raises(PortError, match="is gone"):
         line.bus.ping(1)

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a configured driver holds, against the virtual robot behind a real pty and a real socket."""
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+from driver_rig import settings
+
+from worm_driver import hardware as hardware_module
+from worm_driver.errors import DriverError, PortError
+from worm_driver.gait import Gait
+from worm_driver.gait_player import Phase
+from worm_driver.hardware import Hardware
+from worm_driver.settings import DriverSettings, PowerSettings
+from worm_driver.supervision import Limits
+from worm_driver.virtual_robot.endpoints import Endpoints
+from worm_driver.virtual_robot.robot import VirtualRobot
+from worm_driver.virtual_robot.settings import load_settings
+
+PATIENCE = 20.0  # s, only a failure waits for so long
+
+
+def wait_for(condition) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def robot(tmp_path) -> Iterator[VirtualRobot]:
+    virtual = VirtualRobot(load_settings(None))
+    endpoints = Endpoints(virtual, tmp_path / "robot", lambda _: None)
+    endpoints.open()
+    thread = threading.Thread(target=endpoints.run, name="virtual robot")
+    thread.start()
+    yield virtual
+    endpoints.stop()
+    thread.join()
+    endpoints.close()
+
+
+@pytest.fixture
+def given(robot, tmp_path) -> DriverSettings:
+    """Patient: driver and robot share one interpreter here."""
+    doors = tmp_path / "robot"
+    return settings(
+        port=str(doors / "servo_bus"),
+        power=PowerSettings(i2c_bus=str(doors / "i2c.sock")),
+        watchdog=2.0,
+        limits=Limits(max_silence=1.0, following_error=0.1),
+    )
+
+
+@pytest.fixture
+def hardware(given) -> Iterator[Hardware]:
+    hardware = Hardware(given, lambda: None)
+    yield hardware
+    hardware.close("the test is over")
+
+
+def test_no_snapshot_and_no_sample_is_ever_dropped(hardware):
+    """Nobody takes them out for a while: all of them wait, in order."""
+    wait_for(lambda: len(hardware.snapshots) >= 150 and len(hardware.samples) >= 150)
+    for waiting in ([s.read_time for s in hardware.snapshots], [s.time for s in hardware.samples]):
+        assert waiting == sorted(set(waiting))
+
+
+def test_a_robot_that_nobody_listens_to_is_held(hardware, monkeypatch):
+    monkeypatch.setattr(hardware_module, "_UNHEARD", 0.3)
+    hardware.snapshots.clear()
+    hardware.loop.ask(hardware.robot.activate)
+    hardware.loop.ask(lambda now: hardware.robot.start(now, Gait(0.05, 0.2), 5))
+    wait_for(lambda: hardware.robot.player.phase is Phase.FAULT)
+    assert "has not listened" in hardware.robot.player.message
+
+
+def test_closing_gives_port_and_sensor_back(given):
+    for _ in range(2):
+        hardware = Hardware(given, lambda: None)
+        assert hardware.close("over") == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"port": "/dev/no_worm"}, {"power": PowerSettings(i2c_bus="/dev/i2c-77")}],
+    ids=["port", "sensor"],
+)
+def test_what_fails_to_open_leaves_nothing_open(given, change):
+    with pytest.raises(DriverError):
+        Hardware(replace(given, **change), lambda: None)
+    Hardware(given, lambda: None).close("over")
+
+
+def test_a_second_opener_is_refused_and_the_first_goes_on(hardware, given):
+    with pytest.raises(PortError, match="in use"):
+        Hardware(given, lambda: None)
+    count = len(hardware.snapshots)
+    wait_for(lambda: len(hardware.snapshots) > count + 10)
+
+
+def test_without_a_power_sensor_there_are_no_samples_and_no_report_of_one(given):
+    hardware = Hardware(replace(given, power=PowerSettings(i2c_bus="")), lambda: None)
+    wait_for(lambda: len(hardware.snapshots) > 5)
+    names = [report.name for report in hardware.report(hardware.snapshots[-1])]
+    assert "driver: power sensor" not in names
+    assert not hardware.samples
+    hardware.close("over")
+
+
+def test_it_says_what_it_found(hardware):
+    lines = hardware.description()
+    assert lines[0] == "servo 1: XM430-W350-T, firmware 48"
+    assert "0.09 m, 0.4 Hz, 0.1198 m/s" in lines[3]

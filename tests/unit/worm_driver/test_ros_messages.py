@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+import math
+import time
+
+import pytest
+
+pytest.importorskip("worm_msgs", reason="the workspace is not built")
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from worm_driver import ros_messages
+from worm_driver.diagnostics import Level, Report
+from worm_driver.gait import Gait
+from worm_driver.gait_player import Phase, PlayerState, Run
+from worm_driver.ina219 import PowerSample, SampleStatus
+from worm_driver.ros_messages import ClockPair
+from worm_driver.telemetry import SILENT, ServoState, Snapshot
+from worm_msgs.msg import BodyLength, GaitState, Power
+
+CLOCKS = ClockPair(1_700_000_000_000_000_000)
+RUN = Run(1, Gait(0.07, 0.2), 5, 5, rest_start=1.0, onset=2.0)
+
+
+def snapshot(player: PlayerState, active: bool = True) -> Snapshot:
+    servos = (ServoState(0, 0.5, 0.1, 0.2, 12.0, 25.0, 1.0), SILENT)
+    return Snapshot(8.5, 8.501, active, player, -0.01, -0.009, servos)
+
+
+def test_a_stamp_is_the_moment_of_acquisition():
+    stamp = CLOCKS.stamp(12.25)
+    assert (stamp.sec, stamp.nanosec) == (1_700_000_012, 250_000_000)
+    assert CLOCKS.monotonic(stamp) == pytest.approx(12.25, abs=1e-6)
+
+
+def test_two_clocks_read_at_once_agree_with_themselves():
+    pair = ClockPair.read(time.time_ns)
+    stamp = pair.stamp(time.monotonic())
+    assert stamp.sec + stamp.nanosec * 1e-9 == pytest.approx(time.time(), abs=0.5)
+
+
+def test_a_step_of_the_clock_is_told_from_drift():
+    assert ClockPair(10**9).step_since(ClockPair(10**9 - 10**6)) == 0.0
+    assert ClockPair(10**9).step_since(ClockPair(3 * 10**9)) == pytest.approx(-2.0)
+
+
+def test_a_silent_servo_has_no_numbers_but_keeps_its_place():
+    message = ros_messages.joint_state(("cable_1", "fin_11"), snapshot(PlayerState()), CLOCKS)
+    assert list(message.name) == ["cable_1", "fin_11"]
+    assert message.position[0] == 0.5
+    assert math.isnan(message.position[1])
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1_700_000_008, 501_000_000)
+
+
+def test_a_length_is_the_initial_one_and_its_change():
+    message = ros_messages.body_length(BodyLength.CABLE, 1.0, -0.01, 0.2952, CLOCKS)
+    assert (message.source, message.length_change) == (BodyLength.CABLE, -0.01)
+    assert message.length == pytest.approx(0.2852)
+
+
+@pytest.mark.parametrize("status", SampleStatus)
+def test_each_status_of_a_sample_has_its_number(status):
+    values = (12.0, 0.5) if status is SampleStatus.VALID else (math.nan, math.nan)
+    message = ros_messages.power(PowerSample(1.0, status, *values), CLOCKS)
+    assert message.status == getattr(Power, status.name)
+    assert math.isnan(message.power) == (status is not SampleStatus.VALID)
+
+
+@pytest.mark.parametrize(
+    ("phase", "state"),
+    [
+        (Phase.IDLE, GaitState.IDLE),
+        (Phase.RETURNING, GaitState.RESTING),
+        (Phase.FLIPPING, GaitState.RESTING),
+        (Phase.RESTING, GaitState.RESTING),
+        (Phase.RUNNING, GaitState.RUNNING),
+        (Phase.STOPPING, GaitState.STOPPING),
+        (Phase.HOLDING, GaitState.IDLE),
+        (Phase.FAULT, GaitState.FAULT),
+    ],
+)
+def test_each_phase_has_its_state(phase, state):
+    assert ros_messages.gait_state(snapshot(PlayerState(phase=phase)), CLOCKS).state == state
+
+
+def test_the_state_tells_gait_cycle_and_onset():
+    player = PlayerState(phase=Phase.RUNNING, run=RUN)
+    message = ros_messages.gait_state(snapshot(player), CLOCKS)
+    assert (message.gait.stroke, message.cycle, message.cycles) == (0.07, 2, 5)
+    assert message.onset.sec == 1_700_000_002
+    inactive = ros_messages.gait_state(snapshot(PlayerState(), active=False), CLOCKS)
+    assert (inactive.state, inactive.gait.stroke) == (GaitState.INACTIVE, 0.0)
+
+
+def test_the_level_of_a_diagnostic_is_a_byte():
+    """An int would be taken, and published as a random byte."""
+    reports = [Report(f"driver: {level.name}", level, "text") for level in Level]
+    array = ros_messages.diagnostics(reports, CLOCKS.stamp(1.0))
+    levels = [status.level for status in array.status]
+    assert levels == [DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR]
+    assert all(isinstance(level, bytes) for level in levels)
