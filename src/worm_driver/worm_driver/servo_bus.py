@@ -25,7 +25,7 @@ import serial
 from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PortHandler, Protocol2PacketHandler
 
 from worm_driver import serial_port
-from worm_driver.bus_types import BusCounters, Identity, Reply
+from worm_driver.bus_types import BusCounters, Identity, Reply, error_text
 from worm_driver.encoding import pack, unpack
 from worm_driver.errors import (
     BusError,
