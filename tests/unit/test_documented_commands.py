@@ -101,6 +101,13 @@ def test_benchmarks_exist(command: Command):
         assert name.startswith("-") or (ROOT / "benchmarks" / f"{name}.py").exists()
 
 
+def test_the_page_of_benchmarks_names_each():
+    titled = [p.stem for p in (ROOT / "benchmarks").glob("*.py") if "\nTITLE" in p.read_text()]
+    page = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    assert titled
+    assert [name for name in sorted(titled) if f"| `{name}` |" not in page] == []
+
+
 @pytest.mark.parametrize(
     "command", [c for c in COMMANDS if c.words[:2] == ("./worm", "test")], ids=str
 )
