@@ -78,6 +78,26 @@ def test_topics_of_all_kinds_are_recorded(processes: Processes, probe: Probe, tm
     assert metadata["worm_gait"]["margin"] == "0.0034"
 
 
+def test_what_is_lost_is_counted(processes: Processes, probe: Probe, tmp_path: Path):
+    """A subscription that keeps one message loses all but the last of what comes between two looks."""
+    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
+    recorder = processes.start_node(
+        *("worm_driver", "record", "tracker", "-o", str(tmp_path / "bag"), "--depth", "1", "--json")
+    )
+    recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
+    for start in range(0, 2000, 500):
+        publish(positions, range(start, start + 500))
+    recorder.interrupt()
+    assert recorder.wait(TIMEOUT_S) == 0
+    outcome = json.loads(next(x for x in recorder.output().splitlines() if x.startswith("{")))
+    found = recorded(tmp_path / "bag")
+    assert outcome["dropped"] > 0
+    assert len(found) == outcome["messages"]
+    assert found[-1] == 1999.0
+    # What was lost before the first message that arrived cannot be known.
+    assert outcome["dropped"] == 2000 - len(found) - found[0]
+
+
 def test_all_topics_and_a_new_publisher_that_offers_less(
     processes: Processes, probe: Probe, tmp_path: Path
 ):

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much faster than time passes a bag is read, followed by the twin, and written with the twin's topics."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.report import Row, wall_time
+from worm_model import warm_up
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.bags.run_writer import write_run
+from worm_model.bags.writer import BagWriter
+from worm_model.gait import Gait
+from worm_model.parameters import PAPER
+from worm_model.replay import INPUTS, write_replay
+from worm_model.replay_metrics import report_replay
+from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+from worm_model.simulator import simulate
+from worm_model.twin_offline import predict_run
+from worm_model.twin_replay import replay_run
+
+TITLE = "times real time of reading a bag and replaying it into the twin"
+
+GAIT = Gait(0.07, 0.2)
+REST_S = 2.0
+REPEATS = 5
+EPOCH = 1_800_000_000 * 10**9
+
+
+def run() -> list[Row]:
+    """A run of five cycles, and ten minutes."""
+    warm_up.main()
+    return [row for cycles in (5, 120) for row in _measure(cycles)]
+
+
+def _measure(cycles: int) -> list[Row]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "bag")
+        recorded = _simulated_run(cycles)
+        with BagWriter(path) as writer:
+            write_run(writer, recorded)
+        duration = (recorded.power.stamp[-1] - recorded.origin) * 1e-9
+
+        def read() -> Run:
+            with open_bag(path) as bag:
+                return read_run(bag, names=INPUTS)
+
+        def report() -> None:
+            found = read()
+            followed = predict_run(found, PAPER)
+            assert followed is not None
+            report_replay(found, followed, PAPER.pitch)
+
+        def publish() -> None:
+            with open_bag(path) as bag:
+                output = Path(folder, f"output_{len(list(Path(folder).iterdir()))}")
+                write_replay(bag, output, replay_run(read_run(bag, names=INPUTS), PAPER), "/worm")
+
+        name = f"a bag of {duration:.0f} s"
+        calls = (
+            ("read", read, "", REPEATS),
+            ("read, follow, report", report, "1000", REPEATS),
+            ("the same, sample by sample, to a new bag", publish, "", 1),
+        )
+        return [
+            Row(
+                f"{name}: {what}",
+                _factor(duration, wall_time(call, times)),
+                goal,
+                f"median of {times}, clock time",
+            )
+            for what, call, goal, times in calls
+        ]
+
+
+def _factor(duration: float, elapsed: float) -> str:
+    return f"{duration / elapsed:.0f} times real time"
+
+
+def _simulated_run(cycles: int) -> Run:
+    """Commands and power at 100 Hz, tracker at 30 Hz, as the driver and the virtual robot publish them."""
+    end = REST_S + cycles * GAIT.period
+    fast, slow = np.arange(0.0, end, 0.01), np.arange(0.003, end, 1.0 / 30.0)
+    trajectory = simulate(GAIT, cycles=cycles)
+    moving = trajectory.at(np.clip(slow - REST_S, 0.0, None))
+    power = trajectory.at(np.clip(fast - REST_S, 0.0, None)).power
+    phase = 2.0 * np.pi * GAIT.frequency * np.clip(fast - REST_S, 0.0, None)
+    command = -0.5 * GAIT.stroke * (1.0 - np.cos(phase))
+    length = moving.x2 - moving.x1
+    count = cycles + 1
+    cycle = np.arange(count)
+    times = np.concatenate([[0.0], REST_S + np.arange(cycles) * GAIT.period])
+    return Run(
+        origin=EPOCH,
+        commanded=LengthSamples(_stamp(fast), PAPER.initial_length + command, command),
+        measured=LengthSamples(_stamp(slow), length, length - PAPER.initial_length),
+        tracker=TrackerSamples(_stamp(slow), moving.x1, moving.x2),
+        power=PowerSamples(
+            _stamp(fast), np.zeros(fast.size, np.int64), 0 * power + 12.0, power / 12.0, power
+        ),
+        gait_state=GaitStates(
+            stamp=_stamp(times),
+            state=np.where(cycle == 0, 2, 3),
+            stroke=np.full(count, GAIT.stroke),
+            frequency=np.full(count, GAIT.frequency),
+            direction=np.full(count, GAIT.direction),
+            margin=np.full(count, GAIT.margin),
+            onset=np.where(cycle == 0, 0, EPOCH + round(REST_S * 1e9)),
+            cycle=cycle,
+            cycles=np.full(count, cycles),
+        ),
+    )
+
+
+def _stamp(time: np.ndarray) -> np.ndarray:
+    return EPOCH + np.rint(time * 1e9).astype(np.int64)
