@@ -66,6 +66,7 @@ def test_measured_figures_are_those_of_the_simulated_robot(gait: RecordedGait):
     assert gait.measured.power.value == pytest.approx(true.power, rel=0.01)
     assert gait.measured.cost_of_transport.value == pytest.approx(true.cost_of_transport, rel=0.02)
     assert gait.missing == ()
+    assert gait.averaged_cycles == (3, 5)
 
 
 def test_the_twin_follows_and_the_expectation_holds(gait: RecordedGait):
@@ -81,6 +82,15 @@ def test_bounds_are_those_of_the_single_cycles(gait: RecordedGait):
     for band in (gait.measured.speed, gait.measured.power):
         assert band.low <= band.value <= band.high
         assert band.low < band.high
+
+
+def test_a_recording_that_ends_early_is_averaged_over_its_last_whole_cycles(tmp_path: Path):
+    run = simulated_run(4)
+    states = dataclasses.replace(run.gait_state, cycles=np.full(run.gait_state.stamp.size, 9))
+    gait = read(tmp_path / "early", dataclasses.replace(run, gait_state=states))
+    assert gait.cycles == 9
+    assert gait.averaged_cycles == (2, 4)
+    assert gait.measured.speed.value == pytest.approx(evaluate_gait(GAIT).speed, rel=0.02)
 
 
 def test_without_a_tracker_power_is_told_and_the_reason_of_the_rest(tmp_path: Path):

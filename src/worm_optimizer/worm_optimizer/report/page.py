@@ -104,7 +104,7 @@ def run_section(gait: RecordedGait, figures: Iterable[str]) -> str:
     facts = [
         ("gait", f"stroke {1e3 * played.stroke:.2f} mm, frequency {played.frequency:.4f} Hz, {way}, "
          f"designed with a margin of {1e3 * played.margin:.2f} mm"),
-        ("cycles", f"{gait.cycles}, of which the last {round(gait.window.duration * played.frequency)} are averaged"),
+        ("cycles", f"{gait.cycles} asked for; averaged: {gait.averaged_cycles[0]} to {gait.averaged_cycles[1]}"),
         ("expected", f"{nominal.grooves_per_cycle:.2f} grooves per cycle without, "
          f"{robust.grooves_per_cycle:.2f} with the margin, at a groove phase of {1e3 * nominal.groove_phase:+.2f} mm"),
         ("groove phase of the run", f"{_phase_of(gait)} (the twin's, from the length at rest)"),

@@ -35,7 +35,6 @@ from worm_optimizer.bringup.figures import (
     Stamps,
     Window,
     accumulate,
-    averaged_window,
     mean_rate,
 )
 from worm_optimizer.report.events import Event, events_of
@@ -51,6 +50,7 @@ _CHUNK = 1 << 20
 class RecordedGait:
     """The last gait of a recording.
 
+    ``cycles`` were asked for; ``window`` are the averaged ones, the last whole ones that were recorded.
     ``measured`` holds the averaged cycles' mean and, as bounds, the lowest and highest of these cycles; ``twin`` the
     same of the twin that was driven with the recorded lengths; ``expected`` what the model says of the command alone,
     with ``content``, the parameters of ``parameter_source``. ``missing`` says why a figure is NaN.
@@ -74,6 +74,15 @@ class RecordedGait:
     missing: tuple[str, ...]
     provenance: dict[str, str]
 
+    @property
+    def averaged_cycles(self) -> tuple[int, int]:
+        """First and last of the averaged cycles, counted from 1."""
+        start, end = (
+            round((stamp - self.onset) * 1e-9 * self.gait.frequency)
+            for stamp in (self.window.start, self.window.end)
+        )
+        return start + 1, end
+
 
 def read_recorded_gait(path: Path, parameters: str, notify: Callable[[str], None]) -> RecordedGait:
     """Reads a bag, lets the twin follow it, and predicts its gait.
@@ -88,7 +97,7 @@ def read_recorded_gait(path: Path, parameters: str, notify: Callable[[str], None
         replay = replay_run(run, content.parameters)
         events = events_of(bag, run, replay)
         provenance = _provenance(bag, path, source)
-    window = averaged_window(run.gait_state)
+    window = _averaged_window(run, gait, onset, cycles)
     missing: list[str] = []
     mass = content.parameters.mass
     energy = accumulate(run.power.stamp, run.power.valid_power)
@@ -149,6 +158,24 @@ def _last_gait(states: GaitStates, path: Path) -> tuple[Gait, int, int]:
     except GaitError as error:
         raise InputError(f"{path}: {error}") from None
     return gait, int(states.onset[row]), int(states.cycles[row])
+
+
+def _averaged_window(run: Run, gait: Gait, onset: int, cycles: int) -> Window:
+    """The last three whole cycles that the instruments saw: a recording may end before the gait does."""
+    power = run.power.valid_power
+    ends = [
+        int(stamp[known][-1])
+        for stamp, known in (
+            (run.tracker.stamp, np.isfinite(run.tracker.rear_position)),
+            (run.power.stamp, np.isfinite(power)),
+        )
+        if known.any()
+    ]
+    period = 1e9 * gait.period
+    seen = math.floor((min(ends) - onset) / period) if ends else cycles
+    last = max(min(cycles, seen), 1)
+    first = max(last - AVERAGED_CYCLES, 0)
+    return Window(onset + round(first * period), onset + round(last * period))
 
 
 def _bands(
