@@ -24,6 +24,8 @@ from worm_driver.telemetry import SILENT, ServoState, Snapshot
 _FIN_TOLERANCE = 40
 #: rad/s, below which a fin stands still
 _FIN_STILL = 0.1
+#: readings of the state before an activation, of which one must succeed
+_ATTEMPTS = 5
 #: m, slack beyond the initial length with which the robot may still be activated
 _PAYOUT_TOLERANCE = 0.01
 
@@ -59,19 +61,23 @@ class Robot:
         self._hold_ticks: dict[int, int] = {}
         self._counts = Counts()
         self._last_step: float | None = None
-        self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
-        self.fins = tuple(servos.identify(bus, fin.servo) for fin in settings.fins)
-        for servo in self.servos:
-            servos.check(bus, servo)
-        for servo in self.cables:
-            servos.prepare_cable(bus, servo)
-        for servo in self.fins:
-            servos.prepare_fin(bus, servo)
+        with bus.patient():
+            self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
+            self.fins = tuple(servos.identify(bus, fin.servo) for fin in settings.fins)
+            self._set_up()
         self._reader = StateReader(bus, self.servos)
-        self.homed = all(servos.is_homed(bus, servo) for servo in self.cables)
-        if settings.home_at_start and not self.homed:
-            self.home()
         self._states: tuple[ServoState, ...] = (SILENT,) * len(self.servos)
+
+    def _set_up(self) -> None:
+        for servo in self.servos:
+            servos.check(self.bus, servo)
+        for servo in self.cables:
+            servos.prepare_cable(self.bus, servo)
+        for servo in self.fins:
+            servos.prepare_fin(self.bus, servo)
+        self.homed = all(servos.is_homed(self.bus, servo) for servo in self.cables)
+        if self.settings.home_at_start and not self.homed:
+            self.home()
 
     @property
     def servos(self) -> tuple[Servo, ...]:
@@ -98,8 +104,9 @@ class Robot:
         if self.active:
             raise HomingError("homing needs the torque off: deactivate the driver first")
         self.homed = False
-        for servo in self.cables:
-            servos.home(self.bus, servo)
+        with self.bus.patient():
+            for servo in self.cables:
+                servos.home(self.bus, servo)
         self.homed = True
 
     def reboot(self) -> tuple[int, ...]:
@@ -107,7 +114,8 @@ class Robot:
         if self.active:
             raise ConfigurationError("a reboot needs the torque off: deactivate the driver first")
         register = COMMON["hardware_error_status"]
-        failed = tuple(s for s in self.servos if self.bus.read(s.number, register))
+        with self.bus.patient():
+            failed = tuple(s for s in self.servos if self.bus.read(s.number, register))
         for servo in failed:
             self.bus.reboot(servo.number)
             self.homed = self.homed and servo not in self.cables
@@ -120,6 +128,26 @@ class Robot:
             HomingError: the length of the cable is not known.
             BusError, ConfigurationError: a servo is not fit; the torque is off again.
         """
+        with self.bus.patient():
+            self._check_fitness()
+        cable = self._measured_cable()
+        if not -self.settings.max_stroke - _PAYOUT_TOLERANCE <= cable <= _PAYOUT_TOLERANCE:
+            raise HomingError(
+                f"the cable is {cable * 1e3:.1f} mm from its initial length, out of its range: bring the "
+                "robot to its initial length by hand, then call the service home"
+            )
+        try:
+            with self.bus.patient():
+                self._enable_all()
+        except BusError:
+            servos.release_all(self.bus, self.servos)
+            raise
+        self._reader.forget_suspects()
+        run = self.player.run
+        self.player = PlayerState(since=now, length_change=cable, run=run)
+        self._counts, self._last_step, self.active = Counts(), None, True
+
+    def _check_fitness(self) -> None:
         self.homed = all(servos.is_homed(self.bus, servo) for servo in self.cables)
         if not self.homed:
             raise HomingError(
@@ -128,23 +156,14 @@ class Robot:
             )
         for servo in self.servos:
             servos.check(self.bus, servo)
-        cable = self._cable_length_change(self._reader.read()[1])
-        if math.isnan(cable):
-            raise NoReplyError("a cable servo does not answer: check its power and cable")
-        if not -self.settings.max_stroke - _PAYOUT_TOLERANCE <= cable <= _PAYOUT_TOLERANCE:
-            raise HomingError(
-                f"the cable is {cable * 1e3:.1f} mm from its initial length, out of its range: bring the "
-                "robot to its initial length by hand, then call the service home"
-            )
-        try:
-            self._enable_all()
-        except BusError:
-            servos.release_all(self.bus, self.servos)
-            raise
-        self._reader.forget_suspects()
-        run = self.player.run
-        self.player = PlayerState(since=now, length_change=cable, run=run)
-        self._counts, self._last_step, self.active = Counts(), None, True
+
+    def _measured_cable(self) -> float:
+        """Change of length of the cable, read now (m). Raises NoReplyError."""
+        for _ in range(_ATTEMPTS):
+            cable = self._cable_length_change(self._reader.read()[1])
+            if not math.isnan(cable):
+                return cable
+        raise NoReplyError("a cable servo does not answer: check its power and cable")
 
     def start(self, now: float, gait: Gait, cycles: int) -> int:
         """Begins a run and returns its number. Raises LimitError."""

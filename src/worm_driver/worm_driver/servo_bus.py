@@ -42,6 +42,8 @@ BROADCAST = 254
 
 #: s, after which a write is given up: an adapter that takes no bytes would otherwise hold the thread for ever
 _WRITE_TIMEOUT = 0.05
+#: repetitions of an exchange while setting up
+_PATIENT_RETRIES = 8
 _INSTRUCTION = 7  # index of the first byte that stuffing covers
 _LENGTH = 5
 _ID = 4
@@ -203,6 +205,15 @@ class ServoBus:
         """Closes the port; harmless when it is closed or gone."""
         with contextlib.suppress(OSError):
             self.port.closePort()
+
+    @contextlib.contextmanager
+    def patient(self) -> Iterator[None]:
+        """Repeats failed exchanges more often: for set-up, where an answer counts more than its time."""
+        before, self.retries = self.retries, max(self.retries, _PATIENT_RETRIES)
+        try:
+            yield
+        finally:
+            self.retries = before
 
     def ping(self, servo: int) -> Identity:
         """Model number and firmware of a servo. Raises BusError."""

@@ -183,14 +183,13 @@ def release_all(bus: ServoBus, servos: tuple[Servo, ...]) -> list[str]:
         what failed, in words; empty when every servo has acknowledged.
     """
     problems = []
+    try:
+        bus.torque_off_all()  # at once and without an answer; what follows makes sure
+    except BusError as error:
+        return [str(error)]
     for servo in servos:
         try:
             disable(bus, servo)
-        except BusError as error:
-            problems.append(str(error))
-    if problems:
-        try:
-            bus.torque_off_all()
         except BusError as error:
             problems.append(str(error))
     return problems
