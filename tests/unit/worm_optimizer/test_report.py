@@ -4,6 +4,7 @@
 import dataclasses
 import json
 import math
+import os
 import re
 import sys
 from pathlib import Path
@@ -190,9 +191,17 @@ def test_the_text_names_what_is_outside(gait: RecordedGait):
 # --- the page -------------------------------------------------------------------------------------
 
 
-def test_the_page_needs_nothing_else_and_figures_lie_beside_it(gait: RecordedGait, tmp_path: Path):
-    named = dataclasses.replace(gait, name="<b>odd & name</b>")
-    page = build_report(Report("A <title>", [named]), tmp_path / "report")
+@pytest.fixture(scope="module")
+def odd(gait: RecordedGait) -> RecordedGait:
+    return dataclasses.replace(gait, name="<b>odd & name</b>")
+
+
+@pytest.fixture(scope="module")
+def page(odd: RecordedGait, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_report(Report("A <title>", [odd]), tmp_path_factory.mktemp("page") / "report")
+
+
+def test_the_page_needs_nothing_else_and_figures_lie_beside_it(page: Path):
     text = page.read_text(encoding="utf-8")
     sources = re.findall(r'(?:src|href)="([^"]{0,40})', text)
     assert len(sources) == 4
@@ -208,10 +217,12 @@ def test_the_page_needs_nothing_else_and_figures_lie_beside_it(gait: RecordedGai
     }
 
 
-def test_the_same_recording_gives_the_same_bytes(gait: RecordedGait, tmp_path: Path):
-    pages = [build_report(Report("same", [gait]), tmp_path / name) for name in ("one", "two")]
-    for path in pages[0].parent.rglob("*.*"):
-        other = pages[1].parent / path.relative_to(pages[0].parent)
+def test_the_same_recording_gives_the_same_bytes(page: Path, odd: RecordedGait, tmp_path: Path):
+    again = build_report(Report("A <title>", [odd]), tmp_path / "report")
+    files = [path for path in page.parent.rglob("*") if path.is_file()]
+    assert len(files) == 9
+    for path in files:
+        other = again.parent / path.relative_to(page.parent)
         assert path.read_bytes() == other.read_bytes(), path.name
 
 
@@ -243,9 +254,17 @@ def test_the_newest_recording_is_reported_by_default(
     write_bag(tmp_path / "bags" / "mine", simulated_run(CYCLES))
     assert run_command(monkeypatch, "--without-front", "--json") == 0
     content = json.loads(capsys.readouterr().out)
-    assert Path(content["page"]) == Path("bags/mine_report/report.html")
-    assert (tmp_path / content["page"]).is_file()
+    assert Path(content["page"]) == tmp_path / "bags" / "mine_report" / "report.html"
+    assert Path(content["page"]).is_file()
     assert content["runs"][0]["agrees"] == {"speed": True, "power": True, "cost_of_transport": True}
+
+
+def test_a_folder_of_bags_stands_for_them_in_the_order_of_their_ends(tmp_path: Path):
+    for number, name in enumerate(("second", "first")):
+        bag = write_bag(tmp_path / "campaign" / name, simulated_run(2))
+        os.utime(bag / "metadata.yaml", (0, 100 - number))
+    assert [bag.name for bag in command.bags_of(tmp_path / "campaign")] == ["first", "second"]
+    assert command.bags_of(bag) == [bag]
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,13 @@ def _parser() -> Parser:
         "and PDF.",
     )
     add = parser.add_argument
-    add("bags", nargs="*", type=Path, metavar="BAG", help="default: the newest one in bags/")
+    add(
+        "bags",
+        nargs="*",
+        type=Path,
+        metavar="BAG",
+        help="or a folder of bags; default: the newest one in bags/",
+    )
     add("--output", type=Path, metavar="FOLDER", help="a new folder (default: BAG_report)")
     add("--title", default="", help="of the page")
     add("--without-front", action="store_true", help="leave the optimizer's part out")
@@ -49,14 +55,15 @@ def _parser() -> Parser:
 
 
 def _report(options: argparse.Namespace) -> None:
-    bags = options.bags or [newest_bag(_BAGS)]
-    folder = options.output or bags[0].with_name(f"{bags[0].stem}_report")
+    named = options.bags or [newest_bag(_BAGS)]
+    folder = options.output or _beside(named[0])
     if folder.exists():
         raise InputError(f"{folder}: exists already; give another name with --output")
     identification = None
     if options.identification:
         content = load_parameter_file(options.identification)
         identification = Identification(content, options.identification)
+    bags = [bag for path in named for bag in bags_of(path)]
     gaits = [read_recorded_gait(bag, options.parameters, notify) for bag in bags]
     optimisation = (
         None if options.without_front else optimise(gaits[0].content, gaits[0].gait.direction)
@@ -67,6 +74,18 @@ def _report(options: argparse.Namespace) -> None:
         print_json({"page": str(page), **report_json(gaits)})
     else:
         arguments.say(f"{describe(gaits)}\n\nreport  {page}")
+
+
+def _beside(path: Path) -> Path:
+    name = path.stem if path.is_file() else path.resolve().name
+    return path.resolve().parent / f"{name}_report"
+
+
+def bags_of(path: Path) -> list[Path]:
+    """A bag itself; of a folder of bags, such as a campaign's, all of them in the order in which they were closed."""
+    inside = [] if (path / METADATA_FILE).exists() else list(path.glob(f"*/{METADATA_FILE}"))
+    closed = sorted(inside, key=lambda file: file.stat().st_mtime)
+    return [file.parent for file in closed] or [path]
 
 
 def newest_bag(folder: Path) -> Path:
