@@ -36,8 +36,9 @@ SHARED = (
 
 @dataclass(frozen=True)
 class ActuationFit:
-    """``slack`` m, ``gain``, ``time_constant`` s; of each run ``initial_length`` m, ``clock_offset`` s and
-    ``engagement`` s (each (runs,)); ``residuals`` of each run in m.
+    """``slack`` m, ``gain``, ``time_constant`` s, and the nuisances of each run.
+
+    ``initial_length`` m, ``clock_offset`` s and ``engagement`` s, each (runs,); ``residuals`` of each run in m.
 
     A positive clock offset means that the camera's stamps are early: a sample stamped t was taken at t + offset.
     """
@@ -57,9 +58,7 @@ class ActuationFit:
         return np.array([self.slack, self.gain, self.time_constant])
 
 
-def response(
-    recording: Recording, values: Array, engagement: float = 0.0
-) -> tuple[Array, Array]:
+def response(recording: Recording, values: Array, engagement: float = 0.0) -> tuple[Array, Array]:
     """(times (n,) in s, ΔL (n,) in m) of a run's command under (δ_s, K, τ), from the engagement on a fine grid."""
     times = np.arange(engagement, recording.command_time[-1] + GRID_STEP, GRID_STEP)
     command = np.interp(times, recording.command_time, recording.command)
@@ -122,8 +121,11 @@ def fit_actuation(
         shared, own = start.solution.shared, start.solution.own
     solution = solve(actuation_problem(recordings), shared, own, weights)
     noise = [max(noise_of(r.length), LEAST_NOISE) for r in recordings]
+    slack, gain, time_constant = map(float, solution.shared)
     return ActuationFit(
-        *map(float, solution.shared),
+        slack,
+        gain,
+        time_constant,
         initial_length=solution.own[:, 0],
         clock_offset=solution.own[:, 1],
         engagement=solution.own[:, 2],

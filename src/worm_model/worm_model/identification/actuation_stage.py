@@ -44,7 +44,8 @@ def identify_actuation(
         return fit_actuation(recordings, fit, drawn).values
 
     refits = refitted(refit)
-    return ActuationResult(*estimates(fit.values, refits, units), correlation(refits), fit)
+    slack, gain, time_constant = estimates(fit.values, refits, units)
+    return ActuationResult(slack, gain, time_constant, correlation(refits), fit)
 
 
 def _units(recordings: Sequence[Recording]) -> list[NDArray[np.int64]]:

@@ -49,8 +49,9 @@ NO_RUN_HELPS = {
 
 @dataclass(frozen=True)
 class Advice:
-    """``key`` of the widest interval relative to its value; the ``gait`` that would shrink it most, to ``shrunk`` of its
-    width, or None where no run helps; ``text`` says so in words.
+    """``key`` of the widest interval relative to its value, and what to do about it in words.
+
+    ``gait`` would shrink it most, to ``shrunk`` of its width; None where no run helps.
     """
 
     key: str
@@ -63,9 +64,7 @@ def advise(result: Identification) -> Advice:
     """What to measure next."""
     vague = [key for key in STAGES["energy"] if not result.estimates[key].identifiable]
     if vague:
-        return Advice(
-            vague[0], None, np.nan, f"{vague[0]}: {result.estimates[vague[0]].note}"
-        )
+        return Advice(vague[0], None, np.nan, f"{vague[0]}: {result.estimates[vague[0]].note}")
     known = [*NO_RUN_HELPS, *(key for keys in STAGES.values() for key in keys)]
     width = {
         key: result.estimates[key].spread / abs(result.estimates[key].value)
@@ -94,7 +93,9 @@ def _inherited(result: Identification, key: str) -> float:
     elif key in STAGES["locomotion"]:
         entry, fit = STAGES["locomotion"].index(key), result.locomotion.fit
         off = [v.means[entry] - fit.means[entry] for _, v in result.locomotion.variants]
-        share = float(np.sum(np.square(off))) / (result.estimates[key].spread / quantile(np.inf)) ** 2
+        share = (
+            float(np.sum(np.square(off))) / (result.estimates[key].spread / quantile(np.inf)) ** 2
+        )
     else:
         share = 0.0
     return min(share, 0.98)
@@ -216,7 +217,8 @@ def _marginal(
     """Information on the first ``count`` shared parameters, all others unknown."""
     matrix, _ = normal_equations(problem, evaluate(problem, shared, own), weights)
     cross = matrix[:count, count:]
-    information: Array = matrix[:count, :count] - cross @ np.linalg.pinv(
-        matrix[count:, count:], hermitian=True
-    ) @ cross.T
+    information: Array = (
+        matrix[:count, :count]
+        - cross @ np.linalg.pinv(matrix[count:, count:], hermitian=True) @ cross.T
+    )
     return information

@@ -101,14 +101,30 @@ def _best_step(
     damping: float,
     weights: Sequence[Array] | None,
 ) -> tuple[Solution, float]:
-    """(state after a step that lowers the cost, next damping); the same state if there is none."""
+    """(state after a step that lowers the cost, next damping); the same state if there is none.
+
+    What stands at a bound and is pushed against it stays there.
+    """
+    free = _free(problem, state, gradient)
+    part = matrix[np.ix_(free, free)]
+    step = np.zeros(gradient.size)
     while damping < MOST_DAMPING:
-        step = -np.linalg.solve(matrix + damping * np.diag(np.diag(matrix) + 1e-12), gradient)
+        damped = part + damping * np.diag(np.diag(part) + 1e-12)
+        step[free] = -np.linalg.solve(damped, gradient[free])
         trial = evaluate(problem, *_moved(problem, state, step), weights)
         if trial.cost < state.cost:
             return trial, max(damping / 8.0, 1e-6)
         damping *= 8.0
     return state, 1e-3
+
+
+def _free(problem: Problem, state: Solution, gradient: Array) -> NDArray[np.intp]:
+    quantities = [*problem.shared, *(q for row in problem.own for q in row)]
+    values = np.concatenate([state.shared, state.own.ravel()])
+    low = np.array([quantity.low for quantity in quantities])
+    high = np.array([quantity.high for quantity in quantities])
+    held = ((values <= low) & (gradient > 0.0)) | ((values >= high) & (gradient < 0.0))
+    return np.flatnonzero(~held)
 
 
 def _moved(problem: Problem, state: Solution, step: Array) -> tuple[Array, Array]:
@@ -129,9 +145,7 @@ def evaluate(
     problem: Problem, shared: Array, own: Array, weights: Sequence[Array] | None = None
 ) -> Solution:
     """The state at given parameters."""
-    residuals = tuple(
-        problem.residuals(run, shared, own[run]) for run in range(len(problem.own))
-    )
+    residuals = tuple(problem.residuals(run, shared, own[run]) for run in range(len(problem.own)))
     cost = sum(
         float(np.sum(_huber(r) if weights is None else weights[run] * _huber(r)))
         for run, r in enumerate(residuals)

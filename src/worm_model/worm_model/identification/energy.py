@@ -140,7 +140,8 @@ def fit_energy(
         held = solve(with_fixed(problem, 0, damping), shared[1:], own, samples)
         solution = replace(held, shared=np.insert(held.shared, 0, damping))
     return EnergyFit(
-        *map(float, solution.shared),
+        damping=float(solution.shared[0]),
+        factor=float(solution.shared[1]),
         clock_offset=solution.own[:, 0],
         residuals=tuple(r * SCALE for r in solution.residuals),
         solution=solution,

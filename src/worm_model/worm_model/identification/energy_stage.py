@@ -27,10 +27,10 @@ VAGUE = 0.5  # half-width relative to the value from which a number would preten
 
 @dataclass(frozen=True)
 class EnergyResult:
-    """``bellows_damping`` N·s/m and ``power_factor``; ``correlation`` (2, 2) of the two; ``inherited``: which part of their
-    variances comes from what earlier stages and the ruler left open; ``fit`` has the nuisances.
+    """``bellows_damping`` N·s/m and ``power_factor``; ``fit`` has the nuisances.
 
-    Without ``identifiable`` estimates, ``fit`` holds c_b at the given value.
+    ``correlation`` (2, 2) of the two; ``inherited``: which part of their variances comes from what earlier stages and
+    the ruler left open. Without ``identifiable`` estimates, ``fit`` holds c_b at the given value.
     """
 
     bellows_damping: Estimate
@@ -53,7 +53,7 @@ def identify_energy(
         return _given(runs, given_damping, note)
     fit = fit_energy(runs)
     weights = unit_weights(random, len(runs))
-    seeds = random.integers(2**63, size=weights.shape[0])
+    seeds = random.integers(2**62, size=(weights.shape[0],)).tolist()
 
     def refit(index: int, weight: Array) -> Array:
         drawn = forces(np.random.default_rng(seeds[index]))

@@ -37,8 +37,9 @@ def all_figures(result: Identification) -> Iterator[tuple[str, Figure]]:
     if result.fin is not None:
         yield "fin", fin_figure(result.fin)
     yield "search", search_figure(result)
+    offset = float(result.actuation.fit.clock_offset.mean())
     for run in result.runs:
-        prediction = predict(run.recording, run.traverse, result.parameters)
+        prediction = predict(run.recording, run.traverse, result.parameters, offset)
         yield f"{run.name}_motion", motion_figure(run, prediction)
         yield f"{run.name}_length", length_figure(run, prediction, result.parameters.slack)
         yield f"{run.name}_energy", energy_figure(run, prediction)

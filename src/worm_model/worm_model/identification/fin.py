@@ -56,9 +56,7 @@ class FinFit:
         low, high = self.engaged_stiffness.value, self.disengaged_stiffness.value
         if self.engages > 0:
             low, high = high, low
-        return _force(
-            np.array([self.clearance.value, low, high, self.centre]), displacement
-        )
+        return _force(np.array([self.clearance.value, low, high, self.centre]), displacement)
 
 
 def _force(values: Array, x: Array) -> Array:

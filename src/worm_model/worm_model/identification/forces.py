@@ -44,7 +44,11 @@ class Forces:
         """One of the forces that are as likely."""
         size = random.standard_normal(len(self.holding) - 1)
         holding = [
-            best + sum((z * (other[run] - best) for z, other in zip(size, self.holding[1:], strict=True)), 0.0)
+            best
+            + sum(
+                (z * (other[run] - best) for z, other in zip(size, self.holding[1:], strict=True)),
+                0.0,
+            )
             for run, best in enumerate(self.holding[0])
         ]
         stiffness = self.stiffness + self.stiffness_deviation * random.standard_normal()

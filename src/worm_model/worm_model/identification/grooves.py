@@ -33,7 +33,7 @@ from worm_model.identification.locomotion import (
     worm_of,
     x1_residuals,
 )
-from worm_model.kernel.dry_friction import FIRST_GROOVE, GROOVE_COLUMNS, STIFFNESS, THRESHOLD
+from worm_model.kernel.dry_friction import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
 from worm_model.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -62,8 +62,10 @@ class Scatter:
 
 @dataclass(frozen=True)
 class GrooveFit:
-    """``solution`` of a `groove_problem` with ``places`` (k, 3), what each deviation after the means is: (module, row,
-    column of `worm_model.kernel.dry_friction`), under a ``scatter``.
+    """``solution`` of a `groove_problem` under a ``scatter``.
+
+    ``places`` (k, 3) tells what each deviation after the means is: module, row and column of grooves as
+    `worm_model.kernel.dry_friction` has them.
     """
 
     solution: Solution
@@ -102,7 +104,6 @@ def groove_problem(
     scatter: Scatter,
 ) -> Problem:
     """Residuals of x1 by the means and the deviations, which have priors by the scatter."""
-
     worms = [worm_of(parameters, t.direction) for t in traverses]
 
     def residuals(run: int, values: Array, own: Array) -> Array:

@@ -77,7 +77,7 @@ def idle_power(runs: Sequence[IdlePower]) -> Estimate:
     values = np.array([run.value for run in known])
     mean = float(values.mean())
     if len(known) > 1:
-        half = quantile(len(known) - 1) * float(values.std(ddof=1)) / np.sqrt(len(known))
+        half = quantile(len(known) - 1) * float(values.std(ddof=1) / np.sqrt(len(known)))
     else:
         half = quantile(SAMPLES - 1) * known[0].deviation
     return Estimate(mean, mean - half, mean + half)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 4: friction η and switching threshold p_sw from x1 under the measured length (eq:locomotion_identification_cost).
+"""Stage 4: friction η and threshold p_sw from x1 under the measured length (eq:locomotion_identification_cost).
 
 J_loc jumps where a groove is gained or lost, so a grid over all that is admissible comes first, and the deepest of its
 valleys are refined. Nuisances: dry friction of each module, which would be booked as η, and L0 of each run, of
@@ -153,7 +153,6 @@ def locomotion_problem(
     traverses: Sequence[Traverse], parameters: Parameters, stride: int = 1
 ) -> Problem:
     """The problem in which all grooves are alike; the parameters that are not sought are given."""
-
     worms = [worm_of(parameters, t.direction) for t in traverses]
 
     def residuals(run: int, values: Array, own: Array) -> Array:
@@ -222,9 +221,7 @@ def valleys(landscape: Landscape, count: int = VALLEYS) -> Array:
     lowest = landscape.cost <= np.min(around, axis=0)
     found = np.argwhere(lowest)
     order = np.argsort(landscape.cost[lowest])[:count]
-    return np.array(
-        [(landscape.friction[i], landscape.threshold[j]) for i, j in found[order]]
-    )
+    return np.array([(landscape.friction[i], landscape.threshold[j]) for i, j in found[order]])
 
 
 def find_locomotion(

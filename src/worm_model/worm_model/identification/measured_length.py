@@ -30,9 +30,9 @@ FINE_STEP = 0.001  # s, for the rate of the actuation fit
 class MeasuredLength:
     """ΔL of a run on the camera's clock, from the onset on in steps of ``step`` s.
 
-    ``time``, ``length_change``, ``rate`` (n,): s, m, m/s, at rest at the first; ``initial_length`` m and its
-    standard deviation ``initial_spread``, that of the mean at rest; ``misfit`` (samples,) m: measured minus the run's own actuation fit;
-    ``outliers`` (samples,): which lengths were left out.
+    ``time``, ``length_change``, ``rate`` (n,): s, m, m/s, at rest at the first; ``initial_length`` m and
+    ``initial_spread``, the standard deviation of its mean at rest; ``misfit`` (samples,) m: measured minus the run's
+    own actuation fit; ``outliers`` (samples,): which lengths were left out.
     """
 
     step: float
@@ -55,7 +55,8 @@ def measured_length(recording: Recording) -> MeasuredLength:
 
     # The gait begins on the servo's clock, at −offset on the camera's.
     start = engagement - offset
-    time = start + GRID_STEP * np.arange(int((recording.end - start) / GRID_STEP) + 1)
+    steps = np.arange(int((recording.end - start) / GRID_STEP) + 1, dtype=np.float64)
+    time: Array = start + GRID_STEP * steps
     misfit = recording.length - fit.initial_length[0] - modelled(recording.camera_time)
     outliers = np.abs(misfit - np.nanmedian(misfit)) > OUTLIER * max(scale_of(misfit), 1e-5)
     kept = np.where(outliers | (recording.camera_time < start - HALF_WINDOW), np.nan, misfit)

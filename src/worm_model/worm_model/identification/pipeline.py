@@ -129,6 +129,7 @@ def identify(
     progress("held out", 0.0)
     held_out = _held_out(runs, parameters, locomotion, power_runs)
     checked, _ = _prepared(validation, given.parameters.pitch) if validation else ([], [])
+    offset = float(actuation.fit.clock_offset.mean())
     progress("done", 1.0)
     return Identification(
         estimates=estimates,
@@ -143,7 +144,7 @@ def identify(
         power_runs=tuple(power_runs),
         held_out=held_out,
         paper={run.name: _errors(run, PAPER) for run in runs},
-        validation={run.name: _errors(run, parameters) for run in checked},
+        validation={run.name: _errors(run, parameters, offset) for run in checked},
         warnings=tuple(warnings),
         seed=seed,
     )
@@ -206,8 +207,9 @@ def _power_runs(runs: Sequence[Run], forces: Forces, idle: float) -> list[PowerR
     ]
 
 
-def _errors(run: Run, parameters: Parameters) -> Errors:
-    return errors(run.recording, run.traverse, predict(run.recording, run.traverse, parameters))
+def _errors(run: Run, parameters: Parameters, clock_offset: float = 0.0) -> Errors:
+    prediction = predict(run.recording, run.traverse, parameters, clock_offset)
+    return errors(run.recording, run.traverse, prediction)
 
 
 def _held_out(
@@ -241,7 +243,7 @@ def _held_out(
             bellows_damping=energy.damping,
             power_factor=energy.factor,
         )
-        return _errors(runs[index], values)
+        return _errors(runs[index], values, float(actuation.clock_offset.mean()))
 
     with ThreadPoolExecutor() as pool:
         found = list(pool.map(left_out, range(len(runs))))

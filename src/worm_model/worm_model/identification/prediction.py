@@ -21,8 +21,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prediction:
-    """Along a run over its five ridges, at ``time`` (n,) s of the camera: ``x1`` m under the measured length, ``power`` W
-    and ``energy`` J since the first power sample; ``length_change`` (samples,) m from the command at the camera's samples.
+    """What is expected along a run.
+
+    At ``time`` (n,) s of the camera: ``x1`` m under the measured length, ``power`` W and ``energy`` J since the onset;
+    ``length_change`` (samples,) m from the command, at the camera's samples.
     """
 
     time: Array
@@ -42,23 +44,28 @@ class Errors:
     energy_error: float
 
 
-def predict(recording: Recording, traverse: Traverse, parameters: Parameters) -> Prediction:
-    """The prediction with the run's own initial length."""
+def predict(
+    recording: Recording, traverse: Traverse, parameters: Parameters, clock_offset: float = 0.0
+) -> Prediction:
+    """The prediction with the run's own initial length.
+
+    ``clock_offset`` s is by how much the camera's clock is behind the servo's, as far as that is known beforehand.
+    """
     length = traverse.length
     values = parameters.replace(initial_length=length.initial_length)
     time, change, rate = length.time, length.length_change, length.rate
     model = Locomotion(values, traverse.direction)
     breaks, coefficients = Smoothed(time, change, rate).cubic()
-    _, motions = model.follow_polynomial(
-        model.start(float(time[0])), breaks, coefficients, breaks
-    )
+    _, motions = model.follow_polynomial(model.start(float(time[0])), breaks, coefficients, breaks)
     actuation = np.array([values.slack, values.gain, values.time_constant])
     return Prediction(
         time=time,
         x1=motions.x1,
         power=motions.power,
         energy=accumulated(time, motions.power),
-        length_change=predicted_length_change(recording, actuation, recording.camera_time),
+        length_change=predicted_length_change(
+            recording, actuation, recording.camera_time, clock_offset
+        ),
     )
 
 

@@ -16,7 +16,7 @@ from worm_model.run import POWER_VALID, RUNNING, GaitStates, Run, seconds
 
 Array = NDArray[np.float64]
 
-FEWEST_SAMPLES = 30  # of an instrument
+FEWEST_SAMPLES = 20  # of an instrument
 MOST_MISFIT = 1e-3  # m, between the commanded lengths and the gait they are said to be
 
 
@@ -65,7 +65,9 @@ class Recording:
         Raises `IdentificationError` if the encoder was not recorded.
         """
         if not self.cable.size:
-            raise IdentificationError(f"{self.name}: no body_length/cable: the encoder was not recorded")
+            raise IdentificationError(
+                f"{self.name}: no body_length/cable: the encoder was not recorded"
+            )
         return replace(self, command_time=self.cable_time, command=self.cable)
 
 
@@ -125,9 +127,7 @@ def _gait(states: GaitStates, name: str) -> tuple[Gait, int]:
         what = "no gait" if onsets.size == 0 else f"{onsets.size} gaits"
         raise IdentificationError(f"{name}: holds {what}; give one run a recording, from rest")
     row = int(np.flatnonzero(played)[0])
-    gait = Gait(
-        float(states.stroke[row]), float(states.frequency[row]), int(states.direction[row])
-    )
+    gait = Gait(float(states.stroke[row]), float(states.frequency[row]), int(states.direction[row]))
     return gait, int(onsets[0])
 
 
@@ -160,7 +160,9 @@ def _from_onset(recording: Recording) -> Recording:
         recording,
         command_time=np.concatenate([[0.0], recording.command_time[after]]),
         command=np.concatenate([[0.0], recording.command[after]]),
-        cable_time=np.concatenate([[0.0], recording.cable_time[cable_after]]) if cable.size else cable,
+        cable_time=np.concatenate([[0.0], recording.cable_time[cable_after]])
+        if cable.size
+        else cable,
         cable=np.concatenate([[0.0], cable]) if cable.size else cable,
     )
 

@@ -19,6 +19,13 @@ FIGURES = "figures"
 DPI = 80
 # What tables are written in: unit, factor from SI, decimals
 SHOWN = {"m": ("mm", 1e3, 3)}
+# Columns of errors: field, factor from SI, format
+ERROR_COLUMNS = (
+    ("x1_rmse", 1e3, "{:.2f}"),
+    ("length_rmse", 1e3, "{:.2f}"),
+    ("power_rmse", 1.0, "{:.3f}"),
+    ("energy_error", 1e2, "{:+.1f}"),
+)
 FIGURE_TITLES = {
     "bellows": "Bellows test and linear fit",
     "fin": "Fin test and fitted law",
@@ -81,13 +88,18 @@ def _summary(result: Identification) -> str:
 
 def parameter_table(estimates: Mapping[str, Estimate]) -> str:
     """All parameters with their intervals, next to the paper's table."""
-    lines = ["| | | value | 95 % interval | unit | paper | |", "| --- | --- | ---: | :---: | --- | ---: | --- |"]
+    lines = [
+        "| | | value | 95 % interval | unit | paper | |",
+        "| --- | --- | ---: | :---: | --- | ---: | --- |",
+    ]
     for key, estimate in estimates.items():
         unit, factor, _ = SHOWN.get(UNITS[key], (UNITS[key], 1.0, 0))
         decimals = _decimals(estimate, factor)
         value = f"{estimate.value * factor:.{decimals}f}"
         if estimate.identifiable:
-            interval = f"{estimate.low * factor:.{decimals}f} … {estimate.high * factor:.{decimals}f}"
+            interval = (
+                f"{estimate.low * factor:.{decimals}f} … {estimate.high * factor:.{decimals}f}"
+            )
         else:
             interval = "not identified"
         paper = f"{getattr(PAPER, key) * factor:g}"
@@ -99,7 +111,9 @@ def parameter_table(estimates: Mapping[str, Estimate]) -> str:
 
 def _decimals(estimate: Estimate, factor: float) -> int:
     """As many as the interval's width leaves meaning to: two digits of its half."""
-    half = estimate.spread * factor if estimate.identifiable else abs(estimate.value * factor) / 50.0
+    half = (
+        estimate.spread * factor if estimate.identifiable else abs(estimate.value * factor) / 50.0
+    )
     decimals = 0
     while half < 9.95 and decimals < 6:
         half, decimals = half * 10.0, decimals + 1
@@ -108,7 +122,8 @@ def _decimals(estimate: Estimate, factor: float) -> int:
 
 def _open_ends(result: Identification) -> str:
     pairs = [
-        f"{SYMBOLS.get(a, a)} and {SYMBOLS.get(b, b)} {rho:+.2f}" for a, b, rho in correlations(result)
+        f"{SYMBOLS.get(a, a)} and {SYMBOLS.get(b, b)} {rho:+.2f}"
+        for a, b, rho in correlations(result)
     ]
     together = f"Estimates that move together (correlation): {'; '.join(pairs)}." if pairs else ""
     advice = advise(result).text
@@ -119,21 +134,18 @@ def error_table(found: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str
     """Errors of each run; in brackets those of the paper's table."""
     if not found:
         return "One run alone: none can be left out."
-    lines = ["| run | x1 (mm) | ΔL (mm) | power (W) | energy (%) |", "| --- | ---: | ---: | ---: | ---: |"]
+    lines = [
+        "| run | x1 (mm) | ΔL (mm) | power (W) | energy (%) |",
+        "| --- | ---: | ---: | ---: | ---: |",
+    ]
     for name, error in found.items():
-        other = paper.get(name)
         cells = [
-            _cell(error.x1_rmse * 1e3, other and other.x1_rmse * 1e3, "{:.2f}"),
-            _cell(error.length_rmse * 1e3, other and other.length_rmse * 1e3, "{:.2f}"),
-            _cell(error.power_rmse, other and other.power_rmse, "{:.3f}"),
-            _cell(error.energy_error * 1e2, other and other.energy_error * 1e2, "{:+.1f}"),
+            form.format(factor * getattr(error, field))
+            + (f" ({form.format(factor * getattr(paper[name], field))})" if name in paper else "")
+            for field, factor, form in ERROR_COLUMNS
         ]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
-
-
-def _cell(value: float, other: float | None, form: str) -> str:
-    return form.format(value) + (f" ({form.format(other)})" if other is not None else "")
 
 
 def nuisance_text(result: Identification) -> str:
@@ -141,17 +153,16 @@ def nuisance_text(result: Identification) -> str:
     locomotion, scatter = result.locomotion, result.locomotion.fit.scatter
     rear, front = (
         f"{value:.2f} ± {1.96 * deviation:.2f} N"
-        for value, deviation in zip(
-            locomotion.dry_friction, locomotion.dry_deviation, strict=True
-        )
+        for value, deviation in zip(locomotion.dry_friction, locomotion.dry_deviation, strict=True)
     )
     head = (
-        f"Dry friction: rear module {rear}, front module {front}. Grooves differ by {scatter.threshold * 1e3:.3f} mm in "
-        f"threshold and {scatter.stiffness * 100:.1f} % in stiffness (standard deviations). Residuals of x1 weigh "
+        f"Dry friction: rear module {rear}, front module {front}. "
+        f"Grooves differ by {scatter.threshold * 1e3:.3f} mm "
+        f"in threshold and {scatter.stiffness * 100:.1f} % in stiffness (standard deviations). Residuals of x1 weigh "
         f"{locomotion.inflation:.2f} times white noise of the camera.\n\n"
     )
     lines = [
-        "| run | L0 (mm) | P_idle (W) | camera after servo (ms) | power before camera (ms) | five ridges |",
+        "| run | L0 (mm) | P_idle (W) | camera behind servo (ms) | power behind camera (ms) | five ridges |",
         "| --- | ---: | ---: | ---: | ---: | --- |",
     ]
     rows = zip(

@@ -72,7 +72,7 @@ def summary(result: Identification) -> dict[str, Any]:
         "paper": {name: asdict(error) for name, error in result.paper.items()},
         "validation": {name: asdict(error) for name, error in result.validation.items()},
         "clock_offsets": {
-            run.name: {"camera_after_servo": camera, "power_before_camera": power}
+            run.name: {"camera_behind_servo": camera, "power_behind_camera": power}
             for run, camera, power in offsets
         },
         "nuisances": nuisances(result),

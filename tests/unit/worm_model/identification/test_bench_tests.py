@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stages 2 and 3: the bellows and the fin."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from worm_model.identification.bellows import fit_bellows
+from worm_model.identification.errors import IdentificationError
+from worm_model.identification.fin import fit_fin
+
+X = np.linspace(-0.012, 0.012, 97)
+COMPRESSION = np.linspace(0.0, 0.07, 36)
+FIN = (0.00753, 1833.1, 442.0)
+
+
+def fin_force(x, clearance=FIN[0], engaged=FIN[1], disengaged=FIN[2]):
+    low = engaged * np.minimum(x + 0.5 * clearance, 0.0)
+    return low + disengaged * np.maximum(x - 0.5 * clearance, 0.0)
+
+
+def noise(seed, size, scale):
+    return np.random.default_rng(seed).normal(0.0, scale, size)
+
+
+def test_a_straight_line_is_found_exactly_and_its_offset_with_it():
+    fit = fit_bellows(COMPRESSION, 0.3 + 968.8 * COMPRESSION + noise(1, 36, 1e-9))
+    assert fit.stiffness.value == pytest.approx(968.8, rel=1e-6)
+    assert fit.offset == pytest.approx(0.3, abs=1e-6)
+
+
+def test_outliers_and_missing_points_do_not_move_the_bellows():
+    force = 968.8 * COMPRESSION + noise(2, 36, 0.3)
+    spoilt = force.copy()
+    spoilt[[3, 30]] += [25.0, -40.0]
+    spoilt[10] = np.nan
+    plain, fit = fit_bellows(COMPRESSION, force), fit_bellows(COMPRESSION, spoilt)
+    assert fit.stiffness.value == pytest.approx(plain.stiffness.value, rel=3e-3)
+    assert fit.used.sum() == 33
+
+
+def test_the_bellows_interval_covers_as_often_as_it_says():
+    fits = [fit_bellows(COMPRESSION, 968.8 * COMPRESSION + noise(s, 36, 0.3)) for s in range(300)]
+    covered = np.mean([fit.stiffness.low <= 968.8 <= fit.stiffness.high for fit in fits])
+    assert 0.92 <= covered <= 0.98
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "reason"),
+    [
+        (COMPRESSION[:3], COMPRESSION[:3], "usable points"),
+        (np.zeros(9), np.arange(9.0), "usable points"),
+        (COMPRESSION, -900.0 * COMPRESSION, "falls with compression"),
+    ],
+)
+def test_a_bellows_test_that_tells_nothing_is_refused(x, y, reason):
+    with pytest.raises(IdentificationError, match=reason):
+        fit_bellows(x, y)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("reaction", [False, True])
+def test_every_sign_convention_of_the_fin_test_is_recognised(mirrored, reaction):
+    x = -X if mirrored else X
+    force = fin_force(X) + noise(3, 97, 0.1)
+    force = -force if mirrored != reaction else force
+    fit = fit_fin(x, force)
+    assert fit.engages == (1 if mirrored else -1)
+    assert fit.reaction == reaction
+    assert fit.values == pytest.approx(FIN, rel=0.03)
+    assert fit.force_at(fit.displacement) == pytest.approx(fit.force, abs=0.5)
+
+
+def test_all_of_the_fins_intervals_cover_as_often_as_they_say():
+    fits = [fit_fin(X, fin_force(X) + noise(s, 97, 0.12)) for s in range(150)]
+    for index, name in enumerate(("clearance", "engaged_stiffness", "disengaged_stiffness")):
+        estimates = [getattr(fit, name) for fit in fits]
+        assert 0.9 <= np.mean([e.low <= FIN[index] <= e.high for e in estimates]) <= 0.99
+
+
+def test_outliers_do_not_move_the_fin():
+    force = fin_force(X) + noise(4, 97, 0.1)
+    spoilt = force.copy()
+    spoilt[[5, 50, 90]] += [8.0, -6.0, 7.0]
+    assert fit_fin(X, spoilt).values == pytest.approx(fit_fin(X, force).values, rel=0.02)
+
+
+def test_a_zero_that_is_off_moves_neither_clearance_nor_stiffness():
+    fit = fit_fin(X + 0.0012, fin_force(X) + noise(5, 97, 0.1))
+    assert fit.centre == pytest.approx(0.0012, abs=2e-4)
+    assert fit.values == pytest.approx(FIN, rel=0.04)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    clearance=st.floats(0.002, 0.015),
+    engaged=st.floats(900.0, 4000.0),
+    share=st.floats(0.1, 0.7),
+)
+def test_any_fin_is_found(clearance, engaged, share):
+    fit = fit_fin(X, fin_force(X, clearance, engaged, share * engaged) + noise(6, 97, 0.01))
+    assert fit.values == pytest.approx([clearance, engaged, share * engaged], rel=0.03)
+
+
+def test_a_fin_test_that_does_not_tell_which_side_engages_asks():
+    force = fin_force(X, engaged=1000.0, disengaged=1000.0) + noise(7, 97, 0.05)
+    with pytest.raises(IdentificationError, match="--fin-engages"):
+        fit_fin(X, force)
+    assert fit_fin(X, force, engages=1).engages == 1
+
+
+@pytest.mark.parametrize("x", [X[:6], np.abs(X)])
+def test_a_fin_test_of_one_side_is_refused(x):
+    with pytest.raises(IdentificationError, match="both sides"):
+        fit_fin(x, fin_force(x))

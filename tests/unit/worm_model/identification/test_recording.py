@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a run to a recording, idle power, and what is noticed about a run."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from virtual_campaign import RESTING, RUNNING, Instruments, exact_run
+
+from worm_model.gait import Gait
+from worm_model.identification.errors import IdentificationError
+from worm_model.identification.idle import idle_power, idle_power_of
+from worm_model.identification.locomotion import traverse_of
+from worm_model.identification.measured_length import measured_length
+from worm_model.identification.quality import longest_gap, remarks, usable
+from worm_model.identification.recording import recording_of
+from worm_model.parameters import PAPER
+from worm_model.run import GaitStates, LengthSamples, PowerSamples, TrackerSamples
+
+GAIT = Gait(0.08, 0.25)
+
+
+def run(**changes):
+    return replace(exact_run(GAIT, duration=7.0), **changes)
+
+
+def recording(**instruments):
+    return recording_of(exact_run(GAIT, instruments=Instruments(**instruments), duration=7.0), "r")
+
+
+@pytest.mark.parametrize(
+    ("field", "nothing", "topic"),
+    [
+        ("tracker", TrackerSamples(), "tracker"),
+        ("commanded", LengthSamples(), "body_length/commanded"),
+        ("power", PowerSamples(), "power"),
+        ("gait_state", GaitStates(), "gait_state"),
+    ],
+)
+def test_a_run_without_a_needed_topic_is_refused_by_its_name(field, nothing, topic):
+    with pytest.raises(IdentificationError, match=f"r: has no {topic}"):
+        recording_of(run(**{field: nothing}), "r")
+
+
+def test_a_run_of_two_gaits_is_refused():
+    states = run().gait_state
+    twice = replace(
+        states,
+        **{
+            name: np.concatenate([getattr(states, name)] * 2)
+            for name in ("state", "stroke", "frequency", "direction", "margin", "cycle", "cycles")
+        },
+        stamp=np.concatenate([states.stamp, states.stamp + 10**9]),
+        onset=np.concatenate([states.onset, states.onset + 10**9 * (states.onset > 0)]),
+    )
+    assert list(twice.state) == [RESTING, RUNNING] * 2
+    with pytest.raises(IdentificationError, match="2 gaits"):
+        recording_of(run(gait_state=twice), "r")
+
+
+def test_commands_that_are_not_the_gait_are_refused():
+    states = run().gait_state
+    wrong = replace(states, stroke=np.full(2, 0.06))
+    with pytest.raises(IdentificationError, match=r"are not the gait of 0\.06 m"):
+        recording_of(run(gait_state=wrong), "r")
+
+
+def test_a_run_that_does_not_rest_is_refused():
+    with pytest.raises(IdentificationError, match="let the robot rest"):
+        recording(rest=0.2)
+
+
+def test_times_count_from_the_onset_and_x1_from_rest():
+    whole = run()
+    off = replace(
+        whole.tracker,
+        rear_position=whole.tracker.rear_position + 0.3,
+        front_position=whole.tracker.front_position + 0.3,
+    )
+    found, plain = recording_of(replace(whole, tracker=off), "r"), recording_of(whole, "r")
+    assert found.x1 == pytest.approx(plain.x1)
+    assert found.command_time[0] == found.command[0] == 0.0
+    assert found.camera_time[0] == pytest.approx(-2.0, abs=1e-3)
+    assert abs(np.mean(found.x1[found.at_rest])) < 1e-4
+
+
+def test_idle_power_is_the_mean_of_the_first_ten():
+    found = recording(power_noise=0.02)
+    idle = idle_power_of(found)
+    assert idle.value == pytest.approx(np.mean(found.power[:10]))
+    assert idle.warning == ""
+    assert idle.value == pytest.approx(PAPER.idle_power, abs=5 * idle.deviation)
+
+
+def test_a_slow_sensor_does_not_bill_motion_as_idle_power():
+    slow = idle_power_of(recording(power_rate=3.0))
+    assert "not at rest in 4 of the first ten" in slow.warning
+    assert slow.value == pytest.approx(PAPER.idle_power, abs=0.05)
+
+
+def test_a_sensor_that_starts_with_the_gait_says_nothing_of_idle_power():
+    late = recording()
+    late = replace(
+        late, power=late.power[late.power_time > 0], power_time=late.power_time[late.power_time > 0]
+    )
+    idle = idle_power_of(late)
+    assert np.isnan(idle.value)
+    assert "start the sensor before the gait" in idle.warning
+    with pytest.raises(IdentificationError, match="no run has power samples at rest"):
+        idle_power([idle])
+    known = idle_power_of(recording())
+    assert idle_power([idle, known]).value == known.value
+
+
+def test_power_that_still_settles_is_noticed():
+    settling = recording(power_noise=0.001)
+    power = settling.power + 0.5 * np.exp(-(settling.power_time + 2.0) / 0.2)
+    assert "still settling" in idle_power_of(replace(settling, power=power)).warning
+
+
+def test_the_measured_length_is_smooth_and_keeps_its_corners():
+    found = recording(camera_noise=0.0003)
+    length = measured_length(found)
+    exact = measured_length(recording(camera_noise=0.0))
+    at = np.linspace(0.1, 6.5, 200)
+    difference = np.interp(at, length.time, length.length_change)
+    difference -= np.interp(at, exact.time, exact.length_change)
+    assert np.sqrt(np.mean(difference**2)) < 1.2e-4
+    rate = np.interp(at, length.time, length.rate) - np.interp(at, exact.time, exact.rate)
+    assert np.sqrt(np.mean(rate**2)) < 8e-4
+    steepest = np.abs(np.diff(length.rate)).max() / length.step
+    assert steepest > 0.25  # m/s²: the edges that the slack makes are not rounded off
+
+
+def test_outliers_of_the_camera_are_left_out():
+    found = recording()
+    x2 = found.x2.copy()
+    x2[[90, 150, 200]] += [0.05, -0.03, 0.01]
+    length = measured_length(replace(found, x2=x2))
+    assert set(np.flatnonzero(length.outliers)) == {90, 150, 200}
+
+
+def with_hidden_marker(found, start, end):
+    x1 = found.x1.copy()
+    x1[(found.camera_time > start) & (found.camera_time < end)] = np.nan
+    return replace(found, x1=x1)
+
+
+def test_hidden_markers_are_named_and_bridged():
+    plain = recording()
+    found = with_hidden_marker(plain, 2.0, 3.5)
+    length = measured_length(found)
+    assert longest_gap(found) == pytest.approx(1.5, abs=0.1)
+    texts = remarks(found, length, traverse_of(found, length, PAPER.pitch))
+    assert "hidden marker, longest gap 1.5" in texts[0]
+    assert "a guess" in texts[1]
+    expected = measured_length(plain)
+    at = np.linspace(2.0, 3.5, 50)
+    bridge = np.interp(at, length.time, length.length_change)
+    assert bridge == pytest.approx(np.interp(at, expected.time, expected.length_change), abs=4e-4)
+
+
+def test_a_run_of_too_few_ridges_is_named():
+    found = recording_of(exact_run(GAIT, duration=4.5), "r")
+    length = measured_length(found)
+    traverse = traverse_of(found, length, PAPER.pitch)
+    assert not traverse.complete
+    assert "never reached 5 ridges" in " ".join(remarks(found, length, traverse))
+
+
+def test_one_outlier_is_no_arrival():
+    found = recording()
+    plain = traverse_of(found, measured_length(found), PAPER.pitch)
+    x1 = found.x1.copy()
+    x1[100] = 0.2
+    spoilt = replace(found, x1=x1)
+    assert traverse_of(spoilt, measured_length(spoilt), PAPER.pitch).end == plain.end
+
+
+def stuck(found, time):
+    """The servo stops at a time; the body stays as it is."""
+    at = np.flatnonzero(found.camera_time > time)
+    x2 = found.x2.copy()
+    x2[at] = found.x1[at] + (found.x2 - found.x1)[at[0]]
+    return replace(found, x2=x2)
+
+
+@pytest.mark.parametrize("time", [0.3, 2.0, 4.0])
+def test_a_stuck_servo_is_left_out_or_refused_and_never_averaged(time):
+    sound, spoilt = recording(), stuck(recording(), time)
+    lengths = [measured_length(sound), measured_length(spoilt)]
+    kept, reasons = usable([sound, spoilt], lengths)
+    assert kept == [0]
+    assert "stuck servo" in reasons[0]
+    with pytest.raises(IdentificationError, match="stuck servo"):
+        usable([spoilt], lengths[1:])

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stages 4, 5 and 7 on robots that are exactly as the model says, and on some that are not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from virtual_campaign import Instruments, exact_run
+
+from worm_model.gait import Gait
+from worm_model.identification.actuation import fit_actuation
+from worm_model.identification.actuation_stage import identify_actuation
+from worm_model.identification.blocks import solve
+from worm_model.identification.energy import power_run
+from worm_model.identification.energy_stage import identify_energy
+from worm_model.identification.errors import IdentificationError
+from worm_model.identification.grooves import fit_grooves
+from worm_model.identification.locomotion import (
+    find_locomotion,
+    locomotion_problem,
+    search,
+    slide,
+    traverse_of,
+    valleys,
+    with_values,
+    worm_of,
+)
+from worm_model.identification.measured_length import measured_length
+from worm_model.identification.recording import recording_of
+from worm_model.kernel import dry_friction
+from worm_model.parameters import PAPER
+from worm_model.simulator import simulate
+
+TRUTH = PAPER.replace(
+    viscous_friction=95.0,
+    switching_threshold=0.0171,
+    slack=0.0072,
+    gain=0.84,
+    time_constant=0.17,
+    bellows_damping=900.0,
+    power_factor=3.0,
+)
+GAITS = [Gait(0.08, 0.15), Gait(0.08, 0.25), Gait(0.09, 0.2)]
+
+
+def recordings(truth=TRUTH, gaits=GAITS, **instruments):
+    return [
+        recording_of(
+            exact_run(gait, truth, Instruments(**instruments), seed, 1.7 / gait.frequency),
+            f"run_{seed}",
+        )
+        for seed, gait in enumerate(gaits)
+    ]
+
+
+def traverses(truth=TRUTH, gaits=GAITS, **instruments):
+    return [
+        traverse_of(recording, measured_length(recording), truth.pitch)
+        for recording in recordings(truth, gaits, **instruments)
+    ]
+
+
+def test_actuation_is_found_and_the_clocks_with_it():
+    fit = fit_actuation(recordings(camera_noise=1e-5, camera_behind=0.007))
+    assert fit.values == pytest.approx([0.0072, 0.84, 0.17], rel=2e-3)
+    assert fit.clock_offset == pytest.approx(np.full(3, 0.007), abs=6e-4)
+    assert fit.initial_length == pytest.approx(np.full(3, TRUTH.initial_length), abs=1e-5)
+
+
+def test_gross_outliers_hardly_move_the_actuation():
+    found = recordings()
+    plain = fit_actuation(found)
+    random = np.random.default_rng(5)
+    spoilt = []
+    for recording in found:
+        x2 = recording.x2.copy()
+        x2[random.integers(70, x2.size, 6)] += 0.04
+        spoilt.append(replace(recording, x2=x2))
+    assert fit_actuation(spoilt).values == pytest.approx(plain.values, rel=0.01)
+
+
+def test_the_bootstrap_repeats_with_its_seed():
+    found = recordings()
+    first, again, other = (
+        identify_actuation(found, np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
+    assert first.slack == again.slack
+    assert first.slack != other.slack
+    assert first.slack.low < 0.0072 < first.slack.high
+
+
+def test_the_search_finds_the_valley_from_nothing():
+    runs = traverses(camera_noise=1e-4)
+    landscape = search(runs, TRUTH.replace(viscous_friction=300.0, switching_threshold=0.012))
+    _, threshold = valleys(landscape)[0]
+    assert threshold == pytest.approx(TRUTH.switching_threshold, abs=4e-4)
+    assert landscape.cost.max() > 1e3 * landscape.cost.min()  # it jumps
+    solution = find_locomotion(runs, TRUTH, landscape)
+    assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
+    assert solution.shared[1] == pytest.approx(TRUTH.switching_threshold, abs=4e-5)
+    assert solution.shared[2:] == pytest.approx([0.0, 0.0], abs=0.05)
+
+
+def test_what_no_worm_does_is_refused():
+    runs = traverses(camera_noise=1e-4)
+    wrong = [replace(run, x1=run.x1 - 40.0) for run in runs]
+    landscape = search(wrong, TRUTH)
+    with pytest.raises(IdentificationError, match="explain the motion"):
+        find_locomotion(wrong, TRUTH, landscape)
+
+
+def rough_traverses(dry, rear_grooves, front_grooves):
+    """The runs of a worm with dry friction in grooves that differ, by the identification's own model."""
+    random = np.random.default_rng(8)
+    found = []
+    for run in traverses(camera_noise=1e-4):
+        worm = with_values(worm_of(TRUTH, 1), np.array([95.0, 0.0171, *dry]), 0.2952)
+        samples = slide(run, worm, rear_grooves, front_grooves)
+        x1 = np.interp(run.time, run.length.time, samples[:, dry_friction.X1])
+        found.append(replace(run, x1=x1 + random.normal(0.0, 1e-4, x1.size), noise=1e-4))
+    return found
+
+
+def test_dry_friction_is_not_booked_as_viscous():
+    alike = np.zeros((10, 2))
+    runs = rough_traverses((0.4, 0.2), alike, alike)
+    problem = locomotion_problem(runs, TRUTH)
+    own = np.array([[run.length.initial_length] for run in runs])
+    solution = solve(problem, np.array([80.0, 0.0172, 0.05, 0.05]), own)
+    assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
+    assert solution.shared[2:] == pytest.approx([0.4, 0.2], abs=0.05)
+
+
+def test_grooves_that_differ_are_told_apart():
+    random = np.random.default_rng(3)
+    rear, front = (
+        np.stack([random.normal(0.0, 2e-4, 10), random.normal(0.0, 0.03, 10)], axis=1)
+        for _ in range(2)
+    )
+    runs = rough_traverses((0.2, 0.2), rear, front)
+    problem = locomotion_problem(runs, TRUTH)
+    own = np.array([[run.length.initial_length] for run in runs])
+    flat = solve(problem, np.array([90.0, 0.0172, 0.05, 0.05]), own)
+    fit = fit_grooves(runs, TRUTH, flat)
+    assert fit.solution.cost < 0.8 * flat.cost
+    assert 1e-4 < fit.scatter.threshold < 4e-4
+    assert 0.01 < fit.scatter.stiffness < 0.06
+    first = [tuple(place) for place in fit.places].index((0, dry_friction.FIRST_GROOVE, 0))
+    found = fit.means[1] + fit.solution.shared[4 + first]
+    assert found == pytest.approx(0.0171 + rear[dry_friction.FIRST_GROOVE, 0], abs=6e-5)
+
+
+def power_runs(gaits, random, factor_scatter=0.01):
+    """Runs whose force is the exact model's, each with a power factor that is a little its own."""
+    found = []
+    for gait, recording in zip(gaits, recordings(gaits=gaits, camera_noise=1e-5), strict=True):
+        motion = simulate(gait, TRUTH, 3).at(np.arange(0.0, 1.6 / gait.frequency, 0.008))
+        static = motion.cable_force + TRUTH.bellows_damping * motion.length_rate
+        own = 1.0 + factor_scatter * random.standard_normal()
+        power = TRUTH.idle_power + own * (recording.power - TRUTH.idle_power)
+        found.append(
+            power_run(
+                replace(recording, power=power),
+                motion.time,
+                motion.length_rate,
+                static,
+                1.5 / gait.frequency,
+                TRUTH.idle_power,
+            )
+        )
+    return found
+
+
+def energy_of(gaits, seed=0):
+    random = np.random.default_rng(seed)
+    runs = power_runs(gaits, random)
+
+    def forces(_):
+        return [run.static_force for run in runs]
+
+    return identify_energy(runs, [g.frequency for g in gaits], forces, 862.4, random)
+
+
+def test_damping_and_power_factor_are_found_from_several_frequencies():
+    gaits = [Gait(0.07, f) for f in (0.1, 0.15, 0.2, 0.3)]
+    result = energy_of(gaits)
+    assert result.bellows_damping.identifiable
+    assert result.bellows_damping.low < 900.0 < result.bellows_damping.high
+    assert result.power_factor.low < 3.0 < result.power_factor.high
+    assert result.correlation[0, 1] < -0.8
+
+
+def test_one_frequency_cannot_tell_damping_from_power_factor():
+    result = energy_of([Gait(stroke, 0.2) for stroke in (0.06, 0.07, 0.08, 0.09)])
+    for estimate in (result.bellows_damping, result.power_factor):
+        assert not estimate.identifiable
+        assert np.isnan(estimate.low)
+        assert "another frequency" in estimate.note
+    assert result.bellows_damping.value == 862.4  # as given, no false digits
+
+
+def test_one_run_cannot_tell_them_either():
+    assert "several frequencies" in energy_of(GAITS[:1]).power_factor.note

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Campaigns of robots whose parameters are known, as identification gets them: the truth of its tests and benchmark."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_driver.virtual_robot.rehearsal import Run as Rehearsal
+from worm_driver.virtual_robot.rehearsal import rehearse, sinusoid
+from worm_driver.virtual_robot.settings import RobotSettings, load_settings
+from worm_model.gait import Gait
+from worm_model.identification.given import Given
+from worm_model.identification.inputs import BenchTest, Inputs
+from worm_model.identification.recording import recording_of
+from worm_model.parameters import PAPER, Parameters
+from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+from worm_model.simulator import simulate
+
+# Gaits and durations (s) that pass five ridges, those of a usual campaign
+CAMPAIGN = (
+    (Gait(0.06, 0.1), 34.5),
+    (Gait(0.06, 0.2), 17.6),
+    (Gait(0.07, 0.1), 34.0),
+    (Gait(0.07, 0.2), 17.4),
+    (Gait(0.07, 0.3), 11.8),
+    (Gait(0.08, 0.15), 10.0),
+    (Gait(0.08, 0.25), 6.4),
+    (Gait(0.09, 0.2), 7.5),
+)
+SHORT = (CAMPAIGN[4], CAMPAIGN[5], CAMPAIGN[6], CAMPAIGN[7])
+SPREAD = 0.05  # relative, of the true parameters around the virtual robot's
+FORCE_NOISE = 0.12, 0.35  # N, of the fin and of the bellows test
+EPOCH = 10**18  # ns
+RESTING, RUNNING = 2, 3
+TICK = 2.0 * np.pi / 4096  # rad
+
+
+@dataclass(frozen=True)
+class VirtualCampaign:
+    """What identification is given, and the true parameters."""
+
+    inputs: Inputs
+    given: Given
+    truth: Parameters
+
+
+def virtual_campaign(
+    seed: int, plan: Sequence[tuple[Gait, float]] = CAMPAIGN, spread: float = SPREAD
+) -> VirtualCampaign:
+    """Runs of one robot in one pipe, with noise of their own, and its bench tests."""
+    settings = dataclasses.replace(load_settings(), seed=seed, parameter_spread=spread)
+    recordings, truth = [], PAPER
+    for index, (gait, duration) in enumerate(plan):
+        run = rehearse(
+            dataclasses.replace(settings, recording=index + 1),
+            sinusoid(gait.stroke, gait.frequency),
+            duration,
+        )
+        truth = Parameters(**dataclasses.asdict(run.truth))
+        recordings.append(recording_of(run_of(run, gait, settings), f"run_{index + 1}"))
+    known = {
+        key: getattr(truth, key)
+        for key in ("rear_mass", "front_mass", "unstressed_length", "pitch")
+    }
+    bellows, fin = bench_tests(truth, np.random.default_rng(seed))
+    given = Given(PAPER.replace(**known), {}, "the maker")
+    return VirtualCampaign(Inputs(tuple(recordings), bellows, fin, None), given, truth)
+
+
+def bench_tests(truth: Parameters, random: np.random.Generator) -> tuple[BenchTest, BenchTest]:
+    """A bellows and a fin test as a lab does them."""
+    x = np.linspace(-0.012, 0.012, 97)
+    force = truth.engaged_stiffness * np.minimum(x + 0.5 * truth.clearance, 0.0)
+    force += truth.disengaged_stiffness * np.maximum(x - 0.5 * truth.clearance, 0.0)
+    fin = BenchTest(x, force + random.normal(0.0, FORCE_NOISE[0], x.size), "")
+    compression = np.linspace(0.0, 0.07, 36)
+    load = truth.bellows_stiffness * compression
+    bellows = BenchTest(compression, load + random.normal(0.0, FORCE_NOISE[1], 36), "")
+    return bellows, fin
+
+
+def run_of(rehearsal: Rehearsal, gait: Gait, settings: RobotSettings) -> Run:
+    """A rehearsal as a bag would hold it."""
+    servo = settings.cable_servos[0]
+    metres = -servo.sign * servo.spool_radius * TICK
+    power = rehearsal.bus_voltage * rehearsal.current
+    return make_run(
+        gait,
+        rehearsal.onset,
+        (rehearsal.tracker_time, rehearsal.rear_position, rehearsal.front_position),
+        (rehearsal.servo_time, rehearsal.goal_ticks * metres),
+        (rehearsal.power_time, power),
+    )
+
+
+def make_run(
+    gait: Gait,
+    onset: float,
+    camera: tuple[np.ndarray, np.ndarray, np.ndarray],
+    command: tuple[np.ndarray, np.ndarray],
+    power: tuple[np.ndarray, np.ndarray],
+) -> Run:
+    """A run of (time s, x1 m, x2 m), (time s, u_cmd m) and (time s, power W), onset in s."""
+
+    def stamp(time: np.ndarray) -> np.ndarray:
+        return EPOCH + np.rint(np.asarray(time) * 1e9).astype(np.int64)
+
+    length = np.asarray(camera[2]) - np.asarray(camera[1])
+    initial = float(np.nanmedian(length[camera[0] < onset])) if np.any(camera[0] < onset) else 0.3
+    states = np.array([RESTING, RUNNING])
+    onset_stamp = int(stamp(np.array(onset)))
+    return Run(
+        origin=EPOCH,
+        commanded=LengthSamples(stamp(command[0]), initial + command[1], np.asarray(command[1])),
+        tracker=TrackerSamples(stamp(camera[0]), np.asarray(camera[1]), np.asarray(camera[2])),
+        power=PowerSamples(
+            stamp(power[0]),
+            np.zeros(len(power[0]), np.int64),
+            np.full(len(power[0]), 12.0),
+            np.asarray(power[1]) / 12.0,
+            np.asarray(power[1]),
+        ),
+        gait_state=GaitStates(
+            stamp=stamp(np.array([0.0, onset])),
+            state=states,
+            stroke=np.full(2, gait.stroke),
+            frequency=np.full(2, gait.frequency),
+            direction=np.full(2, gait.direction),
+            margin=np.zeros(2),
+            onset=np.array([0, onset_stamp]),
+            cycle=np.array([0, 1]),
+            cycles=np.full(2, 5),
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """Noise of camera (m) and power sensor (W), and by how many s their clocks are behind the servo's."""
+
+    camera_noise: float = 0.0002
+    power_noise: float = 0.02
+    camera_behind: float = 0.0
+    power_behind: float = 0.0
+    power_rate: float = 50.0
+    rest: float = 2.0
+
+
+def exact_run(
+    gait: Gait,
+    parameters: Parameters = PAPER,
+    instruments: Instruments = Instruments(),
+    seed: int = 0,
+    duration: float = 12.0,
+) -> Run:
+    """A run of a robot that is exactly as the model says."""
+    random = np.random.default_rng(seed)
+    rest = instruments.rest
+    cycles = int(np.ceil((duration + 1.0) * gait.frequency))
+    trajectory = simulate(gait, parameters, cycles)
+    camera = np.arange(0.0, rest + duration, 1.0 / 30.0)
+    moving = np.maximum(camera + instruments.camera_behind - rest, 0.0)
+    motion = trajectory.at(moving)
+    noise = random.normal(0.0, instruments.camera_noise, (2, camera.size))
+    command = np.arange(0.0, rest + duration, 0.02)
+    u_cmd = np.array([gait.command(max(time - rest, 0.0)) for time in command])
+    power = np.arange(0.0, rest + duration, 1.0 / instruments.power_rate)
+    at = power + instruments.power_behind - rest
+    watts = np.where(
+        at > 0.0, trajectory.at(np.maximum(at, 0.0)).power, parameters.idle_power
+    ) + random.normal(0.0, instruments.power_noise, power.size)
+    return make_run(
+        gait,
+        rest,
+        (camera, motion.x1 + noise[0], motion.x2 + noise[1]),
+        (command, u_cmd),
+        (power, watts),
+    )
