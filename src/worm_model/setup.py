@@ -16,6 +16,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "play = worm_model.play_node:main",
     "replay = worm_model.replay:main",
     "twin_node = worm_model.twin_node:main",
+    "health = worm_model.health_command:main",
     "watch = worm_model.watch_node:main",
 ]
 

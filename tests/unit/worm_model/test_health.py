@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drift over bags: the rules of the charts on series whose answer is known, and the virtual robot, steady and not."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from recorded_run import EPOCH, simulated_run, write_bag
+
+from worm_driver.virtual_robot.rehearsal import rehearse, sinusoid
+from worm_driver.virtual_robot.settings import load_settings
+from worm_model import health_command
+from worm_model.gait import Gait
+from worm_model.health import (
+    ADVICE,
+    Rule,
+    State,
+    chart_of,
+    find_signals,
+    limits_of_bags,
+    limits_of_file,
+)
+from worm_model.health_bags import estimate_bag, estimate_bags
+from worm_model.health_figure import draw_health
+from worm_model.identification.estimate import Estimate
+from worm_model.identification.recording import recording_of
+from worm_model.parameters import PAPER, ParameterFile
+from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+
+GAIT = Gait(0.07, 0.4)
+CYCLES = 4
+HOUR = 3_600_000_000_000  # ns
+PULSES_PER_RADIAN = 4096 / (2.0 * np.pi)
+PAPER_FILE = ParameterFile()
+
+
+def estimates(values, half=1e-9):
+    return [Estimate(v, v - half, v + half) for v in values]
+
+
+def robot_run(seed: int, recording: int, gain: float = 1.0) -> Run:
+    """A recording of the virtual robot, an hour after the one before; ``gain`` multiplies its K."""
+    settings = replace(load_settings(), seed=seed, recording=recording)
+    settings = replace(settings, body=replace(settings.body, gain=settings.body.gain * gain))
+    seen = rehearse(settings, sinusoid(GAIT.stroke, GAIT.frequency), CYCLES / GAIT.frequency)
+    start = EPOCH + recording * HOUR
+
+    def stamp(time):
+        return start + np.rint(np.asarray(time) * 1e9).astype(np.int64)
+
+    command = -seen.goal_ticks / PULSES_PER_RADIAN * settings.cable_servos[0].spool_radius
+    onset = int(stamp(seen.onset))
+    return Run(
+        origin=start,
+        commanded=LengthSamples(stamp(seen.servo_time), PAPER.initial_length + command, command),
+        tracker=TrackerSamples(stamp(seen.tracker_time), seen.rear_position, seen.front_position),
+        power=PowerSamples(
+            stamp(seen.power_time),
+            np.zeros(seen.power_time.size, np.int64),
+            seen.bus_voltage,
+            seen.current,
+            seen.bus_voltage * seen.current,
+        ),
+        gait_state=GaitStates(
+            stamp=stamp([0.0, seen.onset]),
+            state=np.array([2, 3]),
+            stroke=np.full(2, GAIT.stroke),
+            frequency=np.full(2, GAIT.frequency),
+            direction=np.full(2, GAIT.direction),
+            margin=np.zeros(2),
+            onset=np.array([0, onset]),
+            cycle=np.array([0, 1]),
+            cycles=np.full(2, CYCLES),
+        ),
+    )
+
+
+def run_health(capsys, *arguments):
+    """(exit status, standard output, standard error) of the command."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["health", *map(str, arguments)])
+        status = health_command.main()
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_limits_are_those_of_a_chart_for_individuals():
+    limits = limits_of_bags(np.array([10.0, 12.0, 11.0, 14.0, 13.0]), resolution=0.0)
+    assert limits.centre == pytest.approx(12.0)
+    assert limits.high - 12.0 == pytest.approx(2.66 * (2 + 1 + 3 + 1) / 4)
+    assert 12.0 - limits.low == pytest.approx(limits.high - 12.0)
+    assert "Montgomery" in limits.source
+
+
+def test_limits_are_not_nearer_than_a_bag_can_tell():
+    limits = limits_of_bags(np.array([1.0, 1.001, 1.0, 1.001, 1.0]), resolution=0.2)
+    assert limits.high - limits.centre == pytest.approx(0.2)
+    assert "widened" in limits.source
+
+
+def test_four_bags_make_no_limits_and_say_so():
+    chart = chart_of("gain", estimates([0.86, 0.85, 0.87, 0.5]), PAPER_FILE)
+    assert chart.state is State.TOO_FEW
+    assert (chart.limits, chart.began, chart.advice) == (None, None, "")
+
+
+def test_limits_of_a_file_hold_for_a_single_bag():
+    known = ParameterFile(PAPER, {"gain": (0.85, 0.87)})
+    assert chart_of("gain", estimates([0.868], 0.01), known).state is State.WITHIN
+    chart = chart_of("gain", estimates([0.83], 0.01), known)
+    assert (chart.state, chart.began, chart.direction) == (State.OUT, 0, -1)
+    assert "stretched" in chart.advice
+    reach = chart.limits.high - chart.limits.centre
+    assert reach == pytest.approx(3.0 * np.hypot(0.01, 0.01) / 1.959964, rel=1e-5)
+
+
+def test_a_single_bag_astray_is_named():
+    values = [0.0078, 0.0079, 0.0078, 0.0077, 0.0078, 0.0079, 0.0078, 0.0110, 0.0078, 0.0079]
+    chart = chart_of("slack", estimates(values), PAPER_FILE)
+    assert chart.state is State.OUT
+    assert [(s.rule, s.first, s.last) for s in chart.signals] == [(Rule.LIMIT, 7, 7)]
+    assert "re-tension" in chart.advice
+
+
+def test_six_in_one_direction_are_a_trend_that_began_with_the_first_of_them():
+    values = np.array([87.0, 90.0, 86.0, 87.0, 88.0, 89.0, 90.0, 91.0])
+    chart = chart_of("viscous_friction", estimates(values), PAPER_FILE)
+    assert (chart.state, chart.began, chart.direction) == (State.TRENDING, 2, 1)
+    five = chart_of("viscous_friction", estimates(values[:-1]), PAPER_FILE)
+    assert five.state is State.WITHIN
+
+
+def test_a_drift_began_where_it_set_in_though_it_drags_the_mean_along():
+    values = [0.865, 0.866, *(0.866 * 0.97**k for k in range(1, 7))]
+    chart = chart_of("gain", estimates(values), PAPER_FILE)
+    assert {(s.rule, s.direction) for s in chart.signals} >= {(Rule.LIMIT, 1), (Rule.LIMIT, -1)}
+    assert (chart.state, chart.began, chart.direction) == (State.TRENDING, 1, -1)
+
+
+def test_eight_on_one_side_are_a_trend_only_beyond_what_the_file_leaves_open():
+    values = np.array([0.866, 0.867] * 4)
+    wide = limits_of_file((0.85, 0.87), 0.0)
+    narrow = limits_of_file((0.864, 0.8655), 0.0)
+    narrow = replace(narrow, low=0.8, high=0.9)
+    assert find_signals(values, wide) == ()
+    rules = [(s.rule, s.first, s.last, s.direction) for s in find_signals(values, narrow)]
+    assert rules == [(Rule.ONE_SIDE, 0, 7, 1)]
+    assert find_signals(values[:-1], narrow) == ()
+
+
+def test_a_trend_that_no_bag_can_tell_is_none():
+    values = 90.0 + 0.1 * np.arange(6.0)
+    assert chart_of("viscous_friction", estimates(values, 3.0), PAPER_FILE).state is State.WITHIN
+    assert (
+        chart_of("viscous_friction", estimates(values, 0.1), PAPER_FILE).state is not State.WITHIN
+    )
+
+
+def test_a_bag_that_cannot_tell_is_skipped():
+    rows = estimates([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    rows.insert(3, Estimate(99.0, np.nan, np.nan, False, "no power at rest"))
+    chart = chart_of("idle_power", rows, PAPER_FILE)
+    assert np.isnan(chart.value[3])
+    assert {s.rule: (s.first, s.last) for s in chart.signals}[Rule.MONOTONE] == (0, 6)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=5, max_size=30), st.floats(0.0, 10.0))
+def test_up_and_down_are_treated_alike(values, resolution):
+    values = np.array(values)
+    up, down = (find_signals(v, limits_of_bags(v, resolution)) for v in (values, -values))
+    assert {(s.rule, s.first, s.last, s.direction) for s in up} == {
+        (s.rule, s.first, s.last, -s.direction) for s in down
+    }
+
+
+def test_steady_series_are_seldom_reported():
+    draw = np.random.default_rng(0)
+    series = draw.normal(size=(2000, 10))
+    reported = [bool(find_signals(v, limits_of_bags(v, 1.96))) for v in series]
+    assert np.mean(reported) < 0.03
+
+
+# Estimates of seed 4 rise and fall by chance for six bags in a row, by less than one bag can tell.
+@pytest.mark.parametrize("seed", [1, 2, 4])
+def test_a_steady_robot_is_not_reported(seed):
+    bags = [
+        estimate_bag(recording_of(robot_run(seed, k), f"bag{k}"), k, PAPER).estimates
+        for k in range(6)
+    ]
+    states = {key: chart_of(key, [bag[key] for bag in bags], PAPER_FILE).state for key in ADVICE}
+    assert states == dict.fromkeys(ADVICE, State.WITHIN)
+
+
+def test_a_falling_gain_is_found_and_what_is_no_bag_of_a_run_left_out(tmp_path: Path, capsys):
+    factors = [1.0, 1.0, *(0.97**k for k in range(1, 6))]
+    bags = [
+        write_bag(tmp_path / f"bag{k}", robot_run(7, k, factor)) for k, factor in enumerate(factors)
+    ]
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    (broken / "broken_0.mcap").write_bytes(b"no bag")
+    figure = tmp_path / "charts.png"
+    status, out, err = run_health(
+        capsys, *reversed(bags), broken, bags[0], "--json", "--figure", figure
+    )
+    assert status == 0
+    found = json.loads(out)
+    assert [bag["bag"] for bag in found["bags"]] == [bag.name for bag in bags]
+    assert [bag["bag"] for bag in found["left_out"]] == ["broken", "bag0"]
+    assert "same run" in found["left_out"][1]["reason"]
+    gain = found["parameters"]["gain"]
+    assert gain["verdict"] == State.TRENDING.value
+    assert gain["direction"] == -1
+    assert gain["began"] in {"bag0", "bag1"}, "the last steady bags, of which noise tells the first"
+    assert "spool slips" in gain["advice"]
+    others = {found["parameters"][key]["verdict"] for key in ADVICE if key != "gain"}
+    assert others == {State.WITHIN.value}
+    assert found["healthy"] is False
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    assert "health: 100%" in err
+
+
+def test_few_bags_say_so_and_a_file_of_intervals_helps(tmp_path: Path, capsys):
+    bag = write_bag(tmp_path / "only", robot_run(1, 0))
+    status, out, _ = run_health(capsys, bag)
+    assert status == 0
+    assert "gain: too few bags" in out
+    assert "give at least 5" in out
+    file = tmp_path / "known.yaml"
+    file.write_text(yaml.safe_dump({"gain": 0.95, "intervals": {"gain": [0.94, 0.96]}}))
+    status, out, _ = run_health(capsys, bag, "--parameters", file)
+    assert "gain: out of limits since only" in out
+    assert "slack: too few bags" in out
+
+
+def test_no_usable_bag_is_bad_input_of_one_line(tmp_path: Path, capsys):
+    run = simulated_run()
+    without = write_bag(tmp_path / "blind", replace(run, tracker=TrackerSamples()))
+    status, out, err = run_health(capsys, without, tmp_path / "missing")
+    assert (status, out) == (2, "")
+    line = err.strip().splitlines()[-1]
+    assert line.startswith("health: no bag can be used: blind: has no tracker")
+    assert "(and 1 more)" in line
+
+
+def test_a_stuck_servo_is_left_out(tmp_path: Path):
+    run = simulated_run(cycles=4)
+    tracker = replace(
+        run.tracker,
+        rear_position=np.where(np.isfinite(run.tracker.rear_position), 0.0, np.nan),
+        front_position=0.0 * run.tracker.front_position + 0.2952,
+    )
+    bag = write_bag(tmp_path / "stuck", replace(run, tracker=tracker))
+    used, left_out = estimate_bags([bag], PAPER)
+    assert used == ()
+    assert "stuck" in left_out[0].reason
+
+
+@pytest.mark.parametrize("name", ["charts.png", "charts.txt"])
+def test_a_figure_is_neither_overwritten_nor_of_an_unknown_kind(tmp_path: Path, capsys, name):
+    figure = tmp_path / name
+    if name == "charts.png":
+        figure.write_bytes(b"kept")
+    status, _, err = run_health(capsys, tmp_path / "missing", "--figure", figure)
+    assert status == 2
+    assert name in err
+    assert not figure.exists() or figure.read_bytes() == b"kept"
+
+
+def test_charts_without_limits_or_ends_can_be_drawn(tmp_path: Path):
+    rows = [Estimate(0.86, -np.inf, np.inf), Estimate(np.nan, np.nan, np.nan, False)]
+    charts = [chart_of(key, rows, PAPER_FILE) for key in ADVICE]
+    draw_health(["a", "b"], charts, tmp_path / "few.svg")
+    assert "</svg>" in (tmp_path / "few.svg").read_text()
