@@ -135,7 +135,8 @@ def test_a_gait_from_rest_to_figures(driver, commander, probe):
     assert (result.cycles_completed, result.cycles_averaged) == (2, 2)
     assert result.idle_power == pytest.approx(0.84, abs=0.1)
     assert result.power > result.idle_power + 0.1
-    assert math.isfinite(result.speed)
+    # a camera that was blind at the wrong moment leaves no speed, and says so
+    assert math.isfinite(result.speed) != ("no speed: the tracker" in result.message)
     seen = [state.state for state in commander.states]
     order = [GaitState.RESTING, GaitState.RUNNING, GaitState.IDLE]
     assert [state for state in dict.fromkeys(seen) if state in order[:2]] == order[:2]
@@ -268,7 +269,7 @@ def test_cancel_ends_at_rest(driver, commander, probe):
     assert answer.status == CANCELED
     assert answer.result.cycles_completed == 1
     assert "cancelled, at rest after 1 cycles" in answer.result.message
-    assert lengths[-1].length_change == pytest.approx(0.0, abs=1e-9)
+    probe.wait_for(lambda: lengths[-1].length_change == 0.0, "rest")
 
 
 def test_stop_holds_at_once_and_the_next_gait_returns_to_rest_first(driver, commander, probe):
@@ -285,7 +286,7 @@ def test_stop_holds_at_once_and_the_next_gait_returns_to_rest_first(driver, comm
     assert "stop was called" in held.message
     assert lengths[-1].length_change < -0.015
     assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
-    assert lengths[-1].length_change == 0.0
+    probe.wait_for(lambda: lengths[-1].length_change == 0.0, "rest")
 
 
 # --- every way out ------------------------------------------------------------------------------------
