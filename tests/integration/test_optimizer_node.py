@@ -110,7 +110,7 @@ def test_cold_start_requests_and_refusals(start, user):
     assert gait.speed > 0.0
     assert gait.groove_phase == pytest.approx(0.0011)
     assert gait.success_probability > 0.9
-    assert user.served(Gait.REVERSE).speed == -gait.speed
+    assert user.served(Gait.REVERSE).speed == gait.speed
 
     far = user.ask(RequestGait.Request.MIN_POWER_AT_SPEED, speed=1.0)
     assert not far.success

@@ -23,10 +23,8 @@ _GAIT_FIELDS = frozenset({"stroke", "frequency", "direction", "margin"})
 
 
 def prediction_message(prediction: Prediction) -> GaitPrediction:
-    """The message of a prediction; the names are the same on both sides, speeds are along +x in it."""
+    """The message of a prediction; the names and units are the same on both sides."""
     values = dataclasses.asdict(prediction)
-    for name in ("speed", "nominal_speed"):
-        values[name] *= prediction.direction
     gait = Gait(**{name: values.pop(name) for name in _GAIT_FIELDS})
     return GaitPrediction(gait=gait, **values)
 

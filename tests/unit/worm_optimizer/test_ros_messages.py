@@ -38,11 +38,11 @@ def test_every_field_of_the_message_is_a_field_of_the_prediction():
     assert of_message == {row.name for row in dataclasses.fields(Prediction)}
 
 
-def test_speeds_are_along_x_in_the_message():
+def test_speeds_are_along_the_gaits_direction_in_the_message():
     forward, reverse = made_up(0.005, 2.6), made_up(0.005, 2.6, direction=-1)
     assert prediction_message(forward).speed == 0.005
     message = prediction_message(reverse)
-    assert (message.speed, message.nominal_speed) == (-0.005, -0.005)
+    assert (message.speed, message.nominal_speed) == (0.005, 0.005)
     assert message.cost_of_transport > 0.0
     assert message.gait.direction == Gait.REVERSE
 
@@ -124,7 +124,7 @@ def test_the_result_of_an_optimisation():
     assert message.success
     assert (message.margin, message.served) == (0.0034, "map")
     assert list(message.missed_branches) == [1]
-    assert [gait.speed for gait in message.front] == [-0.002, -0.005, -0.008]
+    assert [gait.speed for gait in message.front] == [0.002, 0.005, 0.008]
     assert message.min_power.power == 1.4
     assert message.cruise.power == 2.6
     assert message.max_speed.power == 4.5
