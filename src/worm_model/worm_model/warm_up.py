@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiles the kernel into its cache, so that nothing compiles later: ``python -m worm_model.warm_up``."""
 
+import numpy as np
+
 from worm_model.actuation import length_change_of_command
 from worm_model.batch import evaluate_gaits
-from worm_model.gait import Gait
+from worm_model.gait import FORWARD, Gait
+from worm_model.identification.locomotion import ALIKE, worm_of
+from worm_model.kernel import dry_friction
 from worm_model.parameters import PAPER
 from worm_model.simulator import Locomotion, evaluate_gait, simulate
 
@@ -19,6 +23,8 @@ def main() -> None:
     model = Locomotion()
     model.follow(model.start(), [0.1, 0.2], [-0.001, -0.002])
     length_change_of_command([0.0, 0.1], [0.0, -0.01], PAPER)
+    samples = np.empty((2, dry_friction.SAMPLE_COLUMNS))
+    dry_friction.slide(0.01, np.zeros(2), worm_of(PAPER, FORWARD), ALIKE, ALIKE, samples)
 
 
 if __name__ == "__main__":

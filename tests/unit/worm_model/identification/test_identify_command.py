@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command identify: a lab's folder and bags, its outputs, and what it refuses."""
+
+import json
+import shutil
+import sys
+
+import numpy as np
+import pytest
+from virtual_campaign import Instruments, exact_run
+
+from worm_model import identify
+from worm_model.bags.run_writer import write_run
+from worm_model.bags.writer import BagWriter
+from worm_model.gait import Gait
+from worm_model.identification.errors import IdentificationError
+from worm_model.identification.given import given_by_folder
+from worm_model.identification.inputs import read_inputs, read_recording
+from worm_model.import_lab import import_lab
+from worm_model.lab_logs import LabSettings
+from worm_model.parameters import KEYS, PAPER, load_parameter_file
+
+ERRORS = {"x1_rmse", "length_rmse", "power_rmse", "energy_error"}
+GAIT = Gait(0.08, 0.25)
+
+
+def run_identify(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["identify", *map(str, arguments)])
+    return identify.main()
+
+
+@pytest.fixture(scope="module")
+def outcome(shared, tmp_path_factory):
+    """(status, what was printed, folder) of one call with everything on a part of the campaign."""
+    folder = tmp_path_factory.mktemp("identify")
+    campaign = folder / "campaign"
+    campaign.mkdir()
+    for name in ("README.md", "runs.json", "bellows.csv", "fin.csv"):
+        shutil.copy(shared / "campaign" / name, campaign)
+    for name in ("run_05", "run_06", "run_07", "run_08"):
+        shutil.copytree(shared / "campaign" / name, campaign / name)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        printed: list[str] = []
+        monkeypatch.setattr(sys.stdout, "write", printed.append)
+        status = run_identify(
+            monkeypatch,
+            campaign,
+            "--json",
+            *("--output", folder / "parameters.yaml"),
+            *("--report", folder / "report"),
+            *("--validation", shared / "campaign" / "run_04"),
+        )
+    return status, "".join(printed), folder
+
+
+def test_the_campaign_gives_every_key_of_the_contract(outcome):
+    status, printed, _ = outcome
+    assert status == 0
+    found = json.loads(printed)
+    assert set(found["parameters"]) == set(KEYS)
+    for key, entry in found["parameters"].items():
+        assert entry["low"] <= entry["value"] <= entry["high"], key
+        assert entry["identifiable"], key
+    assert set(found["runs"]) == {"run_05", "run_06", "run_07", "run_08"}
+    assert all(set(errors) == ERRORS for errors in found["runs"].values())
+    assert set(found["validation"]) == {"run_04"}
+
+
+def test_the_campaign_is_predicted_to_the_cameras_noise(outcome):
+    found = json.loads(outcome[1])
+    for errors in [*found["runs"].values(), *found["validation"].values()]:
+        assert errors["x1_rmse"] < 5e-4
+        assert errors["length_rmse"] < 5e-4
+        assert abs(errors["energy_error"]) < 0.03
+    for run, errors in found["paper"].items():
+        assert errors["length_rmse"] > 2.0 * found["runs"][run]["length_rmse"]
+    offsets = [abs(o["camera_behind_servo"]) for o in found["clock_offsets"].values()]
+    assert max(offsets) < 0.01
+
+
+def test_the_parameter_file_is_that_of_the_nodes(outcome):
+    found = json.loads(outcome[1])["parameters"]
+    file = load_parameter_file(outcome[2] / "parameters.yaml")
+    assert file.parameters.as_dict() == pytest.approx({key: found[key]["value"] for key in KEYS})
+    assert set(file.intervals) == set(KEYS)
+    assert file.parameters.rear_mass == 0.433  # by the README
+    assert set(file.provenance["runs"]) == {"run_05", "run_06", "run_07", "run_08"}
+    assert len(file.provenance["runs"]["run_05"]["camera.csv"]) == 64
+    assert file.provenance["seed"] == 0
+    assert file.provenance["code"].startswith("worm_model")
+
+
+def test_the_report_has_a_figure_of_everything(outcome):
+    report = outcome[2] / "report"
+    text = (report / "report.md").read_text(encoding="utf-8")
+    pictures = sorted(path.name for path in (report / "figures").glob("*.png"))
+    assert len(pictures) == 3 + 3 * 4
+    assert all(f"figures/{name}" in text for name in pictures)
+    assert all(symbol in text for symbol in ("p_sw", "α_P", "What next", "Dry friction"))
+
+
+def test_nothing_is_overwritten(outcome, monkeypatch, capsys):
+    folder = outcome[2]
+    for option, path in (("--output", "parameters.yaml"), ("--report", "report")):
+        assert run_identify(monkeypatch, folder / "campaign", option, folder / path) == 2
+        assert "exists already" in capsys.readouterr().err
+
+
+def test_a_bag_says_what_the_folder_says(shared, tmp_path):
+    folder = shared / "campaign" / "run_07"
+    import_lab(folder, tmp_path / "run_07", LabSettings(epoch=10**18), "/worm")
+    bag, log = read_recording(tmp_path / "run_07"), read_recording(folder)
+    assert bag.gait == log.gait
+    for name in ("camera_time", "x1", "x2", "command_time", "command", "power"):
+        assert getattr(bag, name) == pytest.approx(getattr(log, name), abs=1e-8, nan_ok=True)
+    assert bag.date.startswith("2001-09-09")
+    assert any(len(checksum) == 64 for checksum in bag.sources.values())
+
+
+def write_bag(path, run):
+    with BagWriter(path) as writer:
+        write_run(writer, run)
+
+
+def test_a_bag_without_a_needed_topic_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
+    run = exact_run(GAIT, PAPER, Instruments(), 0, 7.0)
+    write_bag(tmp_path / "blind", type(run)(**{**vars(run), "tracker": type(run.tracker)()}))
+    assert run_identify(monkeypatch, tmp_path / "blind") == 2
+    captured = capsys.readouterr()
+    assert captured.err == "identify: blind: has no tracker: record that topic too\n"
+    assert captured.out == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["nowhere"], "nowhere does not exist"),
+        (["."], "is not a bag"),
+        (["x", "--seed", "-1"], "must not be negative"),
+        (["x", "--output", "no/such/folder.yaml"], "does not exist"),
+        (["x", "--parameters", "none.yaml"], "none.yaml"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_two(
+    arguments, reason, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "x", exact_run(GAIT, PAPER, Instruments(), 0, 7.0))
+    assert run_identify(monkeypatch, *arguments) == 2
+    error = capsys.readouterr().err
+    assert reason in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("compression,force\n0,1\n", "has no column compression_m"),
+        ("compression_m,force_N\n0,a\n", "not a number"),
+        ("compression_m,force_N\n", "has no rows"),
+    ],
+)
+def test_a_bench_test_that_cannot_be_read_is_refused(tmp_path, text, reason):
+    write_bag(tmp_path / "x", exact_run(GAIT, PAPER, Instruments(), 0, 7.0))
+    (tmp_path / "bellows.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(IdentificationError, match=reason):
+        read_inputs([tmp_path / "x"], tmp_path / "bellows.csv")
+
+
+def test_two_runs_of_one_name_are_refused(tmp_path):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        write_bag(tmp_path / folder / "run", exact_run(GAIT, PAPER, Instruments(), 0, 7.0))
+    with pytest.raises(IdentificationError, match="two runs are called run"):
+        read_inputs([tmp_path / "a" / "run", tmp_path / "b" / "run"])
+
+
+def test_what_a_readme_says_is_given(tmp_path):
+    text = "Known: M1 = 433 g, M2 = 0.424 kg, L_free = 301 mm, pitch d = 0.0175 m."
+    (tmp_path / "README.md").write_text(text, encoding="utf-8")
+    given = given_by_folder(tmp_path)
+    assert given.parameters == PAPER.replace(
+        rear_mass=0.433, front_mass=0.424, unstressed_length=0.301, pitch=0.0175
+    )
+    assert given.estimate("rear_mass").high == pytest.approx(0.434)
+    assert not given.estimate("slack").identifiable
+    assert given_by_folder(tmp_path / "none").parameters == PAPER
+
+
+def test_every_sample_of_a_bag_is_read(tmp_path):
+    run = exact_run(GAIT, PAPER, Instruments(), 0, 7.0)
+    write_bag(tmp_path / "x", run)
+    recording = read_recording(tmp_path / "x")
+    assert recording.camera_time.size == run.tracker.stamp.size
+    assert np.diff(recording.power_time) == pytest.approx(0.02, abs=1e-6)
