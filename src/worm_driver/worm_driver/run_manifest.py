@@ -56,7 +56,7 @@ def run_manifest(
         "recorded_at": datetime.fromtimestamp(now_ns / 1e9, tz=timezone.utc).isoformat(
             timespec="seconds"
         ),
-        "command": " ".join(command),
+        "command": " ".join([Path(command[0]).name, *command[1:]]),
         "host": platform.node(),
         "seed": "" if seed is None else str(seed),
         "parameter_file": "",

@@ -14,12 +14,13 @@ NOW = 1_800_000_000_000_000_000
 def test_the_parameter_file_is_kept_with_its_hash(tmp_path: Path):
     file = tmp_path / "robot.yaml"
     file.write_text("pitch: 0.0173\n")
-    manifest = run_manifest(file, 7, ["pipe=B, dry"], ["record", "--all"], NOW)
+    manifest = run_manifest(file, 7, ["pipe=B, dry"], ["/opt/bin/record", "--all"], NOW)
     record = manifest.metadata["worm_run"]
     assert record["parameter_sha256"] == hashlib.sha256(b"pitch: 0.0173\n").hexdigest()
     assert (record["seed"], record["note.pipe"]) == ("7", "B, dry")
     assert record["recorded_at"] == "2027-01-15T08:00:00+00:00"
     assert record["version.mcap"]
+    assert record["command"] == "record --all"
     assert manifest.attachments[0].data == b"pitch: 0.0173\n"
 
 
