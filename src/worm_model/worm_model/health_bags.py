@@ -21,7 +21,7 @@ from worm_model.identification.inputs import read_recording
 from worm_model.identification.locomotion import traverse_of
 from worm_model.identification.locomotion_stage import identify_locomotion
 from worm_model.identification.measured_length import measured_length
-from worm_model.identification.quality import remarks, usable
+from worm_model.identification.quality import LONGEST_GAP, remarks, usable
 from worm_model.identification.recording import Recording
 from worm_model.parameters import Parameters
 
@@ -78,8 +78,10 @@ def estimate_bags(
 def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> BagEstimates:
     """The estimates of one recording that starts at ``start`` (ns since the epoch).
 
-    Raises `IdentificationError` if the body did not follow its command or nothing explains its motion.
+    Raises `IdentificationError` if the camera missed much of it, the body did not follow its command, or nothing
+    explains its motion.
     """
+    _check_seen(recording)
     length = measured_length(recording)
     usable([recording], [length])
     traverse = traverse_of(recording, length, parameters.pitch)
@@ -95,6 +97,18 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
     }
     said = tuple(remarks(recording, length, traverse))
     return BagEstimates(recording.name, start, recording.gait, estimates, said)
+
+
+def _check_seen(recording: Recording) -> None:
+    """One run has no other to make up for what its camera did not see."""
+    time = recording.camera_time
+    seen = time[np.isfinite(recording.length) & (time > 0.0) & (time < recording.end)]
+    gap = float(np.diff(np.concatenate([[0.0], seen, [recording.end]])).max())
+    if gap > LONGEST_GAP:
+        raise IdentificationError(
+            f"{recording.name}: a marker is hidden for {gap:.1f} s of the gait, {LONGEST_GAP:g} s at most are allowed; "
+            "record it anew in sight of the camera"
+        )
 
 
 def _idle_power(recording: Recording) -> Estimate:

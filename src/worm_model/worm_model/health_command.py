@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from worm_model.command_line import (
     InputError,
     Parser,
@@ -140,7 +142,8 @@ def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
     head = f"{chart.key}: {chart.state.value}"
     if chart.began is not None:
         head += f" since {bags[chart.began].name}"
-    lines = [f"{head}; last {chart.value[-1]:.4g}{unit}"]
+    known = chart.value[np.isfinite(chart.value)]
+    lines = [f"{head}; " + (f"last {known[-1]:.4g}{unit}" if known.size else "no bag tells it")]
     if chart.limits is not None:
         lines.append(
             f"  limits {chart.limits.low:.4g} to {chart.limits.high:.4g}{unit} from {chart.limits.source}"

@@ -261,6 +261,18 @@ def test_a_stuck_servo_is_left_out(tmp_path: Path):
     assert "stuck" in left_out[0].reason
 
 
+@pytest.mark.parametrize("seconds", [3.0, 1e3])
+def test_a_bag_whose_markers_were_hidden_for_long_is_left_out(tmp_path: Path, seconds):
+    run = simulated_run(cycles=2)
+    since = (run.tracker.stamp - run.gait_state.onset.max()) * 1e-9
+    hidden = np.where((since > 0.0) & (since < seconds), np.nan, run.tracker.front_position)
+    tracker = replace(run.tracker, front_position=hidden)
+    bag = write_bag(tmp_path / "hidden", replace(run, tracker=tracker))
+    used, left_out = estimate_bags([bag], PAPER)
+    assert used == ()
+    assert "a marker is hidden" in left_out[0].reason
+
+
 @pytest.mark.parametrize("name", ["charts.png", "charts.txt"])
 def test_a_figure_is_neither_overwritten_nor_of_an_unknown_kind(tmp_path: Path, capsys, name):
     figure = tmp_path / name
