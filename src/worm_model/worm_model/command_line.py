@@ -49,6 +49,9 @@ def run_command(
     except BrokenPipeError:
         sys.stderr.close()  # the reader of the output has gone, as `head` does
         return FAILED
+    except OSError as error:  # a full disk, no permission
+        print(f"{parser.prog}: {one_line(error)}", file=sys.stderr)  # noqa: T201
+        return FAILED
     except KeyboardInterrupt:
         print(f"{parser.prog}: cancelled", file=sys.stderr)  # noqa: T201
         return FAILED

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command recover."""
+
+import errno
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+from recorded_run import simulated_run, write_bag
+
+from worm_model import recover
+from worm_model.bags import writer
+from worm_model.bags.opening import open_bag
+
+RUN = simulated_run(cycles=1)
+
+
+@pytest.fixture
+def cut(tmp_path: Path) -> Path:
+    """A bag whose file ends in the middle of a chunk, and whose metadata.yaml is gone."""
+    bag = write_bag(tmp_path / "bag", RUN)
+    (bag / "metadata.yaml").unlink()
+    file = bag / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:-2000])
+    return bag
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["recover", *map(str, arguments)])
+    return recover.main()
+
+
+def test_it_says_what_it_saved(cut: Path, tmp_path: Path, monkeypatch, capsys):
+    before = (cut / "bag_0.mcap").read_bytes()
+    assert command(monkeypatch, cut, "--output", tmp_path / "saved", "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    with open_bag(tmp_path / "saved") as bag:
+        assert bag.message_count == report["messages"]
+        assert bag.metadata["worm_run"]["made_by"] == "tests/recorded_run.py"
+    assert report["lost_bytes"] > 0
+    assert (cut / "bag_0.mcap").read_bytes() == before
+    assert not (cut / "metadata.yaml").exists()
+
+
+def test_a_whole_file_without_metadata_loses_nothing(tmp_path: Path, monkeypatch):
+    bag = write_bag(tmp_path / "bag", RUN)
+    assert command(monkeypatch, bag / "bag_0.mcap", "--output", tmp_path / "saved") == 0
+    with open_bag(bag) as one, open_bag(tmp_path / "saved") as other:
+        assert list(one.messages()) == list(other.messages())
+        assert {t.name: t.metadata for t in one.topics.values()} == {
+            t.name: t.metadata for t in other.topics.values()
+        }
+
+
+def test_the_second_recovery_overwrites_nothing(cut: Path, monkeypatch, capsys):
+    assert command(monkeypatch, cut) == 0
+    assert command(monkeypatch, cut) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["no", "empty"])
+def test_nothing_to_save_is_said_in_one_line(tmp_path: Path, monkeypatch, capsys, name: str):
+    (tmp_path / "empty").mkdir()
+    assert command(monkeypatch, tmp_path / name) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_full_disk_ends_with_status_1_and_leaves_nothing(
+    cut: Path, tmp_path: Path, monkeypatch, capsys
+):
+    class FullDisk(writer.Writer):
+        def finish(self) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(writer, "Writer", FullDisk)
+    target = tmp_path / "saved"
+    assert command(monkeypatch, cut, "--output", target) == 1
+    error = capsys.readouterr().err
+    assert "No space left on device" in error
+    assert error.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag"]
+    shutil.rmtree(cut)
