@@ -179,7 +179,7 @@ class Rig:
             calibration_for(0.1, 3.2),
         )
         self.sensor.start()
-        self.robot = Robot(self.settings, self.bus, self._valid_samples, self.clock)
+        self.robot = Robot(self.settings, self.bus, self._valid_samples, clock=self.clock)
 
     def advance(self, time: float) -> None:
         """Lets the virtual robot move, and notes how fast its cable servo turns."""

@@ -5,6 +5,7 @@ configure opens and checks everything, activate enables the torque; deactivate, 
 an escaped exception bring the gait to rest and release the servos.
 """
 
+import math
 import os
 import signal
 import sys
@@ -38,6 +39,10 @@ T = TypeVar("T")
 #: s, how long the interpreter lets a thread run before another may; the default of 5 ms would be half a cycle
 _SWITCH_INTERVAL = 0.0005
 
+#: s, how old the latest tracker sample may be when a gait starts, and how long the first one may take
+_FRESH = 0.2
+_DISCOVERY = 5.0
+
 _DELIVERY = Duration(seconds=0.5)
 
 #: reliable; deep enough for what piles up while the executor's thread waits for a processor
@@ -56,6 +61,8 @@ class DriverNode(LifecycleNode):
         self._shown: tuple[object, ...] | None = None
         self._failure: Exception | None = None
         self._clocks: ClockPair | None = None
+        self._born = time.monotonic()
+        self._tracked = -math.inf
         self._joint_states = self.create_publisher(JointState, "joint_states", _TELEMETRY)
         self._commanded = self.create_publisher(BodyLength, "body_length/commanded", _TELEMETRY)
         self._cable = self.create_publisher(BodyLength, "body_length/cable", _TELEMETRY)
@@ -77,7 +84,7 @@ class DriverNode(LifecycleNode):
         """Opens and checks everything; FAILURE, with the reason in the log and the diagnostics, if it cannot."""
         try:
             settings = ros_parameters.settings(self)
-            self._hardware = Hardware(settings, self._wake)
+            self._hardware = Hardware(settings, self._wake, self._tracker_ready)
         except DriverError as error:
             return self._failed("configure", error)
         self._failure = None
@@ -249,13 +256,13 @@ class DriverNode(LifecycleNode):
         self._latest = snapshot
         initial = hardware.settings.body.initial_length
         self._joint_states.publish(ros_messages.joint_state(hardware.joint_names, snapshot, clocks))
-        if snapshot.commanded == snapshot.commanded:
+        if not math.isnan(snapshot.commanded):
             self._commanded.publish(
                 ros_messages.body_length(
                     BodyLength.COMMANDED, snapshot.command_time, snapshot.commanded, initial, clocks
                 )
             )
-        if snapshot.cable == snapshot.cable:
+        if not math.isnan(snapshot.cable):
             self._cable.publish(
                 ros_messages.body_length(
                     BodyLength.CABLE, snapshot.read_time, snapshot.cable, initial, clocks
@@ -283,7 +290,14 @@ class DriverNode(LifecycleNode):
         message.header.stamp = self.get_clock().now().to_msg()
         self._gait_state.publish(message)
 
+    def _tracker_ready(self) -> bool:
+        """Whether samples come in, or so long did not that there is no tracker (discovery may take 3 s)."""
+        return time.monotonic() - self._tracked < _FRESH or (
+            math.isinf(self._tracked) and time.monotonic() - self._born > _DISCOVERY
+        )
+
     def _on_tracker(self, message: Tracker) -> None:
+        self._tracked = time.monotonic()
         clocks = self._read_clocks()
         self._action.on_position(clocks.monotonic(message.header.stamp), message.rear_position)
 

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+import numpy as np
+
 from worm_driver.gait_player import Run
 from worm_driver.ina219 import PowerSample, SampleStatus
 from worm_driver.settings import Body
@@ -21,6 +23,10 @@ IDLE_SAMPLES = 10
 
 #: s, the farthest that two tracker samples may lie apart to tell a position between them (30 Hz, two lost)
 _TRACKER_GAP = 0.12
+#: s, the longest time for which the tracker may have been blind, and from how far on either side that is bridged
+_LONGEST_BRIDGE = 0.5
+_BRIDGE_SIDE = 0.25
+_LEAST_SIGHTINGS = 4
 #: s, the longest time without a valid power sample within the averaged cycles
 _POWER_GAP = 0.1
 
@@ -37,20 +43,34 @@ class RunRecord:
     positions: list[tuple[float, float]] = field(default_factory=list)
     power: list[PowerSample] = field(default_factory=list)
 
-    def position_at(self, time: float) -> float:
-        """x1 (m) at a time, between the two samples around it; NaN where there are none close enough."""
+    def position_at(self, time: float) -> tuple[float, float]:
+        """x1 (m) at a time, and how long (s) the tracker was blind around it; NaN when that was too long.
+
+        Between two neighbouring samples on the straight line. Where a marker was hidden for a moment, on the cubic
+        through the samples of a quarter second on either side, as x1 bends where a cycle begins.
+        """
         after = bisect_left(self.positions, (time, -math.inf))
         if after == len(self.positions):
-            return math.nan
+            return math.nan, math.inf
         t1, x1 = self.positions[after]
         if t1 == time:
-            return x1
+            return x1, 0.0
         if after == 0:
-            return math.nan
+            return math.nan, math.inf
         t0, x0 = self.positions[after - 1]
-        if t1 - t0 > _TRACKER_GAP:
+        if t1 - t0 <= _TRACKER_GAP:
+            return x0 + (x1 - x0) * (time - t0) / (t1 - t0), 0.0
+        return self._bridged(time, t0, t1), t1 - t0
+
+    def _bridged(self, time: float, last: float, first: float) -> float:
+        sides = (
+            [(t, x) for t, x in self.positions if last - _BRIDGE_SIDE <= t <= last],
+            [(t, x) for t, x in self.positions if first <= t <= first + _BRIDGE_SIDE],
+        )
+        if first - last > _LONGEST_BRIDGE or min(map(len, sides)) < _LEAST_SIGHTINGS:
             return math.nan
-        return x0 + (x1 - x0) * (time - t0) / (t1 - t0)
+        times, positions = zip(*(sides[0] + sides[1]), strict=True)
+        return float(np.polyfit(np.subtract(times, time), positions, 3)[-1])
 
     def latest_power(self) -> float:
         """W, of the latest valid sample; NaN without one."""
@@ -62,7 +82,7 @@ class RunRecord:
 
 @dataclass(frozen=True)
 class Figures:
-    """Measured figures of a run; SI. reasons: why figures are missing, in words."""
+    """Measured figures of a run; SI. reasons: why figures are missing or less certain, in words."""
 
     cycles_completed: int
     cycles_averaged: int
@@ -97,7 +117,7 @@ def distance(run: Run, record: RunRecord) -> float:
     """Displacement of x1 along the gait's direction since the onset (m); NaN without a tracker."""
     if run.onset is None or not record.positions:
         return math.nan
-    return run.gait.direction * (record.positions[-1][1] - record.position_at(run.onset))
+    return run.gait.direction * (record.positions[-1][1] - record.position_at(run.onset)[0])
 
 
 def _given(*reasons: str) -> tuple[str, ...]:
@@ -107,13 +127,17 @@ def _given(*reasons: str) -> tuple[str, ...]:
 def _speed(run: Run, record: RunRecord, start: float, end: float) -> tuple[float, str]:
     if not record.positions:
         return math.nan, "no speed: the topic tracker was silent"
-    displacement = record.position_at(end) - record.position_at(start)
-    if math.isnan(displacement):
-        return (
-            math.nan,
-            "no speed: the tracker did not see the robot at the averaged cycles' start or end",
-        )
-    return run.gait.direction * displacement / (end - start), ""
+    (first, first_gap), (last, last_gap) = record.position_at(start), record.position_at(end)
+    blind = max(first_gap, last_gap)
+    if math.isnan(last - first):
+        where = f"the averaged cycles' start or end ({blind:.2f} s)"
+        return math.nan, f"no speed: the tracker did not see the robot at {where}"
+    note = (
+        f"the tracker was blind for {blind:.2f} s where x1 was read, which is bridged"
+        if blind
+        else ""
+    )
+    return run.gait.direction * (last - first) / (end - start), note
 
 
 def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tuple[float, str]:

@@ -112,10 +112,12 @@ class Observation:
     Attributes:
         fins_set: the fins have reached where they were sent to.
         idle_samples: valid power samples since the rest began.
+        tracker_ready: the tracker sees the robot, or there is none to wait for.
     """
 
     fins_set: bool
     idle_samples: int
+    tracker_ready: bool = True
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ class PlayerSettings:
         rest_duration: s, least rest before a gait.
         settle_time: s, that the robot gets to come to rest after a motion, before the rest counts.
         rest_samples: idle power samples that the rest waits for.
-        rest_timeout: s, longest rest: then the gait starts without an idle power.
+        rest_timeout: s, longest rest: then the gait starts without an idle power, or a tracker.
         flip_timeout: s, longest time for the fins.
         return_speed: m/s, peak cable speed on the way back to rest.
         stall_time: s, a longer gap between two steps while the cable moves is a fault.
@@ -260,7 +262,7 @@ def _resting(
     assert run is not None
     rested = now - state.since
     enough = rested >= settings.rest_duration and seen.idle_samples >= settings.rest_samples
-    if not enough and rested < settings.rest_timeout:
+    if not (enough and seen.tracker_ready) and rested < settings.rest_timeout:
         return state
     return _enter(replace(state, run=replace(run, onset=now)), Phase.RUNNING, now)
 

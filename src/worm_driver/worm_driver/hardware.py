@@ -35,6 +35,7 @@ class Hardware:
     Args:
         settings: of the robot.
         wake: called from the threads when there is something in ``snapshots`` or ``samples``.
+        tracker_ready: whether the tracker sees the robot, or there is none to wait for.
 
     Attributes:
         snapshots: of the cycles, oldest first; whoever takes them out owns them. None is ever dropped.
@@ -44,7 +45,12 @@ class Hardware:
         DriverError: a device is missing or not what the settings say; everything is closed again.
     """
 
-    def __init__(self, settings: DriverSettings, wake: Callable[[], None]):
+    def __init__(
+        self,
+        settings: DriverSettings,
+        wake: Callable[[], None],
+        tracker_ready: Callable[[], bool] = lambda: True,
+    ):
         self.settings = settings
         self.snapshots: deque[Snapshot] = deque()
         self.samples: deque[PowerSample] = deque()
@@ -57,7 +63,7 @@ class Hardware:
         try:
             bus = ServoBus.open(settings.port, settings.baud_rate, self._latency())
             try:
-                self.robot = Robot(settings, bus, self._valid_samples)
+                self.robot = Robot(settings, bus, self._valid_samples, tracker_ready)
             except BaseException:
                 bus.close()
                 raise

@@ -37,6 +37,7 @@ class Robot:
         settings: of this robot.
         bus: an open bus, which the robot owns from now on.
         valid_power_samples: counts the valid power samples since the start.
+        tracker_ready: whether the tracker sees the robot, or there is none to wait for.
         clock: s, monotonic.
 
     Raises:
@@ -49,6 +50,7 @@ class Robot:
         settings: DriverSettings,
         bus: ServoBus,
         valid_power_samples: Callable[[], int] = lambda: 0,
+        tracker_ready: Callable[[], bool] = lambda: True,
         clock: Callable[[], float] = time.monotonic,
     ):
         self.settings = settings
@@ -56,6 +58,7 @@ class Robot:
         self.player = PlayerState()
         self.active = False
         self._clock = clock
+        self._tracker_ready = tracker_ready
         self._valid_power_samples = valid_power_samples
         self._idle_from = 0
         self._hold_ticks: dict[int, int] = {}
@@ -246,7 +249,8 @@ class Robot:
             return
         before = self.player.phase
         samples = self._valid_power_samples()
-        seen = Observation(self._fins_set(), samples - self._idle_from)
+        idle_samples = samples - self._idle_from
+        seen = Observation(self._fins_set(), idle_samples, self._tracker_ready())
         settings = self.settings.player
         self.player = gait_player.step(self.player, now, seen, settings, gap)
         if self.player.phase is Phase.RESTING and before is not Phase.RESTING:

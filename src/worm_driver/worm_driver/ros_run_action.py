@@ -25,8 +25,9 @@ from worm_msgs.action import RunGait
 
 #: s between two feedback messages
 _FEEDBACK_PERIOD = 0.2
-#: s after a run's end that the tracker gets for its next sample
-_TRACKER_PATIENCE = 0.3
+#: s after a run's end from which samples of the tracker are wanted, and for which they are waited for
+_TRACKER_AFTERWARDS = 0.3
+_TRACKER_PATIENCE = 1.0
 
 
 @dataclass
@@ -153,7 +154,7 @@ class RunGaitAction:
         """Whether the tracker has reported beyond the run's end, or has had its time."""
         assert run.end is not None
         positions = current.record.positions
-        seen = bool(positions) and positions[-1][0] >= run.end
+        seen = bool(positions) and positions[-1][0] >= run.end + _TRACKER_AFTERWARDS
         return seen or snapshot.command_time > run.end + _TRACKER_PATIENCE
 
 

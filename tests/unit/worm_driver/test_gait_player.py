@@ -59,6 +59,13 @@ def test_the_rest_waits_for_ten_idle_samples():
     assert play(state, now, DT)[-1][1].phase is Phase.RUNNING
 
 
+def test_the_rest_waits_for_the_tracker_but_not_for_ever():
+    state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
+    blind = Observation(fins_set=True, idle_samples=100, tracker_ready=False)
+    states = play(state, 0.0, 10.0, seen=blind, until=lambda s: s.phase is Phase.RUNNING)
+    assert states[-1][0] - states[-1][1].run.rest_start >= SETTINGS.rest_timeout - DT
+
+
 def test_a_rest_without_samples_ends_all_the_same():
     state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
     none = Observation(fins_set=True, idle_samples=0)
