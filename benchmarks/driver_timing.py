@@ -46,6 +46,10 @@ def _robot_and_driver(folder: Path) -> Iterator[int]:
             "i2c_bus": doors / "i2c.sock",
             "home_at_start": "true",
             "autostart": "true",
+            # the virtual robot waits for this computer's processors, which is no fault of a servo
+            "bus_watchdog_s": 1.0,
+            "limits.max_silence_s": 0.8,
+            "limits.max_following_error_m": 0.06,
         }
         command = [*executable_command("worm_driver", "driver_node"), "--ros-args"]
         for key, value in parameters.items():
