@@ -3,6 +3,7 @@
 
 import json
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from rosbags.highlevel import AnyReader
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_msgs.msg import Gait, GaitState, Power, Tracker
+from worm_optimizer.bringup.processes import executable_command
 
 ACKNOWLEDGED = Duration(seconds=20)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -31,6 +33,21 @@ def publish(publisher: Publisher, numbers: range) -> None:
     for number in numbers:
         publisher.publish(tracker(number))
     assert publisher.wait_for_all_acked(ACKNOWLEDGED)
+
+
+def grown(probe: Probe, file: Path, send: Callable[[], None]) -> None:
+    """Send again and again until it is on the disk: a best-effort sample may be lost while both sides meet.
+
+    What was sent before is there first: the file has stopped growing for a while.
+    """
+    sizes = [-1]
+
+    def settled() -> bool:
+        sizes.append(file.stat().st_size)
+        return len(sizes) > 20 and len(set(sizes[-20:])) == 1
+
+    probe.wait_for(settled, "an end of what was sent before")
+    probe.wait_for(lambda: send() or file.stat().st_size > sizes[-1], "the sample in the bag")
 
 
 def recorded(bag: Path) -> list[float]:
@@ -54,8 +71,8 @@ def test_topics_of_all_kinds_are_recorded(processes: Processes, probe: Probe, tm
     )
     for topic in ("gait_state", "tracker", "power"):
         recorder.wait_for_line(f"recording /worm/{topic} ", TIMEOUT_S)
-    probe.wait_for(lambda: powers.get_subscription_count() > 0, "subscription to power")
-    powers.publish(Power(power=2.0))
+    file = tmp_path / "bag" / "bag_0.mcap"
+    grown(probe, file, lambda: powers.publish(Power(power=2.0)))
     publish(positions, range(500))
     recorder.interrupt()
     assert recorder.wait(TIMEOUT_S) == 0
@@ -65,7 +82,8 @@ def test_topics_of_all_kinds_are_recorded(processes: Processes, probe: Probe, tm
     assert outcome["missing"] == []
     with AnyReader([tmp_path / "bag"]) as reader:  # checks type hashes, too
         counts = {c.topic: c.msgcount for c in reader.connections}
-    assert counts == {"/worm/gait_state": 1, "/worm/tracker": 500, "/worm/power": 1}
+    assert counts.pop("/worm/power") >= 1
+    assert counts == {"/worm/gait_state": 1, "/worm/tracker": 500}
     assert recorded(tmp_path / "bag") == [float(i) for i in range(500)]
     with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
         reader = make_reader(stream)
@@ -85,17 +103,16 @@ def test_what_is_lost_is_counted(processes: Processes, probe: Probe, tmp_path: P
         *("worm_driver", "record", "tracker", "-o", str(tmp_path / "bag"), "--depth", "1", "--json")
     )
     recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
-    for start in range(0, 2000, 500):
-        publish(positions, range(start, start + 500))
+    publish(positions, range(300))
     recorder.interrupt()
     assert recorder.wait(TIMEOUT_S) == 0
     outcome = json.loads(next(x for x in recorder.output().splitlines() if x.startswith("{")))
     found = recorded(tmp_path / "bag")
     assert outcome["dropped"] > 0
     assert len(found) == outcome["messages"]
-    assert found[-1] == 1999.0
+    assert found[-1] == 299.0
     # What was lost before the first message that arrived cannot be known.
-    assert outcome["dropped"] == 2000 - len(found) - found[0]
+    assert outcome["dropped"] == 300 - len(found) - found[0]
 
 
 def test_all_topics_and_a_new_publisher_that_offers_less(
@@ -103,19 +120,20 @@ def test_all_topics_and_a_new_publisher_that_offers_less(
 ):
     reliable = probe.node.create_publisher(Tracker, "tracker", 1000)
     recorder = processes.start_executable(
-        "worm_driver", "record", "--all", "--exclude", "rosout", "--output", str(tmp_path / "bag")
+        *("worm_driver", "record", "--all", "--exclude", "rosout|parameter_events"),
+        *("--output", str(tmp_path / "bag")),
     )
     recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
     publish(reliable, range(10))
     best_effort = probe.node.create_publisher(Tracker, "tracker", BEST_EFFORT)
     recorder.wait_for_line("/worm/tracker: a new publisher offers less", TIMEOUT_S)
-    probe.wait_for(lambda: best_effort.get_subscription_count() > 0, "subscription")
-    best_effort.publish(tracker(10))
-    probe.wait_for(lambda: reliable.get_subscription_count() > 0, "subscription")
-    probe.node.destroy_publisher(best_effort)
+    file = tmp_path / "bag" / "bag_0.mcap"
+    grown(probe, file, lambda: best_effort.publish(tracker(10)))
     recorder.signal(signal.SIGTERM)
     assert recorder.wait(TIMEOUT_S) == 0
-    assert recorded(tmp_path / "bag") == [float(i) for i in range(11)]
+    found = recorded(tmp_path / "bag")
+    assert found[:11] == [float(i) for i in range(11)]
+    assert set(found[10:]) == {10.0}
     with open_bag(tmp_path / "bag") as bag:
         assert "/rosout" not in bag.topics
 
@@ -142,6 +160,32 @@ def test_a_killed_recorder_leaves_a_bag_that_is_recovered(
         assert reader.message_count == len(found)
 
 
+def test_a_full_disk_ends_the_recording_and_says_so(
+    processes: Processes, probe: Probe, tmp_path: Path
+):
+    """The system refuses to let the file grow, as a full disk does."""
+    command = executable_command("worm_driver", "record")
+    limited = ["sh", "-c", 'ulimit -f 100; exec "$@"', "sh", *command]  # 51,200 or 102,400 bytes
+    recorder = processes.start(
+        "record", [*limited, "/worm/tracker", "--compression", "none", "-o", str(tmp_path / "bag")]
+    )
+    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
+    recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
+    count = 0
+    while recorder.exit_code is None:
+        for number in range(count, count + 100):
+            positions.publish(tracker(number))
+        positions.wait_for_all_acked(Duration(seconds=1))
+        count += 100
+        assert count < 1_000_000
+    assert recorder.exit_code == 1
+    assert "could not be written" in recorder.last_line()
+    assert "Traceback" not in recorder.output()
+    found = recorded(tmp_path / "bag")
+    assert len(found) > 100
+    assert found == [float(i) for i in range(len(found))]
+
+
 def test_a_bag_is_split_while_it_is_recorded(processes: Processes, probe: Probe, tmp_path: Path):
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
     recorder = processes.start_node(
@@ -152,8 +196,8 @@ def test_a_bag_is_split_while_it_is_recorded(processes: Processes, probe: Probe,
     second = tmp_path / "bag" / "bag_1.mcap"
     count = 0
     while not second.exists():
-        publish(positions, range(count, count + 100))
-        count += 100
+        publish(positions, range(count, count + 800))
+        count += 800
         assert count < 100_000
     recorder.interrupt()
     assert recorder.wait(TIMEOUT_S) == 0

@@ -197,7 +197,7 @@ def _run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     if thread.error is not None:
         _fail(
             1,
-            f"{output} could not be written ({thread.error.strerror}); what was written is kept, see recover",
+            f"{output} could not be written: {thread.error}; what was written is kept, see recover",
         )
     for name in node.missing:
         sys.stderr.write(f"record: {name} was never published\n")

@@ -12,6 +12,7 @@ from __future__ import annotations
 import fcntl
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -176,7 +177,8 @@ class BagRecorder:
 
     def abandon(self) -> None:
         """Let go of the file as it is, as a crash would."""
-        self._file.stream.close()
+        with suppress(OSError):  # what a full disk did not take is still in its buffer
+            self._file.stream.close()
 
     def _split(self) -> None:
         self._file.finish(self.summary)

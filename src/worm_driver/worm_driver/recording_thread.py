@@ -49,7 +49,7 @@ class RecordingThread:
         self._queue: queue.SimpleQueue[Sequence[Sample | Note] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="bag writer")
         self.dropped = 0
-        self.error: OSError | None = None
+        self.error: Exception | None = None
         self._thread.start()
 
     def offer(self, batch: Sequence[Sample]) -> None:
@@ -75,7 +75,7 @@ class RecordingThread:
         try:
             self._write_all()
             self._recorder.close()
-        except OSError as error:
+        except Exception as error:  # noqa: BLE001 - whatever it is, the recording is over, and says so
             self.error = error
             self._recorder.abandon()
 

@@ -4,7 +4,6 @@
 import random
 import resource
 import shutil
-import signal
 import struct
 import subprocess
 import sys
@@ -51,15 +50,14 @@ while thread.error is None:
     count += 100
     time.sleep(0.002)
 thread.close()
-print(thread.error.strerror, flush=True)
+print(thread.error.strerror, flush=True)  # an OSError
 sys.exit(1)
 """
 
 
 def start(bag: Path, compression: str = "zstd", split: int = 0, limit: int = 0) -> subprocess.Popen:
     def prepare() -> None:
-        if limit:
-            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        if limit:  # Python ignores the signal that comes with it
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
     return subprocess.Popen(

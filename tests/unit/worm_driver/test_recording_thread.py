@@ -88,7 +88,7 @@ def test_a_full_disk_is_reported_and_later_messages_are_counted_as_dropped(tmp_p
     )
     thread.offer([sample(i) for i in range(4)])
     thread.close()
-    assert thread.error is not None
+    assert isinstance(thread.error, OSError)
     assert thread.error.errno == errno.ENOSPC
     thread.offer([sample(9)])
     assert thread.dropped >= 1
