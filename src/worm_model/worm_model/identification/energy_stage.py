@@ -46,9 +46,14 @@ def identify_energy(
     forces: Callable[[np.random.Generator], list[Array]],
     given_damping: float,
     random: np.random.Generator,
+    hindrance: str = "",
 ) -> EnergyResult:
-    """``forces`` draws the static forces (n,) in N of every run; ``frequencies`` in Hz are those of the runs."""
-    note = _why_not(runs, frequencies)
+    """Both parameters of all runs.
+
+    ``forces`` draws the static forces (n,) in N of every run; ``frequencies`` in Hz are those of the runs;
+    ``hindrance`` says why no interval would be honest, if so.
+    """
+    note = hindrance or _why_not(runs, frequencies)
     if note:
         return _given(runs, given_damping, note)
     fit = fit_energy(runs)
@@ -75,10 +80,8 @@ def _why_not(runs: Sequence[PowerRun], frequencies: Sequence[float]) -> str:
     if len(runs) < FEWEST_RUNS:
         return "one run cannot tell c_b from α_P; record gaits of several frequencies"
     if max(frequencies) < LEAST_FREQUENCY_RATIO * min(frequencies):
-        return (
-            f"gaits of {min(frequencies):g} to {max(frequencies):g} Hz cannot tell c_b from α_P; "
-            "record another frequency"
-        )
+        told = " to ".join(f"{f:g}" for f in sorted({min(frequencies), max(frequencies)}))
+        return f"gaits of {told} Hz cannot tell c_b from α_P; record another frequency"
     return ""
 
 

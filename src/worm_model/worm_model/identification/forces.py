@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.bellows import BellowsFit
-from worm_model.identification.estimate import quantile
+from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.given import Given
 from worm_model.identification.locomotion import Traverse
 from worm_model.identification.locomotion_stage import LocomotionResult, motions
@@ -68,10 +67,10 @@ def forces_of(
     traverses: Sequence[Traverse],
     parameters: Parameters,
     locomotion: LocomotionResult,
-    bellows: BellowsFit | None,
+    stiffness: Estimate,
     given: Given,
 ) -> Forces:
-    """What the locomotion fit, the bellows test and the ruler say of the force."""
+    """What the locomotion fit, the bellows' ``stiffness`` and the ruler say of the force."""
     fits = [(parameters, locomotion.fit), *locomotion.variants, (parameters, locomotion.stiffer)]
     holding = tuple(
         tuple(motion.holding for motion in motions(traverses, values, fit)) for values, fit in fits
@@ -82,7 +81,7 @@ def forces_of(
         change=tuple(traverse.length.length_change for traverse in traverses),
         initial_length=locomotion.initial_length,
         stiffness=parameters.bellows_stiffness,
-        stiffness_deviation=bellows.deviation if bellows else 0.0,
+        stiffness_deviation=np.nan_to_num(stiffness.spread) / quantile(np.inf),
         free_length=free_length.value,
         free_length_deviation=free_length.spread / quantile(np.inf),
     )

@@ -56,14 +56,17 @@ class Inputs:
 def read_inputs(
     paths: Sequence[Path], bellows_file: Path | None = None, fin_file: Path | None = None
 ) -> Inputs:
-    """Bags, or one lab's folder, whose own bench tests are used unless others are named.
+    """Bags, or a lab's folder or one run of it, whose own bench tests are used unless others are named.
 
     Raises `IdentificationError`, or `worm_model.bags.errors.BagError`, if something cannot be read.
     """
     folder = paths[0] if len(paths) == 1 and is_lab_folder(paths[0]) else None
     if folder is not None:
-        runs = run_folders(folder)
-        recordings = tuple(read_lab_recording(run) for run in runs)
+        recordings = tuple(read_lab_recording(run) for run in run_folders(folder))
+        if (
+            folder / RUN_FILE
+        ).is_file():  # one run: what it has in common with others lies beside it
+            folder = folder.resolve().parent
         bellows_file = bellows_file or _existing(folder / BELLOWS_FILE)
         fin_file = fin_file or _existing(folder / FIN_FILE)
     else:

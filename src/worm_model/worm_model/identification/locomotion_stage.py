@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from worm_model.identification.blocks import Solution, normal_equations, solve
 from worm_model.identification.estimate import Estimate, follow_profile, quantile
-from worm_model.identification.fin import FinFit
 from worm_model.identification.grooves import (
     GrooveFit,
     fit_grooves,
@@ -45,6 +44,14 @@ NORMAL = quantile(np.inf)
 LONGEST_MEMORY = 30  # samples over which residuals may resemble each other
 BETTER = 0.5  # by how much a refit must be better to take its place
 MOST_RESTARTS = 3
+
+
+@dataclass(frozen=True)
+class FinKnowledge:
+    """``values`` of (clearance m, engaged and disengaged stiffness N/m) and their ``covariance`` (3, 3)."""
+
+    values: Array
+    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -82,10 +89,13 @@ class Motion:
 def identify_locomotion(
     traverses: Sequence[Traverse],
     parameters: Parameters,
-    fin: FinFit | None = None,
+    fin: FinKnowledge | None = None,
     progress: Progress = lambda _: None,
 ) -> LocomotionResult:
-    """η and p_sw of all runs, the other ``parameters`` given; ``fin`` brings the uncertainty of its three."""
+    """η and p_sw of all runs, the other ``parameters`` given; ``fin`` tells how well its three are known.
+
+    Without it the intervals hold under the given fins alone.
+    """
     landscape = search(traverses, parameters, lambda done: progress(0.3 * done))
     start = find_locomotion(traverses, parameters, landscape)
     fit = fit_grooves(traverses, parameters, start)
@@ -219,7 +229,7 @@ def _estimate(
 
 
 def _variants(
-    traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit, fin: FinFit | None
+    traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit, fin: FinKnowledge | None
 ) -> tuple[tuple[Parameters, GrooveFit], ...]:
     if fin is None:
         return ()

@@ -23,6 +23,7 @@ from worm_model.identification.idle import IdlePower, idle_power, idle_power_of
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion import Traverse, traverse_of
 from worm_model.identification.locomotion_stage import (
+    FinKnowledge,
     LocomotionResult,
     identify_locomotion,
     refit,
@@ -37,6 +38,10 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 HELD_OUT_ITERATIONS = 4
+FIN = ("clearance", "engaged_stiffness", "disengaged_stiffness")
+NO_FIN = "x1 tells but its ratio to the fins' stiffness, fitted under the given one; add a fin test"
+UNDER_GIVEN_FINS = "fitted under the given fins; add a fin test"
+NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
 FEWEST_HELD_OUT = 2  # runs, of which one can be left out
 
 
@@ -102,11 +107,11 @@ def identify(
     estimates["initial_length"] = _initial_length(runs)
     parameters = _with_values(given.parameters, estimates)
     traverses = [run.traverse for run in runs]
+    known = _fin_knowledge(estimates, fin)
     locomotion = identify_locomotion(
-        traverses, parameters, fin, lambda done: progress("locomotion", done)
+        traverses, parameters, known, lambda done: progress("locomotion", done)
     )
-    estimates["viscous_friction"] = locomotion.viscous_friction
-    estimates["switching_threshold"] = locomotion.switching_threshold
+    estimates |= _locomotion_estimates(locomotion, known)
     progress("actuation", 0.0)
     actuation = identify_actuation([run.recording for run in runs], random)
     estimates["slack"], estimates["gain"] = actuation.slack, actuation.gain
@@ -114,7 +119,7 @@ def identify(
     estimates["idle_power"] = idle_power([run.idle for run in runs])
     parameters = _with_values(parameters, estimates)
     progress("energy", 0.0)
-    forces = forces_of(traverses, parameters, locomotion, bellows, given)
+    forces = forces_of(traverses, parameters, locomotion, estimates["bellows_stiffness"], given)
     power_runs = _power_runs(runs, forces, estimates["idle_power"].value)
     energy = identify_energy(
         power_runs,
@@ -122,6 +127,7 @@ def identify(
         forces.draw,
         given.parameters.bellows_damping,
         random,
+        "" if estimates["bellows_stiffness"].identifiable else NO_BELLOWS,
     )
     estimates["bellows_damping"] = energy.bellows_damping
     estimates["power_factor"] = energy.power_factor
@@ -159,6 +165,29 @@ def _bench_estimates(bellows: BellowsFit | None, fin: FinFit | None) -> dict[str
         found["engaged_stiffness"] = fin.engaged_stiffness
         found["disengaged_stiffness"] = fin.disengaged_stiffness
     return found
+
+
+def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> FinKnowledge | None:
+    """By the fin test, else by the bounds that were given, None if there are none."""
+    if fin is not None:
+        return FinKnowledge(fin.values, fin.covariance)
+    given = [estimates[key] for key in FIN]
+    if not all(estimate.identifiable for estimate in given):
+        return None
+    deviation = np.array([estimate.spread / quantile(np.inf) for estimate in given])
+    return FinKnowledge(np.array([e.value for e in given]), np.diag(deviation**2))
+
+
+def _locomotion_estimates(
+    locomotion: LocomotionResult, known: FinKnowledge | None
+) -> dict[str, Estimate]:
+    """Without a fin test x1 tells but the ratio of η to the fins' stiffness."""
+    friction, threshold = locomotion.viscous_friction, locomotion.switching_threshold
+    if known is None:
+        nothing = float("nan")
+        friction = Estimate(friction.value, nothing, nothing, False, NO_FIN)
+        threshold = Estimate(threshold.value, nothing, nothing, False, UNDER_GIVEN_FINS)
+    return {"viscous_friction": friction, "switching_threshold": threshold}
 
 
 def _prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], list[str]]:

@@ -112,7 +112,7 @@ def parameter_table(estimates: Mapping[str, Estimate]) -> str:
 def _decimals(estimate: Estimate, factor: float) -> int:
     """As many as the interval's width leaves meaning to: two digits of its half."""
     half = (
-        estimate.spread * factor if estimate.identifiable else abs(estimate.value * factor) / 50.0
+        estimate.spread * factor if estimate.identifiable else abs(estimate.value * factor) / 10.0
     )
     decimals = 0
     while half < 9.95 and decimals < 6:

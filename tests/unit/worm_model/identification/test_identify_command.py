@@ -141,9 +141,7 @@ def test_a_bag_without_a_needed_topic_is_refused_in_one_line(tmp_path, monkeypat
         (["x", "--parameters", "none.yaml"], "none.yaml"),
     ],
 )
-def test_bad_input_is_one_line_and_status_two(
-    arguments, reason, tmp_path, monkeypatch, capsys
-):
+def test_bad_input_is_one_line_and_status_two(arguments, reason, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_bag(tmp_path / "x", exact_run(GAIT, PAPER, Instruments(), 0, 7.0))
     assert run_identify(monkeypatch, *arguments) == 2

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole identification on virtual robots whose parameters are known, a small version of the benchmark."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from virtual_campaign import SHORT, virtual_campaign
@@ -10,7 +12,7 @@ from worm_model.identification.given import MEASURED
 from worm_model.identification.pipeline import identify
 from worm_model.identification.report import text_of
 from worm_model.identification.results import correlations, parameter_file, summary
-from worm_model.parameters import KEYS
+from worm_model.parameters import KEYS, PAPER
 
 IDENTIFIED = [key for key in KEYS if key not in MEASURED]
 
@@ -94,3 +96,22 @@ def test_the_outputs_agree_with_each_other(campaigns, results):
     text = text_of(result, [])
     assert all(run.name in text for run in result.runs)
     assert np.isfinite(found["runs"]["run_1"]["energy_error"])
+
+
+def test_without_bench_tests_nothing_is_claimed_that_depends_on_them(campaigns):
+    campaign = campaigns[0]
+    blind = replace(campaign.inputs, bellows=None, fin=None)
+    result = identify(blind, campaign.given, 0)
+    unknown = {key for key, estimate in result.estimates.items() if not estimate.identifiable}
+    bench = {"bellows_stiffness", "clearance", "engaged_stiffness", "disengaged_stiffness"}
+    conditional = {
+        "viscous_friction",
+        "switching_threshold",
+        "bellows_damping",
+        "power_factor",
+    }
+    assert unknown == bench | conditional
+    assert set(parameter_file(result, blind).intervals).isdisjoint(unknown)
+    assert "not identified" in text_of(result, [])
+    assert result.estimates["bellows_damping"].value == PAPER.bellows_damping
+    assert summary(result)["parameters"]["viscous_friction"]["note"].endswith("add a fin test")
