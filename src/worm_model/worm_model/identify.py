@@ -16,11 +16,12 @@ from worm_model.command_line import (
     print_json,
     run_command,
 )
+from worm_model.identification.advice import advise
 from worm_model.identification.errors import IdentificationError
 from worm_model.identification.given import Given, given_by_file, given_by_folder
 from worm_model.identification.inputs import Inputs, read_inputs, read_recording
 from worm_model.identification.pipeline import Identification, identify
-from worm_model.identification.report import parameter_table, write_report
+from worm_model.identification.report import error_table, parameter_table, write_report
 from worm_model.identification.results import parameter_file, summary
 from worm_model.parameters import ParameterFile, load_parameter_file, write_parameter_file
 
@@ -33,7 +34,11 @@ def _parser() -> Parser:
         description="Identifies the worm's parameters from recorded runs, each from rest over five ridges.",
     )
     parser.add_argument(
-        "runs", type=Path, nargs="+", metavar="BAG", help="bags, one run each, or one folder of a lab's logs"
+        "runs",
+        type=Path,
+        nargs="+",
+        metavar="BAG",
+        help="bags, one run each, or one folder of a lab's logs",
     )
     parser.add_argument("--bellows", type=Path, metavar="CSV", help="compression_m, force_N")
     parser.add_argument("--fin", type=Path, metavar="CSV", help="displacement_m, force_N")
@@ -43,11 +48,20 @@ def _parser() -> Parser:
         help="sign of displacement in which the tested fin engages; default: its stiffer side",
     )
     parser.add_argument(
-        "--validation", type=Path, nargs="+", default=[], metavar="BAG", help="runs to check it against"
+        "--validation",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="BAG",
+        help="runs to check it against",
     )
     parser.add_argument("--output", metavar="FILE", help="the parameter file, which must not exist")
-    parser.add_argument("--report", metavar="DIR", help="folder for the report, which must not exist")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the bootstrap (default 0)")
+    parser.add_argument(
+        "--report", metavar="DIR", help="folder for the report, which must not exist"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of the bootstrap (default 0)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_parameters(parser)
     return parser
@@ -77,9 +91,15 @@ def _print(result: Identification, *, as_json: bool) -> None:
     for warning in result.warnings:
         sys.stderr.write(f"{warning}\n")
     if as_json:
-        print_json(summary(result))
+        print_json(summary(result) | {"advice": advise(result).text})
     else:
-        sys.stdout.write(parameter_table(result.estimates) + "\n")
+        parts = (
+            parameter_table(result.estimates),
+            "Held out, in brackets the paper's table:\n"
+            + error_table(result.held_out, result.paper),
+            f"What next: {advise(result).text}.",
+        )
+        sys.stdout.write("\n\n".join(parts) + "\n")
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -76,7 +76,14 @@ class _Piece(NamedTuple):
 
 @inlined
 def _implicit_step(
-    y: float, rate: float, h: float, piece: _Piece, y_seen: float, rate_seen: float, at: float, worm: Worm
+    y: float,
+    rate: float,
+    h: float,
+    piece: _Piece,
+    y_seen: float,
+    rate_seen: float,
+    at: float,
+    worm: Worm,
 ) -> tuple[float, float, float, float]:
     """(mean ẏ, weight of the end, drag and fin force of the rear module) of a step of ``h`` seconds.
 
@@ -107,9 +114,7 @@ def _implicit_step(
 
 
 @inlined
-def _step(
-    y: float, rate: float, h: float, piece: _Piece, worm: Worm
-) -> tuple[float, float, float]:
+def _step(y: float, rate: float, h: float, piece: _Piece, worm: Worm) -> tuple[float, float, float]:
     """(y, ẏ, force of friction and fin on the rear module) after ``h`` seconds, of second order in ``h``."""
     mean_rate, weight, drag, force = _implicit_step(y, rate, h, piece, y, rate, 0.0, worm)
     middle, middle_rate = y + 0.5 * h * mean_rate, rate + 0.5 * (mean_rate - rate) / weight
