@@ -28,7 +28,7 @@ _LONGEST_BRIDGE = 0.5
 _BRIDGE_SIDE = 0.25
 _LEAST_SIGHTINGS = 4
 #: s, the longest time without a valid power sample within the averaged cycles
-_POWER_GAP = 0.1
+_POWER_GAP = 0.25
 
 
 @dataclass

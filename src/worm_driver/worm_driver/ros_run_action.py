@@ -39,7 +39,7 @@ class _Current:
     done: Future
     record: RunRecord
     next_feedback: float = -math.inf
-    snapshot: Snapshot | None = None
+    ended: Run | None = None
 
 
 class RunGaitAction:
@@ -53,7 +53,8 @@ class RunGaitAction:
     def __init__(self, node: Node, hardware: Callable[[], Hardware | None]):
         self._node = node
         self._hardware = hardware
-        self._current: _Current | None = None
+        # The last one is being played, those before it still wait for the tracker.
+        self._runs: list[_Current] = []
         self._server = ActionServer(
             node,
             RunGait,
@@ -64,33 +65,35 @@ class RunGaitAction:
 
     def on_position(self, time_s: float, rear_position: float) -> None:
         """Takes a tracker sample (s monotonic, m) into the run's record."""
-        if self._current is not None and math.isfinite(rear_position):
-            self._current.record.positions.append((time_s, rear_position))
+        if math.isfinite(rear_position):
+            for current in self._runs:
+                current.record.positions.append((time_s, rear_position))
 
     def on_power(self, sample: PowerSample) -> None:
         """Takes a power sample into the run's record."""
-        if self._current is not None:
-            self._current.record.power.append(sample)
+        for current in self._runs:
+            current.record.power.append(sample)
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
         """Gives feedback, and ends the goal when its run has ended."""
-        current = self._current
         run = snapshot.player.run
-        if current is None or run is None or run.number != current.number:
-            return
-        if run.ending is None:
-            self._give_feedback(current, run, snapshot)
-        elif not current.done.done() and self._tracker_is_through(current, run, snapshot):
-            current.done.set_result(run)
+        for current in self._runs:
+            if run is not None and run.number == current.number and run.ending is None:
+                self._give_feedback(current, run, snapshot)
+            elif run is not None and run.number == current.number:
+                current.ended = run
+            if current.ended is not None and not current.done.done():
+                self._end_when_seen(current, current.ended, snapshot.command_time)
 
     def abandon(self, reason: str) -> None:
-        """Ends the goal of a run that nothing plays any more."""
-        if self._current is not None and not self._current.done.done():
-            self._current.done.set_result(reason)
+        """Ends the goals of runs that nothing plays any more."""
+        for current in self._runs:
+            if not current.done.done():
+                current.done.set_result(current.ended or reason)
 
     def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         hardware = self._hardware()
-        if hardware is not None and self._current is not None and self._current.goal == goal:
+        if hardware is not None and self._runs and self._runs[-1].goal == goal:
             hardware.loop.submit(hardware.robot.cancel)
         return CancelResponse.ACCEPT
 
@@ -103,7 +106,7 @@ class RunGaitAction:
             goal.abort()
             return _no_result(str(error))
         outcome = await current.done
-        self._current = None
+        self._runs.remove(current)
         return self._finish(current, outcome)
 
     def _begin(self, goal: ServerGoalHandle, gait: Gait, cycles: int) -> _Current:
@@ -111,8 +114,11 @@ class RunGaitAction:
         if hardware is None:
             raise DriverError("the driver is not configured: configure and activate it first")
         number = hardware.loop.ask(lambda now: hardware.robot.start(now, gait, cycles))
-        self._current = _Current(goal, number, Future(), RunRecord())
-        return self._current
+        current = _Current(goal, number, Future(), RunRecord())
+        self._runs.append(current)
+        if goal.is_cancel_requested:  # faster than this callback
+            hardware.loop.submit(hardware.robot.cancel)
+        return current
 
     def _finish(self, current: _Current, outcome: Run | str) -> RunGait.Result:
         goal = current.goal
@@ -150,12 +156,13 @@ class RunGaitAction:
         )
 
     @staticmethod
-    def _tracker_is_through(current: _Current, run: Run, snapshot: Snapshot) -> bool:
-        """Whether the tracker has reported beyond the run's end, or has had its time."""
+    def _end_when_seen(current: _Current, run: Run, now: float) -> None:
+        """Ends a goal once the tracker has reported beyond the run's end, or has had its time."""
         assert run.end is not None
         positions = current.record.positions
-        seen = bool(positions) and positions[-1][0] >= run.end + _TRACKER_AFTERWARDS
-        return seen or snapshot.command_time > run.end + _TRACKER_PATIENCE
+        seen = not positions or positions[-1][0] >= run.end + _TRACKER_AFTERWARDS
+        if seen or now > run.end + _TRACKER_PATIENCE:
+            current.done.set_result(run)
 
 
 def _elapsed(run: Run, snapshot: Snapshot) -> float:

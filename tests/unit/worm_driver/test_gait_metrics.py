@@ -137,10 +137,10 @@ def test_a_look_that_came_too_early_does_no_harm():
 
 def test_a_sensor_that_was_gone_for_a_while_gives_no_power():
     seen = record()
-    seen.power[800:820] = [bad(s.time, SampleStatus.BUS_ERROR) for s in seen.power[800:820]]
+    seen.power[800:830] = [bad(s.time, SampleStatus.BUS_ERROR) for s in seen.power[800:830]]
     found = figures(RUN, seen, BODY)
     assert math.isnan(found.power)
-    assert "no valid sample for 0.21 s" in found.reasons[0]
+    assert "no valid sample for 0.31 s" in found.reasons[0]
 
 
 def test_without_a_power_sensor_there_is_a_reason_for_each_figure():
