@@ -104,12 +104,15 @@ def identify(
     fin = fit_fin(inputs.fin.x, inputs.fin.y, fin_engages) if inputs.fin else None
     estimates |= _bench_estimates(bellows, fin)
     runs, warnings = _prepared(inputs.recordings, given.parameters.pitch)
+    checked, _ = _prepared(validation, given.parameters.pitch) if validation else ([], [])
     estimates["initial_length"] = _initial_length(runs)
     parameters = _with_values(given.parameters, estimates)
-    traverses = [run.traverse for run in runs]
     known = _fin_knowledge(estimates, fin)
     locomotion = identify_locomotion(
-        traverses, parameters, known, lambda done: progress("locomotion", done)
+        [run.traverse for run in runs],
+        parameters,
+        known,
+        lambda done: progress("locomotion", done),
     )
     estimates |= _locomotion_estimates(locomotion, known)
     progress("actuation", 0.0)
@@ -117,27 +120,14 @@ def identify(
     estimates["slack"], estimates["gain"] = actuation.slack, actuation.gain
     estimates["time_constant"] = actuation.time_constant
     estimates["idle_power"] = idle_power([run.idle for run in runs])
-    parameters = _with_values(parameters, estimates)
     progress("energy", 0.0)
-    forces = forces_of(traverses, parameters, locomotion, estimates["bellows_stiffness"], given)
-    power_runs = _power_runs(runs, forces, estimates["idle_power"].value)
-    energy = identify_energy(
-        power_runs,
-        [run.recording.gait.frequency for run in runs],
-        forces.draw,
-        given.parameters.bellows_damping,
-        random,
-        "" if estimates["bellows_stiffness"].identifiable else NO_BELLOWS,
-    )
+    energy, power_runs = _energy(runs, parameters, estimates, locomotion, given, random)
     estimates["bellows_damping"] = energy.bellows_damping
     estimates["power_factor"] = energy.power_factor
     parameters = _with_values(parameters, estimates)
     progress("held out", 0.0)
-    held_out = _held_out(runs, parameters, locomotion, power_runs)
-    checked, _ = _prepared(validation, given.parameters.pitch) if validation else ([], [])
     offset = float(actuation.fit.clock_offset.mean())
-    progress("done", 1.0)
-    return Identification(
+    result = Identification(
         estimates=estimates,
         parameters=parameters,
         given=given,
@@ -148,12 +138,37 @@ def identify(
         actuation=actuation,
         energy=energy,
         power_runs=tuple(power_runs),
-        held_out=held_out,
+        held_out=_held_out(runs, parameters, locomotion, power_runs),
         paper={run.name: _errors(run, PAPER) for run in runs},
         validation={run.name: _errors(run, parameters, offset) for run in checked},
         warnings=tuple(warnings),
         seed=seed,
     )
+    progress("done", 1.0)
+    return result
+
+
+def _energy(
+    runs: Sequence[Run],
+    parameters: Parameters,
+    estimates: Mapping[str, Estimate],
+    locomotion: LocomotionResult,
+    given: Given,
+    random: np.random.Generator,
+) -> tuple[EnergyResult, list[PowerRun]]:
+    """Stage 7, on the forces that stage 4 left."""
+    stiffness = estimates["bellows_stiffness"]
+    forces = forces_of([run.traverse for run in runs], parameters, locomotion, stiffness, given)
+    power_runs = _power_runs(runs, forces, estimates["idle_power"].value)
+    result = identify_energy(
+        power_runs,
+        [run.recording.gait.frequency for run in runs],
+        forces.draw,
+        given.parameters.bellows_damping,
+        random,
+        "" if stiffness.identifiable else NO_BELLOWS,
+    )
+    return result, power_runs
 
 
 def _bench_estimates(bellows: BellowsFit | None, fin: FinFit | None) -> dict[str, Estimate]:

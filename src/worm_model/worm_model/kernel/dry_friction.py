@@ -19,6 +19,7 @@ import numpy as np
 from worm_model.kernel.compiled import inlined, unlocked
 
 FADING_SPEED = 1e-3  # m/s
+SHORTEST_STEP = 1e-9  # s, after a switch at a step's end
 MOST_SWITCHES = 8  # in a step; beyond it the anchors switch to and fro
 
 # Columns of a row of samples: rear module, its velocity, and the cable force but for the body's part
@@ -155,6 +156,69 @@ def _row(groove: int, grooves: np.ndarray) -> int:
     return min(max(groove + FIRST_GROOVE, 0), grooves.shape[0] - 1)
 
 
+class _State(NamedTuple):
+    """State between steps: y and its rate, and how many grooves each anchor has moved."""
+
+    y: float
+    rate: float
+    rear: int
+    front: int
+
+
+@inlined
+def _advance(
+    state: _State,
+    step: float,
+    start: float,
+    end: float,
+    lattice: float,
+    worm: Worm,
+    rear_grooves: np.ndarray,
+    front_grooves: np.ndarray,
+) -> tuple[_State, float, int]:
+    """(state after a step, force on the rear module, switches or −1), ΔL going straight from ``start`` to ``end``."""
+    mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
+    y, rate, rear, front = state.y, state.rate, state.rear, state.front
+    slope, left = (end - start) / step, step
+    for switches in range(MOST_SWITCHES + 1):
+        rear_row, front_row = _row(rear, rear_grooves), _row(front, front_grooves)
+        piece = _Piece(
+            start,
+            slope,
+            rear * worm.pitch,
+            lattice + front * worm.pitch,
+            1.0 + rear_grooves[rear_row, STIFFNESS],
+            1.0 + front_grooves[front_row, STIFFNESS],
+        )
+        new_y, new_rate, holding = _step(y, rate, left, piece, worm)
+        fraction, rear_move, front_move = _first_switch(
+            y - mu * start - piece.rear_anchor,
+            new_y - mu * end - piece.rear_anchor,
+            worm.threshold + rear_grooves[rear_row, THRESHOLD],
+            y + (1.0 - mu) * start + worm.initial_length - piece.front_anchor,
+            new_y + (1.0 - mu) * end + worm.initial_length - piece.front_anchor,
+            worm.threshold + front_grooves[front_row, THRESHOLD],
+        )
+        if rear_move == 0 and front_move == 0:
+            return _State(new_y, new_rate, rear, front), holding, switches
+        spent = fraction * left
+        if spent > 0.0:
+            y, rate, holding = _step(y, rate, spent, piece, worm)
+        start += spent * slope
+        left = max(left - spent, SHORTEST_STEP)
+        rear += rear_move
+        front += front_move
+    return _State(y, rate, rear, front), 0.0, -1
+
+
+@inlined
+def _add_inertia(step: float, mass: float, samples: np.ndarray) -> None:
+    """M1·v̇1, from sample to sample."""
+    for at in range(1, samples.shape[0]):
+        gain = samples[at, V1] - samples[at - 1, V1]
+        samples[at, HOLDING_FORCE] += mass * gain / step
+
+
 @unlocked
 def slide(
     step: float,
@@ -173,48 +237,19 @@ def slide(
     and fro without end.
     """
     mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
-    rear, front = 0, 0
     lattice = worm.pitch * math.ceil(worm.initial_length / worm.pitch - 0.5 - 1e-12)
-    y, rate, holding, switches = mu * length_changes[0], 0.0, 0.0, 0
+    state, total = _State(mu * length_changes[0], 0.0, 0, 0), 0
     samples[0, X1], samples[0, V1], samples[0, HOLDING_FORCE] = 0.0, 0.0, 0.0
     for at in range(1, length_changes.size):
         start, end = length_changes[at - 1], length_changes[at]
-        slope, left = (end - start) / step, step
-        for attempt in range(MOST_SWITCHES + 1):
-            rear_row, front_row = _row(rear, rear_grooves), _row(front, front_grooves)
-            rear_anchor, front_anchor = rear * worm.pitch, lattice + front * worm.pitch
-            piece = _Piece(
-                start,
-                slope,
-                rear_anchor,
-                front_anchor,
-                1.0 + rear_grooves[rear_row, STIFFNESS],
-                1.0 + front_grooves[front_row, STIFFNESS],
-            )
-            new_y, new_rate, holding = _step(y, rate, left, piece, worm)
-            fraction, rear_move, front_move = _first_switch(
-                y - mu * start - rear_anchor,
-                new_y - mu * end - rear_anchor,
-                worm.threshold + rear_grooves[rear_row, THRESHOLD],
-                y + (1.0 - mu) * start + worm.initial_length - front_anchor,
-                new_y + (1.0 - mu) * end + worm.initial_length - front_anchor,
-                worm.threshold + front_grooves[front_row, THRESHOLD],
-            )
-            if rear_move == 0 and front_move == 0:
-                break
-            if attempt == MOST_SWITCHES:
-                return -1
-            spent = fraction * left
-            if spent > 0.0:
-                y, rate, holding = _step(y, rate, spent, piece, worm)
-            start += spent * slope
-            left = max(left - spent, 1e-9)
-            rear += rear_move
-            front += front_move
-            switches += 1
-        y, rate = new_y, new_rate
-        samples[at, X1] = y - mu * end
-        samples[at, V1] = rate - mu * slope
-        gain = samples[at, V1] - samples[at - 1, V1]
-        samples[at, HOLDING_FORCE] = holding + worm.rear_mass * gain / step
-    return switches
+        state, holding, switches = _advance(
+            state, step, start, end, lattice, worm, rear_grooves, front_grooves
+        )
+        if switches < 0:
+            return -1
+        total += switches
+        samples[at, X1] = state.y - mu * end
+        samples[at, V1] = state.rate - mu * (end - start) / step
+        samples[at, HOLDING_FORCE] = holding
+    _add_inertia(step, worm.rear_mass, samples)
+    return total
