@@ -469,9 +469,8 @@ def test_faults_of_the_power_sensor_are_samples_without_a_value(driver, commande
         ({"baud_rate": "115200"}, "does not answer .* at 115200 baud"),
         ({"cable_servos.signs": "[2]"}, "sign of cable servo 1 must be 1 or -1"),
         ({"cable_servos.ids": "[1, 2]"}, "one entry per servo"),
-        ({"home_at_start": "false"}, "turn count of the cable servo is not known"),
     ],
-    ids=["port", "bus", "address", "id", "baud rate", "sign", "lengths", "home"],
+    ids=["port", "bus", "address", "id", "baud rate", "sign", "lengths"],
 )
 def test_what_is_missing_is_said_in_one_line(processes, directory, change, words):
     given = parameters(directory, **{"autostart": "true", **change})
@@ -479,6 +478,25 @@ def test_what_is_missing_is_said_in_one_line(processes, directory, change, words
     assert driver.wait(TIMEOUT_S) in (1, 2)
     driver.wait_for_line(f"^driver: .*{words}", TIMEOUT_S)
     assert "Traceback" not in driver.output()
+
+
+def test_a_robot_that_is_not_homed_waits_for_its_operator(processes, directory, commander):
+    given = parameters(directory, autostart="true", home_at_start="false")
+    driver = processes.start_node("worm_driver", "driver_node", **given)
+    driver.wait_for_line(
+        "cannot activate: the turn count of the cable servo is not known", TIMEOUT_S
+    )
+    commander.wait_for_report("driver: gait", DiagnosticStatus.WARN, "not homed")
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
+    assert commander.trigger("home").success
+    assert commander.change(Transition.TRANSITION_ACTIVATE)
+
+
+def test_a_robot_without_fin_servos_needs_none(processes, directory, commander):
+    none = {f"fin_servos.{key}": "[]" for key in ("ids", "forward_angle_rad", "reverse_angle_rad")}
+    processes.start_node("worm_driver", "driver_node", **parameters(directory, **none))
+    commander.activate()
+    commander.wait_for_state(GaitState.IDLE, "activation")
 
 
 def test_a_parameter_out_of_its_range_is_refused_in_one_line(processes, directory):

@@ -11,6 +11,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from traceback import format_exception
 from types import FrameType
 from typing import TypeVar
 
@@ -85,7 +86,7 @@ class DriverNode(LifecycleNode):
         try:
             settings = ros_parameters.settings(self)
             self._hardware = Hardware(settings, self._wake, self._tracker_ready)
-        except DriverError as error:
+        except Exception as error:  # noqa: BLE001 (rclpy would drop it without a word)
             return self._failed("configure", error)
         self._failure = None
         for line in self._hardware.description():
@@ -96,8 +97,9 @@ class DriverNode(LifecycleNode):
         """Enables the torque."""
         try:
             self._do(lambda hardware, now: hardware.robot.activate(now))
-        except DriverError as error:
+        except Exception as error:  # noqa: BLE001 (as above)
             return self._failed("activate", error)
+        self._failure = None
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -150,16 +152,23 @@ class DriverNode(LifecycleNode):
             self._hardware.loop.let_go()
 
     def autostart(self) -> None:
-        """Configures and activates, where the parameter asks for it. Raises DriverError when it fails."""
+        """Configures and activates, where the parameter asks for it.
+
+        A robot that cannot be activated yet, as it is not homed, stays configured for its operator.
+
+        Raises:
+            DriverError: it cannot be configured.
+        """
         if not self.get_parameter("autostart").value:
             return
-        for trigger in (self.trigger_configure, self.trigger_activate):
-            if trigger() != TransitionCallbackReturn.SUCCESS and self._failure is not None:
-                raise self._failure
+        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+            raise self._failure or DriverError("it cannot be configured")
+        self.trigger_activate()
 
     def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
         self._failure = error
-        self.get_logger().error(f"cannot {what}: {error}")
+        words = str(error) if isinstance(error, DriverError) else "".join(format_exception(error))
+        self.get_logger().error(f"cannot {what}: {words}")
         return TransitionCallbackReturn.FAILURE
 
     def _release(self) -> None:

@@ -149,12 +149,13 @@ def settings(node: Node) -> DriverSettings:
 
 def _rows(node: Node, *names: str) -> list[tuple[Any, ...]]:
     """Arrays of one length, as rows."""
-    columns = [_array(node.get_parameter(name)) for name in names]
+    columns = [_array(node, name) for name in names]
     if len({len(column) for column in columns}) != 1:
         lengths = ", ".join(f"{n} has {len(c)}" for n, c in zip(names, columns, strict=True))
         raise ConfigurationError(f"these parameters need one entry per servo: {lengths}")
     return list(zip(*columns, strict=True))
 
 
-def _array(parameter: Parameter) -> list[Any]:
-    return [] if parameter.value is None else list(parameter.value)
+def _array(node: Node, name: str) -> list[Any]:
+    """An array, also an empty one, which rcl reads as a parameter without a value."""
+    return list(node.get_parameter_or(name, Parameter(name)).value or [])
