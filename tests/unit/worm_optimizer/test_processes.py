@@ -62,6 +62,18 @@ def test_a_deaf_process_is_killed_with_its_children(tmp_path):
     assert wait_for(lambda: not is_running(child), 5.0)
 
 
+def test_an_ended_process_keeps_its_id_until_the_end_of_the_group(tmp_path):
+    with ProcessGroup(tmp_path) as group:
+        process = group.start("short", python("pass"))
+        assert process.wait(20.0) == 0
+        os.kill(process.pid, 0)  # a zombie: nobody else can get the id
+        process.interrupt()
+    with pytest.raises(ChildProcessError):
+        os.waitpid(process.pid, os.WNOHANG)
+    process.interrupt()  # harmless, whoever has the id now
+    assert process.exit_code == 0
+
+
 def test_a_failed_process_is_reported_with_its_last_line(tmp_path):
     with ProcessGroup(tmp_path) as group:
         process = group.start("bad", python("import sys; sys.exit('no such port')"))

@@ -53,7 +53,11 @@ def wait_for(condition: Callable[[], bool], timeout_s: float) -> bool:
 
 
 class Process:
-    """One running process in a session of its own, its output in a file."""
+    """One process in a session of its own, its output in a file.
+
+    It stays a zombie after its end until `release`: so long its id, which is also that of its group,
+    belongs to no other process, and a signal to the group cannot hit a stranger.
+    """
 
     def __init__(
         self, name: str, command: Sequence[str], log: Path, env: Mapping[str, str]
@@ -78,8 +82,13 @@ class Process:
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs."""
-        return self._popen.poll()
+        """None while it runs; the negative number of the signal that ended it."""
+        if self._popen.returncode is not None:
+            return self._popen.returncode
+        end = os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+        if end is None:
+            return None
+        return end.si_status if end.si_code == os.CLD_EXITED else -end.si_status
 
     def output(self) -> str:
         """What it has written so far, standard output and standard error together."""
@@ -105,11 +114,18 @@ class Process:
 
     def wait(self, timeout_s: float) -> int:
         """Wait for its end and return the exit code; raises `ProcessError` at the timeout."""
-        try:
-            return self._popen.wait(timeout_s)
-        except subprocess.TimeoutExpired:
+        wait_for(lambda: self.exit_code is not None, timeout_s)
+        code = self.exit_code
+        if code is None:
             message = f"{self.name} still runs after {timeout_s:g} s: {self.last_line()}"
-            raise ProcessError(message) from None
+            raise ProcessError(message)
+        return code
+
+    def release(self) -> None:
+        """Kill what is left of its process group, and let go of its id."""
+        if self._popen.returncode is None:
+            self.kill()
+            self._popen.wait()
 
     def interrupt(self) -> None:
         """Ask it to end, as Ctrl-C does."""
@@ -120,8 +136,8 @@ class Process:
         self.signal(signal.SIGKILL)
 
     def signal(self, number: signal.Signals) -> None:
-        """Send a signal to its whole process group; none is left to get it, nothing happens."""
-        with contextlib.suppress(ProcessLookupError):
+        """Send a signal to its process group; nothing happens once it is released."""
+        if self._popen.returncode is None:
             os.killpg(self.pid, number)
 
     def _state(self) -> str:
@@ -184,7 +200,7 @@ class ProcessGroup:
                         process.wait(grace_s)
         finally:  # also on an impatient second Ctrl-C
             for process in self.processes.values():
-                process.signal(signal.SIGKILL)
+                process.release()
 
     def __enter__(self) -> ProcessGroup:
         return self
