@@ -104,7 +104,7 @@ def motion_figure(run: Run, prediction: Prediction) -> Figure:
     left = traverse.x1 - np.interp(traverse.time, prediction.time, prediction.x1)
     axes[1].plot(traverse.time, left * MM, **SEEN)
     axes[1].set_xlabel("time since the onset (s)")
-    return _finished(figure, [(axes[0], "x1 (mm)"), (axes[1], "difference (mm)")])
+    return _finished(figure, [(axes[0], "x1 (mm)"), (axes[1], "error (mm)")])
 
 
 def length_figure(run: Run, prediction: Prediction, slack: float) -> Figure:

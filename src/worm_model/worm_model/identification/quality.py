@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 LONGEST_GAP = 1.0  # s without a length, which is bridged by the actuation model
 FOLLOWS = 0.4  # of the commanded range, which a body that follows covers at least
+POWER_GAP = 8.0  # usual intervals between power samples from which a pause is worth a word
 ASTRAY = 10.0  # camera noises by which a body that follows departs from its actuation fit at most
 LEAST_ASTRAY = 1.5e-3  # m
 AVERAGED = 9  # samples
@@ -82,6 +83,11 @@ def remarks(recording: Recording, length: MeasuredLength, traverse: Traverse) ->
     outliers = int(np.sum(length.outliers))
     if outliers:
         found.append(f"{outliers} lengths left out as outliers")
+    pause = float(np.diff(recording.power_time).max())
+    if pause > POWER_GAP * float(np.median(np.diff(recording.power_time))):
+        found.append(
+            f"{pause:.2f} s without a power sample: its energy is bridged by a straight line"
+        )
     if not traverse.complete:
         reached = float(np.nanmax(np.abs(recording.x1)))
         found.append(

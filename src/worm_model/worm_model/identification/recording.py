@@ -12,10 +12,15 @@ from scipy.optimize import least_squares
 
 from worm_model.gait import Gait
 from worm_model.identification.errors import IdentificationError
-from worm_model.run import POWER_VALID, RUNNING, GaitStates, Run, seconds
+from worm_model.run import POWER_VALID, RUNNING, GaitStates, Run, Stamps, seconds
 
 Array = NDArray[np.float64]
 
+RESTING, STOPPING = 2, 4  # GaitState
+SAME_ONSET = 100_000_000  # ns: the driver tells the onset anew with each cycle, through two clocks
+LONGEST_REST = (
+    3_000_000_000  # ns before the onset, of a recording that does not say when the rest began
+)
 FEWEST_SAMPLES = 20  # of an instrument
 MOST_MISFIT = 1e-3  # m, between the commanded lengths and the gait they are said to be
 
@@ -80,26 +85,33 @@ def recording_of(
     """
     _check_topics(run, name)
     gait, onset = _gait(run.gait_state, name)
-    command_time = seconds(run.commanded.stamp, onset)
-    shift = _onset_shift(command_time, run.commanded.length_change, gait, name)
-    camera_time = seconds(run.tracker.stamp, onset) - shift
-    x1, x2 = run.tracker.rear_position, run.tracker.front_position
-    power = run.power.status == POWER_VALID
+    first, last = _span(run.gait_state, onset)
+
+    def within(stamp: Stamps) -> NDArray[np.bool_]:
+        return (stamp >= first) & (stamp <= last)
+
+    commanded, seen = within(run.commanded.stamp), within(run.tracker.stamp)
+    turned = within(run.cable.stamp)
+    powered = within(run.power.stamp) & (run.power.status == POWER_VALID)
+    command_time = seconds(run.commanded.stamp[commanded], onset)
+    command = run.commanded.length_change[commanded]
+    shift = _onset_shift(command_time, command, gait, name)
     recording = Recording(
         name=name,
         gait=gait,
-        camera_time=camera_time,
-        x1=x1,
-        x2=x2,
+        camera_time=seconds(run.tracker.stamp[seen], onset) - shift,
+        x1=run.tracker.rear_position[seen],
+        x2=run.tracker.front_position[seen],
         command_time=command_time - shift,
-        command=run.commanded.length_change,
-        power_time=seconds(run.power.stamp, onset)[power] - shift,
-        power=run.power.power[power],
-        cable_time=seconds(run.cable.stamp, onset) - shift,
-        cable=run.cable.length_change,
+        command=command,
+        power_time=seconds(run.power.stamp[powered], onset) - shift,
+        power=run.power.power[powered],
+        cable_time=seconds(run.cable.stamp[turned], onset) - shift,
+        cable=run.cable.length_change[turned],
         sources=dict(sources or {}),
         date=date,
     )
+    _check_sizes(recording)
     return _counted_from_rest(_from_onset(recording))
 
 
@@ -113,9 +125,19 @@ def _check_topics(run: Run, name: str) -> None:
     for topic, stamp in topics.items():
         if not stamp.size:
             raise IdentificationError(f"{name}: has no {topic}: record that topic too")
-        if topic != "gait_state" and stamp.size < FEWEST_SAMPLES:
+
+
+def _check_sizes(recording: Recording) -> None:
+    sizes = {
+        "tracker": recording.camera_time.size,
+        "body_length/commanded": recording.command_time.size,
+        "power": recording.power_time.size,
+    }
+    for topic, size in sizes.items():
+        if size < FEWEST_SAMPLES:
             raise IdentificationError(
-                f"{name}: only {stamp.size} samples of {topic}, {FEWEST_SAMPLES} are needed"
+                f"{recording.name}: only {size} samples of {topic} from the rest before the gait to its end, "
+                f"{FEWEST_SAMPLES} are needed"
             )
 
 
@@ -123,12 +145,22 @@ def _gait(states: GaitStates, name: str) -> tuple[Gait, int]:
     """The one gait that was played, and its onset (ns since the epoch)."""
     played = (states.state == RUNNING) & (states.onset > 0)
     onsets = np.unique(states.onset[played])
-    if onsets.size != 1:
-        what = "no gait" if onsets.size == 0 else f"{onsets.size} gaits"
+    count = int(np.sum(np.diff(onsets) > SAME_ONSET)) + 1 if onsets.size else 0
+    if count != 1:
+        what = f"{count} gaits" if count else "no gait"
         raise IdentificationError(f"{name}: holds {what}; give one run a recording, from rest")
     row = int(np.flatnonzero(played)[0])
     gait = Gait(float(states.stroke[row]), float(states.frequency[row]), int(states.direction[row]))
-    return gait, int(onsets[0])
+    return gait, int(states.onset[row])
+
+
+def _span(states: GaitStates, onset: int) -> tuple[int, int]:
+    """Stamps between which the recording counts: from the rest before the gait to the gait's end."""
+    rests = states.stamp[(states.state == RESTING) & (states.stamp <= onset)]
+    first = int(rests[-1]) if rests.size else onset - LONGEST_REST
+    over = ~np.isin(states.state, (RUNNING, STOPPING)) & (states.stamp > onset)
+    ends = states.stamp[over]
+    return first, int(ends[0]) if ends.size else np.iinfo(np.int64).max
 
 
 def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:

@@ -4,6 +4,7 @@
 import json
 import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from worm_model.import_lab import import_lab
 from worm_model.lab_logs import LabSettings
 from worm_model.parameters import KEYS, PAPER, load_parameter_file
 
+ROOT = Path(__file__).resolve().parents[4]
 ERRORS = {"x1_rmse", "length_rmse", "power_rmse", "energy_error"}
 GAIT = Gait(0.08, 0.25)
 
@@ -183,6 +185,19 @@ def test_what_a_readme_says_is_given(tmp_path):
     assert given.estimate("rear_mass").high == pytest.approx(0.434)
     assert not given.estimate("slack").identifiable
     assert given_by_folder(tmp_path / "none").parameters == PAPER
+
+
+@pytest.mark.parametrize(("name", "direction"), [("forward", 1), ("reverse", -1)])
+def test_bags_of_the_driver_are_read_from_rest_to_the_end_of_the_gait(name, direction):
+    path = ROOT / "bags" / name
+    if not path.is_dir():
+        pytest.skip(f"no bag {path}")
+    recording = read_recording(path)
+    assert recording.gait.direction == direction
+    assert recording.at_rest.sum() >= 10
+    cycles = recording.command_time[-1] * recording.gait.frequency
+    assert cycles == pytest.approx(round(cycles), abs=0.02)
+    assert np.nanmax(direction * recording.x1) > 0.03
 
 
 def test_every_sample_of_a_bag_is_read(tmp_path):

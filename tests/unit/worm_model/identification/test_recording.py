@@ -58,6 +58,53 @@ def test_a_run_of_two_gaits_is_refused():
         recording_of(run(gait_state=twice), "r")
 
 
+def test_an_onset_that_is_told_anew_with_each_cycle_is_one_run():
+    states = run().gait_state
+    told = replace(
+        states,
+        **{
+            name: np.concatenate([getattr(states, name), getattr(states, name)[1:]])
+            for name in ("state", "stroke", "frequency", "direction", "margin", "cycle", "cycles")
+        },
+        stamp=np.concatenate([states.stamp, states.stamp[1:] + 4 * 10**9]),
+        onset=np.concatenate([states.onset, states.onset[1:] + 700]),
+    )
+    assert recording_of(run(gait_state=told), "r").gait == GAIT
+
+
+def test_only_the_rest_before_the_gait_and_the_gait_count():
+    whole = run()
+    states = whole.gait_state
+    idle, resting, running = 1, RESTING, RUNNING
+    times = np.array([0.0, 1.0, 2.0, 6.0])
+    ended = GaitStates(
+        stamp=states.stamp[0] + (times * 1e9).astype(np.int64),
+        state=np.array([idle, resting, running, idle]),
+        stroke=np.array([0.0, GAIT.stroke, GAIT.stroke, 0.0]),
+        frequency=np.array([0.0, GAIT.frequency, GAIT.frequency, 0.0]),
+        direction=np.array([0, 1, 1, 0]),
+        margin=np.zeros(4),
+        onset=np.array([0, 0, states.onset[1], 0]),
+        cycle=np.array([0, 0, 1, 0]),
+        cycles=np.array([0, 1, 1, 0]),
+    )
+    found = recording_of(replace(whole, gait_state=ended), "r")
+    for time in (found.camera_time, found.power_time, found.command_time):
+        assert -1.01 <= time[0] <= 0.0
+        assert time[-1] == pytest.approx(4.0, abs=0.04)
+    idle_samples = found.power[:10]
+    assert idle_power_of(found).value == pytest.approx(idle_samples.mean())
+
+
+def test_a_power_sensor_that_pauses_is_named():
+    found = recording()
+    kept = (found.power_time < 2.0) | (found.power_time > 3.0)
+    paused = replace(found, power_time=found.power_time[kept], power=found.power[kept])
+    length = measured_length(paused)
+    texts = remarks(paused, length, traverse_of(paused, length, PAPER.pitch))
+    assert "without a power sample" in " ".join(texts)
+
+
 def test_commands_that_are_not_the_gait_are_refused():
     states = run().gait_state
     wrong = replace(states, stroke=np.full(2, 0.06))
