@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from harness import LATCHED, Probe, Processes
-from recorded_run import EPOCH, GAIT, REST_S, simulated_run, write_bag
+from recorded_run import AFTER_S, EPOCH, GAIT, REST_S, simulated_run, write_bag
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
@@ -40,7 +40,8 @@ def test_everything_is_published_in_order_with_the_bags_time(
     powers = probe.collect(Power, "power")
     states = probe.collect(GaitState, "gait_state", LATCHED)
     clocks = probe.collect(Clock, "/clock")
-    player = processes.start_executable("worm_model", "play", str(bag), "--rate", "5")
+    player = processes.start_executable("worm_model", "play", str(bag), "--rate", "5", "--paused")
+    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag")
     probe.wait_for(lambda: len(powers) == len(RUN.power.stamp), "all power samples")
     probe.wait_for(lambda: len(trackers) == len(RUN.tracker.stamp), "all positions")
@@ -95,7 +96,9 @@ def test_it_starts_in_the_middle_with_what_was_latched(
         "10",
         "--exclude",
         "tracker|length",
+        "--paused",
     )
+    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag")
     expected = RUN.power.stamp[RUN.power.stamp >= EPOCH + 3 * 10**9].tolist()
     probe.wait_for(lambda: len(powers) == len(expected), "the later samples")
@@ -123,7 +126,9 @@ def test_the_live_twin_yields_what_the_offline_replay_yields(
     states = probe.collect(TwinState, "twin/state", 10_000)
     twin = processes.start_node("worm_model", "twin_node", use_sim_time=True)
     probe.wait_for(lambda: probe.node.count_subscribers("/worm/power") > 0, "the twin", TIMEOUT_S)
-    player = processes.start_executable("worm_model", "play", str(bag), "--rate", "2")
+    player = processes.start_executable(
+        "worm_model", "play", str(bag), "--rate", "2", "--delay", "4"
+    )
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
     offline = replay_run(RUN, PAPER).states
     last = int(offline["stamp_ns"][-1])
@@ -163,6 +168,5 @@ def test_the_run_of_these_tests_is_one_that_moves():
     assert isinstance(RUN, Run)
     moving = RUN.tracker.rear_position[-1] - RUN.tracker.rear_position[0]
     assert moving > 0.01
-    assert (RUN.tracker.stamp[-1] - EPOCH) * 1e-9 == pytest.approx(
-        REST_S + 2 * GAIT.period, abs=0.1
-    )
+    length = REST_S + 2 * GAIT.period + AFTER_S
+    assert (RUN.tracker.stamp[-1] - EPOCH) * 1e-9 == pytest.approx(length, abs=0.1)

@@ -103,16 +103,16 @@ def test_what_is_lost_is_counted(processes: Processes, probe: Probe, tmp_path: P
         *("worm_driver", "record", "tracker", "-o", str(tmp_path / "bag"), "--depth", "1", "--json")
     )
     recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
-    publish(positions, range(300))
+    publish(positions, range(3000))
     recorder.interrupt()
     assert recorder.wait(TIMEOUT_S) == 0
     outcome = json.loads(next(x for x in recorder.output().splitlines() if x.startswith("{")))
     found = recorded(tmp_path / "bag")
     assert outcome["dropped"] > 0
     assert len(found) == outcome["messages"]
-    assert found[-1] == 299.0
+    assert found[-1] == 2999.0
     # What was lost before the first message that arrived cannot be known.
-    assert outcome["dropped"] == 300 - len(found) - found[0]
+    assert outcome["dropped"] == 3000 - len(found) - found[0]
 
 
 def test_all_topics_and_a_new_publisher_that_offers_less(

@@ -31,6 +31,8 @@ from worm_model.keyboard import keys_of_terminal, pressed
 from worm_model.timeline import Timeline
 
 LONGEST_WAIT_S = 0.005  # between two looks at services and keys
+SETTLED_S = 0.3  # without a new subscriber: discovery tells of them one by one
+MATCHING_S = 3.0  # that a subscriber has to be connected
 ACKNOWLEDGED_S = 2.0  # that the last messages have to reach their subscribers
 VOLATILE_DEPTH = 1000  # of samples that may wait for a slow subscriber
 LATCHED_DEPTH = 10
@@ -94,8 +96,11 @@ class PlayNode(Node):
         self._clock_due = 0.0
         self._pending: Message | None = None
         self._messages: Iterator[Message] = iter(())
-        self._timeline = Timeline(self._first_ns, time.monotonic(), options.rate, options.paused)
+        self._timeline = Timeline(self._first_ns, time.monotonic(), options.rate, paused=True)
         self._begun = False
+        self._subscribers: dict[str, tuple[int, int]] = {}
+        self._changed = time.monotonic()  # when subscribers came or went
+        self._wanted = not options.paused
         self.finished = False
         self.published = 0
         self.create_service(Trigger, "~/pause", self._serve_pause)
@@ -150,6 +155,8 @@ class PlayNode(Node):
         if not self._begun:
             self.begin()
         wall = time.monotonic()
+        if self._wanted and self._timeline.paused and self._is_heard(wall):
+            self._timeline = self._timeline.resume(wall)
         now_ns = self._timeline.at(wall)
         while self._pending is not None and self._pending.log_time <= now_ns:
             self._publish_next()
@@ -160,6 +167,21 @@ class PlayNode(Node):
         if self._pending is not None:
             due = min(due, self._timeline.wall_at(self._pending.log_time))
         return due
+
+    def _is_heard(self, wall: float) -> bool:
+        """Whether all subscribers that there are get what is published, and none has come for a moment.
+
+        Those that cannot be connected to are not waited for long.
+        """
+        counts = {
+            topic: (publisher.get_subscription_count(), self.count_subscribers(topic))
+            for topic, publisher in self._publishers_by_topic.items()
+        }
+        if counts != self._subscribers:
+            self._subscribers, self._changed = counts, wall
+        settled = wall > self._changed + SETTLED_S
+        connected = all(reached >= known for reached, known in counts.values())
+        return settled and (connected or wall > self._changed + MATCHING_S)
 
     def _publish_next(self) -> None:
         assert self._pending is not None
@@ -196,11 +218,12 @@ class PlayNode(Node):
 
     def pause(self) -> None:
         """The bag's time stands."""
+        self._wanted = False
         self._timeline = self._timeline.pause(time.monotonic())
 
     def resume(self) -> None:
-        """The bag's time goes on."""
-        self._timeline = self._timeline.resume(time.monotonic())
+        """The bag's time goes on as soon as all subscribers are connected."""
+        self._wanted = True
 
     def step(self) -> str:
         """Pause, and publish the next message; returns its topic, empty at the end."""
@@ -218,10 +241,10 @@ class PlayNode(Node):
     def press(self, keys: str) -> None:
         """Act on keys: see HELP."""
         if " " in keys:
-            if self._timeline.paused:
-                self.resume()
-            else:
+            if self._wanted:
                 self.pause()
+            else:
+                self.resume()
         if "s" in keys or "\x1b[C" in keys:
             self.step()
         if "q" in keys:
