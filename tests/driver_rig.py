@@ -115,6 +115,9 @@ class SimulatedPort(BusPort):
         self.ser._check()
         return self.ser.wait(timeout)
 
+    def writePort(self, packet) -> int:
+        return self.ser.write(packet)
+
     def closePort(self) -> None:
         self.is_open = False
 

@@ -14,6 +14,8 @@ What version 4.1.0 of the SDK does behind its caller's back is put right here:
 """
 
 import contextlib
+import errno
+import os
 import select
 import termios
 import threading
@@ -40,15 +42,12 @@ from worm_driver.stuffing import stuff, unstuff
 
 BROADCAST = 254
 
-#: s, after which a write is given up: an adapter that takes no bytes would otherwise hold the thread for ever
+#: s, after which a write is given up: pyserial would wait for ever for an adapter that takes no bytes
 _WRITE_TIMEOUT = 0.05
 #: repetitions of an exchange while setting up
 _PATIENT_RETRIES = 8
-_INSTRUCTION = 7  # index of the first byte that stuffing covers
-_LENGTH = 5
-_ID = 4
-_ERROR = 8
-_PARAMETERS = 9
+# Where things stand in a packet; stuffing covers all from the instruction on.
+_ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
 _ALERT = 0x80
 
 
@@ -107,6 +106,16 @@ class BusPort(PortHandler):
             return b""
         return self.ser.read(length)
 
+    def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
+        """Sends all bytes. Raises OSError when the device takes none for too long."""
+        left = memoryview(bytes(packet))
+        device = self.ser.fileno()
+        while left:
+            if not select.select([], [device], [], _WRITE_TIMEOUT)[1]:
+                raise OSError(errno.ETIMEDOUT, "it takes no bytes")
+            left = left[os.write(device, left) :]
+        return len(packet)
+
     def discard_until_quiet(self, longest: float) -> None:
         """Throws bytes away until none came for the quiet time, for at most ``longest`` s."""
         end = self._clock() + longest
@@ -122,9 +131,7 @@ class BusPort(PortHandler):
         """Opens the device for this process alone."""
         if self.is_open:
             self.closePort()
-        self.ser = serial.Serial(
-            self.port_name, cflag_baud, timeout=0, write_timeout=_WRITE_TIMEOUT, exclusive=True
-        )
+        self.ser = serial.Serial(self.port_name, cflag_baud, timeout=0, exclusive=True)
         self.is_open = True
         serial_port.refuse_other_openers(self.ser.fileno())
         with contextlib.suppress(
