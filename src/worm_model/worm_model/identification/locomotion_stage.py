@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.blocks import Solution, normal_equations, solve
+from worm_model.identification.blocks import Solution, normal_equations, solve, with_fixed
+from worm_model.identification.errors import IdentificationError
 from worm_model.identification.estimate import Estimate, follow_profile, quantile
 from worm_model.identification.grooves import (
     GrooveFit,
@@ -28,6 +29,7 @@ from worm_model.identification.locomotion import (
     Landscape,
     Traverse,
     find_locomotion,
+    locomotion_problem,
     search,
     slide,
     with_values,
@@ -61,7 +63,8 @@ class LocomotionResult:
     ``dry_friction`` (rear, front) N with ``dry_deviation`` their standard deviations; ``initial_length`` (runs,) m;
     ``residuals`` of each run in m; ``inflation`` of the variance for what is not white in them; ``correlation`` of
     (η, p_sw, rear, front dry friction); ``variants``: fits under a fin test that is one standard deviation off,
-    one a direction of its covariance; ``stiffer``: a fit whose η is one standard deviation higher.
+    one a direction of its covariance; ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``:
+    (η, p_sw) that minimise J_loc as it is printed, without dry friction and with grooves that are alike.
     """
 
     viscous_friction: Estimate
@@ -76,6 +79,7 @@ class LocomotionResult:
     fit: GrooveFit
     variants: tuple[tuple[Parameters, GrooveFit], ...]
     stiffer: GrooveFit
+    as_printed: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -94,10 +98,14 @@ def identify_locomotion(
 ) -> LocomotionResult:
     """η and p_sw of all runs, the other ``parameters`` given; ``fin`` tells how well its three are known.
 
-    Without it the intervals hold under the given fins alone.
+    Without it the intervals hold under the given fins alone. Raises `IdentificationError` if the fit
+    does not settle.
     """
     landscape = search(traverses, parameters, lambda done: progress(0.3 * done))
     start = find_locomotion(traverses, parameters, landscape)
+    problem = locomotion_problem(traverses, parameters)
+    frictionless = with_fixed(with_fixed(problem, 3, 0.0), 2, 0.0)
+    plain = solve(frictionless, start.shared[:2], start.own).shared
     fit = fit_grooves(traverses, parameters, start)
     progress(0.5)
     inflation = _inflation(traverses, fit.solution)
@@ -106,6 +114,11 @@ def identify_locomotion(
         if better is None:
             break
         fit = replace(fit, solution=better)
+    else:
+        raise IdentificationError(
+            "viscous_friction, switching_threshold: the fit kept finding a better solution far from the last, so "
+            "that no interval holds: leave out runs whose markers were hidden for long, or add runs"
+        )
     progress(0.9)
     variants = _variants(traverses, parameters, fit, fin)
     matrix, _ = normal_equations(
@@ -133,6 +146,7 @@ def identify_locomotion(
         fit=fit,
         variants=variants,
         stiffer=_stiffer(traverses, parameters, fit, friction),
+        as_printed=(float(plain[0]), float(plain[1])),
     )
 
 

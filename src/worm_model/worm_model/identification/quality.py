@@ -30,6 +30,8 @@ def follows_command(recording: Recording, length: MeasuredLength) -> str:
     A stuck servo, a slipped cable and a tracker that mixes up its markers look like this.
     """
     after = (recording.camera_time > 0.0) & np.isfinite(recording.length)
+    if not after.any():
+        return f"{recording.name}: the tracker saw no length after the gait's onset"
     realised = float(np.ptp(np.quantile(recording.length[after], [0.02, 0.98])))
     commanded = float(np.ptp(recording.command))
     if realised < FOLLOWS * commanded:

@@ -156,7 +156,8 @@ def nuisance_text(result: Identification) -> str:
         for value, deviation in zip(locomotion.dry_friction, locomotion.dry_deviation, strict=True)
     )
     head = (
-        f"Dry friction: rear module {rear}, front module {front}. "
+        f"Dry friction: rear module {rear}, front module {front}; without it, as J_loc is printed, "
+        f"η = {locomotion.as_printed[0]:.1f} N·s/m and p_sw = {locomotion.as_printed[1] * 1e3:.2f} mm. "
         f"Grooves differ by {scatter.threshold * 1e3:.3f} mm "
         f"in threshold and {scatter.stiffness * 100:.1f} % in stiffness (standard deviations). Residuals of x1 weigh "
         f"{locomotion.inflation:.2f} times white noise of the camera.\n\n"

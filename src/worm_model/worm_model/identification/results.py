@@ -103,6 +103,9 @@ def nuisances(result: Identification) -> dict[str, Any]:
     return {
         "rear_dry_friction": locomotion.dry_friction[0],
         "front_dry_friction": locomotion.dry_friction[1],
+        "without_dry_friction": dict(
+            zip(("viscous_friction", "switching_threshold"), locomotion.as_printed, strict=True)
+        ),
         "threshold_scatter": locomotion.fit.scatter.threshold,
         "stiffness_scatter": locomotion.fit.scatter.stiffness,
         "initial_length": {
