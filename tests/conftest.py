@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixtures for all tests."""
 
+import itertools
 import os
 import signal
 from collections.abc import Iterator
@@ -33,9 +34,14 @@ def shared() -> Path:
     return path
 
 
+DOMAINS = itertools.cycle(
+    range(1, 101)
+)  # no test has its predecessor's, whose killed processes are still announced
+
+
 def _free_domain(environment: pytest.MonkeyPatch) -> Iterator[int]:
     domain_coordinator = pytest.importorskip("domain_coordinator", reason="no ROS is installed")
-    with domain_coordinator.domain_id() as domain:
+    with domain_coordinator.domain_id(lambda: next(DOMAINS)) as domain:
         environment.setenv("ROS_DOMAIN_ID", str(domain))
         yield domain
 

@@ -95,8 +95,11 @@ class Probe:
     def call(self, kind: type, name: str, request: Any, timeout_s: float = TIMEOUT_S) -> Any:
         """Call a service once it is there and return its response."""
         client = self.node.create_client(kind, name)
-        self.wait_for(client.service_is_ready, f"service {name}", timeout_s)
-        return self.result(client.call_async(request), f"response of {name}", timeout_s)
+        try:
+            self.wait_for(client.service_is_ready, f"service {name}", timeout_s)
+            return self.result(client.call_async(request), f"response of {name}", timeout_s)
+        finally:
+            self.node.destroy_client(client)
 
     def send_goal(
         self,

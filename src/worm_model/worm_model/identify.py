@@ -32,6 +32,8 @@ def _parser() -> Parser:
     parser = Parser(
         prog="identify",
         description="Identifies the worm's parameters from recorded runs, each from rest over five ridges.",
+        epilog="Masses, pitch and unstressed length come from --parameters, else from the README.md of a "
+        "lab's folder, else from the paper.",
     )
     parser.add_argument(
         "runs",

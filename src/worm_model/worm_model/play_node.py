@@ -31,8 +31,7 @@ from worm_model.keyboard import keys_of_terminal, pressed
 from worm_model.timeline import Timeline
 
 LONGEST_WAIT_S = 0.005  # between two looks at services and keys
-SETTLED_S = 0.3  # without a new subscriber: discovery tells of them one by one
-MATCHING_S = 3.0  # that a subscriber has to be connected
+MATCHING_S = 3.0  # that a subscriber which cannot be connected is waited for
 ACKNOWLEDGED_S = 2.0  # that the last messages have to reach their subscribers
 VOLATILE_DEPTH = 1000  # of samples that may wait for a slow subscriber
 LATCHED_DEPTH = 10
@@ -155,10 +154,10 @@ class PlayNode(Node):
         if not self._begun:
             self.begin()
         wall = time.monotonic()
-        if self._wanted and self._timeline.paused and self._is_heard(wall):
+        if self._timeline.paused and self._is_heard(wall) and self._wanted:
             self._timeline = self._timeline.resume(wall)
         now_ns = self._timeline.at(wall)
-        while self._pending is not None and self._pending.log_time <= now_ns:
+        while not self._timeline.paused and self._pending and self._pending.log_time <= now_ns:
             self._publish_next()
         if self._pending is None and not self._timeline.paused:
             self._end()
@@ -169,9 +168,9 @@ class PlayNode(Node):
         return due
 
     def _is_heard(self, wall: float) -> bool:
-        """Whether all subscribers that there are get what is published, and none has come for a moment.
+        """Whether all subscribers that there are get what is published, and none has come for a while.
 
-        Those that cannot be connected to are not waited for long.
+        Both sides of a connection learn of it at different times, and discovery tells of subscribers one by one.
         """
         counts = {
             topic: (publisher.get_subscription_count(), self.count_subscribers(topic))
@@ -179,9 +178,9 @@ class PlayNode(Node):
         }
         if counts != self._subscribers:
             self._subscribers, self._changed = counts, wall
-        settled = wall > self._changed + SETTLED_S
         connected = all(reached >= known for reached, known in counts.values())
-        return settled and (connected or wall > self._changed + MATCHING_S)
+        patience = self._options.delay + (0.0 if connected else MATCHING_S)
+        return wall >= self._changed + patience
 
     def _publish_next(self) -> None:
         assert self._pending is not None
@@ -226,10 +225,12 @@ class PlayNode(Node):
         self._wanted = True
 
     def step(self) -> str:
-        """Pause, and publish the next message; returns its topic, empty at the end."""
+        """Pause, and publish the next message once it is heard; returns its topic, empty at the end."""
         if not self._begun:
             self.begin()
         self.pause()
+        while not self._is_heard(time.monotonic()):
+            time.sleep(LONGEST_WAIT_S)
         if self._pending is None:
             return ""
         topic, log_time = self._pending.topic, self._pending.log_time
@@ -295,7 +296,11 @@ def _parser() -> Parser:
     )
     parser.add_argument("--paused", action="store_true", help="begin paused")
     parser.add_argument(
-        "--delay", type=_not_negative, default=1.0, metavar="S", help="for discovery (default 1 s)"
+        "--delay",
+        type=_not_negative,
+        default=1.0,
+        metavar="S",
+        help="without a new subscriber, before the first message (default 1 s)",
     )
     parser.add_argument(
         "--clock",
@@ -332,7 +337,7 @@ def _play(options: argparse.Namespace) -> None:
         executor.add_node(node)
         try:
             with keys_of_terminal():
-                _spin(node, executor, options.delay)
+                _spin(node, executor)
         except (KeyboardInterrupt, ExternalShutdownException):
             pass
         finally:
@@ -341,10 +346,7 @@ def _play(options: argparse.Namespace) -> None:
             node.destroy_node()
 
 
-def _spin(node: PlayNode, executor: SingleThreadedExecutor, delay: float) -> None:
-    ready = time.monotonic() + delay
-    while time.monotonic() < ready:
-        executor.spin_once(timeout_sec=LONGEST_WAIT_S)
+def _spin(node: PlayNode, executor: SingleThreadedExecutor) -> None:
     while not node.finished:
         due = node.advance()
         executor.spin_once(timeout_sec=0.0)

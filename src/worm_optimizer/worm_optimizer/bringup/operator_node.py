@@ -14,8 +14,8 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.action import ActionClient
 from rclpy.client import Client
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
@@ -27,6 +27,7 @@ from worm_optimizer.prediction import Prediction
 
 NODES_TIMEOUT_S = 120.0  # a twin whose kernel is not compiled yet does that first
 DISCOVERY_TIMEOUT_S = 30.0
+LEASE_S = 25.0  # DDS believes for 20 s that a participant lives which says nothing any more
 CALL_TIMEOUT_S = 10.0
 OPTIMIZER_TIMEOUT_S = 120.0  # it may still be searching its front
 REQUEST_PERIOD_S = 1.0
@@ -44,14 +45,20 @@ class OperatorError(RuntimeError):
 
 @contextmanager
 def operator(namespace: str, check: Callable[[], None]) -> Iterator[OperatorNode]:
-    """An operator's node with a ROS context of its own, in which signals stay Python's."""
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    """An operator's node with a ROS context of its own, in which signals stay Python's.
+
+    Nothing of it is announced in the ROS graph afterwards, whatever happened.
+    """
+    context = rclpy.Context()
+    context.init(args=[])
     try:
-        node = OperatorNode(namespace, check)
-        yield node
-        node.destroy_node()
+        node = OperatorNode(namespace, check, context)
+        try:
+            yield node
+        finally:
+            node.destroy_node()
     finally:
-        rclpy.try_shutdown()
+        context.try_shutdown()
 
 
 class OperatorNode(Node):
@@ -60,30 +67,43 @@ class OperatorNode(Node):
     ``check`` is called while waiting and may raise, such as when a node's process has died.
     """
 
-    def __init__(self, namespace: str, check: Callable[[], None]) -> None:
-        super().__init__("operator", namespace=namespace)
+    def __init__(self, namespace: str, check: Callable[[], None], context: rclpy.Context) -> None:
+        super().__init__("operator", namespace=namespace, context=context)
         self._check = check
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self)
+
+    def destroy_node(self) -> None:
+        """End the node and what spins it."""
+        self._executor.shutdown()
+        super().destroy_node()
 
     def wait_for_nodes(self, names: Iterable[str]) -> None:
         """Wait until these nodes are there; raises `OperatorError` if one is not, or is there twice.
 
         Two nodes of one name in this ROS domain mean that another worm runs, and commands would reach
-        both.
+        both; those of a process that was killed go after a while.
         """
-        expected = sorted({*names, self.get_name()})
-        self._wait(lambda: set(expected) <= set(self._names()), NODES_TIMEOUT_S)
-        found = sorted(self._names())
-        missing = [name for name in expected if name not in found]
+        expected = {*names, self.get_name()}
+        self._wait(lambda: expected <= set(self._names()), NODES_TIMEOUT_S)
+        missing = sorted(expected - set(self._names()))
         if missing:
             raise OperatorError(f"no node {missing[0]} within {NODES_TIMEOUT_S:g} s")
-        if any(found.count(name) > 1 for name in expected):
-            raise self._another_worm(found)
+        if not self._wait(lambda: not self._repeated(expected), LEASE_S):
+            raise self._another_worm(sorted(self._names()))
+
+    def _repeated(self, names: set[str]) -> list[str]:
+        found = self._names()
+        return [name for name in names if found.count(name) > 1]
 
     def refuse_strangers(self, names: Iterable[str]) -> None:
-        """Raise `OperatorError` if the namespace has other nodes than these: another worm runs."""
-        found = sorted(self._names())
-        if found != sorted({*names, self.get_name()}):
-            raise self._another_worm(found)
+        """Raise `OperatorError` if the namespace has other nodes than these: another worm runs.
+
+        A process that was killed is announced for a while after its end, and is waited for.
+        """
+        expected = sorted({*names, self.get_name()})
+        if not self._wait(lambda: sorted(self._names()) == expected, LEASE_S):
+            raise self._another_worm(sorted(self._names()))
 
     def _another_worm(self, found: list[str]) -> OperatorError:
         return OperatorError(
@@ -165,6 +185,14 @@ class OperatorNode(Node):
         ``progress`` gets the number of cycles begun.
         """
         client = ActionClient(self, RunGait, "run_gait")
+        try:
+            self._run_goal(client, gait, cycles, progress)
+        finally:
+            client.destroy()  # else the node stays announced
+
+    def _run_goal(
+        self, client: ActionClient, gait: model.Gait, cycles: int, progress: Callable[[int], None]
+    ) -> None:
         if not self._wait(client.server_is_ready, DISCOVERY_TIMEOUT_S):
             raise OperatorError("no action run_gait")
         goal = RunGait.Goal(cycles=cycles)
@@ -218,7 +246,7 @@ class OperatorNode(Node):
             if time.monotonic() > deadline:
                 return False
             self._check()
-            rclpy.spin_once(self, timeout_sec=SPIN_S)
+            self._executor.spin_once(timeout_sec=SPIN_S)
         return True
 
 
