@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag played onto topics, and the live twin that listens."""
 
+import signal
 from itertools import pairwise
 from pathlib import Path
 
@@ -141,6 +142,19 @@ def test_the_live_twin_yields_what_the_offline_replay_yields(
     assert [stamp(m) for m in states] == offline["stamp_ns"].tolist()
     for name, values in live.items():
         np.testing.assert_allclose(values, offline[name], rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_it_in_order(
+    processes: Processes, probe: Probe, bag: Path, number: signal.Signals
+):
+    clocks = probe.collect(Clock, "/clock")
+    player = processes.start_executable("worm_model", "play", str(bag), "--loop")
+    probe.wait_for(lambda: len(clocks) > 10, "time that is told")
+    player.signal(number)
+    assert player.wait(TIMEOUT_S) == 0
+    assert "messages published" in player.last_line()
+    assert "Traceback" not in player.output()
 
 
 @pytest.mark.parametrize(

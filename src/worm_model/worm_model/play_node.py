@@ -8,15 +8,15 @@ import importlib
 import re
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import rclpy
 import yaml
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -28,6 +28,7 @@ from worm_model.bags.bag import Bag, Message, Topic
 from worm_model.bags.opening import open_bag
 from worm_model.command_line import InputError, Parser, number, run_command
 from worm_model.keyboard import keys_of_terminal, pressed
+from worm_model.ros_process import ros_process
 from worm_model.timeline import Timeline
 
 LONGEST_WAIT_S = 0.005  # between two looks at services and keys
@@ -316,7 +317,7 @@ def _parser() -> Parser:
     return parser
 
 
-def _play(options: argparse.Namespace) -> None:
+def _play(ended: Callable[[], bool], options: argparse.Namespace) -> None:
     try:
         re.compile(options.exclude)
     except re.error as error:
@@ -337,17 +338,15 @@ def _play(options: argparse.Namespace) -> None:
         executor.add_node(node)
         try:
             with keys_of_terminal():
-                _spin(node, executor)
-        except (KeyboardInterrupt, ExternalShutdownException):
-            pass
+                _spin(node, executor, ended)
         finally:
             sys.stderr.write(f"play: {node.published} messages published\n")
             executor.shutdown()
             node.destroy_node()
 
 
-def _spin(node: PlayNode, executor: SingleThreadedExecutor) -> None:
-    while not node.finished:
+def _spin(node: PlayNode, executor: SingleThreadedExecutor, ended: Callable[[], bool]) -> None:
+    while not (node.finished or ended()):
         due = node.advance()
         executor.spin_once(timeout_sec=0.0)
         node.press(pressed())
@@ -361,8 +360,5 @@ def _notify(line: str) -> None:
 
 def main() -> int:
     """Entry point of the executable play."""
-    rclpy.init()
-    try:
-        return run_command(_parser(), _play, remove_ros_args(sys.argv)[1:])
-    finally:
-        rclpy.try_shutdown()
+    with ros_process() as ended:
+        return run_command(_parser(), partial(_play, ended), remove_ros_args(sys.argv)[1:])

@@ -12,12 +12,11 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -26,6 +25,7 @@ from visualization_msgs.msg import MarkerArray
 from worm_model import ros_twin, warm_up
 from worm_model.gait import GaitError
 from worm_model.parameters import ParameterError, load_parameters
+from worm_model.ros_process import ros_process
 from worm_model.ros_scene import marker_array
 from worm_model.twin import Twin
 from worm_model.twin_forecast import ForecastError, forecast
@@ -204,11 +204,11 @@ class TwinNode(Node):
         self._diagnostics.publish(message)
 
 
-def _spin(node: TwinNode) -> None:
+def _spin(node: TwinNode, ended: Callable[[], bool]) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     polls = 0
-    while rclpy.ok():
+    while not ended():
         node.poll()
         polls += 1
         if polls % POLLS_PER_SPIN == 0:
@@ -219,20 +219,16 @@ def _spin(node: TwinNode) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the twin until SIGINT or SIGTERM; returns the exit status."""
     warm_up.main()  # nothing may compile between two samples
-    rclpy.init(args=arguments)
-    node = None
-    try:
-        node = TwinNode()
-        _spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except ParameterError as error:
-        sys.stderr.write(f"twin: {error}\n")
-        return 2
-    finally:
-        if node is not None:
+    with ros_process(arguments) as ended:
+        try:
+            node = TwinNode()
+        except ParameterError as error:
+            sys.stderr.write(f"twin: {error}\n")
+            return 2
+        try:
+            _spin(node, ended)
+        finally:
             node.destroy_node()
-        rclpy.try_shutdown()
     return 0
 
 

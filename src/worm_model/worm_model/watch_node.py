@@ -9,14 +9,13 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import remove_ros_args
 
 from worm_model.parameters import ParameterError, load_parameters
+from worm_model.ros_process import ros_process, spin
 from worm_model.ros_twin import gait_sample
 from worm_model.twin_records import Health, LengthSource
 from worm_model.watch import CLEAR, View, render
@@ -99,17 +98,12 @@ def main() -> int:
     except ParameterError as error:
         sys.stderr.write(f"watch: {error}\n")
         return 2
-    rclpy.init()
-    node = WatchNode(pitch)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    with ros_process() as ended:
+        node = WatchNode(pitch)
+        try:
+            spin(node, ended)
+        finally:
+            node.destroy_node()
     return 0
 
 

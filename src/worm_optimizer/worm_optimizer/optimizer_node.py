@@ -8,18 +8,17 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
+from worm_model.ros_process import ros_process, spin
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.srv import RequestGait
 from worm_optimizer import ros_messages, ros_parameters
@@ -245,19 +244,15 @@ class OptimizerNode(Node):
 
 def main() -> int:
     """Runs the node until it is told to stop; 2 if its parameters cannot work."""
-    rclpy.init()
-    node = None
-    try:
-        node = OptimizerNode()
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except (OptimizerError, ParameterError, OSError) as error:
-        print(f"optimizer_node: {error}", file=sys.stderr)  # noqa: T201 - before there is a node to log
-        return 2
-    finally:
-        if node is not None:
+    with ros_process() as ended:
+        try:
+            node = OptimizerNode()
+        except (OptimizerError, ParameterError, OSError) as error:
+            print(f"optimizer_node: {error}", file=sys.stderr)  # noqa: T201 - before there is a node to log
+            return 2
+        try:
+            spin(node, ended)
+        finally:
             node.close()
             node.destroy_node()
-        rclpy.try_shutdown()
     return 0
