@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-import shutil
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from worm_model.bags.bag import Bag
+from worm_model.bags.draft import new_folder
 from worm_model.bags.opening import open_bag
 from worm_model.bags.tables import TEXT, Rows, Table, find_tables, read_tables
 from worm_model.command_line import InputError, Parser, new_file, print_json, run_command
@@ -100,22 +100,16 @@ def export(bag: Bag, output: Path, kind: str, topics: list[str]) -> dict[str, in
     tables, failed = find_tables(bag, topics or bag.topics)
     for name, reason in failed.items():
         sys.stderr.write(f"export: {name} is left out: {reason}\n")
-    draft = output.with_name(f".{output.name}.draft")
-    draft.mkdir()
     rows: dict[str, int] = {}
-    try:
-        with ExitStack() as stack:
-            writers: dict[str, TableWriter] = {}
-            for table in tables:
-                file = f"{file_stem(table.topic.name)}.{kind}"
-                writers[table.topic.name] = WRITERS[kind](draft / file, table)
-                stack.callback(writers[table.topic.name].close)
-                rows[file] = table.topic.count
-            for table, batch in read_tables(bag, tables):
-                writers[table.topic.name].write(batch)
-        draft.rename(output)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
+    with new_folder(output) as draft, ExitStack() as stack:
+        writers: dict[str, TableWriter] = {}
+        for table in tables:
+            file = f"{file_stem(table.topic.name)}.{kind}"
+            writers[table.topic.name] = WRITERS[kind](draft / file, table)
+            stack.callback(writers[table.topic.name].close)
+            rows[file] = table.topic.count
+        for table, batch in read_tables(bag, tables):
+            writers[table.topic.name].write(batch)
     return rows
 
 

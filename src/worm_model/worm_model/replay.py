@@ -21,7 +21,7 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.bags.run_writer import encode_stamped
 from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic, offered_qos
-from worm_model.bags.writer import BagWriter
+from worm_model.bags.writer import ROSBAG2_RECORD, BagWriter
 from worm_model.command_line import Parser, add_parameters, new_file, print_json, run_command
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.replay_metrics import CycleReport, Followed, ReplayReport, report_replay
@@ -50,9 +50,9 @@ def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str) -> None
     with BagWriter(output) as writer:
         for attached in bag.attachments():
             writer.add_attachment(attached)
-        for name, values in bag.metadata.items():
-            if name != "rosbag2":
-                writer.add_metadata(name, values)
+        for record in bag.records:
+            if record.name != ROSBAG2_RECORD:
+                writer.add_metadata(record.name, dict(record.values))
         for topic in [*kept, *own.values()]:
             writer.add_topic(topic)
         messages = [bag.messages([topic.name for topic in kept])]

@@ -11,6 +11,14 @@ import pytest
 import yaml
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_ros2.writer import Writer as Ros2Writer
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
@@ -121,6 +129,39 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
 
 def numbers(bag: Bag, topics: list[str] | None = None) -> list[int]:
     return [struct.unpack_from("<Q", m.data, 4)[0] for m in bag.messages(topics)]
+
+
+@pytest.mark.parametrize("version", [8, 9])
+@pytest.mark.parametrize(
+    ("plugin", "mode"), [(StoragePlugin.SQLITE3, NONE), (StoragePlugin.MCAP, FILE)]
+)
+def test_the_quality_of_service_of_a_topic_is_kept(
+    tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode, version: int
+):
+    forever = QosTime(9223372036, 854775807)
+    latched = Qos(
+        QosHistory.KEEP_LAST,
+        1,
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL,
+        forever,
+        forever,
+        QosLiveliness.AUTOMATIC,
+        forever,
+        avoid_ros_namespace_conventions=False,
+    )
+    writer = RosbagsWriter(tmp_path / "bag", version=version, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection(
+            "/a", TYPE, typestore=get_typestore(Stores.ROS2_JAZZY), offered_qos_profiles=[latched]
+        )
+        writer.write(connection, 1, payload(1))
+    with open_bag(tmp_path / "bag") as bag:
+        (profile,) = yaml.safe_load(dict(bag.topics["/a"].metadata)["offered_qos_profiles"])
+    assert (profile["durability"], profile["reliability"]) == ("transient_local", "reliable")
+    assert (profile["history"], profile["depth"]) == ("keep_last", 1)
+    assert profile["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
 
 
 @pytest.mark.parametrize("writer", WRITERS)

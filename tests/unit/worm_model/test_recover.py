@@ -11,8 +11,11 @@ import pytest
 from recorded_run import simulated_run, write_bag
 
 from worm_model import recover
-from worm_model.bags import writer
+from worm_model.bags import opening, writer
 from worm_model.bags.opening import open_bag
+from worm_model.bags.recovery import Recovery
+from worm_model.bags.recovery import recover as recover_bag
+from worm_model.bags.writer import BagWriter
 
 RUN = simulated_run(cycles=1)
 
@@ -65,6 +68,30 @@ def test_nothing_to_save_is_said_in_one_line(tmp_path: Path, monkeypatch, capsys
     (tmp_path / "empty").mkdir()
     assert command(monkeypatch, tmp_path / name) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_every_gait_of_a_recording_is_kept_once(tmp_path: Path):
+    with BagWriter(tmp_path / "bag") as writer:
+        for stroke in ("0.06", "0.07", "0.06"):
+            writer.add_metadata("worm_gait", {"stroke": stroke, "onset_ns": "1"})
+    recover_bag(tmp_path / "bag", tmp_path / "saved")
+    with open_bag(tmp_path / "saved") as bag:
+        gaits = [dict(record.values) for record in bag.records if record.name == "worm_gait"]
+    assert [gait["stroke"] for gait in gaits] == ["0.06", "0.07"]
+
+
+def test_two_that_open_an_unclosed_bag_at_once_read_the_same_recovery(
+    cut: Path, tmp_path: Path, monkeypatch
+):
+    def meanwhile(source: Path, target: Path) -> Recovery:
+        recover_bag(source, target)  # the other one is faster
+        return recover_bag(source, target)
+
+    monkeypatch.setattr(opening, "recover", meanwhile)
+    with open_bag(cut) as bag:
+        assert bag.path == tmp_path / "bag_recovered"
+        assert bag.message_count > 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag_recovered"]
 
 
 def test_a_full_disk_ends_with_status_1_and_leaves_nothing(

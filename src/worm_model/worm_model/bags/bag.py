@@ -52,6 +52,14 @@ class Message(NamedTuple):
 
 
 @dataclass(frozen=True)
+class MetadataRecord:
+    """Text by key, under a name that several records of a bag may share."""
+
+    name: str
+    values: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
 class AttachedFile:
     """A file that is kept inside a bag."""
 
@@ -74,8 +82,8 @@ class Storage(Protocol):
         ...
 
     @property
-    def metadata(self) -> dict[str, dict[str, str]]:
-        """Metadata records by name; the last one of a name counts."""
+    def records(self) -> tuple[MetadataRecord, ...]:
+        """Metadata records in their order, those that several files repeat once."""
         ...
 
     def attachments(self) -> Iterator[AttachedFile]:
@@ -140,8 +148,13 @@ class Bag:
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Metadata records by name, such as ``worm_run``; empty where the format has none."""
-        return self._storage.metadata
+        """Metadata by name, such as ``worm_run``, the last record of each; empty where the format has none."""
+        return {record.name: dict(record.values) for record in self.records}
+
+    @property
+    def records(self) -> tuple[MetadataRecord, ...]:
+        """All metadata records in their order: a recording has one ``worm_gait`` for each gait that was run."""
+        return self._storage.records
 
     def attachments(self) -> Iterator[AttachedFile]:
         """Files kept inside the bag, such as the parameter file of the run."""

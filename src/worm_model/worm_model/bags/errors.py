@@ -8,5 +8,9 @@ class BagError(ValueError):
     """A bag cannot be read or written; the message is one line that says what is missing and what to do."""
 
 
+class ExistsError(BagError):
+    """What should be written exists already; nothing is overwritten."""
+
+
 class UnwritableError(OSError):
     """The system does not let a bag be written where it should be; the message is one line."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from worm_model.bags.bag import AttachedFile, Message, Topic
+from worm_model.bags.bag import AttachedFile, Message, MetadataRecord, Topic
 from worm_model.bags.errors import BagError
 from worm_model.bags.mcap_file import McapFile, merge
 from worm_model.bags.payloads import Payloads, join
@@ -25,11 +25,12 @@ class McapStorage:
         self._files = files
         self.topics = _topics(files)
         self.span = _span(files)
-        self.metadata = {
-            record.name: dict(record.metadata)
-            for file in files
-            for record in file.contents.metadata
-        }
+        records = (record for file in files for record in file.contents.metadata)
+        self.records = tuple(
+            dict.fromkeys(
+                MetadataRecord(record.name, tuple(record.metadata.items())) for record in records
+            )
+        )
 
     def close(self) -> None:
         """Close the files."""

@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from worm_model.bags.bag import METADATA_FILE, Bag, read_metadata
-from worm_model.bags.errors import BagError, UnwritableError
+from worm_model.bags.errors import BagError, ExistsError, UnwritableError
 from worm_model.bags.mcap_file import McapFile
 from worm_model.bags.mcap_storage import McapStorage
 from worm_model.bags.recovery import (
@@ -108,6 +108,8 @@ def _recovered(path: Path, notify: Notify) -> Bag:
         target = path.with_name(f"{path.stem}_recovered_{number}")
     try:
         report = recover(path, target)
+    except ExistsError:
+        return _recovered(path, notify)  # by another process, at the same time
     except UnwritableError as error:
         raise BagError(
             f"{path} was not closed, and {error}; "

@@ -136,9 +136,9 @@ def _rewrite(files: Sequence[McapFile], target: Path, source: Path) -> int:
     with BagWriter(target, custom) as writer:
         for attached in storage.attachments():
             writer.add_attachment(attached)
-        for name, values in storage.metadata.items():
-            if name != ROSBAG2_RECORD:
-                writer.add_metadata(name, values)
+        for record in storage.records:
+            if record.name != ROSBAG2_RECORD:
+                writer.add_metadata(record.name, dict(record.values))
         for topic in storage.topics:
             writer.add_topic(topic)
         for batch in storage.batches(frozenset(topic.name for topic in storage.topics)):

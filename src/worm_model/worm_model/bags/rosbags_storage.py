@@ -5,14 +5,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import Enum
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
-from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat
+import yaml
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinitionFormat,
+    Qos,
+    QosTime,
+)
 from rosbags.rosbag2 import Reader
 
-from worm_model.bags.bag import AttachedFile, Message, Topic
+from worm_model.bags.bag import AttachedFile, Message, MetadataRecord, Topic
 from worm_model.bags.errors import BagError
 from worm_model.bags.payloads import Payloads, payloads_of
 
@@ -54,7 +63,7 @@ class RosbagsStorage:
             self.topics = tuple(sorted(map(_topic, self._reader.connections), key=lambda t: t.name))
             empty = not self._reader.message_count
             self.span = (0, 0) if empty else (self._reader.start_time, self._reader.end_time - 1)
-        self.metadata: dict[str, dict[str, str]] = {}
+        self.records: tuple[MetadataRecord, ...] = ()
 
     def close(self) -> None:
         """Close the files."""
@@ -95,13 +104,31 @@ class RosbagsStorage:
 
 def _topic(connection: Connection) -> Topic:
     extension = connection.ext
-    encoding = extension.serialization_format if isinstance(extension, ConnectionExtRosbag2) else ""
+    assert isinstance(extension, ConnectionExtRosbag2)
     return Topic(
         name=connection.topic,
         type_name=connection.msgtype,
         count=connection.msgcount,
         definition=connection.msgdef.data,
         definition_format=_FORMATS[connection.msgdef.format],
-        encoding=encoding,
-        metadata=(("topic_type_hash", connection.digest),),
+        encoding=extension.serialization_format,
+        metadata=(
+            (
+                "offered_qos_profiles",
+                yaml.safe_dump([_profile(q) for q in extension.offered_qos_profiles]),
+            ),
+            ("topic_type_hash", connection.digest),
+        ),
     )
+
+
+def _profile(qos: Qos) -> dict[str, Any]:
+    """A quality of service as rosbag2 writes it since version 9."""
+    return {key: _plain(value) for key, value in qos._asdict().items()}
+
+
+def _plain(value: Any) -> Any:
+    """Policies by their names in lower case, times as seconds and nanoseconds."""
+    if isinstance(value, Enum):
+        return value.name.lower()
+    return value._asdict() if isinstance(value, QosTime) else value

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -14,7 +13,8 @@ import yaml
 from mcap.writer import CompressionType, Writer
 
 from worm_model.bags.bag import METADATA_FILE, METADATA_ROOT, AttachedFile, Topic
-from worm_model.bags.errors import BagError, UnwritableError
+from worm_model.bags.draft import new_folder
+from worm_model.bags.errors import UnwritableError
 
 METADATA_VERSION = 9  # ROS 2 Jazzy's
 CHUNK_BYTES = 768 * 1024
@@ -30,17 +30,12 @@ class BagWriter:
         custom: rosbag2's `custom_data`: text by key.
 
     Raises:
-        BagError: the directory exists.
+        BagError: the directory exists, or another process is writing it.
         UnwritableError: the system does not let it be made or written.
     """
 
     def __init__(self, directory: Path, custom: Mapping[str, str] | None = None) -> None:
-        if directory.exists():
-            raise BagError(
-                f"{directory} exists already and is not overwritten; choose another name"
-            )
         self.directory = directory
-        self._draft = directory.with_name(f".{directory.name}.draft")
         self._file = f"{directory.name}_0.mcap"
         self._custom = dict(custom or {})
         self._topics: dict[str, Topic] = {}
@@ -48,10 +43,9 @@ class BagWriter:
         self._channels: dict[str, int] = {}
         self._counts: dict[str, int] = {}
         self._span: tuple[int, int] | None = None
+        self._resources = ExitStack()
         try:
-            self._draft.mkdir(parents=True)
-        except FileExistsError:
-            raise BagError(f"{self._draft} is left from a writer that died; remove it") from None
+            self._draft = self._resources.enter_context(new_folder(directory))
         except OSError as error:
             raise UnwritableError(f"{directory} cannot be written: {error.strerror}") from None
         self._stream = (self._draft / self._file).open("xb")
@@ -69,18 +63,23 @@ class BagWriter:
         trace: TracebackType | None,
     ) -> None:
         try:
-            if error is None:
-                self._finish()
+            with self._resources:  # ends with what is raised in it: then the draft is thrown away
+                self._close(error)
+        except UnwritableError:
+            raise
         except OSError as failure:
-            error = failure
+            raise UnwritableError(
+                f"{self.directory} cannot be written: {failure.strerror}"
+            ) from failure
+
+    def _close(self, error: BaseException | None) -> None:
+        try:
+            if error is not None:
+                raise error
+            self._finish()
         finally:
             with suppress(OSError):  # what a full disk did not take is still in its buffer
                 self._stream.close()
-            shutil.rmtree(self._draft, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise UnwritableError(
-                f"{self.directory} cannot be written: {error.strerror}"
-            ) from error
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Keep a metadata record."""
@@ -119,9 +118,6 @@ class BagWriter:
         self._stream.close()
         text = yaml.safe_dump({METADATA_ROOT: self._document([self._file])}, sort_keys=False)
         (self._draft / METADATA_FILE).write_text(text, encoding="utf-8")
-        if self.directory.exists():
-            raise BagError(f"{self.directory} was made by somebody else meanwhile")
-        self._draft.rename(self.directory)
 
     def _yaml(self) -> str:
         """The copy inside the file, which does not know the file's name: bags of any name have the same bytes."""
