@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reports of recorded gaits."""
 
+import base64
 import dataclasses
+import functools
 import json
 import math
 import os
@@ -20,13 +22,20 @@ from worm_model.command_line import InputError
 from worm_model.parameters import PAPER, ParameterFile, format_parameter_file
 from worm_model.run import GaitStates, Run, TrackerSamples
 from worm_model.simulator import evaluate_gait
+from worm_optimizer.cache import Cache
+from worm_optimizer.gait_map import MapSettings
 from worm_optimizer.report import command
-from worm_optimizer.report.build import Identification, Report, build_report
+from worm_optimizer.report.build import Report, build_report
+from worm_optimizer.report.choice import bags_of, newest_recording
 from worm_optimizer.report.expectation import Band, expect
-from worm_optimizer.report.recorded import RecordedGait, read_recorded_gait
+from worm_optimizer.report.identification import Identification
+from worm_optimizer.report.optimisation import optimise, why_no_front
+from worm_optimizer.report.recorded import RecordedGait, named_apart, read_recorded_gaits
 from worm_optimizer.report.run_figures import ridges_passed_at
 from worm_optimizer.report.text import describe
 from worm_optimizer.report.verdict import agreements, orders
+from worm_optimizer.search import SearchSettings
+from worm_optimizer.settings import ScanSettings, Settings
 
 CYCLES = 5
 
@@ -38,11 +47,16 @@ def silent(line: str) -> None:
 @pytest.fixture(scope="module")
 def gait(tmp_path_factory: pytest.TempPathFactory) -> RecordedGait:
     bag = write_bag(tmp_path_factory.mktemp("bags") / "five", simulated_run(CYCLES))
-    return read_recorded_gait(bag, "", silent)
+    return read_one(bag)
+
+
+def read_one(bag: Path, parameters: str = "") -> RecordedGait:
+    [gait] = read_recorded_gaits(bag, parameters, silent)
+    return gait
 
 
 def read(path: Path, run: Run, parameters: str = "") -> RecordedGait:
-    return read_recorded_gait(write_bag(path, run), parameters, silent)
+    return read_one(write_bag(path, run), parameters)
 
 
 def with_speed(gait: RecordedGait, name: str, measured: float, expected: float) -> RecordedGait:
@@ -117,11 +131,11 @@ def test_the_parameter_file_inside_the_recording_counts(tmp_path: Path):
     with BagWriter(tmp_path / "own") as writer:
         writer.add_attachment(AttachedFile("parameters.yaml", "application/yaml", text))
         write_run(writer, simulated_run(CYCLES))
-    gait = read_recorded_gait(tmp_path / "own", "", silent)
+    gait = read_one(tmp_path / "own")
     assert gait.content.parameters.idle_power == 1.25
     assert gait.parameter_source == "the parameter file inside the recording"
     (tmp_path / "given.yaml").write_text("idle_power: 0.5\n")
-    given = read_recorded_gait(tmp_path / "own", str(tmp_path / "given.yaml"), silent)
+    given = read_one(tmp_path / "own", str(tmp_path / "given.yaml"))
     assert given.content.parameters.idle_power == 0.5
 
 
@@ -151,6 +165,58 @@ def test_five_ridges_are_passed_when_the_tracker_says_so(gait: RecordedGait):
     assert np.nanmax(tracker.rear_position[time <= passed]) - rest == pytest.approx(
         5 * PAPER.pitch, abs=0.01
     )
+
+
+# --- several gaits in one recording ---------------------------------------------------------------
+
+
+def one_after_the_other(first: Run, second: Run) -> Run:
+    """Both runs in one recording, the second a second after the first; positions go on from each other."""
+    last = max(int(series.stamp[-1]) for series in (first.tracker, first.commanded, first.power))
+    later = last + 10**9 - second.origin
+    joined = {}
+    for name in ("commanded", "measured", "tracker", "power", "gait_state"):
+        a, b = getattr(first, name), getattr(second, name)
+        arrays = {f.name: [getattr(a, f.name), getattr(b, f.name)] for f in dataclasses.fields(a)}
+        arrays["stamp"][1] = arrays["stamp"][1] + later
+        if "onset" in arrays:
+            onset = arrays["onset"][1]
+            arrays["onset"][1] = np.where(onset > 0, onset + later, 0)
+        joined[name] = type(a)(**{key: np.concatenate(pair) for key, pair in arrays.items()})
+    return Run(origin=first.origin, **joined)
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[RecordedGait], list[str]]:
+    run = one_after_the_other(simulated_run(4), simulated_run(CYCLES, seed=1))
+    bag = write_bag(tmp_path_factory.mktemp("bags") / "two", run)
+    told: list[str] = []
+    return read_recorded_gaits(bag, "", told.append), told
+
+
+def test_each_gait_of_a_recording_is_reported_and_that_is_said(two):
+    gaits, told = two
+    assert [(gait.name, gait.cycles) for gait in gaits] == [("two_1", 4), ("two_2", CYCLES)]
+    assert len(told) == 1
+    assert "holds 2 gaits" in told[0]
+    for gait in gaits:
+        assert gait.missing == ()
+        assert gait.measured.speed.value == pytest.approx(evaluate_gait(GAIT).speed, rel=0.02)
+        assert len(gait.judged.cycles) == gait.cycles
+        assert [event.text for event in gait.events].count("running") == 1
+        assert all(event.time >= 0.0 for event in gait.events if math.isfinite(event.time))
+
+
+def test_a_gait_after_another_is_followed_as_if_it_were_alone(two, gait: RecordedGait):
+    (_, second), _ = two
+    assert second.twin.speed.value == pytest.approx(gait.twin.speed.value, rel=0.02)
+    assert second.judged.residuals.x1_rmse == pytest.approx(gait.judged.residuals.x1_rmse, abs=3e-4)
+
+
+def test_gaits_of_one_name_are_told_apart(gait: RecordedGait):
+    other = dataclasses.replace(gait, name="other")
+    names = [each.name for each in named_apart([gait, other, gait])]
+    assert names == ["five (1)", "other", "five (2)"]
 
 
 # --- expectations ---------------------------------------------------------------------------------
@@ -186,6 +252,56 @@ def test_the_text_names_what_is_outside(gait: RecordedGait):
     text = describe([with_speed(gait, "slow", 1.0, 2.0), with_speed(gait, "fast", 0.5, 3.0)])
     assert re.search(r"slow +speed \(mm/s\).*-50\.0 % +no", text)
     assert "order by speed: not preserved; expected slow < fast, measured fast < slow" in text
+
+
+# --- the front that belongs to them ---------------------------------------------------------------
+
+
+def made_with(gait: RecordedGait, margin: float, direction: int = 1) -> RecordedGait:
+    return dataclasses.replace(
+        gait, gait=dataclasses.replace(gait.gait, margin=margin, direction=direction)
+    )
+
+
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Cache:
+    """A cache of its own, and default settings that are done in a second."""
+    quick = functools.partial(
+        Settings,
+        scan=ScanSettings(0.003, 0.004, 0.0002),
+        map=MapSettings(21, 17, 1e-5, 1),
+        search=SearchSettings(24, 10, 1),
+        samples=20,
+    )
+    monkeypatch.setattr("worm_optimizer.report.optimisation.Settings", quick)
+    return Cache.at(tmp_path / "cache")
+
+
+def test_the_front_has_the_margin_that_the_gaits_were_made_with(gait: RecordedGait, coarse: Cache):
+    found = optimise([made_with(gait, 0.002), made_with(gait, 0.002)], coarse, lambda _: None)
+    assert found.front.margin == 0.002
+    assert found.note == ""
+
+
+def test_gaits_of_different_margins_get_the_cliffs_and_the_page_says_so(
+    gait: RecordedGait, coarse: Cache, tmp_path: Path
+):
+    gaits = [made_with(gait, 0.002), made_with(gait, 0.003)]
+    found = optimise(gaits, coarse, lambda _: None)
+    assert found.front.margin == found.price.margin == pytest.approx(0.0034)
+    assert optimise([made_with(gait, 0.0034)], coarse, lambda _: None).front == found.front
+    page = build_report(Report("mixed", gaits, found), tmp_path / "report").read_text()
+    assert "margins from 2.00 to 3.00 mm" in page
+
+
+def test_gaits_without_a_front_in_common_are_shown_without(gait: RecordedGait, tmp_path: Path):
+    assert why_no_front([gait, made_with(gait, 0.002)]) == ""
+    back = made_with(gait, 0.0, direction=-1)
+    assert "different directions" in why_no_front([gait, back])
+    heavy = dataclasses.replace(gait, content=ParameterFile(PAPER.replace(rear_mass=0.5)))
+    assert "different parameters" in why_no_front([gait, heavy])
+    report = Report("mixed", [gait, back], note=why_no_front([gait, back]))
+    assert "different directions" in build_report(report, tmp_path / "report").read_text()
 
 
 # --- the page -------------------------------------------------------------------------------------
@@ -231,12 +347,58 @@ def test_identified_parameters_stand_beside_the_papers(tmp_path: Path):
         PAPER.replace(gain=0.9), {"gain": (0.88, 0.92)}, {"bags": ["run_01"], "seed": 1}
     )
     page = build_report(
-        Report("identified", identification=Identification(content, "mine.yaml")), tmp_path / "r"
+        Report("identified", identification=Identification(content, "mine.yaml")),
+        tmp_path / "r",
     )
     text = page.read_text(encoding="utf-8")
     assert "0.88 to 0.92" in text
     assert "run_01" in text
     assert (tmp_path / "r" / "figures" / "parameters.png").stat().st_size > 0
+
+
+@pytest.fixture
+def bench_tests(tmp_path: Path) -> tuple[Path, Path]:
+    """Tables of a bellows of 90 N/m and of a fin with 2 mm of clearance, 1200 and 500 N/m."""
+    compression = np.linspace(0.0, 0.06, 13)
+    displacement = np.linspace(-0.004, 0.004, 33)
+    force = 1200.0 * np.minimum(displacement + 0.001, 0.0)
+    force += 500.0 * np.maximum(displacement - 0.001, 0.0)
+    noise = np.random.default_rng(1)
+    tables = {
+        "bellows": ("compression_m,force_N", compression, 90.0 * compression),
+        "fin": ("displacement_m,force_N", displacement, force),
+    }
+    for name, (head, x, y) in tables.items():
+        rows = np.column_stack([x, y + noise.normal(0.0, 0.02, y.size)])
+        np.savetxt(
+            tmp_path / f"{name}.csv", rows, header=head, comments="", delimiter=",", fmt="%.9g"
+        )
+    return tmp_path / "bellows.csv", tmp_path / "fin.csv"
+
+
+def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench_tests: tuple[Path, Path]
+):
+    monkeypatch.chdir(tmp_path)
+    bellows, fin = bench_tests
+    write_bag(tmp_path / "run", simulated_run(2))
+    folder = tmp_path / "identification"
+    (folder / "figures").mkdir(parents=True)
+    (folder / "report.md").write_text("# Identification of <mine>\n")
+    (folder / "figures" / "run_01_motion.png").write_bytes(b"an image")
+    (tmp_path / "mine.yaml").write_text("gain: 0.9\nintervals: {gain: [0.88, 0.92]}\n")
+    options = ("--bellows", bellows, "--fin", fin, "--identification", folder)
+    options += ("--identification", "mine.yaml", "--without-front", "--output", "page")
+    assert run_command(monkeypatch, "run", *options) == 0
+    text = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
+    for kind, part in (("bellows", "the straight line"), ("fin", "the law fitted to it")):
+        image = (tmp_path / "page" / "figures" / f"{kind}.png").read_bytes()
+        assert base64.b64encode(image).decode() in text
+        assert part in text
+    assert base64.b64encode(b"an image").decode() in text
+    assert "run 01 motion" in text
+    assert "Identification of &lt;mine&gt;" in text
+    assert "0.88 to 0.92" in text
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -263,8 +425,19 @@ def test_a_folder_of_bags_stands_for_them_in_the_order_of_their_ends(tmp_path: P
     for number, name in enumerate(("second", "first")):
         bag = write_bag(tmp_path / "campaign" / name, simulated_run(2))
         os.utime(bag / "metadata.yaml", (0, 100 - number))
-    assert [bag.name for bag in command.bags_of(tmp_path / "campaign")] == ["first", "second"]
-    assert command.bags_of(bag) == [bag]
+    assert [bag.name for bag in bags_of(tmp_path / "campaign")] == ["first", "second"]
+    assert bags_of(bag) == [bag]
+
+
+def test_what_was_recorded_last_may_be_a_campaign(tmp_path: Path):
+    times = {"old": 10, "campaign/cruise": 30, "campaign/max_speed": 40, "single": 35}
+    for name, closed in times.items():
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "metadata.yaml").touch()
+        os.utime(tmp_path / name / "metadata.yaml", (0, closed))
+    assert newest_recording(tmp_path) == tmp_path / "campaign"
+    os.utime(tmp_path / "single" / "metadata.yaml", (0, 50))
+    assert newest_recording(tmp_path) == tmp_path / "single"
 
 
 @pytest.mark.parametrize(
@@ -274,6 +447,8 @@ def test_a_folder_of_bags_stands_for_them_in_the_order_of_their_ends(tmp_path: P
         (("nowhere",), "nowhere does not exist"),
         (("nowhere", "--output", "."), "exists already"),
         (("nowhere", "--identification", "none.yaml"), "none.yaml: cannot be read"),
+        (("nowhere", "--identification", "."), "name the folder that identify --report wrote"),
+        (("nowhere", "--bellows", "none.csv"), "--bellows none.csv"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(

@@ -30,8 +30,9 @@ from worm_optimizer.cache import Cache, default_directory
 from worm_optimizer.campaign.plan import make_plan, write_promises
 from worm_optimizer.campaign.runs import Robot, run_gaits
 from worm_optimizer.report.build import Report, build_report
-from worm_optimizer.report.command import notify, report_json
-from worm_optimizer.report.recorded import RecordedGait, read_recorded_gait
+from worm_optimizer.report.command import read_gaits, report_json
+from worm_optimizer.report.identification import add_identification, identification_of
+from worm_optimizer.report.recorded import RecordedGait
 from worm_optimizer.report.text import describe
 from worm_optimizer.settings import Settings
 
@@ -67,12 +68,14 @@ def _parser() -> Parser:
     add("--margin", type=number, metavar="M", help="robustness margin in m (default: at the cliff)")
     add("--direction", type=int, default=FORWARD, choices=(FORWARD, REVERSE), help="default 1")
     add("--json", action="store_true", help="print one JSON object")
+    add_identification(parser)
     add_parameters(parser)
     return parser
 
 
 def _campaign(options: argparse.Namespace) -> int:
     content = load_parameter_file(options.parameters)
+    identification = identification_of(options)
     robot = _robot(options)
     default = Path("bags") / time.strftime("campaign_%Y_%m_%d-%H_%M_%S")
     folder = (options.output or default).resolve()
@@ -92,10 +95,9 @@ def _campaign(options: argparse.Namespace) -> int:
         print(f"campaign: {error}", file=sys.stderr)  # noqa: T201
         return FAILED
     say("comparing")
-    recorded = [
-        read_recorded_gait(folder / name, options.parameters, notify) for name in plan.gaits
-    ]
-    report = Report(f"Validation campaign ({options.mode} robot)", recorded, plan.optimisation)
+    recorded = read_gaits([folder / name for name in plan.gaits], options.parameters)
+    title = f"Validation campaign ({options.mode} robot)"
+    report = Report(title, recorded, plan.optimisation, identification=identification)
     _print(options, recorded, folder, build_report(report, folder / "report"))
     return 0
 

@@ -12,7 +12,7 @@ from worm_model.parameters import ParameterFile
 from worm_optimizer.cache import Cache
 from worm_optimizer.pipeline import Report, load_front, make_front, scanned_price
 from worm_optimizer.prediction import Prediction
-from worm_optimizer.report.build import Optimisation
+from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.selection import three_gaits
 from worm_optimizer.settings import Settings
 

@@ -10,43 +10,31 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from worm_model.parameters import ParameterFile
-from worm_optimizer.margin import PriceOfRobustness
+from worm_model.identification.figures import bellows_figure, fin_figure
 from worm_optimizer.report import page
 from worm_optimizer.report.front_figures import draw_measured_front, draw_price_of_robustness
+from worm_optimizer.report.identification import Identification
+from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.report.parameter_figures import draw_parameters
 from worm_optimizer.report.recorded import RecordedGait
 from worm_optimizer.report.run_figures import RUN_FIGURES
 from worm_optimizer.report.verdict import orders
-from worm_optimizer.served import ServedFront
 
 PAGE = "report.html"
 _DPI = 130
 
 
 @dataclass(frozen=True)
-class Optimisation:
-    """What the optimizer says of the parameters that the gaits are compared with."""
-
-    front: ServedFront
-    price: PriceOfRobustness
-
-
-@dataclass(frozen=True)
-class Identification:
-    """A parameter file that identification has written, and where it lies."""
-
-    content: ParameterFile
-    source: str
-
-
-@dataclass(frozen=True)
 class Report:
-    """What a report is made of; parts that are None or empty are left out."""
+    """What a report is made of; parts that are None or empty are left out.
+
+    ``note`` says why there is no optimisation, where one was asked for.
+    """
 
     title: str
     gaits: Sequence[RecordedGait] = ()
     optimisation: Optimisation | None = None
+    note: str = ""
     identification: Identification | None = None
 
 
@@ -62,7 +50,7 @@ def build_report(report: Report, folder: Path) -> Path:
 def _sections(report: Report, figures: Path) -> Iterator[str]:
     figures.mkdir()
     if report.gaits:
-        yield page.summary_section(report.gaits, orders(report.gaits))
+        yield page.summary_section(report.gaits, orders(report.gaits), report.note)
     if report.optimisation is not None:
         yield from _optimisation_section(report.optimisation, report.gaits, figures)
     for number, gait in enumerate(report.gaits, 1):
@@ -72,13 +60,13 @@ def _sections(report: Report, figures: Path) -> Iterator[str]:
         )
         yield page.run_section(gait, drawn)
     if report.identification is not None:
-        yield _identification_section(report.identification, figures)
+        yield from _identification_sections(report.identification, figures)
 
 
 def _optimisation_section(
     optimisation: Optimisation, gaits: Sequence[RecordedGait], figures: Path
 ) -> Iterator[str]:
-    yield "<h2>Robust front and price of robustness</h2>"
+    yield page.heading("Robust front and price of robustness", optimisation.note)
     yield _saved(
         draw_measured_front(optimisation.front, gaits),
         figures / "front",
@@ -88,18 +76,34 @@ def _optimisation_section(
     yield _saved(
         draw_price_of_robustness(optimisation.price),
         figures / "price_of_robustness",
-        f"The lowest cost of transport over the margin. Margin chosen: {optimisation.front.reason}.",
+        f"The lowest cost of transport over the margin. The front's margin: {optimisation.front.reason}.",
     )
 
 
-def _identification_section(identification: Identification, figures: Path) -> str:
-    drawn = []
-    if identification.content.intervals:
-        caption = "Identified parameters with their 95 % intervals, over the paper's values."
-        drawn.append(
-            _saved(draw_parameters(identification.content), figures / "parameters", caption)
+def _identification_sections(identification: Identification, figures: Path) -> Iterator[str]:
+    content = identification.content
+    if content is not None:
+        drawn = []
+        if content.intervals:
+            caption = "Identified parameters with their 95 % intervals, over the paper's values."
+            drawn.append(_saved(draw_parameters(content), figures / "parameters", caption))
+        yield page.parameter_section(content, identification.source, drawn)
+    fits = []
+    if identification.bellows_fit is not None:
+        caption = "Bellows test: force over compression, and the straight line fitted to it (95 %)."
+        fits.append(
+            _saved(bellows_figure(identification.bellows_fit), figures / "bellows", caption)
         )
-    return page.parameter_section(identification.content, identification.source, drawn)
+    if identification.fin_fit is not None:
+        caption = "Fin test: force over displacement, and the law fitted to it; dotted: its clearance (95 %)."
+        fits.append(_saved(fin_figure(identification.fin_fit), figures / "fin", caption))
+    if fits:
+        yield page.heading("Bench tests")
+        yield from fits
+    if identification.figures or identification.text:
+        yield page.attached_section(
+            "The report of the identification", identification.figures, identification.text
+        )
 
 
 def _saved(drawing: Figure, stem: Path, caption: str) -> str:

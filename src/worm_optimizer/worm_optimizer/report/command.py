@@ -10,17 +10,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from worm_model.bags.bag import METADATA_FILE
 from worm_model.command_line import InputError, Parser, add_parameters, print_json
-from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_optimizer import arguments
 from worm_optimizer.cache import Cache, default_directory
-from worm_optimizer.pipeline import load_front, make_front, scanned_price
-from worm_optimizer.report.build import Identification, Optimisation, Report, build_report
-from worm_optimizer.report.recorded import RecordedGait, read_recorded_gait
+from worm_optimizer.report.build import Report, build_report
+from worm_optimizer.report.choice import bags_of, newest_recording
+from worm_optimizer.report.identification import add_identification, identification_of
+from worm_optimizer.report.optimisation import Optimisation, optimise, why_no_front
+from worm_optimizer.report.recorded import RecordedGait, named_apart, read_recorded_gaits
 from worm_optimizer.report.text import describe
 from worm_optimizer.report.verdict import agreements, orders
-from worm_optimizer.settings import Settings
 
 _BAGS = Path("bags")
 
@@ -43,33 +42,32 @@ def _parser() -> Parser:
         nargs="*",
         type=Path,
         metavar="BAG",
-        help="or a folder of bags; default: the newest one in bags/",
+        help="or a folder of bags, such as a campaign's; default: what was recorded last in bags/",
     )
     add("--output", type=Path, metavar="FOLDER", help="a new folder (default: BAG_report)")
     add("--title", default="", help="of the page")
     add("--without-front", action="store_true", help="leave the optimizer's part out")
-    add("--identification", metavar="FILE", help="a parameter file that identify has written")
     add("--json", action="store_true", help="print one JSON object")
+    add_identification(parser)
     add_parameters(parser)
     return parser
 
 
 def _report(options: argparse.Namespace) -> None:
-    named = options.bags or [newest_bag(_BAGS)]
+    named = options.bags or [newest_recording(_BAGS)]
     folder = options.output or _beside(named[0])
     if folder.exists():
         raise InputError(f"{folder}: exists already; give another name with --output")
-    identification = None
-    if options.identification:
-        content = load_parameter_file(options.identification)
-        identification = Identification(content, options.identification)
-    bags = [bag for path in named for bag in bags_of(path)]
-    gaits = [read_recorded_gait(bag, options.parameters, notify) for bag in bags]
-    optimisation = (
-        None if options.without_front else optimise(gaits[0].content, gaits[0].gait.direction)
-    )
+    identification = identification_of(options)
+    gaits = read_gaits([bag for path in named for bag in bags_of(path)], options.parameters)
+    note = "" if options.without_front else why_no_front(gaits)
+    optimisation = None
+    if note:
+        notify(note)
+    elif not options.without_front:
+        optimisation = _optimised(gaits)
     title = options.title or f"Worm robot: {', '.join(gait.name for gait in gaits)}"
-    page = build_report(Report(title, gaits, optimisation, identification), folder)
+    page = build_report(Report(title, gaits, optimisation, note, identification), folder)
     if options.json:
         print_json({"page": str(page), **report_json(gaits)})
     else:
@@ -81,32 +79,16 @@ def _beside(path: Path) -> Path:
     return path.resolve().parent / f"{name}_report"
 
 
-def bags_of(path: Path) -> list[Path]:
-    """A bag itself; of a folder of bags, such as a campaign's, all of them in the order in which they were closed."""
-    inside = [] if (path / METADATA_FILE).exists() else list(path.glob(f"*/{METADATA_FILE}"))
-    closed = sorted(inside, key=lambda file: file.stat().st_mtime)
-    return [file.parent for file in closed] or [path]
+def read_gaits(bags: Sequence[Path], parameters: str) -> list[RecordedGait]:
+    """All gaits of some bags, named apart; as `read_recorded_gaits`."""
+    return named_apart(
+        [gait for bag in bags for gait in read_recorded_gaits(bag, parameters, notify)]
+    )
 
 
-def newest_bag(folder: Path) -> Path:
-    """The recording that was closed last in a folder; raises InputError if there is none."""
-    found = list(folder.glob(f"*/{METADATA_FILE}"))
-    if not found:
-        raise InputError(
-            f"no recording in {folder.resolve()}: name one, or record one (./worm demo)"
-        )
-    return max(found, key=lambda path: path.stat().st_mtime).parent
-
-
-def optimise(content: ParameterFile, direction: int, cache: Cache | None = None) -> Optimisation:
-    """Front and price of robustness with the default settings, from the cache if they are in it."""
-    cache, settings = cache or Cache.at(default_directory()), Settings()
-    shown = arguments.shown_progress("margins")
-    price = scanned_price(content, settings, direction, cache, shown)
-    front = load_front(content, settings, direction, cache)
-    if front is None:
-        front = make_front(content, settings, direction, cache, arguments.shown_progress("front"))
-    return Optimisation(front, price)
+def _optimised(gaits: Sequence[RecordedGait]) -> Optimisation:
+    progress = arguments.shown_progress("front")
+    return optimise(gaits, Cache.at(default_directory()), progress)
 
 
 def report_json(gaits: Sequence[RecordedGait]) -> dict[str, Any]:

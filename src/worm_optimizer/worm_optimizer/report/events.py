@@ -15,6 +15,7 @@ from worm_model.bags.run_reader import read_columns
 from worm_model.bags.worm_topics import find_topic
 from worm_model.run import POWER_VALID, Run
 from worm_model.twin_replay import Replay
+from worm_optimizer.report.parts import Part
 
 _STATES = ("inactive", "idle", "resting", "running", "stopping", "fault")  # GaitState
 _LEVELS = ("ok", "warning", "error", "stale")  # DiagnosticStatus
@@ -33,9 +34,10 @@ class Event:
     text: str
 
 
-def events_of(bag: Bag, run: Run, replay: Replay) -> tuple[Event, ...]:
-    """All events of a run by rising time, those of the whole run last."""
-    found = [*_driver_events(bag, run), *_complaints(bag, run)]
+def events_of(bag: Bag, part: Part, replay: Replay) -> tuple[Event, ...]:
+    """All events of a part of a bag by rising time, those of the whole part last."""
+    run = part.run
+    found = [*_driver_events(bag, part), *_complaints(bag, part)]
     found += [
         Event((n.stamp_ns - run.origin) * 1e-9, "twin", _SEVERITIES[n.severity], n.text)
         for n in replay.notices
@@ -44,27 +46,28 @@ def events_of(bag: Bag, run: Run, replay: Replay) -> tuple[Event, ...]:
     return (*found, *_gaps(run))
 
 
-def _driver_events(bag: Bag, run: Run) -> Iterator[Event]:
+def _driver_events(bag: Bag, part: Part) -> Iterator[Event]:
     """Changes of the driver's state, cycles apart."""
     topic = find_topic(bag.topics.values(), "gait_state")
     if topic is None:
         return
-    messages = read_columns(bag, [topic])[topic.name].texts.get("message", [])
+    columns = read_columns(bag, [topic])[topic.name]
+    if not columns.numbers:
+        return
     shown: tuple[int, str | None] | None = None
-    states = run.gait_state
     for stamp, state, message in zip(
-        states.stamp.tolist(), states.state.tolist(), messages, strict=True
+        _stamps(columns), columns.numbers["state"].tolist(), columns.texts["message"], strict=True
     ):
-        if (state, message) == shown:
+        if not part.holds(stamp) or (state, message) == shown:
             continue
         shown = (state, message)
         name = _STATES[state] if state < len(_STATES) else f"state {state}"
         level = "error" if name == "fault" else "note"
         text = f"{name}: {message}" if message and message != name else name
-        yield Event((stamp - run.origin) * 1e-9, "driver", level, text)
+        yield Event((stamp - part.run.origin) * 1e-9, "driver", level, text)
 
 
-def _complaints(bag: Bag, run: Run) -> Iterator[Event]:
+def _complaints(bag: Bag, part: Part) -> Iterator[Event]:
     """Diagnostics that are not ok: the first of each part and level, and how often it came."""
     topic = bag.topics.get(_DIAGNOSTICS)
     if topic is None:
@@ -72,12 +75,12 @@ def _complaints(bag: Bag, run: Run) -> Iterator[Event]:
     columns = read_columns(bag, [topic])[topic.name]
     if not columns.numbers:
         return
-    stamp = columns.numbers["header.stamp.sec"].astype(np.int64) * 10**9
-    stamp += columns.numbers["header.stamp.nanosec"].astype(np.int64)
     first: dict[tuple[str, int], tuple[int, str]] = {}
     reports: Counter[str] = Counter()
     complaints: Counter[tuple[str, int]] = Counter()
-    for row, time in enumerate(stamp.tolist()):
+    for row, time in enumerate(_stamps(columns)):
+        if not part.holds(time):
+            continue
         for name, level, message in _statuses(columns, row):
             reports[name] += 1
             if level:
@@ -86,7 +89,13 @@ def _complaints(bag: Bag, run: Run) -> Iterator[Event]:
     for (name, level), (time, message) in first.items():
         kind = _LEVELS[level] if level < len(_LEVELS) else "error"
         often = f"{complaints[name, level]} of {reports[name]} reports"
-        yield Event((time - run.origin) * 1e-9, name, kind, f"{message} (the first; {often})")
+        yield Event((time - part.run.origin) * 1e-9, name, kind, f"{message} (the first; {often})")
+
+
+def _stamps(columns: Columns) -> list[int]:
+    """Header stamps in ns since the epoch."""
+    stamp = columns.numbers["header.stamp.sec"].astype(np.int64) * 10**9
+    return (stamp + columns.numbers["header.stamp.nanosec"].astype(np.int64)).tolist()
 
 
 def _statuses(columns: Columns, row: int) -> Iterator[tuple[str, int, str]]:

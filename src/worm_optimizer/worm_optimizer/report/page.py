@@ -45,8 +45,19 @@ def figure(png: bytes, caption: str) -> str:
     )
 
 
-def summary_section(gaits: Sequence[RecordedGait], orders: Sequence[Order]) -> str:
-    """Measured against expected of all gaits, and whether their order is preserved."""
+def heading(title: str, note: str = "") -> str:
+    """Begins a section, with a remark on what follows if there is one."""
+    return f"<h2>{_text(title)}</h2>" + (f"<p>{_text(note)}</p>" if note else "")
+
+
+def attached_section(title: str, images: Mapping[str, bytes], text: str) -> str:
+    """Images (PNG) by caption, and a plain text to unfold."""
+    shown = "\n".join(figure(png, caption) for caption, png in images.items())
+    return f"{heading(title)}\n{shown}\n<details><summary>Its text</summary><pre>{_text(text)}</pre></details>"
+
+
+def summary_section(gaits: Sequence[RecordedGait], orders: Sequence[Order], note: str = "") -> str:
+    """Measured against expected of all gaits, whether their order is preserved, and a remark."""
     rows = [_agreement_row(row) for gait in gaits for row in agreements(gait)]
     heads = (
         "gait",
@@ -66,7 +77,8 @@ def summary_section(gaits: Sequence[RecordedGait], orders: Sequence[Order]) -> s
     )
     lines = "".join(f"<li>{_order_text(order)}</li>" for order in orders)
     order = f"<h3>Order</h3><ul>{lines}</ul>" if lines else ""
-    return f"<h2>Measured against expected</h2>{_table(heads, rows, numbers=range(2, 7))}{notes}{order}"
+    remark = f"<p>{_text(note)}</p>" if note else ""
+    return f"<h2>Measured against expected</h2>{_table(heads, rows, numbers=range(2, 7))}{notes}{order}{remark}"
 
 
 def _agreement_row(row: Agreement) -> list[str]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -39,6 +39,7 @@ from worm_optimizer.bringup.figures import (
 )
 from worm_optimizer.report.events import Event, events_of
 from worm_optimizer.report.expectation import Band, Bands, Expectation, expect
+from worm_optimizer.report.parts import Part, parts_of
 
 _ATTACHED = "parameters.yaml"  # the recorder's name for the run's parameter file
 _MANIFEST = "worm_run"
@@ -48,8 +49,9 @@ _CHUNK = 1 << 20
 
 @dataclass(frozen=True)
 class RecordedGait:
-    """The last gait of a recording.
+    """A gait of a recording.
 
+    ``run`` is the part of the recording from the rest before the gait to that before the next one.
     ``cycles`` were asked for; ``window`` are the averaged ones, the last whole ones that were recorded.
     ``measured`` holds the averaged cycles' mean and, as bounds, the lowest and highest of these cycles; ``twin`` the
     same of the twin that was driven with the recorded lengths; ``expected`` what the model says of the command alone,
@@ -57,7 +59,6 @@ class RecordedGait:
     """
 
     name: str
-    path: Path
     run: Run
     gait: Gait
     onset: int
@@ -84,19 +85,50 @@ class RecordedGait:
         return start + 1, end
 
 
-def read_recorded_gait(path: Path, parameters: str, notify: Callable[[str], None]) -> RecordedGait:
-    """Reads a bag, lets the twin follow it, and predicts its gait.
+def read_recorded_gaits(
+    path: Path, parameters: str, notify: Callable[[str], None]
+) -> list[RecordedGait]:
+    """Reads a bag, lets the twin follow each of its gaits from rest, and predicts them.
 
     ``parameters`` is a parameter file; empty: the one inside the bag, else the paper's. Raises BagError,
     ParameterError, or InputError if the bag holds no gait.
     """
+    name = path.stem if path.is_file() else path.resolve().name
     with open_bag(path, notify) as bag:
-        run = read_run(bag)
-        content, source = _parameters_of(bag, parameters)
-        gait, onset, cycles = _last_gait(run.gait_state, path)
-        replay = replay_run(run, content.parameters)
-        events = events_of(bag, run, replay)
-        provenance = _provenance(bag, path, source)
+        parts = parts_of(read_run(bag))
+        parameters_used = _parameters_of(bag, parameters)
+        provenance = _provenance(bag, path, parameters_used[1])
+        if len(parts) == 1:
+            return [_recorded_gait(bag, parts[0], name, parameters_used, provenance)]
+        notify(f"{path} holds {len(parts)} gaits, each is reported")
+        return [
+            _recorded_gait(bag, part, f"{name}_{number}", parameters_used, provenance)
+            for number, part in enumerate(parts, 1)
+        ]
+
+
+def named_apart(gaits: Sequence[RecordedGait]) -> list[RecordedGait]:
+    """The same gaits, those of one name numbered."""
+    names = [gait.name for gait in gaits]
+    return [
+        replace(gait, name=f"{gait.name} ({names[: row + 1].count(gait.name)})")
+        if names.count(gait.name) > 1
+        else gait
+        for row, gait in enumerate(gaits)
+    ]
+
+
+def _recorded_gait(
+    bag: Bag,
+    part: Part,
+    name: str,
+    parameters: tuple[ParameterFile, str],
+    provenance: dict[str, str],
+) -> RecordedGait:
+    run = part.run
+    content, source = parameters
+    gait, onset, cycles = _last_gait(run.gait_state, bag.path)
+    replay = replay_run(run, content.parameters)
     window = _averaged_window(run, gait, onset, cycles)
     missing: list[str] = []
     mass = content.parameters.mass
@@ -105,8 +137,7 @@ def read_recorded_gait(path: Path, parameters: str, notify: Callable[[str], None
     states = replay.states
     followed = (states["stamp_ns"], states["rear_position"])
     return RecordedGait(
-        name=path.stem if path.is_file() else path.name,
-        path=path,
+        name=name,
         run=run,
         gait=gait,
         onset=onset,
@@ -119,7 +150,7 @@ def read_recorded_gait(path: Path, parameters: str, notify: Callable[[str], None
         measured=_bands(tracked, energy, gait, window, mass, missing),
         twin=_bands(followed, (states["stamp_ns"], states["energy"]), gait, window, mass, []),
         expected=expect(gait, content),
-        events=events,
+        events=events_of(bag, part, replay),
         missing=tuple(missing),
         provenance=provenance,
     )

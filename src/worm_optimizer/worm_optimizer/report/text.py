@@ -26,8 +26,8 @@ def describe(gaits: Sequence[RecordedGait]) -> str:
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
-    phase = 1e3 * gaits[0].expected.nominal.groove_phase
-    lines += ["", f"expected without the margin, at a groove phase of {phase:+.2f} mm"]
+    phases = {f"{1e3 * gait.expected.nominal.groove_phase:+.2f} mm": None for gait in gaits}
+    lines += ["", f"expected without the margin, at a groove phase of {', '.join(phases)}"]
     lines += [_order_line(order) for order in orders(gaits)]
     lines += [f"{gait.name}: {reason}" for gait in gaits for reason in gait.missing]
     return "\n".join(lines)
