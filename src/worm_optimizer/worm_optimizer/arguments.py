@@ -27,6 +27,7 @@ from worm_optimizer.errors import OptimizerError
 from worm_optimizer.limits import ActuatorLimits
 from worm_optimizer.prediction import Prediction
 from worm_optimizer.search import SearchSettings
+from worm_optimizer.servo_limits import servo_models, within
 from worm_optimizer.settings import Robustness, ScanSettings, Settings
 from worm_optimizer.task import Bounds
 
@@ -42,9 +43,7 @@ def add_common(parser: Parser) -> None:
     _add_pair(parser, "--strokes", strokes, "bounds of the stroke in m")
     frequencies = (_BOX.frequency_low, _BOX.frequency_high)
     _add_pair(parser, "--frequencies", frequencies, "bounds of the frequency in Hz")
-    _add_number(parser, "--max-cable-speed", math.inf, "greatest cable speed in m/s")
-    _add_number(parser, "--max-cable-force", math.inf, "greatest cable force in N")
-    _add_number(parser, "--max-power", math.inf, "greatest electrical power in W")
+    _add_limits(parser)
     _add_number(parser, "--lowest", _SCAN.lowest, "lowest margin of the scan in m")
     _add_number(parser, "--highest", _SCAN.highest, "highest margin of the scan in m")
     _add_number(parser, "--step", _SCAN.step, "step between the scan's margins in m")
@@ -52,6 +51,32 @@ def add_common(parser: Parser) -> None:
     add("--figure", metavar="FILE", help="write a figure (.png, .pdf or .svg)")
     add("--json", action="store_true", help="print one JSON object")
     add_parameters(parser)
+
+
+def _add_limits(parser: Parser) -> None:
+    add = parser.add_argument
+    _add_number(parser, "--max-cable-speed", math.inf, "greatest cable speed in m/s")
+    _add_number(parser, "--max-cable-force", math.inf, "greatest cable force in N")
+    _add_number(parser, "--max-power", math.inf, "greatest electrical power in W")
+    add(
+        "--limits-from",
+        default="",
+        metavar="FILE",
+        help="the driver's parameter file: gaits keep its limits too",
+    )
+    add(
+        "--servo-model",
+        default="",
+        metavar="NAME",
+        help=f"with --limits-from: of the cable servos ({', '.join(servo_models())})",
+    )
+    add(
+        "--supply-voltage",
+        type=number,
+        default=None,
+        metavar="V",
+        help="with --limits-from: of the servos (default: what their manual recommends)",
+    )
 
 
 def add_search(parser: Parser) -> None:
@@ -103,9 +128,14 @@ def _add_pair(parser: Parser, name: str, default: tuple[float, float], meaning: 
 
 def common_settings(options: argparse.Namespace) -> Settings:
     """The settings of `add_common`; raises `OptimizerError` if they are not admissible."""
+    bounds, limits = within(
+        Bounds(*options.strokes, *options.frequencies),
+        ActuatorLimits(options.max_cable_speed, options.max_cable_force, options.max_power),
+        *(options.limits_from, options.servo_model, options.supply_voltage),
+    )
     return Settings(
-        bounds=Bounds(*options.strokes, *options.frequencies),
-        limits=ActuatorLimits(options.max_cable_speed, options.max_cable_force, options.max_power),
+        bounds=bounds,
+        limits=limits,
         scan=ScanSettings(options.lowest, options.highest, options.step),
     )
 

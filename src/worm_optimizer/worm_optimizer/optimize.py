@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 import argparse
+import math
+from dataclasses import asdict
 from typing import Any
 
 from worm_model.command_line import Parser, print_json
 from worm_model.parameters import load_parameter_file
 from worm_optimizer import arguments, fragility
 from worm_optimizer.figures import draw_front_and_map
+from worm_optimizer.limits import ActuatorLimits
 from worm_optimizer.pipeline import make_front, task_of
 from worm_optimizer.prediction import Prediction
 from worm_optimizer.selection import three_gaits
@@ -46,7 +49,9 @@ def front_json(front: ServedFront, nominal: dict[str, Prediction]) -> dict[str, 
     }
 
 
-def describe(front: ServedFront, nominal: dict[str, Prediction], uncertainty: str) -> str:
+def describe(
+    front: ServedFront, nominal: dict[str, Prediction], uncertainty: str, limits: ActuatorLimits
+) -> str:
     """A front for people."""
     three = three_gaits(front.predictions)
     missed = ", ".join(map(str, front.missed_branches)) or "none"
@@ -56,6 +61,7 @@ def describe(front: ServedFront, nominal: dict[str, Prediction], uncertainty: st
             f"groove phase       {1e3 * three['cruise'].groove_phase:+.2f} mm; every speed holds for it",
             f"hypervolume share  {100.0 * front.hypervolume_share:.2f} % of the true front's; "
             f"branches missed: {missed}; serves the {front.source} front of {len(front.predictions)} gaits",
+            f"limits             {limits.told() or 'none'}",
             "",
             fragility.table(three, nominal),
             "",
@@ -76,9 +82,13 @@ def _optimize(options: argparse.Namespace) -> None:
         task = task_of(content, settings, options.direction).with_margin(front.margin)
         draw_front_and_map(front, task, three_gaits(front.predictions), figure)
     if options.json:
-        print_json({**front_json(front, nominal), "uncertainty": told(content)})
+        limits = {
+            name: value for name, value in asdict(settings.limits).items() if math.isfinite(value)
+        }
+        told_too = {"uncertainty": told(content), "limits": limits}
+        print_json({**front_json(front, nominal), **told_too})
     else:
-        arguments.say(describe(front, nominal, told(content)))
+        arguments.say(describe(front, nominal, told(content), settings.limits))
 
 
 def main() -> int:

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from worm_optimizer.cache import default_directory
 from worm_optimizer.limits import ActuatorLimits
 from worm_optimizer.search import SearchSettings
+from worm_optimizer.servo_limits import within
 from worm_optimizer.settings import ScanSettings, Settings, robustness_of
 from worm_optimizer.task import Bounds
 
@@ -63,6 +64,9 @@ _ROWS = (
     _Row("limits.max_cable_speed_m_s", 0.0, "Greatest cable speed, m/s; 0: none.", 0.0, 100.0),
     _Row("limits.max_cable_force_n", 0.0, "Greatest cable force, N; 0: none.", 0.0, 1e5),
     _Row("limits.max_power_w", 0.0, "Greatest source power, W; 0: none.", 0.0, 1e5),
+    _Row("limits.driver_file", "", "The driver's parameter file, whose limits hold; empty: none."),
+    _Row("limits.servo_model", "", "Of the cable servos, with driver_file; empty: not known."),
+    _Row("limits.supply_voltage_v", 0.0, "Of the servos, V; 0: what suits them.", 0.0, 100.0),
 )
 
 PARAMETER_FILE = "parameter_file"
@@ -92,16 +96,23 @@ def settings_of(node: Node) -> Settings:
     def limit(name: str) -> float:
         return value[name] or math.inf
 
-    return Settings(
-        bounds=Bounds(
+    bounds, limits = within(
+        Bounds(
             *(value["stroke_low_m"], value["stroke_high_m"]),
             *(value["frequency_low_hz"], value["frequency_high_hz"]),
         ),
-        limits=ActuatorLimits(
+        ActuatorLimits(
             limit("limits.max_cable_speed_m_s"),
             limit("limits.max_cable_force_n"),
             limit("limits.max_power_w"),
         ),
+        value["limits.driver_file"],
+        value["limits.servo_model"],
+        value["limits.supply_voltage_v"] or None,
+    )
+    return Settings(
+        bounds=bounds,
+        limits=limits,
         search=SearchSettings(value["population"], value["generations"], value["seed"]),
         scan=ScanSettings(value["scan_lowest_m"], value["scan_highest_m"], value["scan_step_m"]),
         robustness=robustness_of(value["robustness"]),

@@ -186,9 +186,9 @@ class MarginTask:
 
     def _excess(self, stroke: Array, frequency: Array, moving: Mask) -> Array:
         """Relative excess over the actuator limits; what needs a simulation only of the moving gaits."""
-        loads = np.zeros((2, stroke.size))
+        loads = np.zeros((3, stroke.size))
         if self.limits.need_simulation:
             for k in np.flatnonzero(moving):
                 gait = Gait(float(stroke[k]), float(frequency[k]), self.direction)
-                loads[:, k] = peaks(gait, self.parameters)
+                loads[:, k] = dataclasses.astuple(peaks(gait, self.parameters, self.limits))
         return self.limits.excess(np.pi * stroke * frequency, *loads)

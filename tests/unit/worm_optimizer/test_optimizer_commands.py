@@ -55,6 +55,17 @@ def test_optimize_prints_the_contracts_keys(run):
     assert told["nominal"]["cruise"]["margin"] == 0.0
 
 
+def test_optimize_keeps_the_limits_of_the_drivers_servos(run):
+    driver = Path(__file__).resolve().parents[3] / "src" / "worm_driver" / "config" / "driver.yaml"
+    limited = ["--limits-from", str(driver), "--servo-model", "XM430-W350", "--max-power", "9"]
+    free, told = (json.loads(run(optimize, *QUICK, *more, "--json")[1]) for more in ([], limited))
+    assert free["limits"] == {}
+    assert told["limits"]["cable_speed"] == pytest.approx(0.1199, abs=1e-4)
+    assert told["limits"]["electrical_power"] == 9.0
+    assert told["max_speed"]["speed"] < free["max_speed"]["speed"]
+    assert "limits             cable speed 0.12 m/s, " in run(optimize, *QUICK, *limited)[1]
+
+
 def test_optimize_for_people_names_margin_phase_and_share(run):
     status, out, _ = run(optimize, *QUICK)
     assert status == 0
@@ -127,6 +138,8 @@ def test_an_unreachable_request_is_refused_with_the_nearest(run):
         (["--strokes", "0.09", "0.01"], "bounds: stroke from 0.09 to 0.01 m"),
         (["--population", "1"], "give a population of at least 4"),
         (["--max-power", "-3"], "limits: electrical_power = -3.0"),
+        (["--servo-model", "XM430-W350"], "without the driver's parameter file"),
+        (["--limits-from", "/nowhere.yaml"], "/nowhere.yaml: cannot be read"),
         (["--parameters", "/nowhere.yaml"], "/nowhere.yaml: cannot be read"),
         (["--figure", "/nowhere/front.png"], "its folder /nowhere does not exist"),
         (["--robustness", "luck"], "invalid choice: 'luck'"),
