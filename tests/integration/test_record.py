@@ -138,6 +138,45 @@ def test_all_topics_and_a_new_publisher_that_offers_less(
         assert "/rosout" not in bag.topics
 
 
+def test_nothing_is_lost_or_doubled_while_it_adapts(
+    processes: Processes, probe: Probe, tmp_path: Path
+):
+    """The reliable publisher goes on while one that offers less appears; what is latched is not repeated."""
+    states = probe.node.create_publisher(Tracker, "tracker", LATCHED)
+    states.publish(tracker(0))
+    recorder = processes.start_node(
+        *("worm_driver", "record", "tracker", "-o", str(tmp_path / "bag"), "--json")
+    )
+    recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
+    probe.wait_for(lambda: states.get_subscription_count() == 1, "the recorder")
+    sent = [0]
+
+    def send() -> None:
+        sent.append(len(sent))
+        states.publish(tracker(sent[-1]))
+        assert states.wait_for_all_acked(ACKNOWLEDGED)
+
+    for _ in range(50):
+        send()
+    less = QoSProfile(
+        depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=LATCHED.durability
+    )
+    probe.node.create_publisher(Tracker, "tracker", less)
+    adapted = "a new publisher offers less"
+    probe.wait_for(lambda: send() or adapted in recorder.output(), "the second subscription")
+    alone = "the old subscription is given up"
+    probe.wait_for(lambda: send() or alone in recorder.output(), "the second subscription alone")
+    for _ in range(50):
+        send()
+    recorder.interrupt()
+    assert recorder.wait(TIMEOUT_S) == 0
+    outcome = json.loads(next(x for x in recorder.output().splitlines() if x.startswith("{")))
+    found = recorded(tmp_path / "bag")
+    assert len(found) == len(set(found)) == outcome["messages"]
+    assert found == sorted(found)
+    assert outcome["messages"] + outcome["dropped"] == len(sent) - (sent[-1] - found[-1])
+
+
 def test_a_killed_recorder_leaves_a_bag_that_is_recovered(
     processes: Processes, probe: Probe, tmp_path: Path
 ):

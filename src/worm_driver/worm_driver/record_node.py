@@ -17,7 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from worm_driver.recorder import COMPRESSIONS, BagRecorder, Options, RecorderError
-from worm_driver.recording_thread import RecordingThread, Sample
+from worm_driver.recording_thread import RecordingThread, Sample, Tally
 from worm_driver.ros_recorder import RecordNode
 from worm_driver.run_manifest import ManifestError, run_manifest
 from worm_driver.topic_selection import SelectionError, TopicSelection
@@ -98,8 +98,7 @@ class _Progress:
         self._node = node
         self._thread = thread
         self._start = time.monotonic()
-        self.messages = 0
-        self.bytes = 0
+        self._received = Tally()
 
     @property
     def elapsed(self) -> float:
@@ -108,15 +107,15 @@ class _Progress:
 
     def count(self, samples: Sequence[Sample]) -> None:
         """Add what was received."""
-        self.messages += len(samples)
-        self.bytes += sum(len(sample.data) for sample in samples)
+        self._received.add(samples)
 
     def totals(self) -> dict[str, int | float]:
         """The outcome so far: dropped are those lost on the way and those that the disk could not take."""
+        dropped = self._thread.dropped
         return {
-            "messages": self.messages - self._thread.dropped,
-            "bytes": self.bytes,
-            "dropped": self._node.lost + self._thread.dropped,
+            "messages": self._received.messages - dropped.messages,
+            "bytes": self._received.bytes - dropped.bytes,
+            "dropped": self._node.lost + dropped.messages,
             "topics": self._node.topic_count,
             "duration": round(self.elapsed, 3),
         }
@@ -125,7 +124,7 @@ class _Progress:
         """Write the live line."""
         totals = self.totals()
         line = "{duration:8.1f} s  {topics} topics  {messages} messages  {mb:.2f} MB  {dropped} dropped"
-        sys.stderr.write(line.format(mb=self.bytes / 1e6, **totals) + end)
+        sys.stderr.write(line.format(mb=totals["bytes"] / 1e6, **totals) + end)
         sys.stderr.flush()
 
 
@@ -194,16 +193,16 @@ def _run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     finally:
         thread.close()
     progress.show("\n")
-    if thread.error is not None:
-        _fail(
-            1,
-            f"{output} could not be written: {thread.error}; what was written is kept, see recover",
-        )
     for name in node.missing:
         sys.stderr.write(f"record: {name} was never published\n")
     if arguments.json:
         sys.stdout.write(
             json.dumps({"bag": str(output), **progress.totals(), "missing": node.missing}) + "\n"
+        )
+    if thread.error is not None:
+        _fail(
+            1,
+            f"{output} could not be written: {thread.error}; what was written is kept, see recover",
         )
     return 0
 

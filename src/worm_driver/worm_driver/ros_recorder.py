@@ -9,13 +9,14 @@ accuracy. A node that is not spun answers no services, so it offers none.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
@@ -29,48 +30,92 @@ from worm_driver.topic_selection import TopicSelection
 
 GAIT_STATE = "worm_msgs/msg/GaitState"
 
+OVERLAP_LOOKS = (
+    50  # with both subscriptions: publishers learn of the second one later than it does of them
+)
+
+_Identity = tuple[int, int]
+
 
 class _RawSubscription:
-    """A subscription that is looked at instead of called back."""
+    """A subscription that is looked at instead of called back.
+
+    When a publisher comes that offers less, a second subscription that it can serve is made beside the first, which
+    stays until the second is connected to all: nothing is lost in between, and what both receive is taken once.
+    """
 
     def __init__(self, node: Node, topic: RecordedTopic, message: type, depth: int) -> None:
-        publishers = node.get_publishers_info_by_topic(topic.name)
         self.topic = topic
-        self.qos = subscription_qos([info.qos_profile for info in publishers], depth)
         self.loss = LossCounter(lambda: node.count_publishers(topic.name))
+        self._node = node
         self._message = message
-        self._subscription: Subscription = node.create_subscription(
-            message, topic.name, lambda _: None, self.qos, raw=True
+        self._depth = depth
+        self._recent: deque[_Identity] = deque(maxlen=depth)
+        self._old: Subscription | None = None
+        self._connected_looks = 0
+        self.qos, self._subscription = self._subscribe()
+
+    def _subscribe(self) -> tuple[QoSProfile, Subscription]:
+        publishers = self._node.get_publishers_info_by_topic(self.topic.name)
+        qos = subscription_qos([info.qos_profile for info in publishers], self._depth)
+        subscription = self._node.create_subscription(
+            self._message, self.topic.name, lambda _: None, qos, raw=True
         )
+        return qos, subscription
 
     def take(self) -> list[Sample]:
         """All that is waiting."""
+        if self._old is None:
+            return [self._sample(*taken) for taken in self._waiting(self._subscription)]
+        known = set(self._recent)
         samples = []
-        handle = self._subscription.handle
-        with handle:
-            while (taken := handle.take_message(self._message, True)) is not None:
-                data, info = taken
-                self.loss.observe(info["publication_sequence_number"])
-                samples.append(
-                    Sample(self.topic, data, info["received_timestamp"], info["source_timestamp"])
-                )
+        for subscription in (self._old, self._subscription):
+            for data, info in self._waiting(subscription):
+                if _identity(info) not in known:
+                    known.add(_identity(info))
+                    samples.append(self._sample(data, info))
+        self._connected_looks += self._is_connected()
+        if self._connected_looks > OVERLAP_LOOKS:
+            self._node.destroy_subscription(self._old)
+            self._node.get_logger().info(f"{self.topic.name}: the old subscription is given up")
+            self._old = None
         return samples
 
-    def hears_all(self, node: Node) -> bool:
+    def _waiting(self, subscription: Subscription) -> Iterator[tuple[bytes, dict[str, int]]]:
+        handle = subscription.handle
+        with handle:
+            while (taken := handle.take_message(self._message, True)) is not None:
+                yield taken
+
+    def _sample(self, data: bytes, info: dict[str, int]) -> Sample:
+        self.loss.observe(info["publication_sequence_number"])
+        self._recent.append(_identity(info))
+        return Sample(self.topic, data, info["received_timestamp"], info["source_timestamp"])
+
+    def _is_connected(self) -> bool:
+        publishers = self._node.count_publishers(self.topic.name)
+        return self._subscription.get_publisher_count() >= publishers
+
+    def hears_all(self) -> bool:
         """Whether every publisher that there is now can serve this subscription."""
         return all(
             qos_check_compatible(info.qos_profile, self.qos)[0] != QoSCompatibility.ERROR
-            for info in node.get_publishers_info_by_topic(self.topic.name)
+            for info in self._node.get_publishers_info_by_topic(self.topic.name)
         )
 
-    def resubscribe(self, node: Node) -> None:
+    def resubscribe(self) -> None:
         """Adapt to the publishers that there are now."""
-        node.destroy_subscription(self._subscription)
-        publishers = node.get_publishers_info_by_topic(self.topic.name)
-        self.qos = subscription_qos([info.qos_profile for info in publishers], self.qos.depth)
-        self._subscription = node.create_subscription(
-            self._message, self.topic.name, lambda _: None, self.qos, raw=True
-        )
+        if self._old is not None:
+            self._node.destroy_subscription(self._subscription)  # the old one has what was received
+        else:
+            self._old = self._subscription
+        self._connected_looks = 0
+        self.qos, self._subscription = self._subscribe()
+
+
+def _identity(info: dict[str, int]) -> _Identity:
+    """What tells a message of a topic from another: the publisher's number and time of sending."""
+    return info["publication_sequence_number"], info["source_timestamp"]
 
 
 class RecordNode(Node):
@@ -112,8 +157,8 @@ class RecordNode(Node):
     def discover(self) -> None:
         """Subscribe to what is new, adapt to new publishers of what is not."""
         for subscription in self._subscriptions_by_name.values():
-            if not subscription.hears_all(self):
-                subscription.resubscribe(self)
+            if not subscription.hears_all():
+                subscription.resubscribe()
                 self.get_logger().warning(
                     f"{subscription.topic.name}: a new publisher offers less; adapted to it"
                 )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from worm_driver.bag_metadata import RecordedTopic
 from worm_driver.recorder import BagRecorder, Manifest, Options
-from worm_driver.recording_thread import Note, RecordingThread, Sample
+from worm_driver.recording_thread import Note, RecordingThread, Sample, Tally
 from worm_model.bags.opening import open_bag
 
 TOPIC = RecordedTopic("/counter", "std_msgs/msg/UInt64", "uint64 data\n")
@@ -28,7 +28,7 @@ def test_everything_offered_is_written_in_order(tmp_path: Path):
         thread.offer([sample(i), sample(i + 1), sample(i + 2)])
     thread.note(Note("worm_gait", {"stroke": "0.07"}))
     thread.close()
-    assert (thread.error, thread.dropped) == (None, 0)
+    assert (thread.error, thread.dropped) == (None, Tally())
     with open_bag(tmp_path / "bag") as bag:
         assert [m.log_time for m in bag.messages()] == list(range(1, 301))
         assert bag.metadata["worm_gait"] == {"stroke": "0.07"}
@@ -59,7 +59,7 @@ def test_what_does_not_fit_into_the_backlog_is_dropped_and_counted(tmp_path: Pat
     thread.offer([sample(5), sample(6)])
     held.allowed.set()
     thread.close()
-    assert thread.dropped == 2
+    assert thread.dropped == Tally(2, 24)
     with open_bag(tmp_path / "bag") as bag:
         assert bag.message_count == 5
 
@@ -86,9 +86,29 @@ def test_a_full_disk_is_reported_and_later_messages_are_counted_as_dropped(tmp_p
     thread = RecordingThread(
         Broken(tmp_path / "bag", Manifest(), Options(), 1), sync_s=10.0, backlog_bytes=10**6
     )
-    thread.offer([sample(i) for i in range(4)])
+    for i in range(10):
+        thread.offer([sample(2 * i), sample(2 * i + 1)])
     thread.close()
     assert isinstance(thread.error, OSError)
     assert thread.error.errno == errno.ENOSPC
-    thread.offer([sample(9)])
-    assert thread.dropped >= 1
+    thread.offer([sample(20)])
+    assert thread.dropped == Tally(21, 21 * 12)  # none had been synchronised
+
+
+class FullLater(Broken):
+    """The same, after each message has been brought to the disk."""
+
+    def sync(self) -> None:
+        super().sync()
+        self.synchronised = self.summary.total.count
+
+
+def test_what_was_synchronised_before_a_disk_was_full_is_not_counted_as_dropped(tmp_path: Path):
+    broken = FullLater(tmp_path / "bag", Manifest(), Options(), 1)
+    thread = RecordingThread(broken, sync_s=0.0, backlog_bytes=10**6)
+    for i in range(10):
+        thread.offer([sample(i)])
+    thread.close()
+    with open_bag(tmp_path / "bag", lambda _: None) as bag:
+        assert bag.message_count == broken.synchronised == 2
+    assert thread.dropped.messages == 8
