@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The optimizer node as a process: cold start, requests, actions, cancelling, restart, Ctrl-C."""
 
+import copy
 import math
 import time
 
@@ -13,7 +14,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 
 from worm_msgs.action import OptimizeGaits, ScanMargin
-from worm_msgs.msg import Gait
+from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
 
 SMALL = {
@@ -153,12 +154,35 @@ def test_an_optimisation_reports_its_generations_and_is_served_after_a_restart(s
     assert generations
     assert all(told.generations == 4 for told in feedback if told.generation)
     assert user.ask().prediction == done.result.cruise
+    assert user.ask(direction=Gait.REVERSE).prediction == mirrored(done.result.cruise)
 
     node.interrupt()
     assert node.wait(TIMEOUT_S) == 0
     start("restarted", margin_m=0.002)
     user.served()
     assert user.ask().prediction == done.result.cruise
+    assert user.ask(direction=Gait.REVERSE).prediction == mirrored(done.result.cruise)
+
+
+def mirrored(prediction: GaitPrediction) -> GaitPrediction:
+    """The same in the other direction, which it is for a robot with equal modules."""
+    other = copy.deepcopy(prediction)
+    other.gait.direction = -prediction.gait.direction
+    return other
+
+
+def test_a_front_that_cannot_be_kept_is_served_all_the_same(start, user, tmp_path):
+    node = start(margin_m=0.002)
+    user.served()
+    for front in (tmp_path / "cache").glob("front-*.json"):
+        front.with_name(front.name.replace("front", "served")).mkdir()  # no file can go there
+    goal = OptimizeGaits.Goal(margin=0.001, direction=-1, generations=4)
+    done = user.outcome(user.send("optimize_gaits", goal))
+    assert done.status == GoalStatus.STATUS_SUCCEEDED
+    assert done.result.success
+    assert user.ask(direction=Gait.REVERSE).prediction == done.result.cruise
+    assert user.ask().prediction == mirrored(done.result.cruise)
+    assert node.output().count("but not kept") == 2
 
 
 def test_a_cancelled_optimisation_ends_at_once_and_changes_nothing(start, user, probe):

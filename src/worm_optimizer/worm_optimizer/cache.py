@@ -1,31 +1,70 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results on disk, named by the hash of all that they depend on.
 
-Nothing is ever looked up by date or path: a new parameter file or setting is another name, so an
-outdated result is never found. Files are written beside and moved into place, so that none is half
-there after a crash, and one that is broken all the same counts as absent.
+Nothing is ever looked up by date or path: a new parameter file or setting, or another version of the
+code that computes, is another name, so an outdated result is never found. Files are written beside and
+moved into place, so that none is half there after a crash, and one that is broken all the same counts
+as absent.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import json
 import os
 import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import worm_model
 from worm_model.parameters import ParameterFile
 from worm_optimizer.errors import OptimizerError
 from worm_optimizer.settings import Settings
 
 T = TypeVar("T")
 
-FORMAT = 1  # to be raised when results change for the same input: new model, method or fields
+# All that results depend on beside their input: a change of the model or of the method is another name.
+_MODEL_SOURCES = ("kernel/*.py", "batch.py", "simulator.py", "actuation.py", "closed_form.py")
+_MODEL_SOURCES += ("gait.py", "parameters.py")
+_OPTIMIZER_SOURCES = tuple(
+    f"{name}.py"
+    for name in (
+        *("cache", "certificate", "chance", "errors", "gait_map", "limits", "margin", "pareto"),
+        *("pipeline", "prediction", "problem", "robustness", "search", "served", "settings"),
+        *("task", "uncertainty"),
+    )
+)
+_PART = ".part"  # ends the name of a file that is being written
+_ABANDONED = 3600.0  # s after which a file that was never moved into place is nobody's any more
+
+
+def sources() -> list[Path]:
+    """The source files that decide about a result."""
+    folders = {
+        Path(worm_model.__file__).parent: _MODEL_SOURCES,
+        Path(__file__).parent: _OPTIMIZER_SOURCES,
+    }
+    return [
+        path
+        for folder, patterns in folders.items()
+        for pattern in patterns
+        for path in sorted(folder.glob(pattern))
+    ]
+
+
+@functools.cache
+def fingerprint() -> str:
+    """Hash of `sources`."""
+    digest = hashlib.sha256()
+    for path in sources():
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
 
 
 def default_directory() -> Path:
@@ -50,13 +89,20 @@ def scan_key_of(content: ParameterFile, settings: Settings, direction: int) -> s
 
 def _hash(content: ParameterFile, rest: dict[str, Any]) -> str:
     everything = {
-        "format": FORMAT,
+        "sources": fingerprint(),
         "parameters": content.parameters.as_dict(),
         "intervals": {key: list(bounds) for key, bounds in content.intervals.items()},
         **rest,
     }
     text = json.dumps(everything, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def _remove_abandoned(directory: Path) -> None:
+    for path in directory.glob(f".*{_PART}"):
+        with contextlib.suppress(OSError):  # somebody else was faster
+            if time.time() - path.stat().st_mtime > _ABANDONED:
+                path.unlink()
 
 
 @dataclass(frozen=True)
@@ -67,10 +113,14 @@ class Cache:
 
     @staticmethod
     def at(directory: Path) -> Cache:
-        """A cache that is known to be writable; raises `OptimizerError` otherwise."""
+        """A cache that is known to be writable; raises `OptimizerError` otherwise.
+
+        What a process left behind that was killed while it wrote is removed.
+        """
         try:
             directory.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=directory):
+                _remove_abandoned(directory)
                 return Cache(directory)
         except OSError as error:
             raise OptimizerError(
@@ -85,7 +135,9 @@ class Cache:
 
     def store(self, name: str, content: Any) -> None:
         """Stores a result in one step; raises OSError if the directory cannot be written to."""
-        handle, temporary = tempfile.mkstemp(dir=self.directory, prefix=f".{name}-", text=True)
+        handle, temporary = tempfile.mkstemp(
+            dir=self.directory, prefix=".", suffix=_PART, text=True
+        )
         try:
             with os.fdopen(handle, "w", encoding="utf-8") as file:
                 json.dump(content, file)

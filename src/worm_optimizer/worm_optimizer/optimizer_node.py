@@ -27,7 +27,13 @@ from worm_optimizer.desk import Answer, answer, request_of
 from worm_optimizer.errors import OptimizerError
 from worm_optimizer.jobs import FrontJob, Job, ScanJob
 from worm_optimizer.margin import PriceOfRobustness
-from worm_optimizer.pipeline import Progress, is_symmetric, load_served, remember_served
+from worm_optimizer.pipeline import (
+    Progress,
+    both_ways,
+    is_symmetric,
+    load_served,
+    remember_served,
+)
 from worm_optimizer.served import ServedFront
 from worm_optimizer.worker import Outcome, Ticket, WorkQueue
 
@@ -95,7 +101,9 @@ class OptimizerNode(Node):
         self._note_absence(direction, _COMPUTED.format(100.0 * progress.fraction, progress.doing))
 
     def _note_end(self, direction: int, outcome: Outcome) -> None:
-        self._load_fronts()
+        if isinstance(outcome.result, ServedFront):
+            for front in both_ways(outcome.result, self._content.parameters):
+                self._serve_front(front)
         if outcome.failure:
             self._note_absence(direction, f"there is no front: {outcome.failure}")
             self.get_logger().error(f"{_NAMES[direction]}: {self._absences[direction]}")
@@ -147,9 +155,9 @@ class OptimizerNode(Node):
         ActionServer(self, kind, name, execute, cancel_callback=self._cancel)
 
     async def _optimize(self, goal: ServerGoalHandle) -> OptimizeGaits.Result:
-        content, base = self._content, self._settings
+        content = self._content
         try:
-            settings = ros_messages.settings_of_goal(base, goal.request)
+            settings = ros_messages.settings_of_goal(self._settings, goal.request)
             direction = ros_messages.direction_of(goal.request.direction)
         except OptimizerError as error:
             goal.abort()
@@ -160,9 +168,19 @@ class OptimizerNode(Node):
         if not isinstance(front, ServedFront):
             return OptimizeGaits.Result(message=outcome.failure)
         if content is self._content:  # else the parameter file has changed under way
-            self._serve_front(front)
-            remember_served(content, base, front, self._cache)
+            self._serve_from_now_on(front)
         return ros_messages.optimize_result(front)
+
+    def _serve_from_now_on(self, front: ServedFront) -> None:
+        """Serves a front, and keeps it for the next start if it can be kept."""
+        for each in both_ways(front, self._content.parameters):
+            self._serve_front(each)
+            try:
+                remember_served(self._content, self._settings, each, self._cache)
+            except OSError as error:
+                self.get_logger().error(
+                    f"{_NAMES[each.direction]}: served until this node ends, but not kept: {error}"
+                )
 
     async def _scan(self, goal: ServerGoalHandle) -> ScanMargin.Result:
         try:

@@ -81,6 +81,11 @@ def is_symmetric(parameters: Parameters) -> bool:
     return parameters.rear_mass == parameters.front_mass
 
 
+def both_ways(front: ServedFront, parameters: Parameters) -> tuple[ServedFront, ...]:
+    """A front, and that of the other direction where it is the mirror image."""
+    return (front, front.mirrored()) if is_symmetric(parameters) else (front,)
+
+
 def _canonical(direction: int, parameters: Parameters) -> int:
     """The direction to compute: forward serves both of a symmetric robot."""
     return FORWARD if is_symmetric(parameters) else direction
@@ -128,9 +133,8 @@ def make_front(
     Raises `OptimizerError` if no gait moves, OSError if the cache cannot be written.
     """
     canonical = _canonical(direction, content.parameters)
-    fronts = [_computed_front(content, settings, canonical, cache, report)]
-    if is_symmetric(content.parameters):
-        fronts.append(fronts[0].mirrored())
+    computed = _computed_front(content, settings, canonical, cache, report)
+    fronts = both_ways(computed, content.parameters)
     for front in fronts:
         cache.store(_front_name(content, settings, front.direction), front.as_dict())
     return next(front for front in fronts if front.direction == direction)

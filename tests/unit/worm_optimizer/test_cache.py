@@ -1,16 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results on disk: found again only for exactly what they were made of, never half written."""
 
+import ast
 import dataclasses
 import json
 import math
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 from gaits_for_tests import QUICK, cache_in, made_up_front
 
 from worm_model.parameters import PAPER, ParameterFile
-from worm_optimizer.cache import Cache, default_directory, key_of, scan_key_of
+from worm_optimizer import cache as cache_module
+from worm_optimizer.cache import (
+    Cache,
+    default_directory,
+    fingerprint,
+    key_of,
+    scan_key_of,
+    sources,
+)
 from worm_optimizer.errors import OptimizerError
 from worm_optimizer.search import SearchSettings
 from worm_optimizer.served import ServedFront
@@ -89,6 +102,37 @@ def test_names_are_the_same_in_every_process():
     """A name that depended on the process would never be found after a restart."""
     assert key_of(ParameterFile(), QUICK, 1) == key_of(ParameterFile(), QUICK, 1)
     assert json.dumps(key_of(ParameterFile(), QUICK, 1)).isascii()
+
+
+def test_the_name_depends_on_all_code_that_results_depend_on(tmp_path, monkeypatch):
+    ours = "[m.__file__ for n, m in sys.modules.items() if n.startswith('worm_')]"
+    code = f"import sys, worm_optimizer.pipeline; print({ours})"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {Path(name).resolve() for name in ast.literal_eval(told.stdout)}
+    known = {path.resolve() for path in sources()}
+    assert {path for path in loaded if path.name != "__init__.py"} <= known
+
+    before = key_of(ParameterFile(), QUICK, 1)
+    changed = tmp_path / "gait_map.py"
+    changed.write_text("another method")
+    monkeypatch.setattr(cache_module, "sources", lambda: [changed])
+    fingerprint.cache_clear()
+    try:
+        assert key_of(ParameterFile(), QUICK, 1) != before
+    finally:
+        fingerprint.cache_clear()
+
+
+def test_what_a_killed_process_left_behind_is_removed_and_what_is_being_written_is_not(tmp_path):
+    cache = cache_in(tmp_path)
+    old, new, other = (cache.directory / name for name in (".a.part", ".b.part", "front.json"))
+    for path in (old, new, other):
+        path.write_text("{")
+    two_hours_ago = time.time() - 7200.0
+    for path in (old, other):
+        os.utime(path, (two_hours_ago, two_hours_ago))
+    Cache.at(cache.directory)
+    assert sorted(path.name for path in cache.directory.iterdir()) == [".b.part", "front.json"]
 
 
 def test_the_default_folder_follows_the_environment(monkeypatch):
