@@ -64,7 +64,7 @@ def _measure(cycles: int) -> list[Row]:
         calls = (
             ("read", read, "", REPEATS),
             ("read, follow, report", report, "1000", REPEATS),
-            ("the same, sample by sample, to a new bag", publish, "", 1),
+            ("the same, sample by sample, to a new bag", publish, "1000", 1),
         )
         return [
             Row(
