@@ -1,21 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of a recorded gait: windows, displacement over whole cycles, energy, and their table."""
 
+import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from recorded_run import GAIT, REST_S, simulated_run
 
-from worm_model.run import GaitStates
+from worm_model.parameters import PAPER
+from worm_model.run import GaitStates, PowerSamples
+from worm_model.simulator import simulate
+from worm_model.twin_replay import replay_run
+from worm_optimizer.bringup.figure import draw_run
 from worm_optimizer.bringup.figures import (
     Figures,
     RecordingError,
     Window,
     accumulate,
+    averaged_onset,
     averaged_window,
     figures,
+    settled_power,
 )
 from worm_optimizer.bringup.report import comparison_table, relative_difference
 
@@ -103,6 +112,48 @@ def test_a_recording_that_ends_too_early_is_refused(name):
     series[name] = (stamps(short), short)
     with pytest.raises(RecordingError, match=f"no {name} over the averaged cycles"):
         figures(series["position"], series["energy"], MASS, Window(EPOCH, EPOCH + 20_000_000_000))
+
+
+@pytest.fixture(scope="module")
+def followed():
+    run = simulated_run(3)
+    return run, replay_run(run, PAPER)
+
+
+def true_power(stamp):
+    trajectory = simulate(GAIT, cycles=3)
+    time = (stamp - simulated_run(3).origin) * 1e-9 - REST_S
+    return trajectory.at(np.clip(time, 0.0, 3 * GAIT.period)).power, (time > 0.2) & (time < 7.0)
+
+
+def test_settled_power_lacks_the_noise_of_the_provisional_one(followed):
+    run, replay = followed
+    stamp, settled = settled_power(run, replay)
+    true, moving = true_power(stamp)
+    error = np.std((settled - true)[moving])
+    true, moving = true_power(replay.states["stamp_ns"])
+    provisional = np.std((replay.states["power"] - true)[moving])
+    assert np.count_nonzero(moving) > 100
+    assert error < 0.6 * provisional
+
+
+def test_settled_power_pairs_each_sample_with_its_own_residual(followed):
+    run, replay = followed
+    stamp, settled = settled_power(run, replay)
+    measured = dict(zip(run.power.stamp.tolist(), run.power.power.tolist(), strict=True))
+    residuals = zip(replay.residuals["stamp_ns"], replay.residuals["power"], strict=True)
+    expected = {int(s): measured[int(s)] - r for s, r in residuals if math.isfinite(r)}
+    assert dict(zip(stamp.tolist(), settled.tolist(), strict=True)) == expected
+    assert settled_power(dataclasses.replace(run, power=PowerSamples()), replay)[0].size == 0
+
+
+def test_the_figure_of_a_run_is_written(followed, tmp_path: Path):
+    run, replay = followed
+    draw_run(tmp_path / "run.png", "a run", run, replay, averaged_window(run.gait_state))
+    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    states = dataclasses.replace(run.gait_state, state=0 * run.gait_state.state)
+    with pytest.raises(RecordingError, match="no gait"):
+        averaged_onset(states)
 
 
 def test_the_table_shows_differences_to_the_measurement():

@@ -401,6 +401,18 @@ def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
     assert "0.88 to 0.92" in text
 
 
+def test_the_page_fits_narrow_screens_and_calls_the_campaigns_gaits_by_words(
+    gait: RecordedGait, tmp_path: Path
+):
+    named = dataclasses.replace(gait, name="min_power")
+    text = build_report(Report("narrow", [named]), tmp_path / "report").read_text(encoding="utf-8")
+    assert '<meta name="viewport"' in text
+    assert text.count('<div class="wide"><table>') == text.count("<table>") > 0
+    assert text.count('<div class="wide"><img') == text.count("<img") == 4
+    assert "<h2>Run minimum power</h2>" in text
+    assert "min_power" not in re.sub(r"(?s)<details>.*?</details>", "", text)
+
+
 # --- the command ----------------------------------------------------------------------------------
 
 

@@ -7,53 +7,76 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from worm_model.run import Run, seconds
 from worm_model.twin_replay import Replay
-from worm_optimizer.bringup.figures import Window
+from worm_optimizer.bringup.figures import Window, averaged_onset, settled_power
+from worm_optimizer.report.style import (
+    CABLE,
+    COMMANDED,
+    MEASURED,
+    PREDICTED,
+    finish,
+    new_figure,
+    shade,
+)
 
-_ROBOT = {"color": "#1b6ca8", "linewidth": 1.4}
-_TWIN = {"color": "#d1495b", "linewidth": 1.4, "linestyle": "--"}
-_CABLE = {"color": "#7aa874", "linewidth": 1.0}
-_COMMAND = {"color": "#c9c9c9", "linewidth": 3.5}
+_AROUND_S = 2.0  # of rest before and after the gait that are shown
 
 
 def draw_run(path: Path, title: str, run: Run, replay: Replay, window: Window) -> None:
-    """Write the figure of a run as PNG; the averaged cycles are shaded."""
-    figure = Figure(figsize=(11.0, 8.5), layout="constrained")
+    """Write the figure of a run's last gait as PNG; the averaged cycles are shaded."""
+    figure = new_figure(10.0, 8.6)
     figure.suptitle(title)
     position, length, power = figure.subplots(3, 1, sharex=True)
-    twin = replay.states
-    twin_time = seconds(twin["stamp_ns"], run.origin)
+    onset = averaged_onset(run.gait_state)
+    start, end = seconds(np.array([window.start, window.end]), onset)
 
-    tracker = seconds(run.tracker.stamp, run.origin)
-    position.plot(tracker, 1e3 * run.tracker.rear_position, label="robot (tracker)", **_ROBOT)
-    position.plot(twin_time, 1e3 * twin["rear_position"], label="twin (replayed)", **_TWIN)
-    position.set_ylabel("rear module x1 in mm")
-
-    for samples, label, style in (
-        (run.commanded, "commanded", _COMMAND),
-        (run.cable, "cable (encoder)", _CABLE),
-        (run.measured, "body (measured)", _ROBOT),
-        (run.estimated, "body (estimated)", _TWIN),
+    _draw_position(position, run, replay, onset)
+    _draw_length(length, run, replay, onset)
+    _draw_power(power, run, replay, onset)
+    power.set_xlabel("time since the gait's onset (s)")
+    shade(position, start, end)
+    for axes, label in (
+        (position, "rear module x1 (mm)"),
+        (length, "length (mm)"),
+        (power, "source power (W)"),
     ):
-        length.plot(seconds(samples.stamp, run.origin), 1e3 * samples.length, label=label, **style)
-    length.set_ylabel("length in mm")
-
-    electric = seconds(run.power.stamp, run.origin)
-    power.plot(electric, run.power.valid_power, label="robot (INA219)", **_ROBOT)
-    power.plot(twin_time, twin["power"], label="twin (replayed)", **_TWIN)
-    power.set_ylabel("source power in W")
-    power.set_xlabel("time since the first sample in s")
-
-    start, end = seconds(np.array([window.start, window.end]), run.origin)
-    for axes in (position, length, power):
-        _finish(axes, start, end)
-    figure.savefig(path, dpi=130)
+        if axes is not position:
+            shade(axes, start, end, label="")
+        axes.set_xlim(-_AROUND_S, end + _AROUND_S)
+        finish(axes, label)
+    figure.align_ylabels()
+    figure.savefig(path, dpi=120)
 
 
-def _finish(axes: Axes, start: float, end: float) -> None:
-    axes.axvspan(start, end, color="#f4e8c1", zorder=0, label="averaged cycles")
-    axes.grid(visible=True, linewidth=0.4)
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
+def _draw_position(axes: Axes, run: Run, replay: Replay, onset: int) -> None:
+    tracker = run.tracker
+    time = seconds(tracker.stamp, onset)
+    axes.plot(time, 1e3 * tracker.rear_position, label="robot, by its tracker", **MEASURED)
+    states = replay.states
+    seen = states["stamp_ns"] >= tracker.stamp[:1].max(initial=0)  # before, its zero is its own
+    time = seconds(states["stamp_ns"][seen], onset)
+    axes.plot(
+        time, 1e3 * states["rear_position"][seen], label="twin, by the measured length", **PREDICTED
+    )
+
+
+def _draw_length(axes: Axes, run: Run, replay: Replay, onset: int) -> None:
+    for samples, label, style in (
+        (run.commanded, "cable, commanded", COMMANDED),
+        (run.cable, "cable, by the encoder", CABLE),
+        (run.measured, "body, by the tracker", MEASURED),
+    ):
+        axes.plot(seconds(samples.stamp, onset), 1e3 * samples.length, label=label, **style)
+    time = seconds(replay.lengths["stamp_ns"], onset)
+    length = 1e3 * replay.lengths["length"]
+    axes.plot(time, length, label="body, twin by the command", **PREDICTED)
+
+
+def _draw_power(axes: Axes, run: Run, replay: Replay, onset: int) -> None:
+    time = seconds(run.power.stamp, onset)
+    axes.plot(time, run.power.valid_power, label="robot, by its power sensor", **MEASURED)
+    stamp, power = settled_power(run, replay)
+    axes.plot(seconds(stamp, onset), power, label="twin, by the measured length", **PREDICTED)
+    axes.set_ylim(bottom=0.0)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.run import RUNNING, GaitStates
+from worm_model.run import RUNNING, GaitStates, Run
+from worm_model.twin_replay import Replay
 
 STANDARD_GRAVITY = 9.80665  # m/s², as in the cost of transport of the paper
 AVERAGED_CYCLES = 3  # the last ones: the paper's protocol
@@ -46,12 +47,14 @@ class Window:
         return (self.end - self.start) / 1e9
 
 
+def averaged_onset(states: GaitStates) -> int:
+    """Onset (ns) of the last gait that was run; raises `RecordingError` if none was."""
+    return int(states.onset[_last_running(states)])
+
+
 def averaged_window(states: GaitStates) -> Window:
     """The last three cycles of the last gait that was run; raises `RecordingError` if none was."""
-    running = np.flatnonzero((states.state == RUNNING) & (states.onset > 0))
-    if running.size == 0:
-        raise RecordingError("the recording has no gait that was run")
-    last = running[-1]
+    last = _last_running(states)
     period_ns = 1e9 / states.frequency[last]
     cycles = int(states.cycles[last])
     onset = int(states.onset[last])
@@ -60,6 +63,32 @@ def averaged_window(states: GaitStates) -> Window:
         onset + round((cycles - averaged) * period_ns),
         onset + round(cycles * period_ns),
     )
+
+
+def _last_running(states: GaitStates) -> int:
+    """Row of the last gait that was run."""
+    running = np.flatnonzero((states.state == RUNNING) & (states.onset > 0))
+    if running.size == 0:
+        raise RecordingError("the recording has no gait that was run")
+    return int(running[-1])
+
+
+def settled_power(run: Run, replay: Replay) -> tuple[Stamps, Array]:
+    """What the twin says of the power (W) at the sensor's stamps, once the lengths around each are known.
+
+    The power in its states is provisional: it comes from the newest lengths alone and carries their noise.
+    """
+    residuals = replay.residuals
+    judged = np.isfinite(residuals["power"])
+    stamp, residual = residuals["stamp_ns"][judged], residuals["power"][judged]
+    samples = run.power
+    if not (stamp.size and samples.stamp.size):
+        return np.empty(0, np.int64), np.empty(0)
+    order = np.argsort(samples.stamp, kind="stable")
+    ordered = samples.stamp[order]
+    row = np.minimum(np.searchsorted(ordered, stamp), ordered.size - 1)
+    same = ordered[row] == stamp
+    return stamp[same], samples.valid_power[order][row[same]] - residual[same]
 
 
 def figures(

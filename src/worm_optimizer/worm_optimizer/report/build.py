@@ -11,6 +11,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from worm_model.identification.figures import bellows_figure, fin_figure
+from worm_optimizer.certificate import MAP, NSGA2
 from worm_optimizer.report import page
 from worm_optimizer.report.front_figures import draw_measured_front, draw_price_of_robustness
 from worm_optimizer.report.identification import Identification
@@ -21,6 +22,7 @@ from worm_optimizer.report.run_figures import RUN_FIGURES
 from worm_optimizer.report.verdict import orders
 
 PAGE = "report.html"
+_SOURCES = {NSGA2: "of NSGA-II", MAP: "of the exhaustive map"}
 _DPI = 130
 
 
@@ -70,8 +72,8 @@ def _optimisation_section(
     yield _saved(
         draw_measured_front(optimisation.front, gaits),
         figures / "front",
-        f"The robust front ({optimisation.front.source}, with the margin), what was expected of the gaits without the "
-        "margin (95 %), and what was measured (lowest and highest cycle), with the measured cost of transport.",
+        f"The robust front ({_SOURCES[optimisation.front.source]}, with the margin), what was expected of the gaits "
+        "without the margin (95 %), and what was measured (lowest and highest cycle), with the measured cost of transport.",
     )
     yield _saved(
         draw_price_of_robustness(optimisation.price),

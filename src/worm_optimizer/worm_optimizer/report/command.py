@@ -19,7 +19,7 @@ from worm_optimizer.report.identification import add_identification, identificat
 from worm_optimizer.report.optimisation import Optimisation, optimise, why_no_front
 from worm_optimizer.report.recorded import RecordedGait, named_apart, read_recorded_gaits
 from worm_optimizer.report.text import describe
-from worm_optimizer.report.verdict import agreements, orders
+from worm_optimizer.report.verdict import agreements, orders, title_of
 
 _BAGS = Path("bags")
 
@@ -66,7 +66,7 @@ def _report(options: argparse.Namespace) -> None:
         notify(note)
     elif not options.without_front:
         optimisation = _optimised(gaits)
-    title = options.title or f"Worm robot: {', '.join(gait.name for gait in gaits)}"
+    title = options.title or f"Worm robot: {', '.join(title_of(gait.name) for gait in gaits)}"
     page = build_report(Report(title, gaits, optimisation, note, identification), folder)
     if options.json:
         print_json({"page": str(page), **report_json(gaits)})

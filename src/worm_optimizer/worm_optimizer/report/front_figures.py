@@ -3,17 +3,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from worm_optimizer.figures import plot_front, plot_price
 from worm_optimizer.margin import PriceOfRobustness
 from worm_optimizer.report.expectation import Band, Bands
 from worm_optimizer.report.recorded import RecordedGait
 from worm_optimizer.report.style import BLACK, PURPLE, new_figure
+from worm_optimizer.report.verdict import title_of
 from worm_optimizer.served import ServedFront
+
+# Hollow and large around small and full: what was measured most often lies within what was expected.
+_EXPECTED: Mapping[str, Any] = {
+    "color": PURPLE,
+    "marker": "s",
+    "markersize": 13,
+    "markerfacecolor": "none",
+    "markeredgewidth": 1.5,
+    "label": "expected (95 %)",
+}
+_MEASURED: Mapping[str, Any] = {
+    "color": BLACK,
+    "marker": "*",
+    "markersize": 8,
+    "label": "measured (span of cycles)",
+}
 
 
 def draw_measured_front(front: ServedFront, gaits: Sequence[RecordedGait]) -> Figure:
@@ -21,24 +40,24 @@ def draw_measured_front(front: ServedFront, gaits: Sequence[RecordedGait]) -> Fi
     figure = new_figure(8.5, 6.0)
     axes = figure.subplots()
     plot_front(axes, front, {})
-    for number, gait in enumerate(gaits):
-        first = number == 0
-        _cross(axes, gait.expected.bands, PURPLE, "s", "expected, 95 %" if first else "")
-        _cross(axes, gait.measured, BLACK, "*", "measured" if first else "")
-        speed, power = 1e3 * gait.measured.speed.value, gait.measured.power.value
+    for gait in gaits:
+        _cross(axes, gait.expected.bands, _EXPECTED)
+        _cross(axes, gait.measured, _MEASURED)
         axes.annotate(
-            f"{gait.name}\nCOT {gait.measured.cost_of_transport.value:.1f}",
-            (speed, power),
+            f"{title_of(gait.name)}\nCOT {gait.measured.cost_of_transport.value:.1f}",
+            (1e3 * gait.measured.speed.value, gait.measured.power.value),
             textcoords="offset points",
-            xytext=(10, -26),
+            xytext=(16, -30),
             fontsize="small",
             bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
         )
-    fastest = max([axes.get_xlim()[1], *(1.15e3 * g.measured.speed.value for g in gaits)])
+    fastest = max([axes.get_xlim()[1], *(1.2e3 * g.measured.speed.value for g in gaits)])
     most = max([axes.get_ylim()[1], *(1.15 * g.measured.power.value for g in gaits)])
     axes.set_xlim(0.0, fastest)
     axes.set_ylim(0.0, most)
-    axes.legend(loc="upper left")
+    handles, _ = axes.get_legend_handles_labels()
+    handles += [Line2D([], [], linestyle="none", **style) for style in (_EXPECTED, _MEASURED)]
+    axes.legend(handles=handles, loc="upper left")
     return figure
 
 
@@ -49,20 +68,16 @@ def draw_price_of_robustness(price: PriceOfRobustness) -> Figure:
     return figure
 
 
-def _cross(axes: Axes, bands: Bands, color: str, marker: str, label: str) -> None:
+def _cross(axes: Axes, bands: Bands, style: Mapping[str, Any]) -> None:
     axes.errorbar(
         1e3 * bands.speed.value,
         bands.power.value,
         xerr=_reach(bands.speed, 1e3),
         yerr=_reach(bands.power, 1.0),
-        color=color,
-        marker=marker,
-        markersize=13 if marker == "*" else 6,
-        markerfacecolor=color if marker == "*" else "none",
+        **{**style, "label": "_nolegend_"},
         linestyle="none",
-        capsize=4,
+        elinewidth=1.5,
         zorder=5,
-        label=label or "_nolegend_",
     )
 
 

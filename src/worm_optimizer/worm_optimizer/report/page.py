@@ -11,15 +11,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from worm_model.parameters import KEYS, PAPER, SYMBOLS, UNITS, ParameterFile
 from worm_optimizer.report.expectation import Band
 from worm_optimizer.report.recorded import RecordedGait
-from worm_optimizer.report.verdict import Agreement, Order, agreements
+from worm_optimizer.report.verdict import Agreement, Order, agreements, title_of
 
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 1080px; margin: 2em auto; padding: 0 1em; color: #222; }
 h1 { font-size: 1.7em; } h2 { margin-top: 2em; border-bottom: 1px solid #bbb; } h3 { margin-top: 1.6em; }
-table { border-collapse: collapse; margin: 0.8em 0; }
+.wide { overflow-x: auto; margin: 0.8em 0; } table { border-collapse: collapse; }
 th, td { padding: 0.25em 0.8em; text-align: left; border-bottom: 1px solid #ddd; vertical-align: top; }
-td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
-figure { margin: 1.2em 0; } img { max-width: 100%; } figcaption { color: #555; font-size: 0.92em; }
+td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+figure { margin: 1.2em 0; } img { width: 100%; max-width: 900px; min-width: 600px; }
+figcaption { color: #555; font-size: 0.92em; }
 .yes::before { content: "\\2713\\00a0"; } .no::before { content: "\\2717\\00a0"; } .no { font-weight: bold; }
 details { margin: 0.6em 0; } summary { cursor: pointer; } code { font-size: 0.9em; overflow-wrap: anywhere; }
 """
@@ -31,7 +32,8 @@ def write_page(title: str, sections: Iterable[str]) -> str:
     """A page of sections that are HTML already."""
     body = "\n".join(sections)
     return (
-        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{_text(title)}</title>\n'
+        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{_text(title)}</title>\n'
         f"<style>{_STYLE}</style>\n</head>\n<body>\n<h1>{_text(title)}</h1>\n{body}\n</body>\n</html>\n"
     )
 
@@ -40,7 +42,7 @@ def figure(png: bytes, caption: str) -> str:
     """An image inside the page."""
     data = base64.b64encode(png).decode()
     return (
-        f'<figure><img alt="{_text(caption)}" src="data:image/png;base64,{data}">'
+        f'<figure><div class="wide"><img alt="{_text(caption)}" src="data:image/png;base64,{data}"></div>'
         f"<figcaption>{_text(caption)}</figcaption></figure>"
     )
 
@@ -88,7 +90,7 @@ def _agreement_row(row: Agreement) -> list[str]:
     else:
         verdict = '<span class="yes">yes</span>' if row.agrees else '<span class="no">no</span>'
     return [
-        _text(row.gait),
+        _text(title_of(row.gait)),
         _NAMES[row.quantity],
         _value(measured.value, row.quantity),
         _range(measured, row.quantity),
@@ -100,12 +102,12 @@ def _agreement_row(row: Agreement) -> list[str]:
 
 
 def _order_text(order: Order) -> str:
-    expected = " &lt; ".join(map(_text, order.expected))
+    expected = " &lt; ".join(_text(title_of(name)) for name in order.expected)
     if order.measured is None:
         return f"{_NAMES[order.quantity]}: not told, a figure is missing (expected {expected})"
     if order.preserved:
         return f'<span class="yes">{_NAMES[order.quantity]}: preserved, {expected}</span>'
-    measured = " &lt; ".join(map(_text, order.measured))
+    measured = " &lt; ".join(_text(title_of(name)) for name in order.measured)
     return f'<span class="no">{_NAMES[order.quantity]}: not preserved; expected {expected}, measured {measured}</span>'
 
 
@@ -128,7 +130,7 @@ def run_section(gait: RecordedGait, figures: Iterable[str]) -> str:
     ]  # fmt: skip
     return "\n".join(
         [
-            f"<h2>Run {_text(gait.name)}</h2>",
+            f"<h2>Run {_text(title_of(gait.name))}</h2>",
             _table(("", ""), [list(row) for row in facts]),
             *figures,
             _cycle_table(gait),
@@ -223,7 +225,7 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], numbers: Iterabl
 
     head = f"<tr>{cells(heads, 'th')}</tr>" if any(heads) else ""
     body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
-    return f"<table>{head}{body}</table>"
+    return f'<div class="wide"><table>{head}{body}</table></div>'
 
 
 def _value(value: float, quantity: str) -> str:

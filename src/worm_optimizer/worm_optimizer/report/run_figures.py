@@ -8,14 +8,16 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
 
 from worm_model.actuation import effective_command, length_change_of_command
 from worm_model.run import LengthSamples, seconds
 from worm_model.simulator import simulate
 from worm_model.twin_replay import Series
-from worm_optimizer.bringup.figures import accumulate
+from worm_optimizer.bringup.figures import accumulate, settled_power
 from worm_optimizer.report.recorded import RecordedGait
 from worm_optimizer.report.style import (
+    CABLE,
     COMMANDED,
     EFFECTIVE,
     MEASURED,
@@ -47,9 +49,11 @@ def draw_motion(gait: RecordedGait) -> Figure:
     compared, residual = _of_run(gait, gait.replay.residuals, "rear_position")
     below.plot(compared, 1e3 * residual, label="measured − twin", **MEASURED)
     _frame(gait, (above, below), ("rear module x1 (mm)", "residual (mm)"))
-    ridges = 1e3 * gait.content.parameters.pitch
-    above.set_yticks(*_ridge_ticks(above, ridges))
-    above.set_ylabel("x1 (mm), a line per ridge")
+    above.grid(visible=False, axis="y")
+    above.yaxis.set_minor_locator(MultipleLocator(1e3 * gait.content.parameters.pitch))
+    above.grid(visible=True, axis="y", which="minor", linewidth=0.4)
+    above.tick_params(axis="y", which="minor", length=0)
+    above.set_title("horizontal lines: the pipe's ridges", loc="right", fontsize="small")
     return figure
 
 
@@ -64,7 +68,7 @@ def draw_length(gait: RecordedGait) -> Figure:
     time, command = time[played], commanded.length_change[played]
     predicted = length_change_of_command(time, command, parameters)
     for samples, label, style in (
-        (run.cable, "cable (encoder)", COMMANDED),
+        (run.cable, "cable, by the encoder", CABLE),
         (run.measured, "body, measured", MEASURED),
     ):
         above.plot(
@@ -82,10 +86,11 @@ def draw_energy(gait: RecordedGait) -> Figure:
     figure = new_figure(10.0, 5.4)
     above, below = figure.subplots(2, 1, sharex=True)
     twin = {**PREDICTED, "label": "twin, measured L"}
-    above.plot(*_of_run(gait, gait.replay.states, "power"), **{**twin, "linewidth": 0.8})
     power, stamp = gait.run.power.valid_power, gait.run.power.stamp
     known = np.isfinite(power)
     above.plot(_since_onset(gait, stamp[known]), power[known], label="measured", **MEASURED)
+    settled, predicted = settled_power(gait.run, gait.replay)
+    above.plot(_since_onset(gait, settled), predicted, **twin)
     stamp, energy = accumulate(stamp, power)
     time = _since_onset(gait, stamp)
     below.plot(time, energy - _at_onset(time, energy), label="measured", **MEASURED)
@@ -97,7 +102,7 @@ def draw_energy(gait: RecordedGait) -> Figure:
     for axes in (above, below):
         _fit_height(axes, end)
     what = "until five ridges are passed" if np.isfinite(passed) else "five ridges are not passed"
-    above.set_title(what, fontsize="medium")
+    above.set_title(what, loc="right", fontsize="small")
     return figure
 
 
@@ -123,7 +128,7 @@ def draw_cycles(gait: RecordedGait) -> Figure:
         numbers + 0.2, [c.grooves for c in cycles], 0.4, color=PREDICTED["color"], hatch="//", label="twin"
     )  # fmt: skip
     axes[0].legend(
-        fontsize="small", loc="upper center", ncols=2, bbox_to_anchor=(0.5, 1.15), frameon=False
+        fontsize="small", loc="upper center", ncols=2, bbox_to_anchor=(0.5, 1.17), frameon=False
     )
     axes[0].set_ylabel("grooves gained (1)")
     for row, name, scale, unit in (
@@ -139,6 +144,7 @@ def draw_cycles(gait: RecordedGait) -> Figure:
         row.set_xlabel("cycle")
         row.set_xticks(numbers)
         row.grid(visible=True, axis="y", linewidth=0.4)
+        row.set_axisbelow(True)
     return figure
 
 
@@ -209,10 +215,11 @@ def _frame(
     last = until if np.isfinite(until) else _duration(gait) + _BEFORE
     for axes, label in zip(panels, labels, strict=True):
         if start < last:
-            shade(axes, start, end)
+            shade(axes, start, end, label="averaged cycles" if axes is panels[0] else "")
         finish(axes, label)
         axes.set_xlim(-_BEFORE, last)
     panels[-1].set_xlabel(_TIME)
+    panels[0].figure.align_ylabels()
 
 
 def _fit_height(axes: Axes, end: float) -> None:
@@ -224,9 +231,3 @@ def _fit_height(axes: Axes, end: float) -> None:
     values = np.concatenate([part[np.isfinite(part)] for part in seen])
     if values.size:
         axes.set_ylim(0.0, 1.08 * float(values.max()))
-
-
-def _ridge_ticks(axes: Axes, pitch: float) -> tuple[np.ndarray, list[str]]:
-    low, high = axes.get_ylim()
-    ticks = pitch * np.arange(np.ceil(low / pitch), np.floor(high / pitch) + 1)
-    return ticks, [f"{tick + 0.0:.0f}" for tick in ticks]  # + 0.0: no "-0"

@@ -11,6 +11,7 @@ from worm_optimizer.report.expectation import Band
 from worm_optimizer.report.recorded import RecordedGait
 
 QUANTITIES = ("speed", "power", "cost_of_transport")
+_TITLES = {"min_power": "minimum power", "cruise": "cruising", "max_speed": "maximum speed"}
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,11 @@ class Agreement:
     def difference(self) -> float:
         """Measured over expected, less 1; NaN where there is none."""
         return self.measured.value / self.expected.value - 1.0 if self.expected.value else math.nan
+
+
+def title_of(name: str) -> str:
+    """A gait's name in words, where it is one of the campaign's."""
+    return _TITLES.get(name, name)
 
 
 def orders(gaits: Sequence[RecordedGait]) -> tuple[Order, ...]:
