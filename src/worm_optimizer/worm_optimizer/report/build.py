@@ -73,7 +73,7 @@ def _optimisation_section(
         draw_measured_front(optimisation.front, gaits),
         figures / "front",
         f"The robust front ({_SOURCES[optimisation.front.source]}, with the margin), what was expected of the gaits "
-        "without the margin (95 %), and what was measured (lowest and highest cycle), with the measured cost of transport.",
+        "without the margin (95 %), and what was measured (lowest and highest cycle), with its cost of transport.",
     )
     yield _saved(
         draw_price_of_robustness(optimisation.price),
