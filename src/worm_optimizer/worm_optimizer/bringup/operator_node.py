@@ -43,6 +43,10 @@ class OperatorError(RuntimeError):
     """A node did not answer in time, or refused."""
 
 
+class _NoAnswerError(OperatorError):
+    """Nothing came back in time."""
+
+
 @contextmanager
 def operator(namespace: str, check: Callable[[], None]) -> Iterator[OperatorNode]:
     """An operator's node with a ROS context of its own, in which signals stay Python's.
@@ -70,6 +74,7 @@ class OperatorNode(Node):
     def __init__(self, namespace: str, check: Callable[[], None], context: rclpy.Context) -> None:
         super().__init__("operator", namespace=namespace, context=context)
         self._check = check
+        self._named_clients: dict[str, Client] = {}
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self)
 
@@ -171,7 +176,7 @@ class OperatorNode(Node):
         request = RequestGait.Request(objective=RequestGait.Request.CRUISE, direction=Gait.FORWARD)
         deadline = time.monotonic() + OPTIMIZER_TIMEOUT_S
         while True:
-            response = self._call(RequestGait, "request_gait", request, CALL_TIMEOUT_S)
+            response = self._call_twice(RequestGait, "request_gait", request)
             if response.success:
                 return _prediction_of(response.prediction)
             if time.monotonic() > deadline:
@@ -213,31 +218,37 @@ class OperatorNode(Node):
 
     def stop(self) -> None:
         """Stop the robot at once."""
-        response = self._call(Trigger, "stop", Trigger.Request(), CALL_TIMEOUT_S)
+        response = self._call_twice(Trigger, "stop", Trigger.Request())
         if not response.success:
             raise OperatorError(f"the driver did not stop: {response.message}")
 
     def _state(self, node: str) -> State:
-        request = GetState.Request()
-        return self._call(GetState, f"{node}/get_state", request, CALL_TIMEOUT_S).current_state
+        answer = self._call_twice(GetState, f"{node}/get_state", GetState.Request())
+        return answer.current_state
 
     def _change(self, node: str, transition: int) -> bool:
         request = ChangeState.Request(transition=Transition(id=transition))
-        response = self._call(ChangeState, f"{node}/change_state", request, CALL_TIMEOUT_S)
+        response = self._call(ChangeState, f"{node}/change_state", request)
         return bool(response.success)
 
-    def _call(self, kind: Any, name: str, request: Any, timeout_s: float) -> Any:
-        client: Client = self.create_client(kind, name)
+    def _call_twice(self, kind: Any, name: str, request: Any) -> Any:
+        """Call what may be called again: on a busy computer an answer can get lost with its discovery."""
         try:
-            if not self._wait(client.service_is_ready, DISCOVERY_TIMEOUT_S):
-                raise OperatorError(f"no service {name}")
-            return self._result(client.call_async(request), name, timeout_s)
-        finally:
-            self.destroy_client(client)
+            return self._call(kind, name, request)
+        except _NoAnswerError:
+            return self._call(kind, name, request)
+
+    def _call(self, kind: Any, name: str, request: Any) -> Any:
+        if name not in self._named_clients:  # one for good: a new one would be discovered anew
+            self._named_clients[name] = self.create_client(kind, name)
+        client = self._named_clients[name]
+        if not self._wait(client.service_is_ready, DISCOVERY_TIMEOUT_S):
+            raise OperatorError(f"no service {name}")
+        return self._result(client.call_async(request), name, CALL_TIMEOUT_S)
 
     def _result(self, future: Future, name: str, timeout_s: float) -> Any:
         if not self._wait(future.done, timeout_s):
-            raise OperatorError(f"no answer from {name} within {timeout_s:g} s")
+            raise _NoAnswerError(f"no answer from {name} within {timeout_s:g} s")
         return future.result()
 
     def _wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The operator's calls when answers get lost, against services that are made up."""
+
+import pytest
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
+from rclpy.task import Future
+
+from worm_optimizer.bringup import operator_node
+from worm_optimizer.bringup.operator_node import OperatorError, operator
+
+
+class Service:
+    """A client of a service that loses its first answers."""
+
+    def __init__(self, kind, lost: int) -> None:
+        self._kind, self._lost = kind, lost
+        self.calls = 0
+
+    def service_is_ready(self) -> bool:
+        return True
+
+    def call_async(self, _request) -> Future:
+        self.calls += 1
+        future = Future()
+        if self.calls > self._lost:
+            future.set_result(self._answer())
+        return future
+
+    def _answer(self):
+        response = self._kind.Response()
+        if self._kind is GetState:
+            response.current_state = State(id=State.PRIMARY_STATE_ACTIVE, label="active")
+        else:
+            response.success = True
+        return response
+
+
+@pytest.fixture
+def node(monkeypatch, ros_domain):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(ros_domain))
+    monkeypatch.setattr(operator_node, "CALL_TIMEOUT_S", 0.1)
+    with operator("/worm", lambda: None) as node:
+        yield node
+
+
+@pytest.fixture
+def services(monkeypatch, node):
+    """Lets every client lose as many answers as are said, and counts the clients of each name."""
+
+    def make(lost: int) -> dict[str, list[Service]]:
+        made: dict[str, list[Service]] = {}
+
+        def create_client(kind, name):
+            made.setdefault(name, []).append(Service(kind, lost))
+            return made[name][-1]
+
+        monkeypatch.setattr(node, "create_client", create_client)
+        return made
+
+    return make
+
+
+def test_a_call_that_changes_nothing_more_is_made_again_by_the_same_client(node, services):
+    made = services(lost=1)
+    node.activate("driver")  # it is active: only its state is asked for
+    node.stop()
+    node.stop()
+    assert {name: len(clients) for name, clients in made.items()} == {
+        "driver/get_state": 1,
+        "stop": 1,
+    }
+    assert made["driver/get_state"][0].calls == 2
+    assert made["stop"][0].calls == 3
+
+
+def test_two_answers_that_are_lost_are_an_error(node, services):
+    made = services(lost=9)
+    with pytest.raises(OperatorError, match="no answer from stop within"):
+        node.stop()
+    assert made["stop"][0].calls == 2
+
+
+def test_a_transition_is_not_asked_for_twice(node, services):
+    made = services(lost=1)
+    with pytest.raises(OperatorError, match="no answer from driver/change_state"):
+        node.deactivate("driver")
+    assert made["driver/change_state"][0].calls == 1
