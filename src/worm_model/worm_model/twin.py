@@ -12,7 +12,7 @@ What it does with its samples:
   the command, tracker and power up to a second behind the length, without any effect on the outcome. While
   the driver rests before a gait, the twin stays ``start_hold_s`` behind, so that the onset finds it before the
   first moved length.
-- **Late, duplicate, not a number, clock jump**: see `worm_model.twin_streams`.
+- **Late, duplicate, ahead, not a number, clock jump back or ahead**: see `worm_model.twin_streams`.
 - **Missing.** Between driving lengths the body moves in a straight line; a gap beyond ``pause_s`` is reported.
 - **Run.** At a gait's onset the twin is put at rest: x1 where the tracker saw the rear module over the last
   ``rest_s``, L0 the mean measured length of that span (else the parameter), energy 0. Without any gait state a
@@ -32,7 +32,7 @@ from worm_model.closed_form import front_groove, groove_phase
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulator import Locomotion, SimulationError
 from worm_model.twin_actuation import Actuation, respond
-from worm_model.twin_observations import compare
+from worm_model.twin_observations import close_run, compare
 from worm_model.twin_records import (
     NANOSECONDS,
     CommandedLength,
@@ -53,7 +53,7 @@ from worm_model.twin_rest import observe_rest
 from worm_model.twin_run import Run, begin_implied_run, begin_run, holding, is_new_run, run_goes_on
 from worm_model.twin_settings import DEFAULTS, TwinSettings
 from worm_model.twin_state import Observation, TwinState
-from worm_model.twin_streams import Verdict, admit
+from worm_model.twin_streams import JUMPS, admit
 from worm_model.twin_track import HISTORY_S, Knot, Track, follow, force_at_rate, start_track
 
 __all__ = ["Twin", "TwinSettings", "TwinState"]
@@ -95,15 +95,17 @@ class Twin:
     # --- samples --------------------------------------------------------------------------------
 
     def _admit(self, state: TwinState, sample: Sample, sink: _Sink) -> TwinState:
-        streams, verdict = admit(state.streams, sample, self.settings.jump_back_s)
-        if verdict is Verdict.JUMPED:
-            text = "the clock jumped back: the twin starts anew"
+        streams, verdict, ready = admit(state.streams, sample, self.settings)
+        if verdict in JUMPS:
+            text = f"{verdict.value}: the twin starts anew"
             sink.notices.append(Notice(sample.stamp_ns, Severity.WARNING, text))
-            streams, _ = admit(self.start().streams, sample, self.settings.jump_back_s)
             state = self.start()
         state = state.but(streams=streams)
-        if verdict not in (Verdict.TAKEN, Verdict.JUMPED):
-            return state
+        for admitted in ready:
+            state = self._enter(state, admitted, sink)
+        return state
+
+    def _enter(self, state: TwinState, sample: Sample, sink: _Sink) -> TwinState:
         if isinstance(sample, GaitSample):
             return self._take_gait(state, sample, sink)
         if holding(state):
@@ -124,7 +126,7 @@ class Twin:
         begins = is_new_run(state, sample)
         if begins:
             state = self._release(state, sample.onset_ns, sink)
-            state = self._flush(state, sink)
+            state = self._end(self._flush(state, sink), sink)
         state = state.but(activity=sample.activity)
         if begins:
             state, text = begin_run(
@@ -187,7 +189,7 @@ class Twin:
         return state.but(estimated_ns=after.stamp_ns)
 
     def _begin_implied(self, state: TwinState, before: Actuation, sink: _Sink) -> TwinState:
-        state = self._flush(state, sink)
+        state = self._end(self._flush(state, sink), sink)
         state, text = begin_run(state, before.stamp_ns, None, self.parameters, self.settings)
         sink.notices.append(Notice(before.stamp_ns, Severity.INFO, text))
         return self._start_track(state, sink)
@@ -260,6 +262,12 @@ class Twin:
     def _compare(self, state: TwinState, sink: _Sink) -> TwinState:
         state, records, notices = compare(state, self.effective_parameters(state), self.settings)
         sink.residuals += records
+        sink.notices += notices
+        return state
+
+    def _end(self, state: TwinState, sink: _Sink) -> TwinState:
+        """Judges what is left of a run that has ended, before the next one."""
+        state, notices = close_run(state, self.effective_parameters(state))
         sink.notices += notices
         return state
 

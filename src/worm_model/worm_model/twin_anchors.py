@@ -52,7 +52,10 @@ class Anchors:
 
 @dataclass(frozen=True)
 class Cycle:
-    """Which cycle of the run a stamp falls in: ``number`` from 1 on, ``phase`` in [0, 1), ``start_ns``."""
+    """Which cycle of the run a stamp falls in: ``number`` from 1 on, ``phase`` in [0, 1), ``start_ns``.
+
+    After the run the phase is NaN.
+    """
 
     number: int
     phase: float

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from worm_model.parameters import Parameters
-from worm_model.twin_anchors import Cycle, cycle_at, observe_anchors
+from worm_model.twin_anchors import Cycle, observe_anchors
 from worm_model.twin_hypotheses import PowerWatch, hypotheses, observe_power
 from worm_model.twin_phase import CYCLES, length_for
 from worm_model.twin_records import (
@@ -35,6 +35,8 @@ from worm_model.twin_track import HISTORY_S, Knot, positions_at, power_at
 
 TOP_SPEED = 0.15  # m/s; no gait of the paper's box is faster
 
+CLOSE_S = 1.0  # after a run's end its last cycle is judged, whatever is still missing
+
 Comparison = tuple[TwinState, list[ResidualRecord], list[Notice]]
 
 
@@ -52,7 +54,30 @@ def compare(state: TwinState, parameters: Parameters, settings: TwinSettings) ->
             notices += told
         elif not _out_of_reach(state, sample):
             staying.append(sample)
-    return state.but(observations=tuple(staying)), records, notices
+    state = state.but(observations=tuple(staying))
+    end = state.run.end_ns
+    if end and state.streams.now_ns - end > CLOSE_S * NANOSECONDS:
+        state, told = close_run(state, parameters)
+        notices += told
+    return state, records, notices
+
+
+def close_run(state: TwinState, parameters: Parameters) -> tuple[TwinState, list[Notice]]:
+    """Judges the last cycle of a run that has ended, if no sample after it has done so."""
+    if not state.run.end_ns:
+        return state, []
+    stamp = state.streams.now_ns
+    cycle = state.run.cycle_at(max(stamp, state.run.end_ns))
+    if cycle is None:
+        return state, []
+    notices: list[Notice] = []
+    if cycle.number > state.anchors.cycle:
+        state, told = _watch_anchors(state, cycle, stamp, math.nan, parameters)
+        notices += told
+    if cycle.number > state.watch.cycle:
+        state, told = _watch_power(state, cycle, stamp, math.nan, parameters)
+        notices += told
+    return state, notices
 
 
 def _out_of_reach(state: TwinState, sample: Observation) -> bool:
@@ -83,31 +108,25 @@ def _judge_power(
     # No window resolves the step of the length rate at the onset.
     if sample.stamp_ns - state.run.start_ns > 4.0 * settings.smoothing_s * NANOSECONDS:
         monitor = observe(monitor, POWER, sample.stamp_ns, residual, settings.power_scale_W)
-    state, notices = _watch_power(state.but(monitor=monitor), sample, parameters)
+    state = state.but(monitor=monitor)
+    notices: list[Notice] = []
+    cycle = state.run.cycle_at(sample.stamp_ns)
+    if cycle is not None:
+        state, notices = _watch_power(state, cycle, sample.stamp_ns, sample.power, parameters)
     energy_residual = monitor.energy - energy
     found = record(state.monitor, settings, sample.stamp_ns, power=residual, energy=energy_residual)
     return state, [found], notices
 
 
 def _watch_power(
-    state: TwinState, sample: PowerSample, parameters: Parameters
+    state: TwinState, cycle: Cycle, stamp_ns: int, power: float, parameters: Parameters
 ) -> tuple[TwinState, list[Notice]]:
-    cycle = _cycle(state, sample.stamp_ns)
-    if cycle is None or state.run.gait is None:
-        return state, []
+    assert state.run.gait is not None
     pair = hypotheses(state.run.gait, parameters)
     if not pair.telling:
         return state, []
-    watch, text = observe_power(state.watch, cycle, sample.power, pair)
-    return _warn(state.but(watch=watch), sample.stamp_ns, cycle, text)
-
-
-def _cycle(state: TwinState, stamp_ns: int) -> Cycle | None:
-    """The cycle that a stamp falls in, None outside a run."""
-    run = state.run
-    if run.gait is None or not run.active or stamp_ns < run.start_ns:
-        return None
-    return cycle_at(stamp_ns, run.start_ns, run.gait.period)
+    watch, text = observe_power(state.watch, cycle, power, pair)
+    return _warn(state.but(watch=watch), stamp_ns, cycle, text)
 
 
 def _warn(
@@ -167,7 +186,10 @@ def _judge_position(
         return _refuse(state.but(sight=sight), sample, residual, settings)
     monitor = observe(state.monitor, POSITION, sample.stamp_ns, residual, settings.position_scale_m)
     state = state.but(sight=sight, monitor=monitor)
-    state, notices = _watch_anchors(state, sample, residual, parameters)
+    notices: list[Notice] = []
+    cycle = state.run.cycle_at(sample.stamp_ns)
+    if cycle is not None:
+        state, notices = _watch_anchors(state, cycle, sample.stamp_ns, residual, parameters)
     return state, [record(state.monitor, settings, sample.stamp_ns, position=residual)], notices
 
 
@@ -205,16 +227,13 @@ def _refuse(
 
 
 def _watch_anchors(
-    state: TwinState, sample: TrackerSample, residual: float, parameters: Parameters
+    state: TwinState, cycle: Cycle, stamp_ns: int, residual: float, parameters: Parameters
 ) -> tuple[TwinState, list[Notice]]:
-    cycle = _cycle(state, sample.stamp_ns)
-    if cycle is None:
-        return state, []
     anchors, text = observe_anchors(
         state.anchors, cycle, residual, parameters.pitch, state.run.direction
     )
-    state, notices = _warn(state.but(anchors=anchors), sample.stamp_ns, cycle, text)
-    state, more = _fit_phase(state, sample.stamp_ns, parameters, happened=bool(text))
+    state, notices = _warn(state.but(anchors=anchors), stamp_ns, cycle, text)
+    state, more = _fit_phase(state, stamp_ns, parameters, happened=bool(text))
     return state, notices + more
 
 

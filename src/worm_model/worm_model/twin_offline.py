@@ -21,7 +21,7 @@ from worm_model.run import GaitStates, Run
 from worm_model.simulator import Locomotion, SimulationError
 from worm_model.smoothing import smooth
 from worm_model.twin import Twin
-from worm_model.twin_anchors import cycle_at, observe_anchors
+from worm_model.twin_anchors import observe_anchors
 from worm_model.twin_observations import TOP_SPEED
 from worm_model.twin_offline_inputs import (
     Drive,
@@ -116,6 +116,12 @@ def _announced_onset(states: GaitStates, settings: TwinSettings) -> tuple[int, i
     return onset, onset if delay <= 0 else onset + 1
 
 
+def _end_of_run(states: GaitStates, onset: int) -> int:
+    """Stamp (ns) of the first word that the run is over; 0 if there is none."""
+    over = ~np.isin(states.state, PLAYING) & (states.stamp > onset)
+    return int(states.stamp[over][0]) if over.any() else 0
+
+
 def _tracker_jumps(inputs: Inputs, onset: int, settings: TwinSettings) -> bool:
     """Whether the twin would refuse a position from shortly before the onset on."""
     seen = inputs.rear.since(onset - NANOSECONDS)
@@ -143,6 +149,7 @@ def _begin(
     nowhere = replace(state.run, origin=math.nan)
     gait = gait_at(states, int(np.flatnonzero(states.onset == onset)[0]))
     begun, _ = begin_run(state.but(rest=rest, run=nowhere), onset, gait, parameters, settings)
+    begun = begun.but(run=replace(begun.run, end_ns=_end_of_run(states, onset)))
     return None if math.isnan(begun.run.origin) or not begun.run.length_seen else begun
 
 
@@ -200,7 +207,8 @@ def _compare_positions(
     cycles = np.floor((stamp - zero) / NANOSECONDS * gait.frequency + 1e-9)
     begins = np.concatenate([[False], np.diff(cycles) > 0])
     for row in np.flatnonzero((phase >= _LOOK_FROM) | begins):
-        cycle = cycle_at(int(stamp[row]), zero, gait.period)
+        cycle = begun.run.cycle_at(int(stamp[row]))
+        assert cycle is not None
         anchors, _ = observe_anchors(
             anchors, cycle, float(residual[row]), parameters.pitch, begun.run.direction
         )

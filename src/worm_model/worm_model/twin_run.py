@@ -51,7 +51,7 @@ def begin_implied_run(state: TwinState, before: Actuation, sample: CommandedLeng
 def run_goes_on(state: TwinState, sample: GaitSample) -> TwinState:
     """The state after a gait state that begins no run; it may end one."""
     if state.run.active and sample.activity not in PLAYING:
-        return state.but(run=replace(state.run, active=False))
+        return state.but(run=replace(state.run, end_ns=sample.stamp_ns))
     return state
 
 
@@ -82,7 +82,7 @@ def begin_run(
         actuation = join(gait, onset_ns, start, effective)
     else:
         actuation = engage(start, effective)
-    run = Run(onset_ns, gait, True, origin, length, seen)
+    run = Run(onset_ns, gait, origin, length, seen)
     begun = state.but(
         run=run,
         actuation=actuation,

@@ -27,6 +27,12 @@ class TwinSettings:
     jump_back_s: float = _row(
         1.0, 0.1, 60.0, "samples older than the newest by more than this mean a clock that jumped"
     )
+    hold_ahead_s: float = _row(
+        1.0, 0.1, 60.0, "a sample ahead of the newest by more than this waits for others to agree"
+    )
+    jump_ahead_s: float = _row(
+        60.0, 1.0, 86400.0, "samples that agree on being ahead by more than this mean a clock jump"
+    )
     start_hold_s: float = _row(
         0.05, 0.0, 1.0, "while the driver rests before a gait, the twin runs this far behind"
     )

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from worm_model.gait import FORWARD, Gait
 from worm_model.twin_actuation import Actuation
-from worm_model.twin_anchors import Anchors
+from worm_model.twin_anchors import Anchors, Cycle, cycle_at
 from worm_model.twin_hypotheses import PowerWatch
 from worm_model.twin_records import (
     Activity,
@@ -23,6 +23,8 @@ from worm_model.twin_rest import Rest
 from worm_model.twin_streams import Streams
 from worm_model.twin_track import Knot, Track
 
+END_NS = 100_000_000  # the driver tells of the end of a cycle with this much of a tolerance
+
 Observation = TrackerSample | PowerSample | MeasuredLength
 
 
@@ -32,20 +34,37 @@ class Run:
 
     ``start_ns`` its start, 0 before the first; ``gait`` None where no gait state told; ``origin`` the
     tracker's position of the twin's zero, m; ``initial_length`` L0 in m; ``length_seen`` whether an
-    instrument gave it.
+    instrument gave it; ``end_ns`` its end, 0 while it goes on.
     """
 
     start_ns: int = 0
     gait: Gait | None = None
-    active: bool = False
     origin: float = 0.0
     initial_length: float = math.nan
     length_seen: bool = False
+    end_ns: int = 0
+
+    @property
+    def active(self) -> bool:
+        """Whether the run goes on."""
+        return bool(self.start_ns) and not self.end_ns
 
     @property
     def direction(self) -> int:
         """That of the gait, forward without one."""
         return FORWARD if self.gait is None else self.gait.direction
+
+    def cycle_at(self, stamp_ns: int) -> Cycle | None:
+        """The cycle that a stamp falls in; None where there is none, before a run or without a gait.
+
+        All that comes after the run belongs to the cycle after its last whole one, without a phase.
+        """
+        if self.gait is None or not self.start_ns or stamp_ns < self.start_ns:
+            return None
+        if not self.end_ns or stamp_ns < self.end_ns:
+            return cycle_at(stamp_ns, self.start_ns, self.gait.period)
+        after = cycle_at(self.end_ns + END_NS, self.start_ns, self.gait.period)
+        return replace(after, phase=math.nan)
 
 
 @dataclass(frozen=True)

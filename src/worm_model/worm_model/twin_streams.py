@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which samples the twin takes: late, duplicate and missing ones, NaN, and a clock that jumps back.
+"""Which samples the twin takes: late, duplicate and missing ones, NaN, and a clock that jumps.
 
-Within a stream stamps ascend. A sample whose stamp is not after its stream's newest is a duplicate (equal)
-or late (older): it is counted and left. Samples that are all older than the newest of any stream by more than
-``jump_back_s``, three in a row, mean that the clock jumped (a bag that starts anew, a new time source): the
-twin restarts. Whatever is not a number, or no length of a worm, is counted and left.
+- **Late, duplicate.** Within a stream stamps ascend. A sample whose stamp is not after its stream's newest is a
+  duplicate (equal) or late (older): it is counted and left.
+- **Jump back.** Samples that are all older than the newest of any stream by more than ``jump_back_s``, three in a
+  row, mean that the clock jumped (a bag that starts anew, a new time source): the twin restarts.
+- **Ahead.** A sample that is ahead of the newest of any stream by more than ``hold_ahead_s`` is held. Once three in
+  a row agree, from two streams if two were alive, all of them are taken: after up to ``jump_ahead_s`` as
+  the end of a pause, beyond as a clock that jumped ahead, with which the twin restarts. If a sample
+  of the present comes before that, those held had wild stamps and are left.
+- **Not a number**, or no length of a worm: counted and left.
 """
 
 from __future__ import annotations
@@ -22,9 +27,11 @@ from worm_model.twin_records import (
     Sample,
     TrackerSample,
 )
+from worm_model.twin_settings import TwinSettings
 
 LONGEST_M = 1.0  # no worm is longer; a wrong unit would have the twin count millions of grooves
 JUMP_CONFIRMATIONS = 3  # in a row: one wild stamp restarts nothing
+PATIENCE = 100  # samples ahead in a row, which one stream alone may convince with
 
 
 class Verdict(enum.Enum):
@@ -33,49 +40,121 @@ class Verdict(enum.Enum):
     TAKEN = "taken"
     DUPLICATE = "duplicate"
     LATE = "late"
+    AHEAD = "ahead"
     NOT_A_NUMBER = "not a number"
-    JUMPED = "the clock jumped back"
+    JUMPED_BACK = "the clock jumped back"
+    JUMPED_AHEAD = "the clock jumped ahead"
+
+
+JUMPS = (Verdict.JUMPED_BACK, Verdict.JUMPED_AHEAD)
 
 
 @dataclass(frozen=True)
 class Streams:
-    """Newest stamp (ns) of each stream by the sample's type, and how often each verdict fell."""
+    """Newest stamp (ns) of each stream by the sample's type, and how often each verdict fell.
+
+    ``old_in_a_row`` counts the last samples that were too old; ``ahead`` are those held.
+    """
 
     newest: dict[type, int] = field(default_factory=dict)
     counts: dict[Verdict, int] = field(default_factory=dict)
     old_in_a_row: int = 0
+    ahead: tuple[Sample, ...] = ()
 
     @property
     def now_ns(self) -> int:
         """Newest stamp of all, 0 before the first."""
         return max(self.newest.values(), default=0)
 
+    @property
+    def present_ns(self) -> int:
+        """The same without the gait states, which may be old when they are heard."""
+        return max(
+            (stamp for kind, stamp in self.newest.items() if kind is not GaitSample), default=0
+        )
 
-def admit(streams: Streams, sample: Sample, jump_back_s: float) -> tuple[Streams, Verdict]:
-    """(the streams after the sample, what becomes of it)."""
-    verdict, old = _judge(streams, sample, jump_back_s)
-    counts = {**streams.counts, verdict: streams.counts.get(verdict, 0) + 1}
-    newest = streams.newest
+
+def admit(
+    streams: Streams, sample: Sample, settings: TwinSettings
+) -> tuple[Streams, Verdict, tuple[Sample, ...]]:
+    """(the streams after the sample, what becomes of it, the samples to be taken now)."""
+    verdict = _judge(streams, sample, settings)
+    streams = replace(streams, counts=_counted(streams.counts, verdict))
     if verdict is Verdict.TAKEN:
-        newest = {**newest, type(sample): sample.stamp_ns}
-    return replace(streams, newest=newest, counts=counts, old_in_a_row=old), verdict
+        return _taken(replace(streams, ahead=()), sample), verdict, (sample,)
+    if verdict is Verdict.AHEAD:
+        return _hold(streams, sample, settings)
+    if verdict is Verdict.NOT_A_NUMBER:
+        return streams, verdict, ()
+    if not _is_old(streams, sample, settings):
+        return replace(streams, old_in_a_row=0, ahead=()), verdict, ()
+    old = streams.old_in_a_row + 1
+    if old < JUMP_CONFIRMATIONS:
+        return replace(streams, old_in_a_row=old), verdict, ()
+    return _restarted(streams, Verdict.JUMPED_BACK, (sample,))
 
 
-def _judge(streams: Streams, sample: Sample, jump_back_s: float) -> tuple[Verdict, int]:
-    stamp = sample.stamp_ns
+def _judge(streams: Streams, sample: Sample, settings: TwinSettings) -> Verdict:
+    stamp, present = sample.stamp_ns, streams.present_ns
     if stamp <= 0 or not _is_number(sample):
-        return Verdict.NOT_A_NUMBER, streams.old_in_a_row
+        return Verdict.NOT_A_NUMBER
+    if present and stamp - present > settings.hold_ahead_s * NANOSECONDS:
+        return Verdict.AHEAD
+    last = streams.newest.get(type(sample), 0)
+    if stamp == last:
+        return Verdict.DUPLICATE
     # A latched gait state may be as old as it likes: it speaks of the present.
     if isinstance(sample, GaitSample):
-        last = streams.newest.get(GaitSample, 0)
-        return (Verdict.DUPLICATE if stamp == last else Verdict.TAKEN), streams.old_in_a_row
-    if streams.now_ns - stamp > jump_back_s * NANOSECONDS:
-        old = streams.old_in_a_row + 1
-        return (Verdict.JUMPED if old >= JUMP_CONFIRMATIONS else Verdict.LATE), old
-    last = streams.newest.get(type(sample), 0)
-    if stamp > last:
-        return Verdict.TAKEN, 0
-    return (Verdict.DUPLICATE if stamp == last else Verdict.LATE), 0
+        return Verdict.TAKEN
+    too_old = stamp < last or _is_old(streams, sample, settings)
+    return Verdict.LATE if too_old else Verdict.TAKEN
+
+
+def _is_old(streams: Streams, sample: Sample, settings: TwinSettings) -> bool:
+    return streams.now_ns - sample.stamp_ns > settings.jump_back_s * NANOSECONDS
+
+
+def _taken(streams: Streams, sample: Sample) -> Streams:
+    newest = {**streams.newest, type(sample): sample.stamp_ns}
+    old = streams.old_in_a_row if isinstance(sample, GaitSample) else 0
+    return replace(streams, newest=newest, old_in_a_row=old)
+
+
+def _hold(
+    streams: Streams, sample: Sample, settings: TwinSettings
+) -> tuple[Streams, Verdict, tuple[Sample, ...]]:
+    """Holds a sample from ahead, or takes it with those before it that it agrees with."""
+    near = sample.stamp_ns + round(settings.hold_ahead_s * NANOSECONDS)
+    held = (*(other for other in streams.ahead if other.stamp_ns <= near), sample)
+    alive = _alive(streams, settings)
+    agreed = len(held) >= JUMP_CONFIRMATIONS and len(set(map(type, held))) >= min(alive, 2)
+    if not agreed and len(held) < PATIENCE:
+        return replace(streams, ahead=held), Verdict.AHEAD, ()
+    if held[0].stamp_ns - streams.present_ns > settings.jump_ahead_s * NANOSECONDS:
+        return _restarted(streams, Verdict.JUMPED_AHEAD, held)
+    streams = replace(streams, ahead=())
+    for other in held:
+        streams = _taken(streams, other)
+    return streams, Verdict.TAKEN, held
+
+
+def _alive(streams: Streams, settings: TwinSettings) -> int:
+    """Streams that had something to say of late."""
+    limit = streams.present_ns - round(settings.hold_ahead_s * NANOSECONDS)
+    return sum(stamp >= limit for kind, stamp in streams.newest.items() if kind is not GaitSample)
+
+
+def _restarted(
+    streams: Streams, verdict: Verdict, samples: tuple[Sample, ...]
+) -> tuple[Streams, Verdict, tuple[Sample, ...]]:
+    fresh = Streams(counts=_counted(streams.counts, verdict))
+    for sample in samples:
+        fresh = _taken(fresh, sample)
+    return fresh, verdict, samples
+
+
+def _counted(counts: dict[Verdict, int], verdict: Verdict) -> dict[Verdict, int]:
+    return {**counts, verdict: counts.get(verdict, 0) + 1}
 
 
 def _is_number(sample: Sample) -> bool:

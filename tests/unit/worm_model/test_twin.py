@@ -13,6 +13,7 @@ from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulator import evaluate_gait, simulate
 from worm_model.twin import Twin, TwinSettings
+from worm_model.twin_hypotheses import PHASES, hypotheses
 from worm_model.twin_records import (
     Activity,
     CommandedLength,
@@ -27,6 +28,7 @@ from worm_model.twin_records import (
 
 GAIT = Gait(0.07, 0.2)
 ONSET = 1_700_000_000_000_000_000
+IDLE = Activity.IDLE
 ORIGIN = 0.4  # m, where the tracker sees the rear module at the start
 
 
@@ -216,10 +218,58 @@ def test_a_clock_that_jumps_back_starts_the_twin_anew():
     assert output.states[-1].energy == pytest.approx(once.states[-1].energy, rel=1e-9)
 
 
-def test_one_wild_stamp_restarts_nothing():
-    clean = in_order(announcements(GAIT), commands(GAIT, 4.0))
-    wild = [*clean[:400], CommandedLength(at(-1000.0), -0.01), *clean[400:]]
-    assert repr(run(wild)) == repr(run(clean))
+WILD = {
+    "command": lambda t: CommandedLength(at(t), -0.01),
+    "length": lambda t: MeasuredLength(at(t), 0.29),
+    "tracker": lambda t: TrackerSample(at(t), 0.4, 0.7),
+    "power": lambda t: PowerSample(at(t), 2.0),
+    "gait": lambda t: GaitSample(at(t), Activity.IDLE),
+}
+
+
+@pytest.mark.parametrize("kind", WILD)
+@pytest.mark.parametrize("time", [-1000.0, 7.0, 1000.0])
+@pytest.mark.parametrize("count", [1, 2])
+def test_wild_stamps_restart_nothing(kind, time, count):
+    if kind == "gait" and time < 0.0:
+        pytest.skip("a latched gait state may be old")
+    clean = in_order(announcements(GAIT), commands(GAIT, 4.0), observed(GAIT, 4.0))
+    place = next(k for k, s in enumerate(clean) if s.stamp_ns > at(2.0))
+    wild = [WILD[kind](time + k / 100) for k in range(count)]
+    spoilt = run([*clean[:place], *wild, *clean[place:]])
+    assert repr(spoilt) == repr(run(clean))
+
+
+def later(samples: list, seconds: float) -> list:
+    """The same samples at another time."""
+    shift = round(seconds * 1e9)
+
+    def moved(sample):
+        sample = replace(sample, stamp_ns=sample.stamp_ns + shift)
+        if isinstance(sample, GaitSample) and sample.onset_ns:
+            sample = replace(sample, onset_ns=sample.onset_ns + shift)
+        return sample
+
+    return [moved(sample) for sample in samples]
+
+
+def test_a_clock_that_jumps_ahead_starts_the_twin_anew():
+    first = full_run()
+    output = run(first + later(first, 1000.0))
+    assert texts(output).count("the clock jumped ahead: the twin starts anew") == 1
+    assert texts(output).count("a run begins") == 2
+    once = run(first)
+    assert output.states[-1].energy == pytest.approx(once.states[-1].energy, rel=1e-9)
+    assert output.states[-1].rear_position == pytest.approx(once.states[-1].rear_position, abs=1e-9)
+
+
+def test_one_stream_alone_does_not_move_the_clock_ahead():
+    """A camera whose clock is wrong, beside a driver whose is not."""
+    clean = in_order(announcements(GAIT), commands(GAIT, 4.0), [PowerSample(at(0.001), 1.0)])
+    seen = later([s for s in observed(GAIT, 4.0) if isinstance(s, TrackerSample)], 1000.0)
+    place = len(clean) // 2
+    spoilt = run([*clean[:place], *seen[:50], *clean[place:]])
+    assert repr(spoilt) == repr(run(clean))
 
 
 def slipped(samples: list, time: float, offset: float) -> list:
@@ -246,6 +296,74 @@ def test_a_missed_or_extra_groove_is_reported_within_a_cycle_and_followed(groove
     expected = simulate(GAIT).at([19.0])
     assert output.states[-1].rear_groove == expected.rear_groove[0] + grooves
     assert "cycle 4" not in texts(output)
+
+
+def arrived(samples: list, camera_s: float) -> list:
+    """In the order in which the samples come: the camera's by so much later than the others."""
+    slow = MeasuredLength | TrackerSample
+    delay = round(camera_s * 1e9)
+    return sorted(samples, key=lambda s: s.stamp_ns + (delay if isinstance(s, slow) else 0))
+
+
+def with_end(samples: list, gait: Gait, end: float) -> list:
+    """The samples of a run that ends, with the command at rest and the driver idle for 2 s afterwards."""
+    after = [CommandedLength(at(end + k / 100), 0.0) for k in range(1, 201)]
+    return in_order(announcements(gait), samples, after, [GaitSample(at(end + 0.003), IDLE)])
+
+
+@pytest.mark.parametrize("camera_s", [0.0, 0.03, 0.15])
+@pytest.mark.parametrize("offset_ms", [0, 12, 33])
+def test_a_miss_in_the_last_cycle_is_reported(camera_s, offset_ms):
+    shift = offset_ms * 1_000_000
+    seen = [
+        replace(s, stamp_ns=s.stamp_ns + shift)
+        for s in slipped(observed(GAIT, 17.0), 11.0, -PAPER.pitch)
+    ]
+    samples = with_end(commands(GAIT, 15.0) + seen, GAIT, 15.0)
+    output = run(arrived(samples, camera_s))
+    (notice,) = [n for n in output.notices if "cycle" in n.text]
+    assert "cycle 3: the robot missed a groove" in notice.text
+    assert notice.stamp_ns <= at(15.1)
+    after = [r.rear_position for r in output.residuals if r.stamp_ns > at(15.4)]
+    assert np.nanmax(np.abs(after)) < 1.5e-3
+
+
+def test_a_miss_in_the_last_cycle_is_reported_by_a_tracker_that_goes_with_it():
+    """Nothing but commands come after the end: the cycle is closed when its time has passed."""
+    seen = slipped(observed(GAIT, 17.0), 11.0, -PAPER.pitch)
+    seen = [s for s in seen if s.stamp_ns < at(15.0)]
+    output = run(with_end(commands(GAIT, 15.0) + seen, GAIT, 15.0))
+    assert "cycle 3: the robot missed a groove" in texts(output)
+
+
+@pytest.mark.parametrize(("missed", "with_camera"), [(2, False), (5, False), (5, True)])
+def test_power_alone_reports_a_miss_in_a_run_of_five_cycles(missed, with_camera):
+    gait = Gait(0.08, 0.2)
+    pair = hypotheses(gait, PAPER)
+    powers = [PowerSample(at(k / 100 - 2.0), PAPER.idle_power) for k in range(1, 200)]
+    for k in range(2500):
+        phase, cycle = (k + 0.5) / 500 % 1.0, k // 500 + 1
+        row = int(phase * PHASES)
+        power = pair.expected[row] + (pair.difference[row] if cycle == missed else 0.0)
+        powers.append(PowerSample(at((k + 0.5) / 100), power))
+    powers += [PowerSample(at(25.005 + k / 100), PAPER.idle_power) for k in range(200)]
+    seen = [s for s in observed(gait, 25.0) if isinstance(s, MeasuredLength)]
+    samples = commands(gait, 25.0) + powers + (seen if with_camera else [])
+    output = run(with_end(samples, gait, 25.0))
+    (text,) = [n.text for n in output.notices if "cycle" in n.text]
+    assert text.startswith(f"cycle {missed}: its power is that of a missed groove")
+
+
+def test_what_comes_after_the_run_is_no_cycle():
+    seen = slipped(observed(GAIT, 40.0), 22.0, -PAPER.pitch)
+    output = run(with_end(commands(GAIT, 15.0) + seen, GAIT, 15.0))
+    assert "cycle" not in texts(output)
+
+
+def test_a_run_that_is_stopped_in_a_cycle_does_not_judge_it():
+    seen = slipped(observed(GAIT, 17.0), 11.0, -PAPER.pitch)
+    output = run(with_end(commands(GAIT, 14.6) + seen, GAIT, 14.6))
+    assert "cycle" not in texts(output)
 
 
 def test_a_tracker_that_jumps_for_a_moment_is_not_believed():

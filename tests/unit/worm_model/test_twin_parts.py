@@ -14,7 +14,19 @@ from worm_model.twin import Twin
 from worm_model.twin_actuation import Actuation, engage, respond
 from worm_model.twin_anchors import Cycle
 from worm_model.twin_forecast import ForecastError, forecast
-from worm_model.twin_hypotheses import PHASES, PowerWatch, hypotheses, observe_power
+from worm_model.twin_hypotheses import (
+    BIAS,
+    BIAS_SPREAD,
+    EFFECT,
+    MISS,
+    MISS_AGAIN,
+    NOISE_W,
+    PHASES,
+    PowerWatch,
+    hypotheses,
+    miss_probabilities,
+    observe_power,
+)
 from worm_model.twin_records import (
     Activity,
     CommandedLength,
@@ -103,12 +115,13 @@ def cycles_of_power(waves: list) -> list[str]:
     """Alarms of a watch that sees these waves, one a cycle."""
     pair = hypotheses(GAIT, PAPER)
     watch, texts = PowerWatch(), []
-    for number, wave in enumerate([*waves, waves[-1]], start=1):
+    for number, wave in enumerate(waves, start=1):
         for k, power in enumerate(wave):
             cycle = Cycle(number, (k + 0.5) / PHASES, 0)
             watch, text = observe_power(watch, cycle, power, pair)
             texts += [text] if text else []
-    return texts
+    _, text = observe_power(watch, Cycle(len(waves) + 1, math.nan, 0), PAPER.idle_power, pair)
+    return texts + ([text] if text else [])
 
 
 def test_power_tells_a_missed_groove_against_a_model_that_is_off():
@@ -120,6 +133,38 @@ def test_power_tells_a_missed_groove_against_a_model_that_is_off():
     assert cycles_of_power([usual] * 6) == []
     (text,) = cycles_of_power([usual] * 4 + [missed] + [usual] * 2)
     assert text.startswith("cycle 5")
+    (text,) = cycles_of_power([usual] * 20 + [missed] + [usual] * 20)
+    assert text.startswith("cycle 21")
+
+
+@pytest.mark.parametrize("cycle", [2, 3, 4, 5])
+@pytest.mark.parametrize("bias", [0.0, 0.5, 0.9])
+def test_power_tells_a_missed_groove_in_any_cycle_of_five_but_the_first(cycle, bias):
+    pair = hypotheses(GAIT, PAPER)
+    difference = np.array(pair.difference)
+    waves = [np.array(pair.expected) + bias * difference for _ in range(5)]
+    assert cycles_of_power(waves) == []
+    waves[cycle - 1] += difference
+    (text,) = cycles_of_power(waves)
+    assert text.startswith(f"cycle {cycle}: its power is that of a missed groove")
+
+
+def test_the_probability_of_a_miss_is_that_of_bayes_rule():
+    """Drawn from the model itself: of the cycles with a probability p, a share p are misses."""
+    draw = np.random.default_rng(1)
+    said, true = [], []
+    for _ in range(4000):
+        missed = [draw.random() < MISS]
+        for _ in range(3):
+            missed.append(draw.random() < (MISS_AGAIN if missed[-1] else MISS))
+        noise = draw.normal(0.0, NOISE_W / 0.15, 4)
+        scores = draw.normal(BIAS, BIAS_SPREAD) + EFFECT * np.array(missed) + noise
+        said += miss_probabilities(scores.tolist(), 0.15)
+        true += missed
+    said, true = np.array(said), np.array(true)
+    for low, high in ((0.0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.0)):
+        some = (said >= low) & (said < high)
+        assert true[some].mean() == pytest.approx(said[some].mean(), abs=0.06)
 
 
 def test_power_says_where_it_cannot_tell():
