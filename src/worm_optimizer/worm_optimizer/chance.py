@@ -8,6 +8,7 @@ gaits: they need no knowledge of φ.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +17,13 @@ from numpy.typing import ArrayLike
 from worm_model.gait import MAX_MARGIN
 from worm_optimizer.errors import OptimizerError
 from worm_optimizer.robustness import grooves_in
-from worm_optimizer.task import Array, Bounds, Index, MarginTask, Mask, Points
+from worm_optimizer.task import Array, Bounds, Index, MarginTask, Mask, Points, Task
 from worm_optimizer.uncertainty import Scenarios
 
 _MARGIN_STEP = 2.5e-4  # m, of the first look for the margin that a gait stands
 _MOST_MARGIN = 2e-2  # m, where that look ends
 _MARGIN_PASSES = 10
+_PART = 100  # gaits between two reports of progress: some tenths of a second
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,29 @@ class PromiseTask:
         ascending = np.sort(gained, axis=1)
         spared = int(np.floor((1.0 - self.probability) * gained.shape[1] + 1e-9))
         return np.maximum(ascending[:, min(spared, gained.shape[1] - 1)], 0)
+
+
+@dataclass(frozen=True)
+class WatchedTask:
+    """A slow task in small parts: ``judged`` gets the number of gaits after each, and may raise to cancel."""
+
+    task: Task
+    judged: Callable[[int], None]
+
+    @property
+    def bounds(self) -> Bounds:
+        """The box of gaits."""
+        return self.task.bounds
+
+    def points(self, stroke: ArrayLike, frequency: ArrayLike) -> Points:
+        """As the task evaluates them; ``stroke`` in m and ``frequency`` in Hz of shape (n,)."""
+        strokes, frequencies = np.asarray(stroke, dtype=float), np.asarray(frequency, dtype=float)
+        parts = [self.task.points(strokes[:0], frequencies[:0])]
+        for start in range(0, strokes.size, _PART):
+            part = slice(start, start + _PART)
+            parts.append(self.task.points(strokes[part], frequencies[part]))
+            self.judged(len(parts[-1]))
+        return Points.join(*parts)
 
 
 def margins_stood(task: MarginTask, front: Points) -> Array:

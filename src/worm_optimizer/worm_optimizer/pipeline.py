@@ -15,7 +15,7 @@ from worm_model.parameters import ParameterFile, Parameters
 from worm_model.simulator import cost_of_transport
 from worm_optimizer.cache import Cache, key_of, scan_key_of
 from worm_optimizer.certificate import certified_front
-from worm_optimizer.chance import PromiseTask, margins_stood
+from worm_optimizer.chance import PromiseTask, WatchedTask, margins_stood
 from worm_optimizer.margin import (
     MarginPoint,
     PriceOfRobustness,
@@ -31,6 +31,7 @@ from worm_optimizer.uncertainty import every_phase, phase_guard, phase_known
 
 # Shares of the whole time, roughly, at which the stages of a front end.
 _SCANNED, _SEARCHED, _DONE = 0.7, 0.85, 1.0
+_MAPPED_PER_CELL = 3.0  # gaits that a map evaluates for each of its grid, roughly
 _CHANCE_SCENARIOS = (
     200  # draws over which a promise is optimised; its gaits are then judged on others
 )
@@ -143,9 +144,11 @@ def make_front(
 def _computed_front(
     content: ParameterFile, settings: Settings, direction: int, cache: Cache, report: Report
 ) -> ServedFront:
+    report = _rising(report)
     task, margin, reason = _robust_task(content, settings, direction, cache, report)
-
     start = _SCANNED if _scans(settings) else 0.0
+    if settings.robustness is not Robustness.MARGIN:
+        task, start = _watched(task, settings, report)
 
     def searched(generation: Generation) -> None:
         done = start + (_SEARCHED - start) * generation.number / generation.of
@@ -199,6 +202,33 @@ def _robust_task(
 
     price = scanned_price(content, settings, direction, cache, scanned)
     return task.with_margin(price.margin), price.margin, reason_for(price)
+
+
+def _watched(task: Task, settings: Settings, report: Report) -> tuple[Task, float]:
+    """A task that reports while its map is built, and the fraction at which its search begins."""
+    mapped = _MAPPED_PER_CELL * settings.map.strokes * settings.map.frequencies
+    searched = settings.search.population * settings.search.generations
+    start = _SEARCHED * mapped / (mapped + searched)
+    count = 0
+
+    def judged(gaits: int) -> None:
+        nonlocal count
+        count += gaits
+        report(Progress(min(start * count / mapped, start), f"{count} gaits judged"))
+
+    return WatchedTask(task, judged), start
+
+
+def _rising(report: Report) -> Report:
+    """A report whose fraction never falls."""
+    reached = 0.0
+
+    def told(progress: Progress) -> None:
+        nonlocal reached
+        reached = max(reached, progress.fraction)
+        report(dataclasses.replace(progress, fraction=reached))
+
+    return told
 
 
 def _scans(settings: Settings) -> bool:

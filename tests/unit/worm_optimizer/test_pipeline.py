@@ -129,6 +129,26 @@ def test_any_phase_gaits_carry_the_margin_that_they_stand(cache):
         assert gait.nominal_grooves_per_cycle >= gait.grooves_per_cycle - 1e-3
 
 
+def test_a_slow_map_reports_its_progress_and_can_be_cancelled(cache):
+    settings = dataclasses.replace(QUICK, robustness=Robustness.ANY_PHASE)
+    told = []
+    make_front(FILE, settings, 1, cache, told.append)
+    generations = [progress.generation for progress in told]
+    before = told[: generations.index(1)]
+    assert len(before) >= 5
+    assert all(progress.doing.endswith("gaits judged") for progress in before)
+    fractions = [progress.fraction for progress in told]
+    assert fractions == sorted(fractions)
+    assert before[0].fraction < 0.2 < 0.5 < before[-1].fraction
+    assert fractions[-1] == 1.0
+
+    def cancel(progress):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_front(FILE, settings, 1, cache, cancel)
+
+
 def test_limits_hold_for_all_of_the_front(cache):
     limits = dataclasses.replace(GIVEN.limits, cable_speed=0.04)
     front = make_front(FILE, dataclasses.replace(GIVEN, limits=limits), 1, cache, ignore)
