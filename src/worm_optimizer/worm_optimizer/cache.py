@@ -30,8 +30,10 @@ from worm_optimizer.settings import Settings
 T = TypeVar("T")
 
 # All that results depend on beside their input: a change of the model or of the method is another name.
-_MODEL_SOURCES = ("kernel/*.py", "batch.py", "simulator.py", "actuation.py", "closed_form.py")
-_MODEL_SOURCES += ("gait.py", "parameters.py")
+_MODEL_SOURCES = (
+    *("kernel/*.py", "batch.py", "simulator.py", "actuation.py", "closed_form.py"),
+    *("gait.py", "parameters.py"),
+)
 _OPTIMIZER_SOURCES = tuple(
     f"{name}.py"
     for name in (
