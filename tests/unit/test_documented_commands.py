@@ -4,27 +4,51 @@
 import argparse
 import importlib
 import re
+import subprocess
 import sys
+from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 import yaml
 from documented_commands import PAGES, ROOT, Command, commands, entry_points
+from lab_files import write_bench_tests, write_lab
 from recorded_run import simulated_run, write_bag
 
 COMMANDS = commands()
 ENTRY_POINTS = entry_points()
 EXECUTABLE_COMMANDS = [command for command in COMMANDS if command.executable]
-# What reads and writes files alone and is done in seconds.
-CHEAP = {
-    ("worm_model", name) for name in ("evaluate_gait", "export", "phase_map", "recover", "replay")
+SMALL_FRONT = tuple("--margin 0.0034 --population 20 --generations 5 --samples 20".split())
+# What reads and writes files alone and is done in seconds, with what makes it so where the whole takes longer.
+CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
+    **{
+        ("worm_model", name): ()
+        for name in (
+            *("evaluate_gait", "export", "health", "identify", "import_lab"),
+            *("phase_map", "recover", "replay"),
+        )
+    },
+    ("worm_optimizer", "optimize"): SMALL_FRONT,
+    ("worm_optimizer", "report"): ("--without-front",),
+    ("worm_optimizer", "request"): SMALL_FRONT,
+    ("worm_optimizer", "scan_margin"): ("--lowest", "0.0033", "--highest", "0.0036"),
+}
+# Needs a robot or an operator: which test runs it, with real processes where they matter.
+ELSEWHERE = {
+    ("worm_driver", "calibrate"): "tests/unit/worm_driver/test_calibrate.py",
+    ("worm_driver", "driver_node"): "tests/integration/test_driver.py",
+    ("worm_driver", "record"): "tests/integration/test_record.py",
+    ("worm_driver", "virtual_robot"): "tests/integration/test_virtual_robot.py",
+    ("worm_optimizer", "campaign"): "tests/integration/test_campaign.py",
+    ("worm_optimizer", "demo"): "tests/integration/test_demo.py",
 }
 NODES = {  # whose only arguments are those of ROS
     ("worm_driver", "driver_node"),
     ("worm_model", "twin_node"),
     ("worm_optimizer", "optimizer_node"),
 }
-LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
+LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 
 
 def subcommands() -> set[str]:
@@ -80,17 +104,64 @@ def test_its_arguments_parse(command: Command, monkeypatch: pytest.MonkeyPatch):
         module_of(command).main()
 
 
-@pytest.mark.parametrize(
-    "command", [command for command in EXECUTABLE_COMMANDS if command.executable in CHEAP], ids=str
-)
+def prepared(word: str, before: str, folder: Path) -> None:
+    """Makes what a command reads under this name; what follows --output and the like it makes itself."""
+    path = folder / word
+    if before in {"--output", "--report", "--figure"} or path.exists():
+        return
+    if word == "BAG" or word.startswith("bags/"):
+        seed = len(list(folder.glob("bags/*")))
+        write_bag(path, simulated_run(5, seed))
+    elif word == "FOLDER":
+        write_lab(path)
+    elif word.endswith(".yaml"):
+        path.write_text("gain: 0.86\nintervals: {gain: [0.85, 0.87]}\n")
+    elif word.endswith(".csv"):
+        write_bench_tests(folder)
+
+
+def runnable() -> list[Command]:
+    """Commands that `test_it_runs` runs: each once, whichever page shows it, but for those of files outside."""
+    found = {}
+    for command in EXECUTABLE_COMMANDS:
+        if command.executable in CHEAP and not any("../" in word for word in command.words):
+            found.setdefault(command.words, command)
+    return list(found.values())
+
+
+@pytest.mark.parametrize("command", runnable(), ids=str)
 def test_it_runs(command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     arguments = [word.replace("/tmp/", f"{tmp_path}/") for word in command.arguments]
-    for word in arguments:
-        if word == "BAG" or word.startswith("bags/"):
-            write_bag(tmp_path / word, simulated_run())
+    for before, word in pairwise(["", *arguments]):
+        prepared(word, before, tmp_path)
+    if command.executable == ("worm_model", "import_lab"):  # which takes one run of a lab
+        arguments = ["FOLDER/run_01" if word == "FOLDER" else word for word in arguments]
+    arguments += CHEAP[command.executable]
     monkeypatch.setattr(sys, "argv", [command.executable[1], *arguments])
     assert module_of(command).main() == 0
+
+
+@pytest.mark.parametrize("command", EXECUTABLE_COMMANDS, ids=str)
+def test_each_is_run_here_or_by_a_test_of_its_own(command: Command):
+    if command.executable not in CHEAP:
+        assert command.executable[1] in (ROOT / ELSEWHERE[command.executable]).read_text()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [c for c in COMMANDS if c.words[:3] == ("./worm", "shell", "-c") or "--help" in c.words],
+    ids=str,
+)
+def test_it_runs_in_the_built_workspace(command: Command):
+    if not (ROOT / "install" / ".worm_sources").exists():
+        pytest.skip("the workspace is not built")
+    done = subprocess.run(
+        command.words, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
 
 
 @pytest.mark.parametrize(
@@ -127,8 +198,31 @@ def test_launch_arguments_exist(command: Command):
     assert {argument.split(":=")[0] for argument in arguments} <= known
 
 
+def anchors_of(page: Path) -> set[str]:
+    """Anchors of a page's headings, as GitHub makes them: small letters, dashes for spaces, no other signs."""
+    text = re.sub(r"(?ms)^```.*?^```", "", page.read_text(encoding="utf-8"))
+    found: Counter[str] = Counter()
+    anchors = set()
+    for heading in re.findall(r"^#+ +(.*?) *#*$", text, re.MULTILINE):
+        anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        anchors.add(f"{anchor}-{found[anchor]}" if found[anchor] else anchor)
+        found[anchor] += 1
+    return anchors
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_of_a_page_lead_somewhere(page: Path):
-    text = page.read_text(encoding="utf-8")
-    local = [link for link in LINK.findall(text) if "://" not in link]
-    assert [link for link in local if not (page.parent / link).exists()] == []
+    lost = []
+    for link, anchor in LINK.findall(page.read_text(encoding="utf-8")):
+        target = (page.parent / link) if link else page
+        if "://" in link or link.startswith("mailto:"):
+            continue
+        if not target.exists() or (anchor and anchor not in anchors_of(target)):
+            lost.append(f"{link}#{anchor}")
+    assert lost == []
+
+
+def test_anchors_are_those_of_the_headings(tmp_path: Path):
+    page = tmp_path / "page.md"
+    page.write_text("# Don't `stop_it` (now)\n\n## Twice\n```\n# no heading\n```\n## Twice\n")
+    assert anchors_of(page) == {"dont-stop_it-now", "twice", "twice-1"}

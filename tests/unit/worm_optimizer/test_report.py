@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lab_files import write_bench_tests
 from recorded_run import GAIT, simulated_run, write_bag
 
 from worm_model.bags.bag import AttachedFile
@@ -356,31 +357,11 @@ def test_identified_parameters_stand_beside_the_papers(tmp_path: Path):
     assert (tmp_path / "r" / "figures" / "parameters.png").stat().st_size > 0
 
 
-@pytest.fixture
-def bench_tests(tmp_path: Path) -> tuple[Path, Path]:
-    """Tables of a bellows of 90 N/m and of a fin with 2 mm of clearance, 1200 and 500 N/m."""
-    compression = np.linspace(0.0, 0.06, 13)
-    displacement = np.linspace(-0.004, 0.004, 33)
-    force = 1200.0 * np.minimum(displacement + 0.001, 0.0)
-    force += 500.0 * np.maximum(displacement - 0.001, 0.0)
-    noise = np.random.default_rng(1)
-    tables = {
-        "bellows": ("compression_m,force_N", compression, 90.0 * compression),
-        "fin": ("displacement_m,force_N", displacement, force),
-    }
-    for name, (head, x, y) in tables.items():
-        rows = np.column_stack([x, y + noise.normal(0.0, 0.02, y.size)])
-        np.savetxt(
-            tmp_path / f"{name}.csv", rows, header=head, comments="", delimiter=",", fmt="%.9g"
-        )
-    return tmp_path / "bellows.csv", tmp_path / "fin.csv"
-
-
 def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench_tests: tuple[Path, Path]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.chdir(tmp_path)
-    bellows, fin = bench_tests
+    bellows, fin = write_bench_tests(tmp_path)
     write_bag(tmp_path / "run", simulated_run(2))
     folder = tmp_path / "identification"
     (folder / "figures").mkdir(parents=True)

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a lab hands over, for tests: bench tests of a bellows and a fin, and a folder of raw logs of a run."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from recorded_run import GAIT, REST_S, simulated_run
+
+from worm_model.parameters import PAPER
+
+_RADIUS = 0.012  # m, of the spool
+_TICKS = 4096  # a turn
+_ONSET_S = 2.0  # of a lab's runs
+
+
+def write_bench_tests(folder: Path) -> tuple[Path, Path]:
+    """bellows.csv and fin.csv of the paper's robot, with noise of 20 mN."""
+    compression = np.linspace(0.0, 0.06, 13)
+    stretch = np.linspace(-0.008, 0.008, 65)
+    force = PAPER.engaged_stiffness * np.minimum(stretch + 0.5 * PAPER.clearance, 0.0)
+    force += PAPER.disengaged_stiffness * np.maximum(stretch - 0.5 * PAPER.clearance, 0.0)
+    noise = np.random.default_rng(1)
+    bellows, fin = folder / "bellows.csv", folder / "fin.csv"
+    for path, head, x, y in (
+        (bellows, "compression_m,force_N", compression, PAPER.bellows_stiffness * compression),
+        (fin, "displacement_m,force_N", stretch, force),
+    ):
+        _write(path, head, x, y + noise.normal(0.0, 0.02, y.size))
+    return bellows, fin
+
+
+def write_lab(folder: Path, cycles: int = 5) -> Path:
+    """A lab's folder of one run, the virtual camera, power sensor and servo of `recorded_run`."""
+    run = simulated_run(cycles)
+    place = folder / "run_01"
+    place.mkdir(parents=True)
+
+    def time(stamp: np.ndarray) -> np.ndarray:
+        return (stamp - run.origin) * 1e-9 + (_ONSET_S - REST_S)
+
+    tracker, power, command = run.tracker, run.power, run.commanded
+    seen = np.isfinite(tracker.rear_position)
+    columns = (time(tracker.stamp)[seen], tracker.rear_position[seen], tracker.front_position[seen])
+    _write(place / "camera.csv", "time_s,x1_m,x2_m", *columns)
+    columns = (time(power.stamp), power.bus_voltage, power.power / power.bus_voltage)
+    _write(place / "power.csv", "time_s,bus_voltage_V,current_A", *columns)
+    ticks = np.rint(-command.length_change / (2.0 * np.pi * _RADIUS) * _TICKS)
+    _write(place / "servo.csv", "time_s,goal_ticks", time(command.stamp), ticks)
+    gait = {"stroke_m": GAIT.stroke, "frequency_Hz": GAIT.frequency}
+    (folder / "runs.json").write_text(json.dumps({"run_01": gait}))
+    write_bench_tests(folder)
+    return folder
+
+
+def _write(path: Path, head: str, *columns: np.ndarray) -> None:
+    table = np.column_stack(columns)
+    np.savetxt(path, table, header=head, comments="", delimiter=",", fmt="%.9g")
