@@ -9,13 +9,14 @@ from harness import LATCHED, NAMESPACE, Probe, Processes
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
 
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
 from worm_model import ros_twin  # noqa: E402
 from worm_model.gait import Gait  # noqa: E402
+from worm_model.parameters import PAPER  # noqa: E402
 from worm_model.twin import Twin  # noqa: E402
 from worm_msgs.msg import (  # noqa: E402
     BodyLength,
@@ -72,8 +73,9 @@ def play(robot: Robot, probe: Probe, states: list, end: float = 2.0) -> None:
         if k == 0:
             robot.announce(0.0, GaitState.RUNNING)
         robot.move(k / 100)
-        if k % 20 == 0 and k > 0:
-            stamp = ONSET + round(k * 1e7)
+        if k % 20 == 0 and k > -100:
+            # At rest the twin stays a little behind.
+            stamp = ONSET + round((k if k > 0 else k - 10) * 1e7)
             probe.wait_for(lambda s=stamp: reached(states, s), f"state at {k / 100} s")
 
 
@@ -134,6 +136,16 @@ def test_it_predicts_shows_and_takes_new_parameters(processes: Processes, probe:
     assert "stroke" in refused.message
     shown = probe.wait_for(lambda: markers, "markers")[-1]
     assert {"pipe ridges", "twin rear module", "rear fins"} <= {m.ns for m in shown.markers}
+    # No input any more: it says so, and draws nothing of the past.
+    diagnostics = probe.collect(DiagnosticArray, "/diagnostics")
+    status = probe.wait_for(
+        lambda: [s for m in diagnostics for s in m.status if "no input for" in s.message], "a word"
+    )
+    assert status[0].level == DiagnosticStatus.WARN
+    markers.clear()
+    mark = len(diagnostics)
+    probe.wait_for(lambda: len(diagnostics) > mark + 1, "another second")
+    assert markers == []
     node = f"{NAMESPACE}/twin"
     wrong = Parameter("measured_stale_s", value=-1.0).to_parameter_msg()
     bad_file = Parameter("parameter_file", value="/nowhere.yaml").to_parameter_msg()
@@ -147,6 +159,28 @@ def test_it_predicts_shows_and_takes_new_parameters(processes: Processes, probe:
     before = len(states)
     robot.move(0.41)
     probe.wait_for(lambda: len(states) > before, "a state after the change")
+
+
+def test_a_parameter_file_may_be_changed_while_it_runs(
+    processes: Processes, probe: Probe, tmp_path: Path
+):
+    states = probe.collect(TwinState, "twin/state")
+    processes.start_node("worm_model", "twin_node")
+    robot = Robot(probe)
+    play(robot, probe, states, end=0.4)
+    file = tmp_path / "other.yaml"
+    file.write_text("idle_power: 5.0\n")
+    value = Parameter("parameter_file", value=str(file)).to_parameter_msg()
+    request = SetParameters.Request(parameters=[value])
+    answer = probe.call(SetParameters, f"{NAMESPACE}/twin/set_parameters", request)
+    assert answer.results[0].successful, answer.results[0].reason
+    before = len(states)
+    for k in range(41, 61):
+        robot.move(k / 100)
+    probe.wait_for(lambda: reached(states, ONSET + 600_000_000), "states after the change")
+    gained = states[before].power - states[before - 1].power
+    assert gained == pytest.approx(5.0 - PAPER.idle_power, abs=1.0)
+    assert states[before].energy == pytest.approx(states[before - 1].energy, abs=0.1)
 
 
 def test_a_bad_parameter_file_is_refused(processes: Processes, tmp_path):

@@ -31,7 +31,7 @@ from worm_model.twin import Twin
 from worm_model.twin_forecast import ForecastError, forecast
 from worm_model.twin_records import Notice, Output, Sample, Severity, StateRecord, TrackerSample
 from worm_model.twin_report import Level, report
-from worm_model.twin_scene import Sighting, scene
+from worm_model.twin_scene import LOST_S, Sighting, scene
 from worm_msgs.msg import BodyLength, TwinResiduals, TwinState
 from worm_msgs.srv import PredictGait
 
@@ -92,6 +92,7 @@ class TwinNode(Node):
         self.add_post_set_parameters_callback(self._take_parameters)
         self._markers = self.create_publisher(MarkerArray, "twin/markers", 10)
         self._shown: StateRecord | None = None
+        self._heard = self._moved = time.monotonic()  # when the last input and the last state came
         self._sighting = Sighting()
         self.create_service(PredictGait, "predict_gait", self._predict)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -103,14 +104,17 @@ class TwinNode(Node):
         samples = [sample for take in self._inputs for sample in take()]
         if not samples:
             return
+        self._heard = time.monotonic()
         samples.sort(key=lambda sample: sample.stamp_ns)
         self._state, output = self._twin.step(self._state, samples)
         self._publish(output)
         if output.states:
-            self._shown = output.states[-1]
+            self._shown, self._moved = output.states[-1], self._heard
         for sample in samples:
             if isinstance(sample, TrackerSample):
-                self._sighting = Sighting(sample.rear_position, sample.front_position)
+                self._sighting = Sighting(
+                    sample.rear_position, sample.front_position, sample.stamp_ns
+                )
 
     def _subscribe(
         self, topic: str, kind: type, convert: Callable[[Any], Sample], group: CallbackGroup
@@ -182,7 +186,9 @@ class TwinNode(Node):
         return ros_twin.fill_forecast(response, found)
 
     def _publish_markers(self) -> None:
-        if self._shown is None or not self._markers.get_subscription_count():
+        # Of a twin that does not move on, the markers end with their lifetime.
+        silent = time.monotonic() - self._moved > LOST_S
+        if self._shown is None or silent or not self._markers.get_subscription_count():
             return
         parameters = self._twin.effective_parameters(self._state)
         shapes = scene(self._shown, self._sighting, parameters, self._state.run.direction)
@@ -192,7 +198,7 @@ class TwinNode(Node):
     # --- diagnostics ------------------------------------------------------------------------------
 
     def _publish_diagnostics(self) -> None:
-        found = report(self._state)
+        found = report(self._state, time.monotonic() - self._heard)
         status = DiagnosticStatus(
             level=_LEVELS[found.level],
             name="twin: model",

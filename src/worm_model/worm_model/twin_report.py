@@ -12,6 +12,8 @@ from worm_model.twin_residuals import health
 from worm_model.twin_state import TwinState
 from worm_model.twin_streams import Verdict
 
+SILENT_S = 2.0  # without any input, after which health says nothing of the present
+
 
 class Level(enum.Enum):
     """Of a report."""
@@ -38,11 +40,14 @@ _LEVELS = {
 }
 
 
-def report(state: TwinState) -> Report:
-    """The twin's health and the figures behind it."""
-    level, message = health(state.monitor, state.streams.now_ns)
-    if not message:
-        message = "no length yet" if state.track is None else _sentence(level)
+def report(state: TwinState, silent_s: float = 0.0) -> Report:
+    """The twin's health and the figures behind it, ``silent_s`` after its newest sample came."""
+    found, message = health(state.monitor, state.streams.now_ns)
+    level = _LEVELS[found]
+    if silent_s > SILENT_S:
+        level, message = Level.WARN, f"no input for {silent_s:.0f} s: is the driver running?"
+    elif not message:
+        message = "no length yet" if state.track is None else _sentence(found)
     counts = state.streams.counts
     source = "none" if state.track is None else state.track.rows[-1].knot.source.name.lower()
     values = [
@@ -58,7 +63,7 @@ def report(state: TwinState) -> Report:
         (f"{name} residual (usual ones)", f"{math.sqrt(channel.mean_square):.2f}")
         for name, channel in sorted(state.monitor.channels.items())
     ]
-    return Report(_LEVELS[level], message, tuple(values))
+    return Report(level, message, tuple(values))
 
 
 def _sentence(level: Health) -> str:

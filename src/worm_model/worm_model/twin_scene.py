@@ -13,12 +13,13 @@ from dataclasses import dataclass
 
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
-from worm_model.twin_records import StateRecord
+from worm_model.twin_records import NANOSECONDS, StateRecord
 
 FRAME = "pipe"
 PIPE_RADIUS = 0.06
 MODULE = (0.04, 0.07, 0.07)
 BELLOWS_DIAMETER = 0.05
+LOST_S = 1.0  # a robot that the tracker has not seen for longer is not drawn
 VIEW = 0.6  # m of pipe shown before and behind the robot
 
 Colour = tuple[float, float, float, float]
@@ -54,23 +55,29 @@ class Shape:
 
 @dataclass(frozen=True)
 class Sighting:
-    """What the tracker saw last: x1 and x2 in m, NaN where it did not."""
+    """What the tracker saw last: x1 and x2 in m, NaN where it did not, and when (ns)."""
 
     rear_position: float = math.nan
     front_position: float = math.nan
+    stamp_ns: int = 0
+
+    def seen_at(self, stamp_ns: int) -> bool:
+        """Whether it tells where both modules are at a stamp."""
+        both = math.isfinite(self.rear_position) and math.isfinite(self.front_position)
+        return both and abs(stamp_ns - self.stamp_ns) <= LOST_S * NANOSECONDS
 
 
 def scene(
     twin: StateRecord, robot: Sighting, parameters: Parameters, direction: int = FORWARD
 ) -> list[Shape]:
-    """All shapes; the robot is left out while the tracker does not see both modules."""
+    """All shapes; the robot is left out while the tracker does not see both modules, or is silent."""
     shapes = [ridges(twin, parameters)]
     shapes += body("twin", twin.rear_position, twin.front_position, GHOST_COLOUR)
     shapes += [
         fin("rear", twin.rear_position, twin.rear_anchor, parameters, direction),
         fin("front", twin.front_position, twin.front_anchor, parameters, direction),
     ]
-    if math.isfinite(robot.rear_position) and math.isfinite(robot.front_position):
+    if robot.seen_at(twin.stamp_ns):
         shapes += body("robot", robot.rear_position, robot.front_position, ROBOT_COLOUR)
     return shapes
 

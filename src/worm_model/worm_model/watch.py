@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 from worm_model.twin_records import Activity, Health, LengthSource
 
@@ -15,6 +15,9 @@ HEALTH_COLOURS = {
     Health.SUSPECT: "\033[33m",
     Health.FAULTY: "\033[31m",
 }
+STALE_COLOUR = "\033[31m"
+STALE_S = 1.0  # beyond this age a value is not shown as the present
+SOURCES = ("driver", "twin", "tracker", "power")
 RESET = "\033[0m"
 CLEAR = "\033[H\033[J"
 TOP_POWER_W = 15.0  # of the bar
@@ -35,6 +38,7 @@ class View:
     twin: tuple[float, float] = (NAN, NAN)
     robot: tuple[float, float] = (NAN, NAN)
     rear_anchor: float = NAN
+    silent: tuple[str, ...] = ()
     grooves: tuple[int, int] = (0, 0)
     length: float = NAN
     initial_length: float = NAN
@@ -42,6 +46,22 @@ class View:
     cable_force: float = NAN
     power: tuple[float, float] = (NAN, NAN)  # predicted, measured
     energy: tuple[float, float] = (NAN, NAN)  # predicted, measured minus predicted
+
+    def aged(self, ages: Mapping[str, float]) -> View:
+        """The view without what is stale; ``ages`` in s since something came, by `SOURCES`, a missing one never did.
+
+        What is missing is left to its own words; what came once and stopped is named in the message.
+        """
+        silent = [name for name in SOURCES if ages.get(name, 0.0) > STALE_S]
+        view = self
+        if "tracker" in silent:
+            view = replace(view, robot=(NAN, NAN))
+        if "power" in silent:
+            view = replace(view, power=(view.power[0], NAN))
+        if "twin" in silent:
+            view = replace(view, health=Health.UNKNOWN, message="")
+        words = tuple(f"{name} silent for {ages[name]:.0f} s" for name in silent)
+        return replace(view, silent=words)
 
 
 def render(view: View, pitch: float, width: int = 80) -> list[str]:
@@ -52,7 +72,7 @@ def render(view: View, pitch: float, width: int = 80) -> list[str]:
     return [
         f"worm  {doing}  {view.gait}{progress}"[:width],
         f"{colour}{f'twin  {view.health.name.lower()}  {view.message}'[:width]}{RESET}",
-        "",
+        f"{STALE_COLOUR}{', '.join(view.silent)[:width]}{RESET}" if view.silent else "",
         *pipe(view, pitch, width),
         "",
         f"              {'twin':>12} {'robot':>12} {'difference':>12}",

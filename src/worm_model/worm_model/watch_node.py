@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import sys
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +20,7 @@ from worm_model.ros_process import ros_process, spin
 from worm_model.ros_twin import gait_sample
 from worm_model.twin_records import Health, LengthSource
 from worm_model.watch import CLEAR, View, render
-from worm_msgs.msg import GaitState, Power, Tracker, TwinResiduals, TwinState
+from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
 
 PERIOD_S = 0.2
 NEWEST = QoSProfile(depth=1)
@@ -33,14 +34,28 @@ class WatchNode(Node):
         super().__init__("watch")
         self._pitch = pitch
         self.view = View()
+        self._heard: dict[str, float] = {}
         self.create_subscription(TwinState, "twin/state", self._on_state, NEWEST)
         self.create_subscription(TwinResiduals, "twin/residuals", self._on_residuals, 100)
         self.create_subscription(Tracker, "tracker", self._on_tracker, NEWEST)
         self.create_subscription(Power, "power", self._on_power, NEWEST)
         self.create_subscription(GaitState, "gait_state", self._on_gait, LATCHED)
+        self.create_subscription(BodyLength, "body_length/commanded", self._on_command, NEWEST)
         self.create_timer(PERIOD_S, self._draw, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
+    def seen(self) -> View:
+        """The view as of now, without what is stale."""
+        now = time.monotonic()
+        return self.view.aged({name: now - heard for name, heard in self._heard.items()})
+
+    def _note(self, source: str) -> None:
+        self._heard[source] = time.monotonic()
+
+    def _on_command(self, _: Any) -> None:
+        self._note("driver")
+
     def _on_state(self, message: Any) -> None:
+        self._note("twin")
         self.view = replace(
             self.view,
             source=LengthSource(message.length_source),
@@ -63,9 +78,11 @@ class WatchNode(Node):
         self.view = replace(self.view, health=health, message=message.message, energy=energy)
 
     def _on_tracker(self, message: Any) -> None:
+        self._note("tracker")
         self.view = replace(self.view, robot=(message.rear_position, message.front_position))
 
     def _on_power(self, message: Any) -> None:
+        self._note("power")
         self.view = replace(self.view, power=(self.view.power[0], message.power))
 
     def _on_gait(self, message: Any) -> None:
@@ -84,7 +101,7 @@ class WatchNode(Node):
 
     def _draw(self) -> None:
         width = min(shutil.get_terminal_size().columns, 120)
-        sys.stdout.write(CLEAR + "\n".join(render(self.view, self._pitch, width)) + "\n")
+        sys.stdout.write(CLEAR + "\n".join(render(self.seen(), self._pitch, width)) + "\n")
         sys.stdout.flush()
 
 

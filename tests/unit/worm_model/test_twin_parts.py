@@ -35,6 +35,7 @@ from worm_model.twin_records import (
     StateRecord,
     TrackerSample,
 )
+from worm_model.twin_report import Level, report
 from worm_model.twin_scene import FREE, HOLDING, YIELDING, Sighting, engagement, scene
 
 GAIT = Gait(0.08, 0.2)
@@ -94,14 +95,46 @@ def record(**changes) -> StateRecord:
 
 
 def test_the_scene_shows_robot_and_ghost_on_the_pipes_lattice():
-    shapes = {s.name: s for s in scene(record(), Sighting(0.01, 0.31), PAPER)}
+    shapes = {s.name: s for s in scene(record(), Sighting(0.01, 0.31, 1), PAPER)}
     assert shapes["robot rear module"].position[0] == 0.01
     assert shapes["twin front module"].position[0] == 0.3
     ridges = sorted({x for x, _, _ in shapes["pipe ridges"].points})
     assert np.diff(ridges) == pytest.approx(PAPER.pitch)
     assert ridges[0] % PAPER.pitch == pytest.approx(PAPER.pitch / 2)
-    hidden = {s.name for s in scene(record(), Sighting(), PAPER)}
-    assert not any(name.startswith("robot") for name in hidden)
+
+
+@pytest.mark.parametrize(
+    "sighting",
+    [
+        Sighting(),
+        Sighting(0.01, math.nan, ONSET),
+        Sighting(0.01, 0.31, ONSET - 1_100_000_000),
+        Sighting(0.01, 0.31, ONSET + 1_100_000_000),
+    ],
+)
+def test_a_robot_that_is_not_seen_is_not_drawn(sighting):
+    drawn = {s.name for s in scene(record(stamp_ns=ONSET), sighting, PAPER)}
+    assert "twin rear module" in drawn
+    assert not any(name.startswith("robot") for name in drawn)
+
+
+def test_a_twin_without_input_does_not_call_itself_well():
+    twin = Twin()
+    rest = [
+        TrackerSample(ONSET - round(t * 1e9), 0.5, 0.5 + 0.2952) for t in np.arange(40, 0, -1) / 30
+    ]
+    start = GaitSample(ONSET, Activity.RUNNING, GAIT, ONSET)
+    moves = [
+        CommandedLength(ONSET + round(t * 1e9), GAIT.command(t)) for t in np.arange(1, 51) * 0.01
+    ]
+    seen = [TrackerSample(ONSET + round(t * 1e9), 0.5, 0.7952) for t in np.arange(1, 10) / 30]
+    samples = [*rest, start, *sorted(moves + seen, key=lambda s: s.stamp_ns)]
+    state, _ = twin.step(twin.start(), samples)
+    assert report(state, 0.5).level is Level.OK
+    assert "as expected" in report(state, 0.5).message
+    silent = report(state, 3.2)
+    assert silent.level is Level.WARN
+    assert silent.message.startswith("no input for 3 s")
 
 
 def test_fins_are_coloured_by_what_they_do():

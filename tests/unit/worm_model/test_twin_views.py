@@ -60,6 +60,19 @@ def test_before_anything_has_come_it_says_so():
     assert "#" not in unseen[5]
 
 
+def test_what_is_stale_is_not_shown_as_the_present():
+    fresh = VIEW.aged({"twin": 0.2, "tracker": 0.9, "power": 0.1, "driver": 0.0})
+    assert text(fresh) == text(VIEW)
+    old = text(VIEW.aged({"twin": 3.2, "tracker": 4.0, "power": 0.1, "driver": 70.0}))
+    assert old[1].split() == ["twin", "unknown"]
+    assert old[2] == "driver silent for 70 s, twin silent for 3 s, tracker silent for 4 s"
+    assert "#" in old[3]
+    assert "#" not in old[5]
+    assert "-" in next(line for line in old if line[:2] == "x1").split()
+    dark = VIEW.aged({"power": 1.5})
+    assert text(dark)[-1].split() == ["measured", "-", "W"]
+
+
 def fields(name: str) -> set[str]:
     lines = (ROOT / "src/worm_msgs/msg" / f"{name}.msg").read_text().splitlines()
     return {line.split()[1] for line in lines if re.match(r"[a-z]\w*(/\w+)? +\w+ ", line + " ")}
