@@ -122,12 +122,16 @@ class ParameterFile:
     """What a parameter file holds: the values, their 95 % intervals and where they come from.
 
     ``intervals`` maps a key to (low, high) in the key's unit; ``provenance`` is free (bags and their
-    hashes, code version, seed); both may be empty.
+    hashes, code version, seed). ``correlations`` maps pairs of keys to the correlation of their errors;
+    ``run_to_run`` a key to the standard deviation, in its unit, by which the robot itself differs from
+    one run to the next, which an interval of the mean leaves out. All may be empty.
     """
 
     parameters: Parameters = PAPER
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    correlations: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    run_to_run: Mapping[str, float] = field(default_factory=dict)
 
 
 def _unknown_key(key: str) -> str:
@@ -155,6 +159,42 @@ def _parse_intervals(content: Any) -> dict[str, tuple[float, float]]:
     return intervals
 
 
+def _parse_correlations(content: Any) -> dict[tuple[str, str], float]:
+    if not isinstance(content, list):
+        raise ParameterError("correlations: expected a list of [key, key, correlation]")
+    correlations = {}
+    for row in content:
+        try:
+            first, second, value = row
+            correlation = float(value)
+        except (TypeError, ValueError):
+            raise ParameterError(
+                f"correlations: {row!r}: expected [key, key, correlation]"
+            ) from None
+        for key in (first, second):
+            if key not in KEYS:
+                raise ParameterError(f"correlations: {_unknown_key(str(key))}")
+        if first == second or not -1.0 <= correlation <= 1.0:
+            raise ParameterError(
+                f"correlations: {first}, {second}: {correlation:g}: expected two keys and -1 to 1"
+            )
+        correlations[first, second] = correlation
+    return correlations
+
+
+def _parse_run_to_run(content: Any) -> dict[str, float]:
+    if not isinstance(content, Mapping):
+        raise ParameterError("run_to_run: expected a mapping from keys to standard deviations")
+    deviations = {}
+    for key, value in content.items():
+        if key not in KEYS:
+            raise ParameterError(f"run_to_run: {_unknown_key(str(key))}")
+        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not 0.0 <= value < 1e9:
+            raise ParameterError(f"run_to_run: {key}: {value!r}: expected {UNITS[key]}, at least 0")
+        deviations[key] = float(value)
+    return deviations
+
+
 def parse_parameter_file(content: Any) -> ParameterFile:
     """Makes a `ParameterFile` of a parsed YAML document; a missing key means the paper's value.
 
@@ -166,12 +206,13 @@ def parse_parameter_file(content: Any) -> ParameterFile:
         raise ParameterError("expected a mapping such as 'rear_mass: 0.429'")
     values = dict(content)
     intervals = _parse_intervals(values.pop("intervals", None) or {})
+    correlations = _parse_correlations(values.pop("correlations", None) or [])
+    run_to_run = _parse_run_to_run(values.pop("run_to_run", None) or {})
     provenance = values.pop("provenance", None) or {}
     if not isinstance(provenance, Mapping):
         raise ParameterError("provenance: expected a mapping")
-    return ParameterFile(
-        PAPER.replace(**{str(k): v for k, v in values.items()}), intervals, dict(provenance)
-    )
+    parameters = PAPER.replace(**{str(k): v for k, v in values.items()})
+    return ParameterFile(parameters, intervals, dict(provenance), correlations, run_to_run)
 
 
 def load_parameter_file(path: str | Path) -> ParameterFile:
@@ -212,6 +253,12 @@ def format_parameter_file(content: ParameterFile) -> str:
         extra["intervals"] = {
             key: list(map(float, bounds)) for key, bounds in content.intervals.items()
         }
+    if content.correlations:
+        extra["correlations"] = [
+            [*pair, float(correlation)] for pair, correlation in content.correlations.items()
+        ]
+    if content.run_to_run:
+        extra["run_to_run"] = {key: float(value) for key, value in content.run_to_run.items()}
     if content.provenance:
         extra["provenance"] = dict(content.provenance)
     text = "\n".join(lines) + "\n"

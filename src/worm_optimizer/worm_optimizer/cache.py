@@ -86,7 +86,8 @@ def scan_key_of(content: ParameterFile, settings: Settings, direction: int) -> s
         name: dataclasses.asdict(getattr(settings, name))
         for name in ("bounds", "limits", "map", "scan")
     }
-    return _hash(dataclasses.replace(content, intervals={}), {"scan": used, "direction": direction})
+    certain = ParameterFile(content.parameters)
+    return _hash(certain, {"scan": used, "direction": direction})
 
 
 def _hash(content: ParameterFile, rest: dict[str, Any]) -> str:
@@ -94,6 +95,8 @@ def _hash(content: ParameterFile, rest: dict[str, Any]) -> str:
         "sources": fingerprint(),
         "parameters": content.parameters.as_dict(),
         "intervals": {key: list(bounds) for key, bounds in content.intervals.items()},
+        "correlations": sorted([*pair, rho] for pair, rho in content.correlations.items()),
+        "run_to_run": dict(content.run_to_run),
         **rest,
     }
     text = json.dumps(everything, sort_keys=True)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -45,15 +46,19 @@ class Scenarios:
 
 
 def half_widths(content: ParameterFile) -> dict[str, tuple[float, float]]:
-    """95 % reach below and above each value, by key: the file's intervals, else the stated defaults."""
-    values = content.parameters.as_dict()
-    reach = {}
-    for key, width in DEFAULT_HALF_WIDTHS.items():
-        low, high = content.intervals.get(
-            key, (values[key] * (1.0 - width), values[key] * (1.0 + width))
-        )
-        reach[key] = (max(values[key] - low, 0.0), max(high - values[key], 0.0))
-    return reach
+    """95 % reach below and above each value, by key: the file's intervals, else the stated defaults.
+
+    What differs from run to run is added to either.
+    """
+    return {key: _reach(content, key, width) for key, width in DEFAULT_HALF_WIDTHS.items()}
+
+
+def _reach(content: ParameterFile, key: str, width: float) -> tuple[float, float]:
+    """95 % reach of one value, ``width`` relative to it without an interval."""
+    value = content.parameters.as_dict()[key]
+    low, high = content.intervals.get(key, (value * (1.0 - width), value * (1.0 + width)))
+    scatter = _NORMAL_95 * content.run_to_run.get(key, 0.0)
+    return math.hypot(max(value - low, 0.0), scatter), math.hypot(max(high - value, 0.0), scatter)
 
 
 def told(content: ParameterFile) -> str:
@@ -71,18 +76,16 @@ def told(content: ParameterFile) -> str:
 
 
 def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
-    """Draws of the parameters at the file's groove phase φ, to within its initial_length's interval.
+    """Draws of the parameters at the file's groove phase φ, to within its initial_length's reach.
 
+    The reach is that of the next run: the interval of the mean, and what differs from run to run.
     The phase is held and not the length: φ = L0 − n·d, so that seventeen times a pitch's error would
     otherwise pass for a phase. Deviations are normal, with a width of its own on either side.
     """
     overrides = _draws(content, samples, seed)
-    start = content.parameters.initial_length
-    low, high = content.intervals.get("initial_length", (start, start))
-    deviate = _deviates(samples, seed, stream=1)
-    trim = np.where(
-        deviate > 0.0, deviate * max(high - start, 0.0), deviate * max(start - low, 0.0)
-    )
+    below, above = _reach(content, "initial_length", 0.0)
+    deviate = _deviates(samples, seed, stream=1) / _NORMAL_95
+    trim = np.where(deviate > 0.0, deviate * above, deviate * below)
     phase = groove_phase(content.parameters) + trim
     return Scenarios({**overrides, **_at_phase(content.parameters, overrides["pitch"], phase)})
 
@@ -120,16 +123,41 @@ def _at_phase(parameters: Parameters, pitch: Array, phase: Array) -> dict[str, A
 
 
 def _deviates(samples: int, seed: int, stream: int) -> Array:
-    """Normal deviates scaled such that 1 is the 95 % bound."""
+    """Standard normal deviates, cut at `_MOST_DEVIATIONS`."""
     normal = np.random.default_rng([seed, stream]).standard_normal(samples)
-    return np.clip(normal, -_MOST_DEVIATIONS, _MOST_DEVIATIONS) / _NORMAL_95
+    return np.clip(normal, -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+
+
+def correlated(
+    deviates: Mapping[str, Array], correlations: Mapping[tuple[str, str], float]
+) -> dict[str, Array]:
+    """Independent standard normal deviates by key, of shape (n,), mixed such that pairs correlate.
+
+    Correlations of other keys are passed over. Those that exclude each other, as rounded ones may, are
+    replaced by nearby ones that do not.
+    """
+    keys = list(deviates)
+    matrix = np.eye(len(keys))
+    for (a, b), correlation in correlations.items():
+        if a in deviates and b in deviates:
+            i, j = keys.index(a), keys.index(b)
+            matrix[i, j] = matrix[j, i] = correlation
+    values, vectors = np.linalg.eigh(matrix)
+    root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    root /= np.linalg.norm(root, axis=1, keepdims=True)
+    return dict(zip(keys, root @ np.array(list(deviates.values())), strict=True))
 
 
 def _draws(content: ParameterFile, samples: int, seed: int) -> dict[str, Array]:
     values = content.parameters.as_dict()
+    reach = half_widths(content)
+    independent = {
+        key: _deviates(samples, seed, stream) for stream, key in enumerate(reach, start=10)
+    }
+    deviates = correlated(independent, content.correlations)
     draws = {}
-    for stream, (key, (below, above)) in enumerate(half_widths(content).items(), start=10):
-        deviate = _deviates(samples, seed, stream)
+    for key, (below, above) in reach.items():
+        deviate = np.clip(deviates[key], -_MOST_DEVIATIONS, _MOST_DEVIATIONS) / _NORMAL_95
         drawn = values[key] + np.where(deviate > 0.0, deviate * above, deviate * below)
         draws[key] = np.maximum(drawn, 0.1 * values[key])
     # What `Parameters` demands of every set: a fin that switches must stay where it lands.

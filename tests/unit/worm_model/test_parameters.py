@@ -42,9 +42,28 @@ def test_round_trip_with_intervals_and_provenance(tmp_path: Path) -> None:
         write_parameter_file(tmp_path / "p.yaml", content)
 
 
+def test_round_trip_with_correlations_and_what_differs_from_run_to_run(tmp_path: Path) -> None:
+    content = ParameterFile(
+        correlations={("slack", "gain"): 0.93, ("gain", "time_constant"): -0.2},
+        run_to_run={"initial_length": 4e-4},
+    )
+    write_parameter_file(tmp_path / "p.yaml", content)
+    assert load_parameter_file(tmp_path / "p.yaml") == content
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("correlations: {slack: gain}", "expected a list of"),
+        ("correlations: [[slack, gain]]", r"expected \[key, key, correlation\]"),
+        ("correlations: [[slack, gian, 0.5]]", "did you mean gain"),
+        ("correlations: [[slack, slack, 0.5]]", "expected two keys"),
+        ("correlations: [[slack, gain, 1.5]]", "-1 to 1"),
+        ("correlations: [[slack, gain, .nan]]", "-1 to 1"),
+        ("run_to_run: [slack]", "expected a mapping"),
+        ("run_to_run: {slak: 0.1}", "did you mean slack"),
+        ("run_to_run: {slack: -0.1}", "expected m, at least 0"),
+        ("run_to_run: {slack: .nan}", "expected m, at least 0"),
         ("viscous_frition: 90", "did you mean viscous_friction"),
         ("pitch: 17.3", "is it in another unit"),
         ("engaged_stiffness: -1833", r"outside 1 to 1e.06 N/m"),

@@ -87,15 +87,18 @@ def test_the_name_changes_with_everything_that_matters():
         key_of(FILE, dataclasses.replace(QUICK, margin=1e-3), 1),
         key_of(ParameterFile(PAPER.replace(slack=0.0081)), QUICK, 1),
         key_of(ParameterFile(), QUICK, 1),
+        key_of(dataclasses.replace(FILE, correlations={("slack", "gain"): 0.5}), QUICK, 1),
+        key_of(dataclasses.replace(FILE, run_to_run={"initial_length": 1e-4}), QUICK, 1),
     }
-    assert len(names) == 6
+    assert len(names) == 8
 
 
 def test_the_name_does_not_change_with_what_does_not_matter():
     told = dataclasses.replace(FILE, provenance={"bags": ["a"]})
     assert key_of(told, QUICK, 1) == key_of(FILE, QUICK, 1)
     other_settings = dataclasses.replace(QUICK, search=SearchSettings(seed=2), samples=7)
-    assert scan_key_of(ParameterFile(), other_settings, 1) == scan_key_of(FILE, QUICK, 1)
+    uncertain = dataclasses.replace(FILE, run_to_run={"initial_length": 1e-4})
+    assert scan_key_of(ParameterFile(), other_settings, 1) == scan_key_of(uncertain, QUICK, 1)
 
 
 def test_names_are_the_same_in_every_process():

@@ -17,6 +17,7 @@ from worm_optimizer.task import MarginTask
 from worm_optimizer.uncertainty import (
     DEFAULT_HALF_WIDTHS,
     Scenarios,
+    correlated,
     every_phase,
     half_widths,
     phase_guard,
@@ -83,6 +84,40 @@ def test_an_interval_of_the_initial_length_is_one_of_the_phase():
     file = ParameterFile(intervals={"initial_length": (0.2950, 0.2954)})
     spread = phases_of(phase_known(file, 2000, seed=1)) - groove_phase(PAPER)
     assert np.quantile(spread, [0.025, 0.975]) == pytest.approx([-2e-4, 2e-4], abs=2e-5)
+
+
+def test_the_next_run_has_a_phase_of_its_own():
+    """The interval is the mean's; what differs from run to run comes on top: 0.3 mm and 0.4 mm are 0.5 mm."""
+    sigma = 4e-4 / 1.959963984540054
+    file = ParameterFile(
+        intervals={"initial_length": (0.2949, 0.2955)}, run_to_run={"initial_length": sigma}
+    )
+    spread = phases_of(phase_known(file, 2000, seed=1)) - groove_phase(PAPER)
+    assert np.quantile(spread, [0.025, 0.975]) == pytest.approx([-5e-4, 5e-4], abs=4e-5)
+
+
+def test_draws_correlate_as_the_file_says_and_keep_their_widths():
+    file = ParameterFile(
+        intervals={"slack": (0.0076, 0.0084)},
+        correlations={("slack", "gain"): -0.9, ("bellows_damping", "power_factor"): -0.99},
+    )
+    draws = phase_known(file, 4000, seed=1).overrides
+    plain = phase_known(FILE, 4000, seed=1).overrides
+    assert np.corrcoef(draws["slack"], draws["gain"])[0, 1] == pytest.approx(-0.9, abs=0.02)
+    assert abs(np.corrcoef(plain["slack"], plain["gain"])[0, 1]) < 0.05
+    assert np.quantile(draws["slack"], [0.025, 0.975]) == pytest.approx([0.0076, 0.0084], abs=5e-5)
+    assert draws["clearance"] == pytest.approx(plain["clearance"], rel=1e-12)
+
+
+def test_correlations_that_exclude_each_other_are_drawn_as_near_as_can_be():
+    random = np.random.default_rng(1)
+    independent = {key: random.standard_normal(20_000) for key in "abc"}
+    impossible = {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}
+    drawn = np.corrcoef(list(correlated(independent, impossible).values()))
+    assert np.all(np.isfinite(drawn))
+    assert drawn[0, 1] == pytest.approx(drawn[1, 2], abs=0.02)
+    assert 0.3 < drawn[0, 1] < 0.9
+    assert -0.9 < drawn[0, 2] < 0.0
 
 
 def test_the_unknown_phase_fills_the_pitch():

@@ -13,7 +13,7 @@ import numpy as np
 from worm_model.identification.estimate import Estimate
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.pipeline import Identification
-from worm_model.parameters import ParameterFile
+from worm_model.parameters import KEYS, ParameterFile
 
 VERSION = "0.1.0"
 CORRELATED = 0.8  # correlations from here on are named
@@ -54,7 +54,9 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
         "bench_tests": {name: test.checksum for name, test in tests.items() if test},
         "runs": runs,
     }
-    return ParameterFile(result.parameters, intervals, provenance)
+    lengths = [run.length.initial_length for run in result.runs]
+    spread = {"initial_length": float(np.std(lengths, ddof=1))} if len(lengths) > 1 else {}
+    return ParameterFile(result.parameters, intervals, provenance, _of_parameters(result), spread)
 
 
 def summary(result: Identification) -> dict[str, Any]:
@@ -118,12 +120,24 @@ def nuisances(result: Identification) -> dict[str, Any]:
 
 def correlations(result: Identification) -> list[tuple[str, str, float]]:
     """Pairs of estimates that move together, strongest first."""
+    strong = [pair for pair in _correlated(result) if abs(pair[2]) >= CORRELATED]
+    return sorted(strong, key=lambda pair: -abs(pair[2]))
+
+
+def _correlated(result: Identification) -> list[tuple[str, str, float]]:
     names = ("viscous_friction", "switching_threshold", "rear_dry_friction", "front_dry_friction")
     found = _pairs(names, result.locomotion.correlation)
     found += _pairs(("slack", "gain", "time_constant"), result.actuation.correlation)
-    found += _pairs(("bellows_damping", "power_factor"), result.energy.correlation)
-    strong = [pair for pair in found if abs(pair[2]) >= CORRELATED]
-    return sorted(strong, key=lambda pair: -abs(pair[2]))
+    return found + _pairs(("bellows_damping", "power_factor"), result.energy.correlation)
+
+
+def _of_parameters(result: Identification) -> dict[tuple[str, str], float]:
+    """Correlations of what is in a parameter file, as far as they are known."""
+    return {
+        (a, b): round(rho, 4)
+        for a, b, rho in _correlated(result)
+        if {a, b} <= set(KEYS) and np.isfinite(rho)
+    }
 
 
 def _pairs(names: tuple[str, ...], matrix: Any) -> list[tuple[str, str, float]]:

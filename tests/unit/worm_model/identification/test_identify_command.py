@@ -86,6 +86,11 @@ def test_the_parameter_file_is_that_of_the_nodes(outcome):
     assert file.parameters.as_dict() == pytest.approx({key: found[key]["value"] for key in KEYS})
     assert set(file.intervals) == set(KEYS)
     assert file.parameters.rear_mass == 0.433  # by the README
+    assert set(file.correlations) > {("slack", "gain"), ("bellows_damping", "power_factor")}
+    low, high = file.intervals[
+        "initial_length"
+    ]  # of the mean of four runs, so narrower than a run's
+    assert 0.5 * (high - low) < 3.2 * file.run_to_run["initial_length"] < 2.0 * (high - low)
     assert set(file.provenance["runs"]) == {"run_05", "run_06", "run_07", "run_08"}
     assert len(file.provenance["runs"]["run_05"]["camera.csv"]) == 64
     assert file.provenance["seed"] == 0
