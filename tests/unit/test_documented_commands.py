@@ -3,6 +3,7 @@
 
 import argparse
 import importlib
+import os
 import re
 import subprocess
 import sys
@@ -170,6 +171,23 @@ def test_it_runs_in_the_built_workspace(command: Command):
 def test_benchmarks_exist(command: Command):
     for name in command.words[2:]:
         assert name.startswith("-") or (ROOT / "benchmarks" / f"{name}.py").exists()
+
+
+def test_a_benchmark_runs():
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks", "simulator_accuracy"],
+        cwd=ROOT,
+        env={**os.environ, "WORM_BENCH_CASES": "2"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    machine, _, title, *rows = done.stdout.splitlines()
+    assert "cores, load" in machine
+    assert title.startswith("simulator_accuracy: ")
+    assert rows
 
 
 def test_the_page_of_benchmarks_names_each():
