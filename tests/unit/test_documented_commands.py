@@ -2,7 +2,10 @@
 """Every command of the documentation is real: it exists, its arguments parse, and the cheap ones are run."""
 
 import argparse
+import ast
+import html
 import importlib
+import importlib.util
 import os
 import re
 import subprocess
@@ -163,6 +166,32 @@ def test_it_runs_in_the_built_workspace(command: Command):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout
+
+
+def test_the_reference_of_the_packages_is_built(tmp_path: Path):
+    if not (ROOT / "install" / ".worm_sources").exists():
+        pytest.skip("the workspace is not built")
+    done = subprocess.run(
+        ["./worm", "docs", str(tmp_path / "docs")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"{tmp_path}/docs/index.html\n"
+    for module in (
+        "worm_model.simulator",
+        "worm_driver.servo_bus",
+        "worm_optimizer.optimizer_node",
+    ):
+        page = tmp_path / "docs" / f"{module.replace('.', '/')}.html"
+        told = importlib.util.find_spec(module)
+        assert told is not None
+        source = ast.get_docstring(ast.parse(Path(str(told.origin)).read_text(encoding="utf-8")))
+        assert source is not None
+        assert html.escape(source.split(";")[0].split("\n")[0].split(":")[0]) in page.read_text()
 
 
 @pytest.mark.parametrize(
