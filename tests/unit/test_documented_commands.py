@@ -2,10 +2,7 @@
 """Every command of the documentation is real: it exists, its arguments parse, and the cheap ones are run."""
 
 import argparse
-import ast
-import html
 import importlib
-import importlib.util
 import os
 import re
 import subprocess
@@ -181,17 +178,11 @@ def test_the_reference_of_the_packages_is_built(tmp_path: Path):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{tmp_path}/docs/index.html\n"
-    for module in (
-        "worm_model.simulator",
-        "worm_driver.servo_bus",
-        "worm_optimizer.optimizer_node",
-    ):
-        page = tmp_path / "docs" / f"{module.replace('.', '/')}.html"
-        told = importlib.util.find_spec(module)
-        assert told is not None
-        source = ast.get_docstring(ast.parse(Path(str(told.origin)).read_text(encoding="utf-8")))
-        assert source is not None
-        assert html.escape(source.split(";")[0].split("\n")[0].split(":")[0]) in page.read_text()
+    for module in ("worm_driver/servo_bus", "worm_optimizer/optimizer_node", "worm_model/gait"):
+        assert (tmp_path / "docs" / f"{module}.html").exists()
+    page = (tmp_path / "docs" / "worm_model" / "simulator.html").read_text(encoding="utf-8")
+    assert "The hybrid simulator" in page
+    assert 'id="evaluate_gait"' in page
 
 
 @pytest.mark.parametrize(
