@@ -18,7 +18,7 @@ from worm_driver import servos
 from worm_driver.calibration import Reading, parameter_text, spool_from
 from worm_driver.encoding import from_raw, to_raw
 from worm_driver.errors import BusError, ConfigurationError, DriverError
-from worm_driver.registers import MODELS, TICKS_PER_TURN
+from worm_driver.registers import MODELS, POSITION_MODE, TICKS_PER_TURN
 from worm_driver.servo_bus import ServoBus
 from worm_driver.servos import Servo
 from worm_driver.transmission import Fin, Spool
@@ -67,7 +67,12 @@ class Calibration:
         return found
 
     def role(self, servo: Servo) -> str:
-        """What a person says that a servo is for: c, f or n. Its LED is lit meanwhile."""
+        """What a person says that a servo is for: c, f or n. Its LED is lit meanwhile.
+
+        A lit LED marks a cable servo's home. Position mode is set first: whatever ends this conversation, a
+        driver that finds it takes the turns for folded, and puts the mark out.
+        """
+        servos.prepare(self._bus, servo, POSITION_MODE)
         self._bus.write(servo.number, servo["led"], 1)
         try:
             question = f"servo {servo.number} ({servo.model.name}), its LED is lit"

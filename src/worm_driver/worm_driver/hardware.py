@@ -151,13 +151,20 @@ class Hardware:
     def _on_snapshot(self, snapshot: Snapshot) -> None:
         """In the loop's thread: hands a snapshot over; a robot that nobody listens to any more is held."""
         self.snapshots.append(snapshot)
-        unheard = snapshot.command_time - self.snapshots[0].command_time
+        unheard = snapshot.command_time - self._oldest(snapshot).command_time
         if snapshot.active and unheard > _UNHEARD:
             reason = (
                 f"the node has not listened for {unheard:.0f} s: the service stop would not work"
             )
             self.robot.fail(snapshot.command_time, reason)
         self._wake()
+
+    def _oldest(self, newest: Snapshot) -> Snapshot:
+        """The one that waits for longest; the newest where another thread has just taken them all."""
+        try:
+            return self.snapshots[0]
+        except IndexError:
+            return newest
 
     def _on_sample(self, sample: PowerSample) -> None:
         self._power_counts[sample.status] += 1

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 from worm_driver.errors import ConfigurationError, PowerSensorError
-from worm_driver.i2c import I2CDevice
+from worm_driver.i2c import I2CDevice, swap
 
 CONFIGURATION, SHUNT, BUS, POWER, CALIBRATION = 0, 1, 2, 3, 5  # register addresses; 4 is Current
 
@@ -81,19 +81,26 @@ class INA219:
         Raises:
             PowerSensorError: no answer, another chip, or swapped bytes.
         """
-        self.device.write(CONFIGURATION, RESET)
-        found = self.device.read(CONFIGURATION)
-        if found != POWER_ON_CONFIGURATION:
-            where = f"the device 0x{self.device.address:02X} on I2C bus {self.device.bus_name}"
-            if found == 0x9F39:
-                raise PowerSensorError(
-                    f"{where} sends its bytes swapped: an SMBus adapter swaps words already"
-                )
-            raise PowerSensorError(
-                f"{where} is no INA219: configuration after reset is 0x{found:04X}, not 0x399F; "
-                "check the parameter i2c_address"
-            )
-        self.set_up()
+        where = f"the device 0x{self.device.address:02X} on I2C bus {self.device.bus_name}"
+        swapped = f"{where} sends its bytes swapped: an SMBus adapter swaps words already"
+        if swap(self.device.read(CONFIGURATION)) in (POWER_ON_CONFIGURATION, RUNNING_CONFIGURATION):
+            raise PowerSensorError(swapped)
+        found = self._reset(RESET)
+        if found == POWER_ON_CONFIGURATION:
+            self.set_up()
+            return
+        # Over an adapter that swaps, that was no reset but a setting: the swapped word is the reset.
+        if POWER_ON_CONFIGURATION in (swap(found), swap(self._reset(swap(RESET)))):
+            raise PowerSensorError(swapped)
+        raise PowerSensorError(
+            f"{where} is no INA219: configuration after reset is 0x{found:04X}, not 0x399F; "
+            "check the parameter i2c_address"
+        )
+
+    def _reset(self, word: int) -> int:
+        """The configuration after a word that should reset the chip."""
+        self.device.write(CONFIGURATION, word)
+        return self.device.read(CONFIGURATION)
 
     def set_up(self) -> None:
         """Writes the settings and reads them back. Raises PowerSensorError."""

@@ -5,7 +5,7 @@ import math
 
 import pytest
 import yaml
-from driver_rig import Clock, SimulatedPort, Wire
+from driver_rig import Clock, Rig, SimulatedPort, Wire, settings
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -103,6 +103,29 @@ def test_a_conversation_finds_the_virtual_robots_parameters():
     assert fins[0].forward_angle == pytest.approx(2.3562, abs=0.01)
     assert [servo.memory["torque_enable"] for servo in bench.robot.servos] == [0, 0, 0]
     assert [servo.memory["led"] for servo in bench.robot.servos] == [0, 0, 0]
+
+
+class Killed(Exception):
+    """Stands for kill -9: nothing is cleaned up after it."""
+
+
+def test_a_conversation_that_is_killed_leaves_no_mark_of_a_home():
+    """The LED that names a servo to a person is the one that marks a home."""
+    rig = Rig(settings(home_at_start=False))
+    assert not rig.robot.homed
+    servo = rig.robot.cables[0]
+    lit: list[int] = []
+
+    def killed(_: str) -> str:
+        lit.append(rig.cable.memory["led"])
+        rig.bus.write = lambda *_: None
+        raise Killed
+
+    with pytest.raises(Killed):
+        Calibration(rig.bus, killed, lambda _: None, lambda _: None).role(servo)
+    assert lit == [1]
+    assert rig.cable.memory["led"] == 1
+    assert not rig.restarted_driver().robot.homed
 
 
 def test_a_blocked_cable_ends_the_conversation():

@@ -3,6 +3,7 @@
 
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -76,6 +77,20 @@ def test_a_robot_that_nobody_listens_to_is_held(hardware, monkeypatch):
     hardware.loop.ask(lambda now: hardware.robot.start(now, Gait(0.05, 0.2), 5))
     wait_for(lambda: hardware.robot.player.phase is Phase.FAULT)
     assert "has not listened" in hardware.robot.player.message
+
+
+class Emptied(deque):
+    """What the thread that publishes leaves behind: nothing, as soon as something is there."""
+
+    def append(self, _) -> None:
+        self.clear()
+
+
+def test_a_snapshot_that_is_taken_at_once_does_not_end_the_loop(hardware):
+    hardware.snapshots = Emptied()
+    done = hardware.loop.report().cycles
+    wait_for(lambda: hardware.loop.report().cycles > done + 50 or not hardware.loop.alive)
+    assert hardware.loop.alive, hardware.loop.failure
 
 
 def test_closing_gives_port_and_sensor_back(given):

@@ -9,7 +9,13 @@ from driver_rig import Clock, DirectSMBus
 
 from worm_driver.errors import ConfigurationError, PowerSensorError
 from worm_driver.i2c import I2CDevice, open_device, swap
-from worm_driver.ina219 import INA219, SampleStatus, calibration_for
+from worm_driver.ina219 import (
+    INA219,
+    POWER_ON_CONFIGURATION,
+    RUNNING_CONFIGURATION,
+    SampleStatus,
+    calibration_for,
+)
 from worm_driver.virtual_robot.faults import make_fault
 from worm_driver.virtual_robot.robot import VirtualRobot
 from worm_driver.virtual_robot.settings import load_settings
@@ -77,6 +83,39 @@ def test_swapped_bytes_are_noticed_at_the_start():
     device = I2CDevice(Words({0: 0x399F}, swapping=True), "1", 0x40)
     with pytest.raises(PowerSensorError, match="bytes swapped"):
         INA219(device, 0.1, 4194).start()
+
+
+class SwappingAdapter(DirectSMBus):
+    """An adapter that swaps the words of SMBus by itself, in both directions."""
+
+    def read_word_data(self, i2c_addr, register):
+        return swap(super().read_word_data(i2c_addr, register))
+
+    def write_word_data(self, i2c_addr, register, value):
+        super().write_word_data(i2c_addr, register, swap(value))
+
+
+@pytest.mark.parametrize(
+    "before",
+    [POWER_ON_CONFIGURATION, RUNNING_CONFIGURATION, 0x1234],
+    ids=["fresh", "set up by the driver", "set up by another program"],
+)
+def test_an_adapter_that_swaps_is_named_whatever_the_chip_was_set_to(before):
+    """The reset itself arrives swapped there, and is none."""
+    chip = Chip()
+    chip.robot.chip.write(0, before)
+    chip.sensor.device.bus = SwappingAdapter(chip.robot, chip.clock)
+    with pytest.raises(PowerSensorError, match="bytes swapped: an SMBus adapter"):
+        chip.sensor.start()
+
+
+def test_a_memory_that_keeps_what_is_written_is_no_power_sensor():
+    class Memory(Words):
+        def write_word_data(self, i2c_addr, register, value):
+            self.registers[register] = swap(value)
+
+    with pytest.raises(PowerSensorError, match=r"is no INA219: .* 0x8000"):
+        INA219(I2CDevice(Memory({0: 0x0102}), "1", 0x40), 0.1, 4194).start()
 
 
 def test_another_chip_is_noticed_at_the_start():
