@@ -270,11 +270,15 @@ class Locomotion:
     margin: float = 0.0
 
     def start(
-        self, time: float = 0.0, length_change: float = 0.0, x1: float = 0.0
+        self,
+        time: float = 0.0,
+        length_change: float = 0.0,
+        x1: float = 0.0,
+        front: int | None = None,
     ) -> LocomotionState:
-        """At rest, ΔL in m, x1 in m from the rear anchor at 0, the front anchor on the nearest groove of L0."""
+        """At rest, ΔL in m, x1 in m from the rear anchor at 0; the front anchor in ``front``, else nearest to L0."""
         c = self._constants()
-        groove = front_groove(self.parameters)
+        groove = front_groove(self.parameters) if front is None else front
         x2 = x1 + self.parameters.initial_length + length_change
         return LocomotionState(
             time=time,

@@ -15,8 +15,9 @@ What it does with its samples:
 - **Late, duplicate, ahead, not a number, clock jump back or ahead**: see `worm_model.twin_streams`.
 - **Missing.** Between driving lengths the body moves in a straight line; a gap beyond ``pause_s`` is reported.
 - **Run.** At a gait's onset the twin is put at rest: x1 where the tracker saw the rear module over the last
-  ``rest_s``, L0 the mean measured length of that span (else the parameter), energy 0. Without any gait state a
-  run begins where the command first leaves 0.
+  ``rest_s``, L0 the mean measured length of that span (else that of the run before, else the parameter), energy 0.
+  The fins stand as the run before left them (`worm_model.twin_pose`), unless the tracker saw that the
+  robot was moved. Without any gait state a run begins where the command first leaves 0.
 - **Parameters** may change between two steps (another `Twin` on the same state); L0 stays the run's own.
 """
 
@@ -32,7 +33,7 @@ from worm_model.closed_form import front_groove, groove_phase
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulator import Locomotion, SimulationError
 from worm_model.twin_actuation import Actuation, respond
-from worm_model.twin_observations import close_run, compare
+from worm_model.twin_observations import close_cycles, compare
 from worm_model.twin_records import (
     NANOSECONDS,
     CommandedLength,
@@ -52,7 +53,7 @@ from worm_model.twin_records import (
 from worm_model.twin_rest import observe_rest
 from worm_model.twin_run import Run, begin_implied_run, begin_run, holding, is_new_run, run_goes_on
 from worm_model.twin_settings import DEFAULTS, TwinSettings
-from worm_model.twin_state import Observation, TwinState
+from worm_model.twin_state import Observation, Pose, TwinState
 from worm_model.twin_streams import JUMPS, admit
 from worm_model.twin_track import HISTORY_S, Knot, Track, follow, force_at_rate, start_track
 
@@ -83,7 +84,8 @@ class Twin:
 
     def start(self) -> TwinState:
         """The state before any sample."""
-        return TwinState(run=Run(initial_length=self.parameters.initial_length))
+        pose = Pose(front_groove=front_groove(self.parameters))
+        return TwinState(run=Run(initial_length=self.parameters.initial_length, pose=pose))
 
     def step(self, state: TwinState, samples: Iterable[Sample]) -> tuple[TwinState, Output]:
         """(state after the samples, what they yield), the samples in the order in which they came."""
@@ -225,7 +227,8 @@ class Twin:
     # --- the motion -----------------------------------------------------------------------------
 
     def _start_track(self, state: TwinState, sink: _Sink, knot: Knot | None = None) -> TwinState:
-        """Puts the twin at rest, at a knot or where the actuation model stands."""
+        """Puts the twin at rest: where the run starts, or anew at a knot."""
+        pose = state.run.pose
         if knot is None:
             actuation = state.actuation
             assert actuation is not None
@@ -233,7 +236,7 @@ class Twin:
                 actuation.stamp_ns, actuation.length_change, actuation.rate, LengthSource.ESTIMATED
             )
         model = self._model(state)
-        motion = model.start(0.0, knot.length_change)
+        motion = model.start(0.0, knot.length_change, pose.x1, pose.front_groove)
         track = start_track(knot, motion, model)
         state = state.but(track=track, queued=(), published_ns=knot.stamp_ns)
         sink.states.append(self._record(state, track))
@@ -266,8 +269,9 @@ class Twin:
         return state
 
     def _end(self, state: TwinState, sink: _Sink) -> TwinState:
-        """Judges what is left of a run that has ended, before the next one."""
-        state, notices = close_run(state, self.effective_parameters(state))
+        """Judges what is left of a run, before the next one."""
+        end = state.run.end_ns
+        state, notices = close_cycles(state, end, self.effective_parameters(state))
         sink.notices += notices
         return state
 
@@ -292,7 +296,7 @@ class Twin:
             rear_anchor=zero + row.rear_groove * parameters.pitch,
             front_anchor=zero + row.front_groove * parameters.pitch,
             rear_groove=int(row.rear_groove) + moved,
-            front_groove=int(row.front_groove) - front_groove(parameters) + moved,
+            front_groove=int(row.front_groove) - state.run.pose.front_groove + moved,
             cable_force=force,
             rear_fin_force=row.rear_force,
             front_fin_force=row.front_force,

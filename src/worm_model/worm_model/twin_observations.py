@@ -35,7 +35,7 @@ from worm_model.twin_track import HISTORY_S, Knot, positions_at, power_at
 
 TOP_SPEED = 0.15  # m/s; no gait of the paper's box is faster
 
-CLOSE_S = 1.0  # after a run's end its last cycle is judged, whatever is still missing
+CLOSE_S = 2.0 * HISTORY_S  # after its end a cycle is judged, whatever has not come by then
 
 Comparison = tuple[TwinState, list[ResidualRecord], list[Notice]]
 
@@ -55,21 +55,19 @@ def compare(state: TwinState, parameters: Parameters, settings: TwinSettings) ->
         elif not _out_of_reach(state, sample):
             staying.append(sample)
     state = state.but(observations=tuple(staying))
-    end = state.run.end_ns
-    if end and state.streams.now_ns - end > CLOSE_S * NANOSECONDS:
-        state, told = close_run(state, parameters)
-        notices += told
-    return state, records, notices
+    until = state.streams.now_ns - round(CLOSE_S * NANOSECONDS)
+    state, told = close_cycles(state, until, parameters)
+    return state, records, notices + told
 
 
-def close_run(state: TwinState, parameters: Parameters) -> tuple[TwinState, list[Notice]]:
-    """Judges the last cycle of a run that has ended, if no sample after it has done so."""
-    if not state.run.end_ns:
-        return state, []
-    stamp = state.streams.now_ns
-    cycle = state.run.cycle_at(max(stamp, state.run.end_ns))
+def close_cycles(
+    state: TwinState, until_ns: int, parameters: Parameters
+) -> tuple[TwinState, list[Notice]]:
+    """Judges a cycle that ended before a stamp, if no sample after it has done so."""
+    cycle = state.run.cycle_at(until_ns)
     if cycle is None:
         return state, []
+    stamp, cycle = state.streams.now_ns, replace(cycle, phase=math.nan)
     notices: list[Notice] = []
     if cycle.number > state.anchors.cycle:
         state, told = _watch_anchors(state, cycle, stamp, math.nan, parameters)
@@ -83,7 +81,7 @@ def close_run(state: TwinState, parameters: Parameters) -> tuple[TwinState, list
 def _out_of_reach(state: TwinState, sample: Observation) -> bool:
     newest = state.streams.now_ns
     before_run = sample.stamp_ns < state.run.start_ns
-    return before_run or newest - sample.stamp_ns > 2.0 * HISTORY_S * NANOSECONDS
+    return before_run or newest - sample.stamp_ns > CLOSE_S * NANOSECONDS
 
 
 def _judge(
@@ -252,7 +250,7 @@ def _fit_phase(
         f"{CYCLES} cycles running gained {last[0]:+d} grooves more than predicted: L0 is taken as "
         f"{1e3 * length:.1f} mm instead of {1e3 * run.initial_length:.1f} mm"
     )
-    run = replace(run, initial_length=length)
+    run = replace(run, initial_length=length, length_fitted=True)
     anchors = replace(state.anchors, gained=())
     notice = Notice(stamp_ns, Severity.WARNING, text)
     return state.but(run=run, anchors=anchors, watch=PowerWatch(state.watch.cycle)), [notice]

@@ -22,7 +22,7 @@ from worm_model.simulator import Locomotion, SimulationError
 from worm_model.smoothing import smooth
 from worm_model.twin import Twin
 from worm_model.twin_anchors import observe_anchors
-from worm_model.twin_observations import TOP_SPEED
+from worm_model.twin_observations import CLOSE_S, TOP_SPEED
 from worm_model.twin_offline_inputs import (
     Drive,
     Estimates,
@@ -65,7 +65,7 @@ def predict_run(
 ) -> Prediction | None:
     """What the twin makes of the last run; None if it is not a regular one.
 
-    Regular is a run that the driver announced by resting, whose tracker saw the robot at rest, with no gap in
+    Regular is a first run that the driver announced by resting, whose tracker saw the robot at rest, with no gap in
     the driving length that the twin's memory does not bridge, and no jump of the tracker.
     """
     announced = _announced_onset(run.gait_state, settings)
@@ -76,6 +76,8 @@ def predict_run(
     begun = _begin(run.gait_state, inputs, onset, parameters, settings)
     played = inputs.since(since)
     if begun is None or _tracker_jumps(inputs, onset, settings) or not len(played.commands.stamp):
+        return None
+    if _tracker_pauses(played):
         return None
     effective = parameters.replace(initial_length=begun.run.initial_length)
     estimates = estimate(played.commands, onset, effective)
@@ -103,10 +105,10 @@ def _announced_onset(states: GaitStates, settings: TwinSettings) -> tuple[int, i
     if not len(playing):
         return None
     # The driver states the onset anew with each cycle; the first word of it counts.
-    last = states.onset[playing[-1]]
-    first = int(playing[np.abs(states.onset[playing] - last) <= SAME_RUN_NS][0])
+    first = int(playing[0])
     onset = int(states.onset[first])
-    one_run = (np.abs(states.onset[playing[playing >= first]] - onset) <= SAME_RUN_NS).all()
+    # A run before would have left the fins as only the samples tell.
+    one_run = (np.abs(states.onset[playing] - onset) <= SAME_RUN_NS).all()
     rested = first > 0 and states.state[first - 1] == Activity.RESTING
     delay = int(states.stamp[first]) - onset
     in_time = -GUARD_NS < delay <= settings.start_hold_s * NANOSECONDS
@@ -120,6 +122,13 @@ def _end_of_run(states: GaitStates, onset: int) -> int:
     """Stamp (ns) of the first word that the run is over; 0 if there is none."""
     over = ~np.isin(states.state, PLAYING) & (states.stamp > onset)
     return int(states.stamp[over][0]) if over.any() else 0
+
+
+def _tracker_pauses(played: Inputs) -> bool:
+    """Whether the twin would judge a cycle without waiting for the tracker any longer."""
+    newest = max(int(played.commands.stamp[-1]), int(played.rear.stamp.max(initial=0)))
+    gaps = np.diff(played.rear.stamp, append=newest)
+    return bool((gaps > CLOSE_S * NANOSECONDS).any())
 
 
 def _tracker_jumps(inputs: Inputs, onset: int, settings: TwinSettings) -> bool:

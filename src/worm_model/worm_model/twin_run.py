@@ -6,11 +6,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from worm_model.gait import Gait
+from worm_model.closed_form import front_groove
+from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import Parameters
 from worm_model.twin_actuation import Actuation, engage, join
 from worm_model.twin_anchors import Anchors
 from worm_model.twin_hypotheses import PowerWatch
+from worm_model.twin_pose import left_behind
 from worm_model.twin_records import (
     NANOSECONDS,
     Activity,
@@ -20,7 +22,7 @@ from worm_model.twin_records import (
 from worm_model.twin_residuals import start_monitor
 from worm_model.twin_rest import rest_pose
 from worm_model.twin_settings import TwinSettings
-from worm_model.twin_state import Run, TwinState
+from worm_model.twin_state import Pose, Run, TwinState
 
 PLAYING = (Activity.RUNNING, Activity.STOPPING)
 SAME_RUN_NS = 100_000_000  # the driver states the onset anew with each cycle, through two clocks
@@ -67,14 +69,8 @@ def begin_run(
     An onset that the twin has passed already is heard of late, or the twin came late: it starts where it is,
     with the length that the gait would have by then.
     """
-    pose = rest_pose(state.rest, onset_ns, settings.rest_s)
-    length, origin = pose.length, pose.position
-    seen = abs(length - parameters.initial_length) <= PLAUSIBLE  # False for NaN
-    if not seen:
-        length = parameters.initial_length
-    if math.isnan(origin):
-        origin = state.run.origin
-    effective = parameters.replace(initial_length=length)
+    run, text = _stand(state, onset_ns, gait, parameters, settings)
+    effective = parameters.replace(initial_length=run.initial_length)
     passed = state.end_ns if state.track is not None or state.queued else state.streams.now_ns
     start = max(onset_ns, passed)
     late = start - onset_ns
@@ -82,7 +78,6 @@ def begin_run(
         actuation = join(gait, onset_ns, start, effective)
     else:
         actuation = engage(start, effective)
-    run = Run(onset_ns, gait, origin, length, seen)
     begun = state.but(
         run=run,
         actuation=actuation,
@@ -95,12 +90,44 @@ def begin_run(
         anchors=Anchors(),
         watch=PowerWatch(),
     )
-    return begun, _announcement(length, late, from_camera=seen)
+    if late > LATE_NS:
+        text += f"; its onset was {late / NANOSECONDS:.2f} s ago, the twin starts with its gait as commanded"
+    return begun, text
 
 
-def _announcement(length: float, late_ns: int, *, from_camera: bool) -> str:
-    source = "as measured at rest" if from_camera else "from the parameters"
-    text = f"a run begins, L0 = {1e3 * length:.2f} mm ({source})"
-    if late_ns > LATE_NS:
-        text += f"; its onset was {late_ns / NANOSECONDS:.2f} s ago, the twin starts with its gait as commanded"
-    return text
+def _stand(
+    state: TwinState,
+    onset_ns: int,
+    gait: Gait | None,
+    parameters: Parameters,
+    settings: TwinSettings,
+) -> tuple[Run, str]:
+    """(the run with all that is known of the robot at rest before it, what to tell)."""
+    before, seen = state.run, rest_pose(state.rest, onset_ns, settings.rest_s)
+    direction = FORWARD if gait is None else gait.direction
+    run = Run(onset_ns, gait, before.origin, parameters.initial_length)
+    source = "from the parameters"
+    if abs(seen.length - parameters.initial_length) <= PLAUSIBLE:  # False for NaN
+        run = replace(run, initial_length=seen.length, length_seen=True)
+        source = "as measured at rest"
+    elif before.length_seen or before.length_fitted:
+        run = replace(
+            run,
+            initial_length=before.initial_length,
+            length_seen=before.length_seen,
+            length_fitted=before.length_fitted,
+        )
+        source = "as in the run before"
+    text = f"a run begins, L0 = {1e3 * run.initial_length:.2f} mm ({source})"
+    effective = parameters.replace(initial_length=run.initial_length)
+    pose = Pose(front_groove=front_groove(effective))
+    earlier = parameters.replace(initial_length=before.initial_length)
+    place = left_behind(state, earlier, run.initial_length, direction)
+    if place is not None:
+        if not math.isfinite(seen.position):
+            return replace(run, origin=place.anchor, pose=place.pose), text
+        if place.agrees_with(seen.position, parameters.pitch):
+            return replace(run, origin=seen.position - place.pose.x1, pose=place.pose), text
+        text += "; the robot was moved since the last run"
+    origin = before.origin if math.isnan(seen.position) else seen.position
+    return replace(run, origin=origin, pose=pose), text

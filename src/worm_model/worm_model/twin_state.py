@@ -29,12 +29,21 @@ Observation = TrackerSample | PowerSample | MeasuredLength
 
 
 @dataclass(frozen=True)
+class Pose:
+    """The robot at rest: x1 in m from its rear anchor, and the front anchor in grooves from that."""
+
+    x1: float = 0.0
+    front_groove: int = 0
+
+
+@dataclass(frozen=True)
 class Run:
     """One run, or the time before the first.
 
     ``start_ns`` its start, 0 before the first; ``gait`` None where no gait state told; ``origin`` the
     tracker's position of the twin's zero, m; ``initial_length`` L0 in m; ``length_seen`` whether an
-    instrument gave it; ``end_ns`` its end, 0 while it goes on.
+    instrument gave it, ``length_fitted`` whether the grooves did; ``pose`` that of its start; ``end_ns`` its
+    end, 0 while it goes on.
     """
 
     start_ns: int = 0
@@ -42,6 +51,8 @@ class Run:
     origin: float = 0.0
     initial_length: float = math.nan
     length_seen: bool = False
+    length_fitted: bool = False
+    pose: Pose = Pose()
     end_ns: int = 0
 
     @property
