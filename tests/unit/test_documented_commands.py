@@ -137,6 +137,8 @@ def test_it_runs(command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     arguments = [word.replace("/tmp/", f"{tmp_path}/") for word in command.arguments]
     for before, word in pairwise(["", *arguments]):
         prepared(word, before, tmp_path)
+    if command.words == ("./worm", "report"):  # of what was recorded last
+        prepared("bags/demo_1", "", tmp_path)
     if command.executable == ("worm_model", "import_lab"):  # which takes one run of a lab
         arguments = ["FOLDER/run_01" if word == "FOLDER" else word for word in arguments]
     arguments += CHEAP[command.executable]
@@ -215,6 +217,22 @@ def test_the_page_of_benchmarks_names_each():
     page = (ROOT / "docs" / "benchmarks.md").read_text(encoding="utf-8")
     assert titled
     assert [name for name in sorted(titled) if f"| `{name}` |" not in page] == []
+
+
+def test_the_readme_names_each_executable_and_its_package():
+    rows = re.findall(
+        r"^\| (`.*`) \| (worm_\w+) \|",
+        (ROOT / "README.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
+    named = [(package, name) for names, package in rows for name in re.findall(r"`(\w+)`", names)]
+    assert sorted(named) == sorted(ENTRY_POINTS)
+
+
+def test_the_table_of_pages_has_every_page():
+    table = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
+    pages = {path.name for path in (ROOT / "docs").glob("*.md")} - {"README.md"}
+    assert sorted(page for page in pages if f"]({page})" not in table) == []
 
 
 @pytest.mark.parametrize(

@@ -179,3 +179,18 @@ def test_the_page_has_no_topic_that_nothing_publishes():
 def test_the_twins_greatest_rate_is_the_pages():
     rate = 1.0 / DEFAULTS.output_period_s
     assert rows_of("Topics")["twin/state"][2] == f"with the length, at most {rate:.0f} Hz"
+
+
+def test_the_drawing_of_the_graph_has_the_codes_names_and_types():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    drawing = re.search(r"```mermaid\n(.*?)```", readme, re.DOTALL)
+    assert drawing
+    drawn = {
+        (name, kind)
+        for names, kind in re.findall(r"([\w/, ]+): (\w+)", drawing[1])
+        for name in re.findall(r"[\w/]+", names.split("and ")[-1])
+    }
+    served = {(made.name, made.kind) for made in MADE if made.how != "create_subscription"}
+    assert drawn - served == set()
+    private = {name for name, _ in served if name[0] in "~/"}
+    assert {name for name, _ in served} - {name for name, _ in drawn} - private == {"inject_fault"}
