@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,13 @@ from benchmarks.report import Row
 from worm_model.gait import Gait
 from worm_msgs.msg import BodyLength, GaitState, TwinState
 from worm_msgs.msg import Gait as GaitMessage
+from worm_msgs.srv import PredictGait
 from worm_optimizer.bringup.processes import ProcessGroup, executable_command, wait_for
 
 TITLE = "twin node: share of a core and latency with lengths at 1 kHz"
 RATE_HZ = 1000
 DURATION_S = 10.0
+FORECASTS = 50
 GAIT = Gait(0.07, 0.2)
 CAMERA_LENGTH_M = 0.2952
 
@@ -36,11 +39,13 @@ class Source:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._gait = self.node.create_publisher(GaitState, "gait_state", latched)
         self._states = self.node.create_subscription(TwinState, "twin/state", lambda _: None, 1000)
+        self._predict = self.node.create_client(PredictGait, "predict_gait")
         self.latencies: list[float] = []
 
     def ready(self) -> bool:
         """Whether the twin is there."""
-        return bool(self._lengths.get_subscription_count() and self._gait.get_subscription_count())
+        heard = self._lengths.get_subscription_count() and self._gait.get_subscription_count()
+        return bool(heard and self._predict.service_is_ready())
 
     def begin(self) -> int:
         """The onset, now; returns its stamp in ns."""
@@ -60,6 +65,18 @@ class Source:
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 10**9)
         self._lengths.publish(message)
 
+    def predict(self, horizon: float) -> float:
+        """S from the request of a forecast over a horizon (s) to its response."""
+        request = PredictGait.Request(horizon=horizon)
+        request.gait = GaitMessage(stroke=GAIT.stroke, frequency=GAIT.frequency, direction=1)
+        asked = time.monotonic()
+        future = self._predict.call_async(request)
+        rclpy.spin_until_future_complete(self.node, future, timeout_sec=10.0)
+        answer = future.result()
+        if answer is None or not answer.success:
+            raise RuntimeError("no forecast")
+        return time.monotonic() - asked
+
     def listen(self) -> None:
         """Takes the states that have come."""
         handle: Any = self._states.handle
@@ -75,8 +92,17 @@ def processor_time(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def measure(topic: str) -> tuple[float, np.ndarray]:
-    """(share of a core, latencies in s) with lengths on a topic."""
+@dataclass(frozen=True)
+class Load:
+    """Share of a core, latencies of the states and of forecasts by horizon, in s."""
+
+    share: float
+    latencies: np.ndarray
+    forecasts: dict[float, np.ndarray]
+
+
+def measure(topic: str) -> Load:
+    """The twin with lengths on a topic, and forecasts once they have ended."""
     with tempfile.TemporaryDirectory() as folder, ProcessGroup(Path(folder)) as group:
         command = [*executable_command("worm_model", "twin_node"), "--ros-args"]
         process = group.start("twin", [*command, "-r", "__ns:=/worm"])
@@ -93,8 +119,12 @@ def measure(topic: str) -> tuple[float, np.ndarray]:
             source.listen()
             time.sleep(0.0003)
         share = (processor_time(process.pid) - used) / DURATION_S
+        forecasts = {
+            horizon: np.array([source.predict(horizon) for _ in range(FORECASTS)])
+            for horizon in (10.0, 120.0)
+        }
         source.node.destroy_node()
-        return share, np.array(source.latencies)
+        return Load(share, np.array(source.latencies), forecasts)
 
 
 def run() -> list[Row]:
@@ -104,13 +134,23 @@ def run() -> list[Row]:
     rows = []
     try:
         for topic in ("commanded", "measured"):
-            share, latency = measure(topic)
+            load = measure(topic)
+            share, latency = load.share, load.latencies
             p50, p99 = np.percentile(latency, [50, 99]) * 1e3
             how = f"{len(latency)} states of {int(RATE_HZ * DURATION_S)} lengths"
             rows.append(Row(f"core, {topic}", f"{100 * share:.1f} %", "< 20 %", how))
             rows.append(
                 Row(f"latency, {topic}", f"p99 {p99:.2f} ms", "< 5 ms", f"median {p50:.2f} ms")
             )
+        rows += [
+            Row(
+                f"predict_gait, {horizon:g} s ahead",
+                f"median {1e3 * np.median(taken):.1f} ms",
+                "-",
+                f"longest of {FORECASTS} {1e3 * taken.max():.1f} ms",
+            )
+            for horizon, taken in load.forecasts.items()
+        ]
     finally:
         rclpy.try_shutdown()
     return rows

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.actuation import effective_command, length_change_of_command
 from worm_model.closed_form import groove_phase
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
@@ -19,8 +20,6 @@ from worm_model.simulator import (
     evaluate_gait,
 )
 from worm_model.twin import Twin
-from worm_model.twin_actuation import Actuation, respond
-from worm_model.twin_records import NANOSECONDS
 from worm_model.twin_state import TwinState
 from worm_model.twin_track import power_at_rate
 
@@ -105,12 +104,8 @@ def _answer(
     length_change: float, time: Array, gait: Gait, parameters: Parameters
 ) -> tuple[Array, Array]:
     """ΔL in m and its rate in m/s at the times, the command beginning at 0 from the present length."""
-    actuation = Actuation(0, 0.0, length_change, engaged=True)
-    found = []
-    for moment in time.tolist():
-        actuation = respond(
-            actuation, round(moment * NANOSECONDS), gait.command(moment), parameters
-        )
-        found.append((actuation.length_change, actuation.rate))
-    changes, rates = np.array(found).T
-    return changes, rates
+    command = np.array([gait.command(moment) for moment in time.tolist()])
+    times, commands = np.concatenate([[0.0], time]), np.concatenate([[0.0], command])
+    changes = length_change_of_command(times, commands, parameters, length_change)[1:]
+    target = parameters.gain * effective_command(command, parameters.slack)
+    return changes, (target - changes) / parameters.time_constant
