@@ -34,7 +34,7 @@ from worm_optimizer.report.optimisation import optimise, why_no_front
 from worm_optimizer.report.recorded import RecordedGait, named_apart, read_recorded_gaits
 from worm_optimizer.report.run_figures import ridges_passed_at
 from worm_optimizer.report.text import describe
-from worm_optimizer.report.verdict import agreements, orders
+from worm_optimizer.report.verdict import agreements, orders, percent
 from worm_optimizer.search import SearchSettings
 from worm_optimizer.settings import ScanSettings, Settings
 
@@ -303,6 +303,14 @@ def test_gaits_without_a_front_in_common_are_shown_without(gait: RecordedGait, t
     assert "different parameters" in why_no_front([gait, heavy])
     report = Report("mixed", [gait, back], note=why_no_front([gait, back]))
     assert "different directions" in build_report(report, tmp_path / "report").read_text()
+
+
+@pytest.mark.parametrize(
+    ("difference", "told"),
+    [(-0.0004, "+0.0 %"), (-0.0006, "-0.1 %"), (0.25, "+25.0 %"), (math.nan, "")],
+)
+def test_differences_have_a_sign_but_nothing_has_none_below_zero(difference: float, told: str):
+    assert percent(difference) == told
 
 
 # --- the page -------------------------------------------------------------------------------------

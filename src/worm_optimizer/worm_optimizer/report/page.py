@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from worm_model.parameters import KEYS, PAPER, SYMBOLS, UNITS, ParameterFile
 from worm_optimizer.report.expectation import Band
 from worm_optimizer.report.recorded import RecordedGait
-from worm_optimizer.report.verdict import Agreement, Order, agreements, title_of
+from worm_optimizer.report.verdict import Agreement, Order, agreements, percent, title_of
 
 _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 1080px; margin: 2em auto; padding: 0 1em; color: #222; }
@@ -19,7 +19,8 @@ h1 { font-size: 1.7em; } h2 { margin-top: 2em; border-bottom: 1px solid #bbb; } 
 .wide { overflow-x: auto; margin: 0.8em 0; } table { border-collapse: collapse; }
 th, td { padding: 0.25em 0.8em; text-align: left; border-bottom: 1px solid #ddd; vertical-align: top; }
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-figure { margin: 1.2em 0; } img { width: 100%; max-width: 900px; min-width: 600px; }
+figure { margin: 1.2em 0; } img { max-width: min(100%, 900px); }
+@media (max-width: 640px) { img { max-width: none; width: 600px; } }
 figcaption { color: #555; font-size: 0.92em; }
 .yes::before { content: "\\2713\\00a0"; } .no::before { content: "\\2717\\00a0"; } .no { font-weight: bold; }
 details { margin: 0.6em 0; } summary { cursor: pointer; } code { font-size: 0.9em; overflow-wrap: anywhere; }
@@ -96,7 +97,7 @@ def _agreement_row(row: Agreement) -> list[str]:
         _range(measured, row.quantity),
         _value(expected.value, row.quantity),
         _range(expected, row.quantity),
-        f"{100.0 * row.difference:+.1f} %" if math.isfinite(row.difference) else "–",
+        percent(row.difference) or "–",
         verdict,
     ]
 

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from worm_optimizer.report.expectation import Band
 from worm_optimizer.report.recorded import RecordedGait
-from worm_optimizer.report.verdict import Agreement, Order, agreements, orders
+from worm_optimizer.report.verdict import Agreement, Order, agreements, orders, percent
 
 _FORMATS = {
     "speed": ("speed (mm/s)", 1e3, 3),
@@ -36,14 +35,13 @@ def describe(gaits: Sequence[RecordedGait]) -> str:
 def _row(row: Agreement) -> tuple[str, ...]:
     name, scale, digits = _FORMATS[row.quantity]
     verdict = {True: "yes", False: "no", None: "not measured"}[row.agrees]
-    difference = f"{100.0 * row.difference:+.1f} %" if math.isfinite(row.difference) else "-"
     return (
         row.gait,
         name,
         f"{scale * row.measured.value:.{digits}f}",
         f"{scale * row.expected.value:.{digits}f}",
         _interval(row.expected, scale, digits),
-        difference,
+        percent(row.difference) or "-",
         verdict,
     )
 

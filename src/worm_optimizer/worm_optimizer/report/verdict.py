@@ -58,6 +58,11 @@ def title_of(name: str) -> str:
     return _TITLES.get(name, name)
 
 
+def percent(difference: float) -> str:
+    """A relative difference with its sign, such as ``+0.3 %``; empty where there is none."""
+    return f"{round(100.0 * difference, 1) + 0.0:+.1f} %" if math.isfinite(difference) else ""
+
+
 def orders(gaits: Sequence[RecordedGait]) -> tuple[Order, ...]:
     """The order of at least two gaits in speed, power and cost of transport."""
     if len(gaits) < 2:
