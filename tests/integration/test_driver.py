@@ -190,9 +190,9 @@ def test_diagnostics_name_every_part(driver, commander, probe):
     assert {"p99_period_error_s", "missed_deadlines", "mean_period_s"} <= set(timing)
 
 
-def names_allowed(policy: Path, kind: str) -> set[str]:
-    """Full names of the topics, services or actions that an enclave's policy allows."""
-    profile = ElementTree.parse(policy).getroot().find(".//profile")
+def names_allowed(policy: Path, kind: str, node: str = "driver") -> set[str]:
+    """Full names of the topics, services or actions that an enclave's policy allows a node."""
+    profile = ElementTree.parse(policy).getroot().find(f".//profile[@node='{node}']")
     assert profile is not None
     own = f"{profile.get('ns')}/{profile.get('node')}"
     names = [(element.text or "").strip() for element in profile.iter(kind)]
@@ -202,10 +202,13 @@ def names_allowed(policy: Path, kind: str) -> set[str]:
     }
 
 
-def test_the_policy_of_the_drivers_enclave_allows_what_the_driver_has(driver, commander, probe):
+@pytest.mark.parametrize(("name", "least"), [("driver", 4), ("driver_stop", 1)])
+def test_the_policy_of_the_drivers_enclave_allows_what_its_nodes_have(
+    driver, commander, probe, name, least
+):
     commander.activate()
     policy = POLICIES / "driver.policy.xml"
-    actions = names_allowed(policy, "action")
+    actions = names_allowed(policy, "action", name)
     asked = {
         "topic": (
             probe.node.get_publisher_names_and_types_by_node,
@@ -214,10 +217,10 @@ def test_the_policy_of_the_drivers_enclave_allows_what_the_driver_has(driver, co
         "service": (probe.node.get_service_names_and_types_by_node,),
     }
     for kind, queries in asked.items():
-        found = {name for query in queries for name, _ in query("driver", "/worm")}
-        assert len(found) > 3
-        found = {name for name in found if name.split("/_action/")[0] not in actions}
-        assert found - names_allowed(policy, kind) == set()
+        found = {topic for query in queries for topic, _ in query(name, "/worm")}
+        assert len(found) >= least
+        found = {topic for topic in found if topic.split("/_action/")[0] not in actions}
+        assert found - names_allowed(policy, kind, name) == set()
 
 
 @pytest.mark.parametrize("policy", sorted(POLICIES.glob("*.xml")), ids=lambda path: path.name)
@@ -299,6 +302,37 @@ def test_stop_holds_at_once_and_the_next_gait_returns_to_rest_first(driver, comm
     probe.wait_for(lambda: lengths[-1].length_change == 0.0, "rest")
 
 
+def test_stop_is_served_while_a_deactivation_returns_to_rest(
+    processes, directory, commander, probe
+):
+    given = parameters(directory, return_speed_m_s=0.005)
+    processes.start_node("worm_driver", "driver_node", **given)
+    commanded = probe.collect(BodyLength, "body_length/commanded")
+    cable = run_into_a_gait(commander, probe)
+    client = probe.node.create_client(ChangeState, "driver/change_state")
+    probe.wait_for(client.service_is_ready, "service")
+    deactivate = Transition(id=Transition.TRANSITION_DEACTIVATE)
+    changed = client.call_async(ChangeState.Request(transition=deactivate))
+    probe.wait_for(
+        lambda: commander.states[-1].message == "the driver is deactivated", "way back to rest"
+    )
+    assert not changed.done()
+    assert commander.trigger("stop").success
+    stopped = probe.node.get_clock().now().nanoseconds * 1e-9
+
+    def lengths(messages, since: float) -> list[float]:
+        return [m.length_change for m in messages if stamp(m) > since]
+
+    probe.wait_for(lambda: len(lengths(cable, stopped + 0.1)) > 50, "half a second of rest")
+    assert len(set(lengths(commanded, stopped))) == 1
+    still = lengths(cable, stopped + 0.1)
+    assert max(still) - min(still) < 5e-4
+    assert still[-1] < -0.005
+    assert not probe.result(changed, "answer to the deactivation").success
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
+    assert "stop was called" in commander.states[-1].message
+
+
 # --- every way out ------------------------------------------------------------------------------------
 
 
@@ -335,6 +369,60 @@ def test_shutdown_while_active_releases(driver, commander, probe, directory):
     assert torques(directory) == [0, 0, 0]
 
 
+_SLOW = """
+import sys
+import time
+from worm_driver import driver_node
+from worm_driver.errors import BusError
+from worm_driver.robot import Robot
+
+activate = Robot.activate
+
+def slow(robot, now):
+    activate(robot, now)
+    time.sleep(0.6)
+
+def refuse(robot, now, reason):
+    raise BusError("sabotage")
+
+{deed}
+sys.exit(driver_node.main(sys.argv))
+"""
+
+
+def start_script(processes, path: Path, text: str, given: dict[str, object]):
+    path.write_text(text)
+    ros = ["--ros-args", "-r", "__ns:=/worm"]
+    for key, value in given.items():
+        ros += ["-p", f"{key}:={value}"]
+    return processes.start("sabotaged", [sys.executable, str(path), *ros])
+
+
+def test_an_activation_that_takes_too_long_ends_inactive_and_released(
+    processes, commander, directory, tmp_path
+):
+    deed = "Robot.activate, driver_node._ACTIVATION = slow, 0.2"
+    given = parameters(directory)
+    start_script(processes, tmp_path / "slow.py", _SLOW.format(deed=deed), given)
+    assert commander.change(Transition.TRANSITION_CONFIGURE)
+    assert not commander.change(Transition.TRANSITION_ACTIVATE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
+    refused = commander.result(commander.send())
+    assert "the torque is off" in refused.result.message
+
+
+def test_a_deactivation_that_fails_closes_and_releases_all_the_same(
+    processes, commander, directory, tmp_path
+):
+    deed = "Robot.begin_release = refuse"
+    given = parameters(directory)
+    start_script(processes, tmp_path / "refusing.py", _SLOW.format(deed=deed), given)
+    commander.activate()
+    assert not commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
+    assert torques(directory) == [0, 0, 0]
+
+
 _SABOTAGE = """
 import sys
 import rclpy
@@ -361,11 +449,7 @@ def test_whatever_ends_the_node_the_servos_are_released(
     processes, commander, directory, deed, tmp_path
 ):
     script = tmp_path / "sabotaged.py"
-    script.write_text(_SABOTAGE.format(deed=deed))
-    ros = ["--ros-args", "-r", "__ns:=/worm"]
-    for key, value in parameters(directory).items():
-        ros += ["-p", f"{key}:={value}"]
-    driver = processes.start("sabotaged", [sys.executable, str(script), *ros])
+    driver = start_script(processes, script, _SABOTAGE.format(deed=deed), parameters(directory))
     commander.activate()
     commander.send(stroke=0.06, cycles=20)
     assert driver.wait(TIMEOUT_S) != 0

@@ -6,6 +6,7 @@ callback. However the thread ends, the robot is released first, over serial, wit
 """
 
 import contextlib
+import math
 import threading
 import time
 from collections import deque
@@ -146,14 +147,30 @@ class ControlLoop:
         self._commands.append(command)
         return command.answer
 
-    def ask(self, action: Callable[[float], T], timeout: float = 2.0) -> T:
-        """As submit, and waits for the result. Raises DriverError, also when none came in time (s)."""
+    def ask(
+        self,
+        action: Callable[[float], T],
+        timeout: float = 2.0,
+        undo: Callable[[float], object] | None = None,
+    ) -> T:
+        """As submit, and waits for the result. Raises DriverError, also when none came in time (s).
+
+        What had not begun by then never will; what had is followed at once by ``undo``.
+        """
+        answer = self.submit(action)
         try:
-            return self.submit(action).result(timeout)
+            return answer.result(timeout)
         except TimeoutError:
-            raise DriverError(
-                f"the servo bus thread did not respond within {timeout:g} s"
-            ) from None
+            if not answer.cancel() and undo is not None:
+                self.submit(undo, patience=math.inf)
+            raise _silent(timeout) from None
+
+    def insist(self, action: Callable[[float], T], timeout: float = 2.0) -> T:
+        """As ask, but the action is carried out however late. Raises DriverError."""
+        try:
+            return self.submit(action, patience=math.inf).result(timeout)
+        except TimeoutError:
+            raise _silent(timeout) from None
 
     def leave(self, reason: str) -> None:
         """Has the robot brought to rest and released, and the thread end after it. Safe in a signal handler."""
@@ -186,7 +203,9 @@ class ControlLoop:
     def _serve(self, now: float) -> None:
         while self._commands:
             command = self._commands.popleft()
-            if now > command.expires:
+            if not command.answer.set_running_or_notify_cancel():
+                continue
+            if now >= command.expires:
                 command.answer.set_exception(
                     LimitError("the command is stale: the control loop took too long to reach it")
                 )
@@ -198,7 +217,11 @@ class ControlLoop:
 
     def _at_end(self) -> None:
         self.release_problems = self._robot.release()
-        self._serve(float("inf"))
+        self._serve(math.inf)
+
+
+def _silent(timeout: float) -> DriverError:
+    return DriverError(f"the servo bus thread did not respond within {timeout:g} s")
 
 
 class PowerLoop:

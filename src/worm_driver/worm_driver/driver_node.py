@@ -6,32 +6,29 @@ an escaped exception bring the gait to rest and release the servos.
 """
 
 import math
-import os
-import signal
 import sys
 import time
 from collections.abc import Callable
 from traceback import format_exception
-from types import FrameType
 from typing import TypeVar
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from worm_driver import ros_messages, ros_parameters
 from worm_driver.diagnostics import offline_report
-from worm_driver.errors import ConfigurationError, DriverError
+from worm_driver.errors import ConfigurationError, DriverError, StoppedError
 from worm_driver.hardware import Hardware
 from worm_driver.ros_messages import ClockPair
+from worm_driver.ros_process import Ending, ros_process
 from worm_driver.ros_run_action import RunGaitAction
+from worm_driver.ros_stop import StopService
 from worm_driver.telemetry import Snapshot
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker
 
@@ -43,6 +40,9 @@ _SWITCH_INTERVAL = 0.0005
 #: s, how old the latest tracker sample may be when a gait starts, and how long the first one may take
 _FRESH = 0.2
 _DISCOVERY = 5.0
+
+#: s, in which the servos must have been enabled
+_ACTIVATION = 5.0
 
 _DELIVERY = Duration(seconds=0.5)
 
@@ -72,7 +72,7 @@ class DriverNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._action = RunGaitAction(self, lambda: self._hardware)
         self.create_subscription(Tracker, "tracker", self._on_tracker, 100)
-        self.create_service(Trigger, "stop", self._on_stop)
+        self._stop_service = StopService(self, self._stop)
         self.create_service(Trigger, "home", self._on_home)
         self.create_service(Trigger, "reboot", self._on_reboot)
         self._fresh = self.create_guard_condition(self._publish)
@@ -96,18 +96,25 @@ class DriverNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Enables the torque."""
         try:
-            self._do(lambda hardware, now: hardware.robot.activate(now))
+            self._activate()
         except Exception as error:  # noqa: BLE001 (as above)
             return self._failed("activate", error)
         self._failure = None
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Brings the gait to rest and releases the servos."""
+        """Brings the gait to rest and releases the servos.
+
+        FAILURE where a stop came on the way: the robot holds. ERROR, which releases and closes everything, where
+        the servo bus thread does not respond.
+        """
         try:
             self._release()
-        except DriverError as error:
+        except StoppedError as error:
+            return self._failed("deactivate", error)
+        except Exception as error:  # noqa: BLE001 (as above)
             self._failed("deactivate", error)
+            return TransitionCallbackReturn.ERROR
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -171,27 +178,40 @@ class DriverNode(LifecycleNode):
         self.get_logger().error(f"cannot {what}: {words}")
         return TransitionCallbackReturn.FAILURE
 
+    def _activate(self) -> None:
+        """Raises DriverError; an activation that takes too long is taken back when it ends."""
+        hardware = self._opened()
+        robot = hardware.robot
+        hardware.loop.ask(robot.activate, _ACTIVATION, undo=lambda _: robot.release())
+
     def _release(self) -> None:
-        hardware = self._hardware
-        if hardware is None:
-            return
+        """Raises StoppedError, DriverError."""
+        hardware = self._opened()
         self._do(
             lambda hardware, now: hardware.robot.begin_release(now, "the driver is deactivated")
         )
         end = time.monotonic() + hardware.release_time
         while not self._do(lambda hardware, _: hardware.robot.released) and time.monotonic() < end:
+            if self._do(lambda hardware, _: hardware.robot.holding):
+                raise StoppedError(
+                    "the service stop was called on the way to rest: the robot holds, with its torque "
+                    "on; deactivate it again to let go"
+                )
             self._publish()
         for problem in self._do(lambda hardware, _: hardware.robot.release()):
             self.get_logger().error(f"on release: {problem}")
 
     # --- services ------------------------------------------------------------------------------
 
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(
-            response,
-            lambda hardware, now: hardware.robot.stop(now, "the service stop was called"),
-            "stopped, and holding",
-        )
+    def _stop(self) -> None:
+        """Holds the robot at once; called in the thread of the service. Raises DriverError."""
+        hardware = self._opened()
+        hardware.loop.insist(lambda now: hardware.robot.stop(now, "the service stop was called"))
+
+    def destroy_node(self) -> None:
+        """Also ends the service stop."""
+        self._stop_service.close()
+        super().destroy_node()
 
     def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._answer(
@@ -222,10 +242,13 @@ class DriverNode(LifecycleNode):
 
     def _do(self, action: Callable[[Hardware, float], T]) -> T:
         """Has something done between two cycles. Raises DriverError."""
-        hardware = self._hardware
-        if hardware is None:
-            raise DriverError("the driver is not configured")
+        hardware = self._opened()
         return hardware.loop.ask(lambda now: action(hardware, now))
+
+    def _opened(self) -> Hardware:
+        if self._hardware is None:
+            raise DriverError("the driver is not configured")
+        return self._hardware
 
     # --- telemetry -----------------------------------------------------------------------------
 
@@ -329,40 +352,31 @@ class DriverNode(LifecycleNode):
 def main(args: list[str] | None = None) -> int:
     """Runs the driver until SIGINT, SIGTERM or SIGHUP; the servos are released on every way out.
 
-    A first signal brings the robot to rest, a second one lets go at once. Discovery stays on this machine
-    unless the environment says otherwise (security/README.md).
+    A first signal brings the robot to rest, a second one lets go at once.
     """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    node: DriverNode | None = None
-    asked = False
-
-    def on_signal(_: int, __: FrameType | None) -> None:
-        nonlocal asked
-        if asked and node is not None:
-            node.let_go()
-        asked = True
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, on_signal)
     try:
-        node = DriverNode()
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        node.autostart()
-        while not asked:
-            executor.spin_once(timeout_sec=0.05)
+        with ros_process(args) as ended:
+            _run(ended)
     except (ConfigurationError, ParameterException) as error:
         return _say(error, 2)
     except DriverError as error:
         return _say(error, 1)
-    finally:
-        if node is not None:
-            node.close("the driver ends")
-            node.destroy_node()
-        rclpy.try_shutdown()
     return 0
+
+
+def _run(ended: Ending) -> None:
+    node = DriverNode()
+    ended.again = node.let_go
+    try:
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        node.autostart()
+        while not ended():
+            executor.spin_once(timeout_sec=0.05)
+    finally:
+        node.close("the driver ends")
+        node.destroy_node()
 
 
 def _say(error: Exception, status: int) -> int:

@@ -14,6 +14,10 @@ class LimitError(DriverError):
     """A gait or a goal outside the robot's limits."""
 
 
+class StoppedError(DriverError):
+    """The service stop came in between."""
+
+
 class HomingError(DriverError):
     """The turn count of a cable servo is not known, so its cable length is not either."""
 

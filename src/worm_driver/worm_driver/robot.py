@@ -142,7 +142,7 @@ class Robot:
         try:
             with self.bus.patient():
                 self._enable_all()
-        except BusError:
+        except Exception:
             servos.release_all(self.bus, self.servos)
             raise
         self._reader.forget_suspects()
@@ -205,6 +205,11 @@ class Robot:
         return (
             not self.active or self.player.phase is Phase.FAULT or gait_player.at_rest(self.player)
         )
+
+    @property
+    def holding(self) -> bool:
+        """Whether a stop holds the cable where it is, with the torque on."""
+        return self.active and self.player.phase is Phase.HOLDING
 
     def release(self) -> list[str]:
         """Takes the torque off, by all means; returns what failed on the way, in words."""

@@ -113,7 +113,9 @@ class RunGaitAction:
         hardware = self._hardware()
         if hardware is None:
             raise DriverError("the driver is not configured: configure and activate it first")
-        number = hardware.loop.ask(lambda now: hardware.robot.start(now, gait, cycles))
+        number = hardware.loop.ask(
+            lambda now: hardware.robot.start(now, gait, cycles), undo=hardware.robot.cancel
+        )
         current = _Current(goal, number, Future(), RunRecord())
         self._runs.append(current)
         if goal.is_cancel_requested:  # faster than this callback

@@ -112,6 +112,57 @@ def test_a_loop_that_does_not_respond_is_said_so(robot):
         silent.ask(lambda _: 1, timeout=0.01)
 
 
+class Slow:
+    """An activation that takes until the test says so."""
+
+    def __init__(self, robot: NotingRobot) -> None:
+        self.robot = robot
+        self.begun = threading.Event()
+        self.may_end = threading.Event()
+        self.active = False
+
+    def activate(self, _: float) -> None:
+        self.begun.set()
+        self.may_end.wait(PATIENCE)
+        self.active = True
+
+    def release(self, _: float) -> None:
+        self.active = False
+        self.robot.release()
+
+
+def test_an_activation_that_takes_too_long_is_taken_back_when_it_ends(robot, loop):
+    slow = Slow(robot)
+    with pytest.raises(DriverError, match="did not respond"):
+        loop.ask(slow.activate, timeout=0.05, undo=slow.release)
+    after = loop.submit(lambda _: slow.active)
+    slow.may_end.set()
+    assert after.result(PATIENCE) is False  # whatever is asked later finds it released
+    assert robot.releases == 1
+
+
+def test_a_command_that_was_given_up_in_the_queue_is_not_carried_out(robot, loop):
+    slow, done = Slow(robot), []
+    first = loop.submit(slow.activate)
+    assert slow.begun.wait(PATIENCE)
+    with pytest.raises(DriverError, match="did not respond"):
+        loop.ask(done.append, timeout=0.01, undo=done.append)
+    slow.may_end.set()
+    first.result(PATIENCE)
+    loop.submit(lambda _: None).result(PATIENCE)
+    assert done == []
+
+
+def test_what_is_insisted_on_is_carried_out_however_late(robot, loop):
+    slow, done = Slow(robot), []
+    loop.submit(slow.activate)
+    assert slow.begun.wait(PATIENCE)
+    with pytest.raises(DriverError, match="did not respond"):
+        loop.insist(done.append, timeout=0.01)
+    slow.may_end.set()
+    wait_for(lambda: len(done) == 1)
+
+
 def test_leaving_brings_the_robot_to_rest_and_releases_it_once(robot, loop):
     wait_for(lambda: robot.cycles > 3)
     loop.leave("over")

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a process with ROS begins and ends: the only place that calls rclpy.init."""
+
+import contextlib
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from types import FrameType
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Ending:
+    """Whether a process was asked to end: call it.
+
+    Attributes:
+        again: called by every signal after the first one, in the signal's handler.
+    """
+
+    def __init__(self) -> None:
+        self.again: Callable[[], None] = lambda: None
+        self._asked = False
+
+    def __call__(self) -> bool:
+        """Whether it was asked to end."""
+        return self._asked
+
+    def on_signal(self, _: int, __: FrameType | None) -> None:
+        """The handler."""
+        if self._asked:
+            self.again()
+        self._asked = True
+
+
+@contextlib.contextmanager
+def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Ending]:
+    """ROS while this lasts; SIGINT, SIGTERM and SIGHUP set a flag and do nothing else.
+
+    rclpy's own handlers would take the context away from under a node that still has something to do or to say.
+    Discovery stays on this machine unless the environment says otherwise (security/README.md).
+
+    Args:
+        arguments: the command line with the program's name; None for that of the process.
+    """
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    ending = Ending()
+    rclpy.init(
+        args=None if arguments is None else list(arguments),
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
+    before = {number: signal.signal(number, ending.on_signal) for number in _SIGNALS}
+    try:
+        yield ending
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        rclpy.try_shutdown()
