@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -357,4 +358,10 @@ class Locomotion:
         return final, _motions(samples, self.parameters)
 
     def _constants(self) -> Constants:
-        return run.constants_of(parameter_row(self.parameters), float(self.direction), self.margin)
+        return _constants_of(self.parameters, self.direction, self.margin)
+
+
+@lru_cache(maxsize=16)
+def _constants_of(parameters: Parameters, direction: int, margin: float) -> Constants:
+    """Of a few robots: a twin asks for them a hundred times a second."""
+    return run.constants_of(parameter_row(parameters), float(direction), margin)

@@ -53,11 +53,13 @@ JUMPS = (Verdict.JUMPED_BACK, Verdict.JUMPED_AHEAD)
 class Streams:
     """Newest stamp (ns) of each stream by the sample's type, and how often each verdict fell.
 
+    ``present_ns`` is the newest stamp of all but the gait states, which may be old when they are heard;
     ``old_in_a_row`` counts the last samples that were too old; ``ahead`` are those held.
     """
 
     newest: dict[type, int] = field(default_factory=dict)
     counts: dict[Verdict, int] = field(default_factory=dict)
+    present_ns: int = 0
     old_in_a_row: int = 0
     ahead: tuple[Sample, ...] = ()
 
@@ -66,22 +68,15 @@ class Streams:
         """Newest stamp of all, 0 before the first."""
         return max(self.newest.values(), default=0)
 
-    @property
-    def present_ns(self) -> int:
-        """The same without the gait states, which may be old when they are heard."""
-        return max(
-            (stamp for kind, stamp in self.newest.items() if kind is not GaitSample), default=0
-        )
-
 
 def admit(
     streams: Streams, sample: Sample, settings: TwinSettings
 ) -> tuple[Streams, Verdict, tuple[Sample, ...]]:
     """(the streams after the sample, what becomes of it, the samples to be taken now)."""
     verdict = _judge(streams, sample, settings)
-    streams = replace(streams, counts=_counted(streams.counts, verdict))
     if verdict is Verdict.TAKEN:
-        return _taken(replace(streams, ahead=()), sample), verdict, (sample,)
+        return _taken(streams, sample), verdict, (sample,)
+    streams = replace(streams, counts=_counted(streams.counts, verdict))
     if verdict is Verdict.AHEAD:
         return _hold(streams, sample, settings)
     if verdict is Verdict.NOT_A_NUMBER:
@@ -116,8 +111,10 @@ def _is_old(streams: Streams, sample: Sample, settings: TwinSettings) -> bool:
 
 def _taken(streams: Streams, sample: Sample) -> Streams:
     newest = {**streams.newest, type(sample): sample.stamp_ns}
-    old = streams.old_in_a_row if isinstance(sample, GaitSample) else 0
-    return replace(streams, newest=newest, old_in_a_row=old)
+    counts = _counted(streams.counts, Verdict.TAKEN)
+    if isinstance(sample, GaitSample):
+        return Streams(newest, counts, streams.present_ns, streams.old_in_a_row)
+    return Streams(newest, counts, max(streams.present_ns, sample.stamp_ns))
 
 
 def _hold(
@@ -132,7 +129,6 @@ def _hold(
         return replace(streams, ahead=held), Verdict.AHEAD, ()
     if held[0].stamp_ns - streams.present_ns > settings.jump_ahead_s * NANOSECONDS:
         return _restarted(streams, Verdict.JUMPED_AHEAD, held)
-    streams = replace(streams, ahead=())
     for other in held:
         streams = _taken(streams, other)
     return streams, Verdict.TAKEN, held
