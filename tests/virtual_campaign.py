@@ -13,7 +13,7 @@ from worm_driver.virtual_robot.rehearsal import Run as Rehearsal
 from worm_driver.virtual_robot.rehearsal import rehearse, sinusoid
 from worm_driver.virtual_robot.settings import RobotSettings, load_settings
 from worm_model.gait import Gait
-from worm_model.identification.given import Given
+from worm_model.identification.given import READING, Given
 from worm_model.identification.inputs import BenchTest, Inputs
 from worm_model.identification.recording import recording_of
 from worm_model.parameters import PAPER, Parameters
@@ -41,7 +41,7 @@ TICK = 2.0 * np.pi / 4096  # rad
 
 @dataclass(frozen=True)
 class VirtualCampaign:
-    """What identification is given, and the true parameters."""
+    """What identification is given, a scale's and a ruler's errors in it, and the true parameters."""
 
     inputs: Inputs
     given: Given
@@ -62,13 +62,19 @@ def virtual_campaign(
         )
         truth = Parameters(**dataclasses.asdict(run.truth))
         recordings.append(recording_of(run_of(run, gait, settings), f"run_{index + 1}"))
-    known = {
-        key: getattr(truth, key)
-        for key in ("rear_mass", "front_mass", "unstressed_length", "pitch")
-    }
     bellows, fin = bench_tests(truth, np.random.default_rng(seed))
-    given = Given(PAPER.replace(**known), {}, "the maker")
+    given = Given(read_off(truth, np.random.default_rng([seed, 1])), {}, "the maker")
     return VirtualCampaign(Inputs(tuple(recordings), bellows, fin, None), given, truth)
+
+
+def read_off(truth: Parameters, random: np.random.Generator) -> Parameters:
+    """The paper's values, but what a scale and a ruler say of the true ones, to within their bounds in 95 %."""
+    return PAPER.replace(
+        **{
+            key: getattr(truth, key) + reading / 1.96 * random.standard_normal()
+            for key, reading in READING.items()
+        }
+    )
 
 
 def bench_tests(truth: Parameters, random: np.random.Generator) -> tuple[BenchTest, BenchTest]:

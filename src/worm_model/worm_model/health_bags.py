@@ -18,7 +18,7 @@ from worm_model.identification.errors import IdentificationError
 from worm_model.identification.estimate import Estimate
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.identification.inputs import read_recording
-from worm_model.identification.locomotion import traverse_of
+from worm_model.identification.locomotion import Known, traverse_of
 from worm_model.identification.locomotion_stage import identify_locomotion
 from worm_model.identification.measured_length import measured_length
 from worm_model.identification.quality import LONGEST_GAP, remarks, usable
@@ -86,7 +86,7 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
     usable([recording], [length])
     traverse = traverse_of(recording, length, parameters.pitch)
     given = parameters.replace(initial_length=length.initial_length)
-    locomotion = identify_locomotion([traverse], given)
+    locomotion = identify_locomotion([traverse], Known(given, 0.0))
     actuation = identify_actuation([recording], np.random.default_rng(SEED))
     estimates = {
         "viscous_friction": locomotion.viscous_friction,

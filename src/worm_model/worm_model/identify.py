@@ -16,10 +16,10 @@ from worm_model.command_line import (
     print_json,
     run_command,
 )
-from worm_model.identification.advice import advise
+from worm_model.identification.advice import Advice, advise
 from worm_model.identification.errors import IdentificationError
 from worm_model.identification.given import Given, given_by_file, given_by_folder
-from worm_model.identification.inputs import Inputs, read_inputs, read_recording
+from worm_model.identification.inputs import Inputs, read_inputs, read_recordings
 from worm_model.identification.pipeline import Identification, identify
 from worm_model.identification.report import error_table, parameter_table, write_report
 from worm_model.identification.results import parameter_file, summary
@@ -40,7 +40,7 @@ def _parser() -> Parser:
         type=Path,
         nargs="+",
         metavar="BAG",
-        help="bags, one run each, or one folder of a lab's logs",
+        help="bags, one run each, or a lab's folder of runs, or some runs of it",
     )
     parser.add_argument("--bellows", type=Path, metavar="CSV", help="compression_m, force_N")
     parser.add_argument("--fin", type=Path, metavar="CSV", help="displacement_m, force_N")
@@ -55,7 +55,7 @@ def _parser() -> Parser:
         nargs="+",
         default=[],
         metavar="BAG",
-        help="runs to check it against",
+        help="runs to check it against, none of them fitted",
     )
     parser.add_argument("--output", metavar="FILE", help="the parameter file, which must not exist")
     parser.add_argument(
@@ -89,17 +89,17 @@ def _given(options: argparse.Namespace, inputs: Inputs) -> Given:
     return given_by_file(ParameterFile(), "the paper")
 
 
-def _print(result: Identification, *, as_json: bool) -> None:
+def _print(result: Identification, advice: Advice, *, as_json: bool) -> None:
     for warning in result.warnings:
         sys.stderr.write(f"{warning}\n")
     if as_json:
-        print_json(summary(result) | {"advice": advise(result).text})
+        print_json(summary(result) | {"advice": advice.text})
     else:
         parts = (
             parameter_table(result.estimates),
             "Held out, in brackets the paper's table:\n"
             + error_table(result.held_out, result.paper),
-            f"What next: {advise(result).text}.",
+            f"What next: {advice.text}.",
         )
         sys.stdout.write("\n\n".join(parts) + "\n")
 
@@ -117,16 +117,17 @@ def _run(options: argparse.Namespace) -> None:
             _given(options, inputs),
             options.seed,
             SIDES.get(options.fin_engages, 0),
-            [read_recording(path) for path in options.validation],
+            read_recordings(options.validation),
             reporter,
         )
+        advice = advise(result)
     except IdentificationError as error:
         raise InputError(str(error)) from None
     if output is not None:
         write_parameter_file(output, parameter_file(result, inputs))
     if report is not None:
-        write_report(result, report, lambda done: reporter("report", done))
-    _print(result, as_json=options.json)
+        write_report(result, advice, report, lambda done: reporter("report", done))
+    _print(result, advice, as_json=options.json)
 
 
 def main() -> int:

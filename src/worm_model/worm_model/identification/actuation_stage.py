@@ -9,13 +9,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.actuation import ActuationFit, fit_actuation, fitted_samples
-from worm_model.identification.estimate import Estimate, quantile
+from worm_model.identification.actuation import (
+    SHARED,
+    ActuationFit,
+    actuation_problem,
+    fit_actuation,
+    fitted_samples,
+)
+from worm_model.identification.blocks import normal_equations
+from worm_model.identification.clocks import clock_deviations
+from worm_model.identification.estimate import Estimate, if_told, not_told, quantile
 from worm_model.identification.recording import Recording
 from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
+from worm_model.parameters import PAPER
 
 Array = NDArray[np.float64]
 
+USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)
+CLOCK = 1  # of a run's nuisances
+LEAST_INFORMATION = 1e-9  # of a parameter's step, in squares of the camera's noise
+NO_BEARING = "it has no bearing on these runs"
+AT_BOUND = "the fit stands at the edge of what it may be, where no interval holds"
 FEWEST_RUNS = 4  # for a bootstrap over runs
 LEAST_STEP = 1e-9  # m, that is no rounding of a computation
 LEAST_FRACTION = 0.02  # of a step by which rounded commands may seem to differ from whole ones
@@ -23,13 +37,17 @@ LEAST_FRACTION = 0.02  # of a step by which rounded commands may seem to differ 
 
 @dataclass(frozen=True)
 class ActuationResult:
-    """``slack`` m, ``gain``, ``time_constant`` s; ``correlation`` (3, 3) of these; ``fit`` has the nuisances."""
+    """``slack`` m, ``gain``, ``time_constant`` s; ``correlation`` (3, 3) of these; ``fit`` has the nuisances.
+
+    ``clock_deviation`` (runs,) s, of the fit's clock offsets, NaN where the data tell none.
+    """
 
     slack: Estimate
     gain: Estimate
     time_constant: Estimate
     correlation: Array
     fit: ActuationFit
+    clock_deviation: Array
 
 
 def identify_actuation(
@@ -49,7 +67,24 @@ def identify_actuation(
     slack, gain, time_constant = estimates(fit.values, refits, units)
     rounding = max(command_resolution(recording) for recording in recordings)
     slack = _widened(slack, quantile(np.inf) * rounding / np.sqrt(12.0))
-    return ActuationResult(slack, gain, time_constant, correlation(refits), fit)
+    problem = actuation_problem(recordings)
+    matrix, _ = normal_equations(problem, fit.solution)
+    slack, gain, time_constant = (
+        _told(estimate, entry, float(matrix[entry, entry]))
+        for entry, estimate in enumerate((slack, gain, time_constant))
+    )
+    clocks = clock_deviations(problem, fit.solution, CLOCK)
+    return ActuationResult(slack, gain, time_constant, correlation(refits), fit, clocks)
+
+
+def _told(estimate: Estimate, entry: int, information: float) -> Estimate:
+    """The estimate unless its interval is open, it has no ``information``, or it is at a bound of the bootstrap."""
+    bounds = SHARED[entry]
+    if information * bounds.step**2 < LEAST_INFORMATION:
+        return not_told(estimate.value, NO_BEARING)
+    if not bounds.low < estimate.value < bounds.high:
+        return not_told(estimate.value, AT_BOUND)
+    return if_told(estimate, USUAL[entry])
 
 
 def command_resolution(recording: Recording) -> float:

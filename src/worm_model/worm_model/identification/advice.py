@@ -18,12 +18,13 @@ from worm_model.gait import Gait
 from worm_model.identification.actuation import actuation_problem
 from worm_model.identification.blocks import Problem, evaluate, normal_equations
 from worm_model.identification.energy import INDEPENDENT, PowerRun, energy_problem
-from worm_model.identification.estimate import quantile
+from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.grooves import groove_problem
-from worm_model.identification.locomotion import RIDGES, traverse_of
+from worm_model.identification.locomotion import RIDGES, Known, traverse_of
 from worm_model.identification.measured_length import measured_length
 from worm_model.identification.pipeline import Identification
 from worm_model.identification.recording import Recording
+from worm_model.parameters import PAPER
 from worm_model.simulator import simulate
 
 Array = NDArray[np.float64]
@@ -62,13 +63,13 @@ class Advice:
 
 def advise(result: Identification) -> Advice:
     """What to measure next."""
-    vague = [key for key in STAGES["energy"] if not result.estimates[key].identifiable]
+    sought = [key for keys in STAGES.values() for key in keys]
+    vague = [key for key in sought if not result.estimates[key].identifiable]
     if vague:
         return Advice(vague[0], None, np.nan, f"{vague[0]}: {result.estimates[vague[0]].note}")
-    known = [*NO_RUN_HELPS, *(key for keys in STAGES.values() for key in keys)]
     width = {
-        key: result.estimates[key].spread / abs(result.estimates[key].value)
-        for key in known
+        key: _relative_spread(result.estimates[key], key)
+        for key in (*NO_RUN_HELPS, *sought)
         if result.estimates[key].identifiable
     }
     key = max(width, key=lambda k: width[k])
@@ -76,7 +77,10 @@ def advise(result: Identification) -> Advice:
     if key in NO_RUN_HELPS:
         return Advice(key, None, np.nan, f"{head}; no run would shrink it: {NO_RUN_HELPS[key]}")
     stage = next(name for name, keys in STAGES.items() if key in keys)
-    gait, shrunk = _best_gait(result, stage, key)
+    best = _best_gait(result, stage, key)
+    if best is None:
+        return Advice(key, None, np.nan, f"{head}; no gait tried passes {RIDGES} ridges")
+    gait, shrunk = best
     text = f"{head}; of {len(STROKES) * len(FREQUENCIES)} gaits tried, one more run at {gait.stroke:g} m and "
     text += f"{gait.frequency:g} Hz would shrink it most, to {100 * shrunk:.0f} % of its width"
     if stage == "locomotion" and _limited_by_grooves(result, key):
@@ -84,6 +88,11 @@ def advise(result: Identification) -> Advice:
     if _inherited(result, key) > 0.5:
         text += "; most of it comes from what was given and from the bench tests: measure these more exactly"
     return Advice(key, gait, shrunk, text)
+
+
+def _relative_spread(estimate: Estimate, key: str) -> float:
+    """Of its value, or of the paper's if that is more: a slack of next to nothing is not vague."""
+    return estimate.spread / max(abs(estimate.value), 0.1 * getattr(PAPER, key))
 
 
 def _inherited(result: Identification, key: str) -> float:
@@ -108,7 +117,8 @@ def _limited_by_grooves(result: Identification, key: str) -> bool:
     return scatter.threshold > 5e-5
 
 
-def _best_gait(result: Identification, stage: str, key: str) -> tuple[Gait, float]:
+def _best_gait(result: Identification, stage: str, key: str) -> tuple[Gait, float] | None:
+    """(gait, to what share it shrinks the interval), None if no gait gets past the ridges."""
     keys = STAGES[stage]
     entry = keys.index(key)
     inherited = _inherited(result, key)
@@ -121,10 +131,15 @@ def _best_gait(result: Identification, stage: str, key: str) -> tuple[Gait, floa
             if recording is None:
                 continue
             information = _information(result, stage, recording)
-            posterior = np.linalg.inv(np.linalg.inv(covariance) + information)
+            gain = (
+                np.eye(len(keys)) + information @ covariance
+            )  # covariances of few runs are singular
+            posterior = covariance @ np.linalg.inv(gain)
             own = posterior[entry, entry] / covariance[entry, entry]
             shrunk = float(np.sqrt(inherited + (1.0 - inherited) * own))
             found.append((shrunk, stroke, frequency))
+    if not found:
+        return None
     shrunk, stroke, frequency = min(found)
     return Gait(stroke, frequency), shrunk
 
@@ -182,7 +197,9 @@ def _information(result: Identification, stage: str, recording: Recording) -> Ar
     noise = float(np.median([run.traverse.noise for run in result.runs]))
     traverse = replace(traverse_of(recording, length, result.parameters.pitch), noise=noise)
     fit = result.locomotion.fit
-    problem = groove_problem([traverse], result.parameters, fit.places, fit.scatter)
+    deviation = result.given.estimate("pitch").spread / quantile(np.inf)
+    known = Known(result.parameters, deviation)
+    problem = groove_problem([traverse], known, fit.places, fit.scatter)
     own = np.array([[result.parameters.initial_length]])
     return _marginal(problem, fit.solution.shared, own, 2) / result.locomotion.inflation
 

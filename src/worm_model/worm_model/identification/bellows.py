@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from worm_model.identification.errors import IdentificationError
 from worm_model.identification.estimate import Estimate, quantile
-from worm_model.identification.robust import OUTLIER, scale_of
+from worm_model.identification.robust import OUTLIER, dependence, scale_of
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,9 @@ class BellowsFit:
 def fit_bellows(compression: Array, force: Array) -> BellowsFit:
     """Least squares without outliers; the interval is that of Student's t, exact for white noise.
 
-    ``compression`` m and ``force`` N, (n,) each. Raises `IdentificationError` if no stiffness comes out.
+    Where residuals resemble their neighbours (hysteresis), it is that of as many independent ones as they are worth.
+    The load cell's scale is taken as true. ``compression`` m and ``force`` N, (n,) each, in the order in which
+    they were taken. Raises `IdentificationError` if no stiffness comes out.
     """
     known = np.isfinite(compression) & np.isfinite(force)
     x, y = compression[known], force[known]
@@ -58,8 +60,9 @@ def fit_bellows(compression: Array, force: Array) -> BellowsFit:
             "bellows test: the force falls with compression; give compression and force as positive"
         )
     freedom = int(used.sum()) - 2
-    noise = np.sqrt(np.sum(residual[used] ** 2) / freedom)
+    worth = dependence(residual[used])
+    noise = np.sqrt(worth * np.sum(residual[used] ** 2) / freedom)
     deviation = float(noise / np.sqrt(np.sum((x[used] - x[used].mean()) ** 2)))
-    half = quantile(freedom) * deviation
+    half = quantile(freedom / worth) * deviation
     estimate = Estimate(float(slope), float(slope - half), float(slope + half))
     return BellowsFit(estimate, deviation, float(offset), x, y, used)

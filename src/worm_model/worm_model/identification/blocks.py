@@ -150,8 +150,8 @@ def evaluate(
         float(np.sum(_huber(r) if weights is None else weights[run] * _huber(r)))
         for run, r in enumerate(residuals)
     )
-    cost += _prior_cost(shared, problem.shared)
-    cost += sum(_prior_cost(row, q) for row, q in zip(own, problem.own, strict=True))
+    cost += prior_cost(shared, problem.shared)
+    cost += sum(prior_cost(row, q) for row, q in zip(own, problem.own, strict=True))
     return Solution(shared, own, residuals, cost)
 
 
@@ -160,7 +160,8 @@ def _huber(residuals: Array) -> Array:
     return np.where(size <= HUBER, size**2, 2.0 * HUBER * size - HUBER**2)
 
 
-def _prior_cost(values: Array, quantities: Sequence[Quantity]) -> float:
+def prior_cost(values: Sequence[float] | Array, quantities: Sequence[Quantity]) -> float:
+    """Of values that stray from the centres of their priors."""
     return sum(
         ((value - quantity.centre) / quantity.spread) ** 2
         for value, quantity in zip(values, quantities, strict=True)

@@ -14,15 +14,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.energy import EnergyFit, PowerRun, fit_energy, with_force
-from worm_model.identification.estimate import Estimate
+from worm_model.identification.blocks import evaluate
+from worm_model.identification.clocks import clock_deviations
+from worm_model.identification.energy import (
+    INDEPENDENT,
+    EnergyFit,
+    PowerRun,
+    energy_problem,
+    fit_energy,
+    with_force,
+)
+from worm_model.identification.estimate import VAGUE, Estimate, not_told
 from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
 
 Array = NDArray[np.float64]
 
 LEAST_FREQUENCY_RATIO = 1.4  # of the fastest to the slowest gait
 FEWEST_RUNS = 2
-VAGUE = 0.5  # half-width relative to the value from which a number would pretend
+LEAST_SCATTER = 1e-6  # J
 
 
 @dataclass(frozen=True)
@@ -31,6 +40,7 @@ class EnergyResult:
 
     ``correlation`` (2, 2) of the two; ``inherited``: which part of their variances comes from what earlier stages and
     the ruler left open. Without ``identifiable`` estimates, ``fit`` holds c_b at the given value.
+    ``clock_deviation`` (runs,) s, of the fit's clock offsets, NaN where the data tell none.
     """
 
     bellows_damping: Estimate
@@ -38,6 +48,7 @@ class EnergyResult:
     correlation: Array
     inherited: tuple[float, float]
     fit: EnergyFit
+    clock_deviation: Array
 
 
 def identify_energy(
@@ -70,10 +81,11 @@ def identify_energy(
     alike = np.ones(len(runs))
     inherited = refitted(lambda index: refit(index, alike)).var(axis=0) / refits.var(axis=0)
     damping, factor = estimates(np.array([fit.damping, fit.factor]), refits, len(runs))
-    if damping.spread > VAGUE * damping.value or factor.spread > VAGUE * factor.value:
+    told = [e.spread <= VAGUE * e.value for e in (damping, factor)]  # False of NaN too
+    if not all(told):
         return _given(runs, given_damping, "the runs leave it open by more than half its value")
     shares = (min(float(inherited[0]), 1.0), min(float(inherited[1]), 1.0))
-    return EnergyResult(damping, factor, correlation(refits), shares, fit)
+    return EnergyResult(damping, factor, correlation(refits), shares, fit, _clocks(runs, fit))
 
 
 def _why_not(runs: Sequence[PowerRun], frequencies: Sequence[float]) -> str:
@@ -90,9 +102,18 @@ def _given(runs: Sequence[PowerRun], damping: float, note: str) -> EnergyResult:
     fit = fit_energy(runs, damping=damping)
     nothing = float("nan")
     return EnergyResult(
-        Estimate(damping, nothing, nothing, False, note),
-        Estimate(fit.factor, nothing, nothing, False, f"{note}; fitted under the given c_b"),
+        not_told(damping, note),
+        not_told(fit.factor, f"{note}; fitted under the given c_b"),
         np.full((2, 2), nothing),
         (nothing, nothing),
         fit,
+        _clocks(runs, fit),
     )
+
+
+def _clocks(runs: Sequence[PowerRun], fit: EnergyFit) -> Array:
+    """By what is left over in each run, which says how far an energy can be trusted."""
+    scatter = max(float(np.sqrt(np.mean([np.mean(r**2) for r in fit.residuals]))), LEAST_SCATTER)
+    weights = [np.full(run.power_time.size, INDEPENDENT / run.power_time.size) for run in runs]
+    solution = evaluate(energy_problem(runs, scatter), fit.solution.shared, fit.solution.own)
+    return clock_deviations(energy_problem(runs, scatter), solution, 0, weights)

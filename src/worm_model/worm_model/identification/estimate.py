@@ -14,13 +14,19 @@ Array = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 MOST_STEPS = 12  # by which a profile looks for its end
+NARROW = 0.03  # of an end's distance, between whose bounds it is found: where a cost jumps it meets no value
+VAGUE = 0.5  # half-width relative to the value from which a number would pretend
+LEFT_OPEN = (
+    "the data leave it open by more than half its value; add runs that go further or at other gaits"
+)
 
 
 @dataclass(frozen=True)
 class Estimate:
     """``value`` and 95 % bounds ``low``, ``high`` in the parameter's unit.
 
-    What the data cannot tell is not ``identifiable``: then the value is one that was given, and ``note`` says why.
+    What the data cannot tell is not ``identifiable``: then the bounds are NaN, the value is one that was given or
+    that goes with what was given or with nearly anything else, and ``note`` says which and why.
     """
 
     value: float
@@ -40,20 +46,44 @@ def quantile(degrees: float) -> float:
     return float(student.ppf(0.5 + 0.5 * CONFIDENCE, max(degrees, 1.0)))
 
 
-def follow_profile(cost: Callable[[float], float], best: float, rise: float, guess: float) -> float:
+def not_told(value: float, note: str) -> Estimate:
+    """A value without bounds, and why."""
+    return Estimate(value, float("nan"), float("nan"), False, note)
+
+
+def if_told(estimate: Estimate, usual: float = 0.0, note: str = LEFT_OPEN) -> Estimate:
+    """The estimate, or one that is not identifiable where its interval is open or too wide to mean anything.
+
+    Too wide is more than half of the value, or of what is ``usual`` if that is more: a slack of 0 ± 0.1 mm is told.
+    """
+    told = estimate.spread <= VAGUE * max(
+        abs(estimate.value), usual
+    )  # False if it is infinite or NaN
+    return estimate if told or not estimate.identifiable else not_told(estimate.value, note)
+
+
+def follow_profile(
+    cost: Callable[[float], float],
+    best: float,
+    rise: float,
+    guess: float,
+    reach: float = np.inf,
+) -> float:
     """Where a profile has risen by ``rise`` above its minimum at ``best``, on the side of ``guess`` (an offset).
 
-    ``cost`` is the cost above the minimum. The profile is taken for a parabola from one step to the next.
+    ``cost`` is the cost above the minimum, no farther than ``reach`` from ``best``. The profile is taken for a
+    parabola from one step to the next. Infinite if it never rises that far; where it jumps, the far side of the jump.
     """
-    offset, low, high = guess, 0.0, np.inf
+    offset, low, high = min(abs(guess), reach), 0.0, np.inf
     for _ in range(MOST_STEPS):
-        risen = cost(best + offset)
+        risen = cost(best + float(np.copysign(offset, guess)))
         if abs(risen - rise) < 0.05 * rise:
+            return best + float(np.copysign(offset, guess))
+        low, high = (offset, high) if risen < rise else (low, offset)
+        if low >= reach or high - low < NARROW * high:
             break
-        low, high = (abs(offset), high) if risen < rise else (low, abs(offset))
         factor = float(np.sqrt(rise / max(risen, 0.1 * rise)))
-        size = abs(offset) * min(max(factor, 0.3), 3.0)
-        if not low < size < high:
-            size = 0.5 * (low + high)
-        offset = float(np.copysign(size, guess))
-    return best + offset
+        offset = min(offset * min(max(factor, 0.3), 3.0), reach)
+        if not low < offset < high:
+            offset = 0.5 * (low + min(high, reach))
+    return best + float(np.copysign(high, guess))

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
 from worm_model.identification.errors import IdentificationError
-from worm_model.identification.estimate import Estimate, follow_profile, quantile
-from worm_model.identification.robust import SIGMA_PER_MAD
+from worm_model.identification.estimate import Estimate, follow_profile, if_told, quantile
+from worm_model.identification.robust import SIGMA_PER_MAD, dependence
 
 Array = NDArray[np.float64]
 
 COLUMNS = ("displacement_m", "force_N")
 FEWEST_POINTS = 12
+TOO_VAGUE = "the fin test leaves it open by more than half its value; repeat it with more points"
 ANISOTROPY = 1.15  # between the stiffnesses, below which a test does not tell which side engages
 SIGNIFICANT = 3.0  # standard deviations from which the test stand's zero counts as off
 
@@ -120,6 +121,7 @@ class _BrokenLine:
     def __init__(self, x: Array, y: Array) -> None:
         self.x, self.y = x, y
         start = self.start()
+        self.worth = dependence(y - _force(start, x))
         self.noise = max(SIGMA_PER_MAD * float(np.median(np.abs(y - _force(start, x)))), 1e-9)
 
     def start(self) -> Array:
@@ -141,7 +143,7 @@ class _BrokenLine:
         values = start.copy()
         values[index] = result.x
         freedom = max(self.x.size - index.size, 1)
-        variance = 2.0 * result.cost / freedom
+        variance = 2.0 * result.cost / freedom * self.worth
         covariance = np.zeros((4, 4))
         covariance[np.ix_(index, index)] = np.linalg.pinv(result.jac.T @ result.jac) * variance
         return values, covariance
@@ -151,17 +153,18 @@ class _BrokenLine:
         free = [k for k in range(4) if k != entry and covariance[k, k] > 0.0]
         freedom = max(self.x.size - len(free) - 1, 1)
         best = self._solve(values, np.array(free))
-        rise = 2.0 * best.cost / freedom * quantile(freedom) ** 2
+        tail = quantile(freedom / self.worth)
+        rise = 2.0 * best.cost / freedom * self.worth * tail**2
 
         def cost(value: float) -> float:
             start = values.copy()
             start[entry] = value
             return 2.0 * float(self._solve(start, np.array(free)).cost - best.cost)
 
-        reach = quantile(freedom) * float(np.sqrt(covariance[entry, entry]))
+        reach = tail * float(np.sqrt(covariance[entry, entry]))
         value = float(values[entry])
         low, high = (follow_profile(cost, value, rise, sign * reach) for sign in (-1.0, 1.0))
-        return Estimate(value, low, high)
+        return if_told(Estimate(value, low, high), note=TOO_VAGUE)
 
     def _solve(self, start: Array, index: NDArray[np.intp]) -> OptimizeResult:
         def residuals(free: Array) -> Array:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,15 @@ class Forces:
     stiffness_deviation: float
     free_length: float
     free_length_deviation: float
+
+    def of(self, indices: Sequence[int]) -> Forces:
+        """Of some of the runs."""
+        return replace(
+            self,
+            holding=tuple(tuple(fit[index] for index in indices) for fit in self.holding),
+            change=tuple(self.change[index] for index in indices),
+            initial_length=self.initial_length[list(indices)],
+        )
 
     @property
     def best(self) -> list[Array]:

@@ -21,10 +21,12 @@ from worm_model.identification.blocks import (
     Solution,
     evaluate,
     normal_equations,
+    prior_cost,
     solve,
     with_fixed,
 )
 from worm_model.identification.locomotion import (
+    Known,
     Traverse,
     own_quantities,
     shared_quantities,
@@ -34,12 +36,11 @@ from worm_model.identification.locomotion import (
     x1_residuals,
 )
 from worm_model.kernel.dry_friction import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
-from worm_model.parameters import Parameters
 
 Array = NDArray[np.float64]
 
 ROWS = 10  # grooves of each module: FIRST_GROOVE behind the start, the rest ahead
-MEANS = 4  # shared parameters before the deviations
+MEANS = 5  # shared parameters before the deviations
 FIRST_SCATTER = (1e-4, 0.02)  # m and 1, from which the scatter is looked for
 LEAST_SCATTER = (1e-6, 1e-4)  # that counts as none
 STEPS = (3e-5, 0.01)  # of numerical derivatives by deviations, m and 1
@@ -74,7 +75,7 @@ class GrooveFit:
 
     @property
     def means(self) -> Array:
-        """(η, p_sw, rear and front dry friction)."""
+        """(η, p_sw, rear and front dry friction, pitch)."""
         return self.solution.shared[:MEANS]
 
 
@@ -99,43 +100,41 @@ def tables_of(deviations: Array, places: NDArray[np.int64]) -> tuple[Array, Arra
 
 def groove_problem(
     traverses: Sequence[Traverse],
-    parameters: Parameters,
+    known: Known,
     places: NDArray[np.int64],
     scatter: Scatter,
 ) -> Problem:
     """Residuals of x1 by the means and the deviations, which have priors by the scatter."""
-    worms = [worm_of(parameters, t.direction) for t in traverses]
+    worms = [worm_of(known.parameters, t.direction) for t in traverses]
 
     def residuals(run: int, values: Array, own: Array) -> Array:
         worm = with_values(worms[run], values, own[0])
         samples = slide(traverses[run], worm, *tables_of(values[MEANS:], places))
         return x1_residuals(traverses[run], samples)
 
-    half = 0.5 * parameters.pitch
+    half = 0.5 * known.parameters.pitch
     deviations = [
         Quantity(STEPS[0], -half, half, 0.0, scatter.threshold)
         if column == THRESHOLD
         else Quantity(STEPS[1], -0.9, 9.0, 0.0, scatter.stiffness)
         for _, _, column in places
     ]
-    shared = [*shared_quantities(parameters), *deviations]
+    shared = [*shared_quantities(known), *deviations]
     return Problem(residuals, shared, [own_quantities(t) for t in traverses], jumps=True)
 
 
-def fit_grooves(
-    traverses: Sequence[Traverse], parameters: Parameters, start: Solution
-) -> GrooveFit:
+def fit_grooves(traverses: Sequence[Traverse], known: Known, start: Solution) -> GrooveFit:
     """Scatter, deviations and means, from a solution in which all grooves are alike."""
     scatter = Scatter(*FIRST_SCATTER)
-    places = _passed(traverses, parameters, start)
+    places = _passed(traverses, known, start)
     shared = np.concatenate([start.shared, np.zeros(len(places))])
     own = start.own
     for _ in range(ROUNDS):
-        problem = groove_problem(traverses, parameters, places, scatter)
+        problem = groove_problem(traverses, known, places, scatter)
         solution = _scanned(problem, solve(problem, shared, own, iterations=4), places)
         shared, own = solution.shared, solution.own
         scatter = _learned_scatter(problem, solution, places, scatter)
-    problem = groove_problem(traverses, parameters, places, scatter)
+    problem = groove_problem(traverses, known, places, scatter)
     return GrooveFit(solve(problem, shared, own, iterations=6), places, scatter)
 
 
@@ -151,12 +150,10 @@ def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) ->
     return solution
 
 
-def _passed(
-    traverses: Sequence[Traverse], parameters: Parameters, start: Solution
-) -> NDArray[np.int64]:
+def _passed(traverses: Sequence[Traverse], known: Known, start: Solution) -> NDArray[np.int64]:
     """The deviations that change anything: of the grooves that are passed."""
     places = all_places()
-    problem = groove_problem(traverses, parameters, places, Scatter(*FIRST_SCATTER))
+    problem = groove_problem(traverses, known, places, Scatter(*FIRST_SCATTER))
     shared = np.concatenate([start.shared, np.zeros(len(places))])
     matters = []
     for entry in range(len(places)):
@@ -199,10 +196,13 @@ def _learned_scatter(
 
 
 def held(
-    traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit, entry: int, value: float
+    traverses: Sequence[Traverse], known: Known, fit: GrooveFit, entry: int, value: float
 ) -> Solution:
     """The solution when one of the means is held at a value and all else is refitted."""
-    problem = groove_problem(traverses, parameters, fit.places, fit.scatter)
+    problem = groove_problem(traverses, known, fit.places, fit.scatter)
     shared = np.delete(fit.solution.shared, entry)
     solution = solve(with_fixed(problem, entry, value), shared, fit.solution.own, iterations=8)
-    return replace(solution, shared=np.insert(solution.shared, entry, value))
+    prior = prior_cost([value], [problem.shared[entry]])
+    return replace(
+        solution, shared=np.insert(solution.shared, entry, value), cost=solution.cost + prior
+    )

@@ -31,6 +31,10 @@ TOPICS = (
     "power",
     "gait_state",
 )
+SEVERAL_LABS = (
+    "runs of several folders ({}): their README.md and bench tests are not used; name --parameters, --bellows "
+    "and --fin"
+)
 _BLOCK = 1 << 20
 
 
@@ -45,39 +49,56 @@ class BenchTest:
 
 @dataclass(frozen=True)
 class Inputs:
-    """The recordings and the bench tests, None where there is none; ``folder`` of a lab, None for bags."""
+    """The recordings and the bench tests, None where there is none; ``folder`` of a lab, None for bags.
+
+    ``remarks`` in words on what was found but not used.
+    """
 
     recordings: tuple[Recording, ...]
     bellows: BenchTest | None
     fin: BenchTest | None
     folder: Path | None
+    remarks: tuple[str, ...] = ()
 
 
 def read_inputs(
     paths: Sequence[Path], bellows_file: Path | None = None, fin_file: Path | None = None
 ) -> Inputs:
-    """Bags, or a lab's folder or one run of it, whose own bench tests are used unless others are named.
+    """Bags, and a lab's folders or runs of them; one lab's own bench tests are used unless others are named.
 
     Raises `IdentificationError`, or `worm_model.bags.errors.BagError`, if something cannot be read.
     """
-    folder = paths[0] if len(paths) == 1 and is_lab_folder(paths[0]) else None
+    recordings = tuple(read_recordings(paths))
+    _check_names(recordings)
+    labs = sorted({_lab_of(path) for path in paths if is_lab_folder(path)})
+    folder = labs[0] if len(labs) == 1 else None
     if folder is not None:
-        recordings = tuple(read_lab_recording(run) for run in run_folders(folder))
-        if (
-            folder / RUN_FILE
-        ).is_file():  # one run: what it has in common with others lies beside it
-            folder = folder.resolve().parent
         bellows_file = bellows_file or _existing(folder / BELLOWS_FILE)
         fin_file = fin_file or _existing(folder / FIN_FILE)
-    else:
-        recordings = tuple(read_recording(path) for path in paths)
-    _check_names(recordings)
     return Inputs(
         recordings,
         read_bench_test(bellows_file, bellows.COLUMNS) if bellows_file else None,
         read_bench_test(fin_file, fin.COLUMNS) if fin_file else None,
         folder,
+        (SEVERAL_LABS.format(", ".join(lab.name for lab in labs)),) if len(labs) > 1 else (),
     )
+
+
+def read_recordings(paths: Sequence[Path]) -> list[Recording]:
+    """The runs in bags and in a lab's folders, each of which may hold several, in the order of their names there."""
+    found = []
+    for path in paths:
+        if is_lab_folder(path):
+            found += [read_lab_recording(run) for run in run_folders(path)]
+        else:
+            found.append(read_recording(path))
+    return found
+
+
+def _lab_of(path: Path) -> Path:
+    """Where a lab keeps what its runs have in common: beside a run, in a folder of runs."""
+    folder = path.resolve()
+    return folder.parent if (folder / RUN_FILE).is_file() else folder
 
 
 def is_lab_folder(path: Path) -> bool:

@@ -2,8 +2,9 @@
 """Stage 4: friction η and threshold p_sw from x1 under the measured length (eq:locomotion_identification_cost).
 
 J_loc jumps where a groove is gained or lost, so a grid over all that is admissible comes first, and the deepest of its
-valleys are refined. Nuisances: dry friction of each module, which would be booked as η, and L0 of each run, of
-which the camera has seen something at rest.
+valleys are refined. Nuisances: dry friction of each module, which would be booked as η, L0 of each run, of
+which the camera has seen something at rest, and the pitch: the front fin starts L0/d ≈ 17 grooves ahead of the rear,
+so that a twentieth of a millimetre in d is almost a millimetre in where it starts.
 """
 
 from __future__ import annotations
@@ -35,7 +36,26 @@ VALLEYS = 6  # that are refined
 FIRST_DRY = (0.05, 0.05)  # N, from which dry friction is looked for
 LOST = 1e3  # residual of a sample that no motion explains: the anchors switch without end
 ALIKE = np.zeros((1, dry_friction.GROOVE_COLUMNS))  # all grooves are as the parameters say
-SHARED = ("viscous_friction", "switching_threshold", "rear_dry_friction", "front_dry_friction")
+SHARED = (
+    "viscous_friction",
+    "switching_threshold",
+    "rear_dry_friction",
+    "front_dry_friction",
+    "pitch",
+)
+LEAST_PITCH_DEVIATION = 1e-8  # m, of a pitch that is given as exact
+TRIED_PITCHES = (-1.5, 0.0, 1.5)  # standard deviations of the given one, from which a fit starts
+
+
+@dataclass(frozen=True)
+class Known:
+    """What stage 4 is given: ``parameters`` that it does not seek, and how well their pitch is known.
+
+    ``pitch_deviation`` is the standard deviation in m of the pitch as given; 0 holds the pitch.
+    """
+
+    parameters: Parameters
+    pitch_deviation: float
 
 
 @dataclass(frozen=True)
@@ -96,12 +116,13 @@ def worm_of(parameters: Parameters, direction: int) -> dry_friction.Worm:
 
 
 def with_values(worm: dry_friction.Worm, values: Array, initial_length: float) -> dry_friction.Worm:
-    """The worm with other (η, p_sw, rear and front dry friction) and L0; plain, for it is done 10⁵ times."""
+    """The worm with other (η, p_sw, rear and front dry friction, pitch) and L0; plain, for it is done 10⁵ times."""
     return worm._replace(
         friction=float(values[0]),
         threshold=float(values[1]),
         rear_dry=float(values[2]),
         front_dry=float(values[3]),
+        pitch=float(values[4]),
         initial_length=float(initial_length),
     )
 
@@ -123,14 +144,17 @@ def slide(
     return None if switches < 0 else samples
 
 
-def shared_quantities(parameters: Parameters) -> list[Quantity]:
-    """Of (η, p_sw, rear and front dry friction)."""
-    low = least_threshold(parameters)
+def shared_quantities(known: Known) -> list[Quantity]:
+    """Of (η, p_sw, rear and front dry friction, pitch)."""
+    pitch = known.parameters.pitch
+    deviation = max(known.pitch_deviation, LEAST_PITCH_DEVIATION)
+    low = least_threshold(known.parameters)
     return [
         Quantity(1.0, 1.0, 1e4),
-        Quantity(3e-5, low, MOST_THRESHOLD * parameters.pitch),
+        Quantity(3e-5, low, MOST_THRESHOLD * pitch),
         Quantity(0.02, 0.0, 5.0),
         Quantity(0.02, 0.0, 5.0),
+        Quantity(2e-6, 0.5 * pitch, 1.5 * pitch, pitch, deviation),
     ]
 
 
@@ -149,18 +173,16 @@ def x1_residuals(traverse: Traverse, samples: Array | None, stride: int = 1) -> 
     return (traverse.x1 - predicted) / traverse.noise
 
 
-def locomotion_problem(
-    traverses: Sequence[Traverse], parameters: Parameters, stride: int = 1
-) -> Problem:
+def locomotion_problem(traverses: Sequence[Traverse], known: Known, stride: int = 1) -> Problem:
     """The problem in which all grooves are alike; the parameters that are not sought are given."""
-    worms = [worm_of(parameters, t.direction) for t in traverses]
+    worms = [worm_of(known.parameters, t.direction) for t in traverses]
 
     def residuals(run: int, values: Array, own: Array) -> Array:
         worm = with_values(worms[run], values, own[0])
         return x1_residuals(traverses[run], slide(traverses[run], worm, stride=stride), stride)
 
     own = [own_quantities(t) for t in traverses]
-    return Problem(residuals, shared_quantities(parameters), own, jumps=True)
+    return Problem(residuals, shared_quantities(known), own, jumps=True)
 
 
 def least_threshold(parameters: Parameters) -> float:
@@ -179,12 +201,13 @@ class Landscape:
 
 def search(
     traverses: Sequence[Traverse],
-    parameters: Parameters,
+    known: Known,
     progress: Callable[[float], None] | None = None,
 ) -> Landscape:
-    """J_loc without dry friction over every admissible pair, L0 of each run as the camera saw it at rest."""
+    """J_loc without dry friction over every admissible pair, pitch as given, L0 of each run as seen at rest."""
     stride = 2  # a grid needs half the resolution
-    problem = locomotion_problem(traverses, parameters, stride)
+    parameters = known.parameters
+    problem = locomotion_problem(traverses, known, stride)
     own = np.array([[t.length.initial_length] for t in traverses])
     threshold = np.arange(
         least_threshold(parameters), MOST_THRESHOLD * parameters.pitch, SEARCHED_THRESHOLD_STEP
@@ -194,7 +217,7 @@ def search(
 
     def fill(row: int) -> None:
         for column, value in enumerate(threshold):
-            values = np.array([SEARCHED_FRICTION[row], value, 0.0, 0.0])
+            values = np.array([SEARCHED_FRICTION[row], value, 0.0, 0.0, parameters.pitch])
             squares = [
                 float(np.sum((problem.residuals(run, values, own[run]) * t.noise) ** 2))
                 for run, t in enumerate(traverses)
@@ -224,16 +247,20 @@ def valleys(landscape: Landscape, count: int = VALLEYS) -> Array:
     return np.array([(landscape.friction[i], landscape.threshold[j]) for i, j in found[order]])
 
 
-def find_locomotion(
-    traverses: Sequence[Traverse], parameters: Parameters, landscape: Landscape
-) -> Solution:
+def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Landscape) -> Solution:
     """The best of the landscape's valleys, refined with all nuisances, all grooves alike.
 
     Raises `IdentificationError` if nothing explains the motion.
     """
-    problem = locomotion_problem(traverses, parameters)
+    problem = locomotion_problem(traverses, known)
     own = np.array([[t.length.initial_length] for t in traverses])
-    found = [solve(problem, np.array([*start, *FIRST_DRY]), own) for start in valleys(landscape)]
+    tried = TRIED_PITCHES if known.pitch_deviation > 0.0 else (0.0,)
+    pitches = [known.parameters.pitch + z * known.pitch_deviation for z in tried]
+    starts = [
+        np.array([*valley, *FIRST_DRY, pitch]) for valley in valleys(landscape) for pitch in pitches
+    ]
+    with ThreadPoolExecutor() as pool:
+        found = list(pool.map(lambda start: solve(problem, start, own), starts))
     best = min(found, key=lambda solution: solution.cost)
     if max(float(np.sqrt(np.mean(r**2))) for r in best.residuals) >= LOST:
         raise IdentificationError(

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 4 as a whole: search, grooves, and the intervals of η and p_sw.
+"""Stage 4 as a whole: search, grooves, and the intervals of η, p_sw and the pitch.
 
 The intervals are profiles, for the cost jumps: one value is held, all else is refitted, until the cost has risen by
 what 95 % need. They are widened by Student's t where few grooves stand behind them, by what the residuals have
-beyond white noise of the camera, and by the uncertainty that the fin test leaves.
+beyond white noise of the camera, and by the uncertainty that the fin test leaves. The pitch is a nuisance within
+what was given: the ridges that x1 passes tell it better than a ruler does.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 
 from worm_model.identification.blocks import Solution, normal_equations, solve, with_fixed
 from worm_model.identification.errors import IdentificationError
-from worm_model.identification.estimate import Estimate, follow_profile, quantile
+from worm_model.identification.estimate import Estimate, follow_profile, if_told, quantile
 from worm_model.identification.grooves import (
+    MEANS,
     GrooveFit,
     fit_grooves,
     groove_problem,
@@ -26,22 +28,32 @@ from worm_model.identification.grooves import (
     tables_of,
 )
 from worm_model.identification.locomotion import (
+    Known,
     Landscape,
     Traverse,
     find_locomotion,
     locomotion_problem,
     search,
+    shared_quantities,
     slide,
     with_values,
     worm_of,
 )
 from worm_model.kernel.dry_friction import HOLDING_FORCE, STIFFNESS, THRESHOLD, X1
-from worm_model.parameters import Parameters
+from worm_model.parameters import PAPER, Parameters
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-FRICTION, SWITCHING = 0, 1  # entries of the means
+FRICTION, SWITCHING, PITCH = 0, 1, 4  # entries of the means
+SOUGHT = (FRICTION, SWITCHING, PITCH)
+FIRST_REACH = {
+    FRICTION: 1.0,
+    SWITCHING: 3e-5,
+    PITCH: 5e-6,
+}  # from which a profile's end is looked for
+SCATTERED = {FRICTION: STIFFNESS, SWITCHING: THRESHOLD}  # what of the grooves bears on a mean
+LEAST_EIGENVALUE = 1e-9  # of a correlation, that is no rounding
 NORMAL = quantile(np.inf)
 LONGEST_MEMORY = 30  # samples over which residuals may resemble each other
 BETTER = 0.5  # by how much a refit must be better to take its place
@@ -58,17 +70,19 @@ class FinKnowledge:
 
 @dataclass(frozen=True)
 class LocomotionResult:
-    """``viscous_friction`` N·s/m and ``switching_threshold`` m with intervals; the rest are nuisances and diagnostics.
+    """``viscous_friction`` N·s/m, ``switching_threshold`` m and ``pitch`` m with intervals; the rest are diagnostics.
 
     ``dry_friction`` (rear, front) N with ``dry_deviation`` their standard deviations; ``initial_length`` (runs,) m;
     ``residuals`` of each run in m; ``inflation`` of the variance for what is not white in them; ``correlation`` of
-    (η, p_sw, rear, front dry friction); ``variants``: fits under a fin test that is one standard deviation off,
+    (η, p_sw, rear, front dry friction, pitch); ``variants``: fits under a fin test that is one standard deviation off,
     one a direction of its covariance; ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``:
-    (η, p_sw) that minimise J_loc as it is printed, without dry friction and with grooves that are alike.
+    (η, p_sw) that minimise J_loc as it is printed, without dry friction and with grooves that are alike, at the
+    pitch that the fit found.
     """
 
     viscous_friction: Estimate
     switching_threshold: Estimate
+    pitch: Estimate
     dry_friction: tuple[float, float]
     dry_deviation: tuple[float, float]
     initial_length: Array
@@ -92,25 +106,23 @@ class Motion:
 
 def identify_locomotion(
     traverses: Sequence[Traverse],
-    parameters: Parameters,
+    known: Known,
     fin: FinKnowledge | None = None,
     progress: Progress = lambda _: None,
 ) -> LocomotionResult:
-    """η and p_sw of all runs, the other ``parameters`` given; ``fin`` tells how well its three are known.
+    """η, p_sw and the pitch of all runs, the rest as ``known``; ``fin`` tells how well its three are known.
 
     Without it the intervals hold under the given fins alone. Raises `IdentificationError` if the fit
     does not settle.
     """
-    landscape = search(traverses, parameters, lambda done: progress(0.3 * done))
-    start = find_locomotion(traverses, parameters, landscape)
-    problem = locomotion_problem(traverses, parameters)
-    frictionless = with_fixed(with_fixed(problem, 3, 0.0), 2, 0.0)
-    plain = solve(frictionless, start.shared[:2], start.own).shared
-    fit = fit_grooves(traverses, parameters, start)
+    landscape = search(traverses, known, lambda done: progress(0.3 * done))
+    start = find_locomotion(traverses, known, landscape)
+    plain = _as_printed(traverses, known, start)
+    fit = fit_grooves(traverses, known, start)
     progress(0.5)
     inflation = _inflation(traverses, fit.solution)
     for _ in range(MOST_RESTARTS):
-        intervals, better = _profiles(traverses, parameters, fit, inflation)
+        intervals, better = _profiles(traverses, known, fit, inflation)
         if better is None:
             break
         fit = replace(fit, solution=better)
@@ -120,20 +132,21 @@ def identify_locomotion(
             "that no interval holds: leave out runs whose markers were hidden for long, or add runs"
         )
     progress(0.9)
-    variants = _variants(traverses, parameters, fit, fin)
+    variants = _variants(traverses, known, fit, fin)
     matrix, _ = normal_equations(
-        groove_problem(traverses, parameters, fit.places, fit.scatter), fit.solution
+        groove_problem(traverses, known, fit.places, fit.scatter), fit.solution
     )
-    covariance = np.linalg.pinv(matrix, hermitian=True)[:4, :4] * inflation
+    covariance = _inverse(matrix)[:MEANS, :MEANS] * inflation
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
-    friction, threshold = (
+    friction, threshold, pitch = (
         _estimate(fit, entry, interval, variants)
-        for entry, interval in zip((FRICTION, SWITCHING), intervals, strict=True)
+        for entry, interval in zip(SOUGHT, intervals, strict=True)
     )
     progress(1.0)
     return LocomotionResult(
-        viscous_friction=friction,
-        switching_threshold=threshold,
+        viscous_friction=if_told(friction, PAPER.viscous_friction),
+        switching_threshold=if_told(threshold, PAPER.switching_threshold),
+        pitch=if_told(pitch),
         dry_friction=(float(fit.means[2]), float(fit.means[3])),
         dry_deviation=(float(deviation[2]), float(deviation[3])),
         initial_length=fit.solution.own[:, 0],
@@ -145,20 +158,20 @@ def identify_locomotion(
         landscape=landscape,
         fit=fit,
         variants=variants,
-        stiffer=_stiffer(traverses, parameters, fit, friction),
+        stiffer=_stiffer(traverses, known, fit, friction),
         as_printed=(float(plain[0]), float(plain[1])),
     )
 
 
 def refit(
     traverses: Sequence[Traverse],
-    parameters: Parameters,
+    known: Known,
     like: GrooveFit,
     own: Array,
     iterations: int = 10,
 ) -> GrooveFit:
     """The fit to other runs or under other parameters, from a known one and with its scatter; ``own`` (runs, 1)."""
-    problem = groove_problem(traverses, parameters, like.places, like.scatter)
+    problem = groove_problem(traverses, known, like.places, like.scatter)
     return replace(like, solution=solve(problem, like.solution.shared, own, iterations=iterations))
 
 
@@ -166,7 +179,7 @@ def motions(
     traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit
 ) -> tuple[Motion, ...]:
     """What a fit says of every run."""
-    grooves = tables_of(fit.solution.shared[4:], fit.places)
+    grooves = tables_of(fit.solution.shared[MEANS:], fit.places)
     found = []
     for traverse, own in zip(traverses, fit.solution.own, strict=True):
         worm = with_values(worm_of(parameters, traverse.direction), fit.means, own[0])
@@ -189,36 +202,41 @@ def _inflation(traverses: Sequence[Traverse], solution: Solution) -> float:
 
 
 def _profiles(
-    traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit, inflation: float
+    traverses: Sequence[Traverse], known: Known, fit: GrooveFit, inflation: float
 ) -> tuple[list[tuple[float, float]], Solution | None]:
-    """((low, high) of η and of p_sw, a better solution that was met on the way or None)."""
+    """((low, high) of what is sought, a better solution that was met on the way or None)."""
     rise = NORMAL**2 * inflation
+    quantities = shared_quantities(known)
     met: list[Solution] = []
 
     def end(entry: int, sign: float) -> float:
         def cost(value: float) -> float:
-            solution = held(traverses, parameters, fit, entry, value)
+            solution = held(traverses, known, fit, entry, value)
             if solution.cost < fit.solution.cost - BETTER:
                 met.append(solution)
                 return rise  # there is no point in going on
             return max(solution.cost - fit.solution.cost, 0.0)
 
-        reach = NORMAL * _scattered(fit, entry) + (1.0, 3e-5)[entry]
-        return follow_profile(cost, float(fit.means[entry]), rise, sign * reach)
+        guess = NORMAL * _scattered(fit, entry) + FIRST_REACH[entry]
+        value, bound = float(fit.means[entry]), quantities[entry]
+        reach = abs((bound.high if sign > 0.0 else bound.low) - value)
+        return follow_profile(cost, value, rise, sign * guess, reach)
 
-    sides = [(entry, sign) for entry in (FRICTION, SWITCHING) for sign in (-1.0, 1.0)]
+    sides = [(entry, sign) for entry in SOUGHT for sign in (-1.0, 1.0)]
     with ThreadPoolExecutor() as pool:
         ends = list(pool.map(lambda side: end(*side), sides))
     if met:
         best = min(met, key=lambda solution: solution.cost)
-        problem = groove_problem(traverses, parameters, fit.places, fit.scatter)
+        problem = groove_problem(traverses, known, fit.places, fit.scatter)
         return [], solve(problem, best.shared, best.own)
-    return [(ends[0], ends[1]), (ends[2], ends[3])], None
+    return list(zip(ends[::2], ends[1::2], strict=True)), None
 
 
 def _scattered(fit: GrooveFit, entry: int) -> float:
     """Standard deviation of a mean for the scatter of the grooves alone, in the mean's unit."""
-    column = STIFFNESS if entry == FRICTION else THRESHOLD
+    if entry not in SCATTERED:
+        return 0.0
+    column = SCATTERED[entry]
     count = max(int(np.sum(fit.places[:, 2] == column)), 1)
     unit = float(fit.means[FRICTION]) if entry == FRICTION else 1.0
     return unit * fit.scatter.of(column) / float(np.sqrt(count))
@@ -232,36 +250,65 @@ def _estimate(
 ) -> Estimate:
     """Widens a profile by Student's t for few grooves, and adds what the fin test leaves open."""
     value = float(fit.means[entry])
-    column = STIFFNESS if entry == FRICTION else THRESHOLD
-    grooves = int(np.sum(fit.places[:, 2] == column))
-    deviation = 0.5 * (interval[1] - interval[0]) / NORMAL
-    share = min((_scattered(fit, entry) / deviation) ** 2, 1.0)
-    widening = quantile((grooves - 1) / max(share, 1e-3) ** 2) / NORMAL
+    widening = 1.0
+    if entry in SCATTERED:
+        grooves = int(np.sum(fit.places[:, 2] == SCATTERED[entry]))
+        deviation = 0.5 * (interval[1] - interval[0]) / NORMAL
+        share = min((_scattered(fit, entry) / deviation) ** 2, 1.0)
+        widening = quantile((grooves - 1) / max(share, 1e-3) ** 2) / NORMAL
     given = NORMAL * float(np.sqrt(sum((v.means[entry] - value) ** 2 for _, v in variants)))
     low, high = (float(np.hypot((end - value) * widening, given)) for end in interval)
     return Estimate(value, value - low, value + high)
 
 
 def _variants(
-    traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit, fin: FinKnowledge | None
+    traverses: Sequence[Traverse], known: Known, fit: GrooveFit, fin: FinKnowledge | None
 ) -> tuple[tuple[Parameters, GrooveFit], ...]:
     if fin is None:
         return ()
-    directions = np.linalg.cholesky(fin.covariance + 1e-12 * np.diag(np.diag(fin.covariance)))
 
     def variant(direction: Array) -> tuple[Parameters, GrooveFit]:
         clearance, engaged, disengaged = fin.values + direction
-        moved = parameters.replace(
+        moved = known.parameters.replace(
             clearance=clearance, engaged_stiffness=engaged, disengaged_stiffness=disengaged
         )
-        return moved, refit(traverses, moved, fit, fit.solution.own)
+        return moved, refit(traverses, replace(known, parameters=moved), fit, fit.solution.own)
 
     with ThreadPoolExecutor() as pool:
-        return tuple(pool.map(variant, directions.T))
+        return tuple(pool.map(variant, deviations_of(fin.covariance)))
+
+
+def deviations_of(covariance: Array) -> Array:
+    """(r, k) deviations of one standard deviation each whose squares make up a covariance (k, k) of rank r.
+
+    Entries without variance, as of values that are given as exact, do not deviate.
+    """
+    scale = np.sqrt(np.diag(covariance))
+    unit = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
+    kept = values > LEAST_EIGENVALUE
+    found: Array = (vectors[:, kept] * np.sqrt(values[kept])).T * scale
+    return found
+
+
+def _inverse(matrix: Array) -> Array:
+    """Of a symmetric matrix whose entries are of very different sizes."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    unit = np.outer(scale, scale)
+    found: Array = np.linalg.pinv(matrix * unit, hermitian=True) * unit
+    return found
+
+
+def _as_printed(traverses: Sequence[Traverse], known: Known, start: Solution) -> Array:
+    """(η, p_sw) without dry friction, at the start's pitch."""
+    problem = with_fixed(locomotion_problem(traverses, known), PITCH, start.shared[PITCH])
+    frictionless = with_fixed(with_fixed(problem, 3, 0.0), 2, 0.0)
+    return solve(frictionless, start.shared[:2], start.own).shared
 
 
 def _stiffer(
-    traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit, friction: Estimate
+    traverses: Sequence[Traverse], known: Known, fit: GrooveFit, friction: Estimate
 ) -> GrooveFit:
-    value = float(fit.means[FRICTION]) + friction.spread / NORMAL
-    return replace(fit, solution=held(traverses, parameters, fit, FRICTION, value))
+    deviation = friction.spread / NORMAL if np.isfinite(friction.spread) else 0.0
+    value = float(fit.means[FRICTION]) + deviation
+    return replace(fit, solution=held(traverses, known, fit, FRICTION, value))

@@ -4,60 +4,46 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.actuation import fit_actuation
 from worm_model.identification.actuation_stage import ActuationResult, identify_actuation
 from worm_model.identification.bellows import BellowsFit, fit_bellows
-from worm_model.identification.energy import PowerRun, fit_energy, power_run
+from worm_model.identification.energy import PowerRun, power_run
 from worm_model.identification.energy_stage import EnergyResult, identify_energy
-from worm_model.identification.estimate import Estimate, quantile
+from worm_model.identification.errors import IdentificationError
+from worm_model.identification.estimate import Estimate, not_told, quantile
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.forces import Forces, forces_of
 from worm_model.identification.given import Given
-from worm_model.identification.idle import IdlePower, idle_power, idle_power_of
+from worm_model.identification.held_out import leave_one_out, run_errors
+from worm_model.identification.idle import idle_power
 from worm_model.identification.inputs import Inputs
-from worm_model.identification.locomotion import Traverse, traverse_of
+from worm_model.identification.locomotion import Known
 from worm_model.identification.locomotion_stage import (
     FinKnowledge,
     LocomotionResult,
     identify_locomotion,
-    refit,
 )
-from worm_model.identification.measured_length import MeasuredLength, measured_length
-from worm_model.identification.prediction import Errors, errors, predict
-from worm_model.identification.quality import remarks, usable
+from worm_model.identification.prediction import Errors
 from worm_model.identification.recording import Recording
-from worm_model.parameters import KEYS, PAPER, Parameters
+from worm_model.identification.runs import Run, initial_length, prepared, prepared_validation
+from worm_model.parameters import KEYS, Parameters
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-HELD_OUT_ITERATIONS = 4
 FIN = ("clearance", "engaged_stiffness", "disengaged_stiffness")
 NO_FIN = "x1 tells but its ratio to the fins' stiffness, fitted under the given one; add a fin test"
 UNDER_GIVEN_FINS = "fitted under the given fins; add a fin test"
 NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
-FEWEST_HELD_OUT = 2  # runs, of which one can be left out
-
-
-@dataclass(frozen=True)
-class Run:
-    """A run that was used: its recording, smoothed length, five ridges and idle power."""
-
-    recording: Recording
-    length: MeasuredLength
-    traverse: Traverse
-    idle: IdlePower
-
-    @property
-    def name(self) -> str:
-        """The run's name."""
-        return self.recording.name
+NO_FRICTION = "η is not told, and c_b and α_P depend on it"
+SOFT_FIN = (
+    "fin test: the side that --fin-engages names is the softer one ({engaged:.0f} against {disengaged:.0f} N/m): a fin "
+    "that anchors is stiffer; is it the other sign?"
+)
 
 
 @dataclass(frozen=True)
@@ -66,7 +52,7 @@ class Identification:
 
     ``estimates`` of all keys and the ``parameters`` that they make; the results of the stages; ``held_out``: errors
     of each run under what the others say (empty with one run); ``paper``: under the paper's table; ``validation``: of
-    further runs under ``parameters``; ``warnings`` in words.
+    further runs under ``parameters``; ``warnings`` in words. ``power_runs`` are those of the runs whose power was seen.
     """
 
     estimates: Mapping[str, Estimate]
@@ -84,6 +70,18 @@ class Identification:
     validation: Mapping[str, Errors]
     warnings: tuple[str, ...]
     seed: int
+
+    def power_clock(self, name: str) -> tuple[float, float]:
+        """(offset in s, its standard deviation) of a run's power sensor behind the camera; NaN where not told."""
+        for run, offset, deviation in zip(
+            self.power_runs,
+            self.energy.fit.clock_offset,
+            self.energy.clock_deviation,
+            strict=True,
+        ):
+            if run.name == name:
+                return float(offset), float(deviation)
+        return float("nan"), float("nan")
 
 
 def identify(
@@ -103,29 +101,33 @@ def identify(
     bellows = fit_bellows(inputs.bellows.x, inputs.bellows.y) if inputs.bellows else None
     fin = fit_fin(inputs.fin.x, inputs.fin.y, fin_engages) if inputs.fin else None
     estimates |= _bench_estimates(bellows, fin)
-    runs, warnings = _prepared(inputs.recordings, given.parameters.pitch)
-    checked, _ = _prepared(validation, given.parameters.pitch) if validation else ([], [])
-    estimates["initial_length"] = _initial_length(runs)
-    parameters = _with_values(given.parameters, estimates)
-    known = _fin_knowledge(estimates, fin)
+    runs, warnings = prepared(inputs.recordings, given.parameters.pitch)
+    checked, seen = prepared_validation(validation, inputs.recordings, given.parameters.pitch)
+    estimates["initial_length"] = initial_length(runs)
+    pitch_deviation = estimates["pitch"].spread / quantile(np.inf)
+    known = Known(_with_values(given.parameters, estimates), pitch_deviation)
     locomotion = identify_locomotion(
         [run.traverse for run in runs],
-        parameters,
         known,
+        _fin_knowledge(estimates, fin),
         lambda done: progress("locomotion", done),
     )
-    estimates |= _locomotion_estimates(locomotion, known)
+    estimates |= _locomotion_estimates(locomotion, estimates, fin)
     progress("actuation", 0.0)
     actuation = identify_actuation([run.recording for run in runs], random)
     estimates["slack"], estimates["gain"] = actuation.slack, actuation.gain
     estimates["time_constant"] = actuation.time_constant
     estimates["idle_power"] = idle_power([run.idle for run in runs])
     progress("energy", 0.0)
-    energy, power_runs = _energy(runs, parameters, estimates, locomotion, given, random)
+    energy, power_runs = _energy(runs, known.parameters, estimates, locomotion, given, random)
     estimates["bellows_damping"] = energy.bellows_damping
     estimates["power_factor"] = energy.power_factor
-    parameters = _with_values(parameters, estimates)
+    parameters = _with_values(known.parameters, estimates)
     progress("held out", 0.0)
+    damping = None if energy.bellows_damping.identifiable else energy.fit.damping
+    left_out = leave_one_out(
+        runs, known, parameters, locomotion, actuation.fit, power_runs, damping
+    )
     offset = float(actuation.fit.clock_offset.mean())
     result = Identification(
         estimates=estimates,
@@ -138,10 +140,10 @@ def identify(
         actuation=actuation,
         energy=energy,
         power_runs=tuple(power_runs),
-        held_out=_held_out(runs, parameters, locomotion, power_runs),
-        paper={run.name: _errors(run, PAPER) for run in runs},
-        validation={run.name: _errors(run, parameters, offset) for run in checked},
-        warnings=tuple(warnings),
+        held_out=left_out.held_out,
+        paper=left_out.paper,
+        validation={run.name: run_errors(run, parameters, offset) for run in checked},
+        warnings=(*inputs.remarks, *bench_warnings(fin), *warnings, *seen),
         seed=seed,
     )
     progress("done", 1.0)
@@ -156,19 +158,40 @@ def _energy(
     given: Given,
     random: np.random.Generator,
 ) -> tuple[EnergyResult, list[PowerRun]]:
-    """Stage 7, on the forces that stage 4 left."""
+    """Stage 7, on the forces that stage 4 left, of the runs whose power was seen."""
+    powered = [index for index, run in enumerate(runs) if run.powered]
+    if not powered:
+        raise IdentificationError(
+            "no run has power samples over its five ridges: let the power sensor log until the run ends"
+        )
     stiffness = estimates["bellows_stiffness"]
-    forces = forces_of([run.traverse for run in runs], parameters, locomotion, stiffness, given)
-    power_runs = _power_runs(runs, forces, estimates["idle_power"].value)
+    forces = forces_of([run.traverse for run in runs], parameters, locomotion, stiffness, given).of(
+        powered
+    )
+    power_runs = _power_runs(
+        [runs[index] for index in powered], forces, estimates["idle_power"].value
+    )
+    hindrance = "" if locomotion.viscous_friction.identifiable else NO_FRICTION
     result = identify_energy(
         power_runs,
-        [run.recording.gait.frequency for run in runs],
+        [runs[index].recording.gait.frequency for index in powered],
         forces.draw,
         given.parameters.bellows_damping,
         random,
-        "" if stiffness.identifiable else NO_BELLOWS,
+        hindrance if stiffness.identifiable else NO_BELLOWS,
     )
     return result, power_runs
+
+
+def bench_warnings(fin: FinFit | None) -> list[str]:
+    """What is odd about the bench tests, in words."""
+    if fin is None or fin.engaged_stiffness.value >= fin.disengaged_stiffness.value:
+        return []
+    return [
+        SOFT_FIN.format(
+            engaged=fin.engaged_stiffness.value, disengaged=fin.disengaged_stiffness.value
+        )
+    ]
 
 
 def _bench_estimates(bellows: BellowsFit | None, fin: FinFit | None) -> dict[str, Estimate]:
@@ -194,42 +217,21 @@ def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> Fin
 
 
 def _locomotion_estimates(
-    locomotion: LocomotionResult, known: FinKnowledge | None
+    locomotion: LocomotionResult, estimates: Mapping[str, Estimate], fin: FinFit | None
 ) -> dict[str, Estimate]:
-    """Without a fin test x1 tells but the ratio of η to the fins' stiffness."""
+    """Without a fin test x1 tells but the ratio of η to the fins' stiffness. The pitch is told better than given."""
     friction, threshold = locomotion.viscous_friction, locomotion.switching_threshold
-    if known is None:
-        nothing = float("nan")
-        friction = Estimate(friction.value, nothing, nothing, False, NO_FIN)
-        threshold = Estimate(threshold.value, nothing, nothing, False, UNDER_GIVEN_FINS)
-    return {"viscous_friction": friction, "switching_threshold": threshold}
-
-
-def _prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], list[str]]:
-    """The runs that can be used, and what was seen in all of them."""
-    lengths = [measured_length(recording) for recording in recordings]
-    kept, warnings = usable(recordings, lengths)
-    runs = []
-    for index in kept:
-        recording, length = recordings[index], lengths[index]
-        run = Run(
-            recording, length, traverse_of(recording, length, pitch), idle_power_of(recording)
-        )
-        warnings += remarks(recording, length, run.traverse)
-        warnings += [run.idle.warning] if run.idle.warning else []
-        runs.append(run)
-    return runs, warnings
-
-
-def _initial_length(runs: Sequence[Run]) -> Estimate:
-    """The mean over runs: a robot is not put into its pipe twice in the same way."""
-    lengths = np.array([run.length.initial_length for run in runs])
-    mean = float(lengths.mean())
-    if lengths.size > 1:
-        half = quantile(lengths.size - 1) * float(lengths.std(ddof=1) / np.sqrt(lengths.size))
-    else:
-        half = quantile(np.inf) * runs[0].length.initial_spread
-    return Estimate(mean, mean - half, mean + half)
+    if _fin_knowledge(estimates, fin) is None:
+        friction = not_told(friction.value, NO_FIN)
+        threshold = not_told(threshold.value, UNDER_GIVEN_FINS)
+    given = estimates["pitch"]
+    note = f"from x1 over the ridges; {given.value * 1e3:.2f} ± {given.spread * 1e3:.2f} mm {given.note}"
+    pitch = locomotion.pitch
+    return {
+        "viscous_friction": friction,
+        "switching_threshold": threshold,
+        "pitch": Estimate(pitch.value, pitch.low, pitch.high, pitch.identifiable, note),
+    }
 
 
 def _with_values(parameters: Parameters, estimates: Mapping[str, Estimate]) -> Parameters:
@@ -249,46 +251,3 @@ def _power_runs(runs: Sequence[Run], forces: Forces, idle: float) -> list[PowerR
         )
         for run, force in zip(runs, forces.best, strict=True)
     ]
-
-
-def _errors(run: Run, parameters: Parameters, clock_offset: float = 0.0) -> Errors:
-    prediction = predict(run.recording, run.traverse, parameters, clock_offset)
-    return errors(run.recording, run.traverse, prediction)
-
-
-def _held_out(
-    runs: Sequence[Run],
-    parameters: Parameters,
-    locomotion: LocomotionResult,
-    power_runs: Sequence[PowerRun],
-) -> dict[str, Errors]:
-    """Errors of each run under parameters that the other runs gave."""
-    if len(runs) < FEWEST_HELD_OUT:
-        return {}
-
-    def left_out(index: int) -> Errors:
-        others = [k for k in range(len(runs)) if k != index]
-        fit = refit(
-            [runs[k].traverse for k in others],
-            parameters,
-            locomotion.fit,
-            locomotion.fit.solution.own[others],
-            HELD_OUT_ITERATIONS,
-        )
-        actuation = fit_actuation([runs[k].recording for k in others])
-        energy = fit_energy([power_runs[k] for k in others])
-        values = parameters.replace(
-            viscous_friction=fit.means[0],
-            switching_threshold=fit.means[1],
-            slack=actuation.slack,
-            gain=actuation.gain,
-            time_constant=actuation.time_constant,
-            idle_power=idle_power([runs[k].idle for k in others]).value,
-            bellows_damping=energy.damping,
-            power_factor=energy.factor,
-        )
-        return _errors(runs[index], values, float(actuation.clock_offset.mean()))
-
-    with ThreadPoolExecutor() as pool:
-        found = list(pool.map(left_out, range(len(runs))))
-    return {run.name: error for run, error in zip(runs, found, strict=True)}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from worm_model.identification.actuation import predicted_length_change
 from worm_model.identification.energy import accumulated
 from worm_model.identification.locomotion import Traverse
+from worm_model.identification.quality import power_missing
 from worm_model.identification.recording import Recording
 from worm_model.parameters import Parameters
 from worm_model.simulator import Locomotion
@@ -36,7 +37,10 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Errors:
-    """Root mean squares of x1 (m), ΔL (m) and power (W); ``energy_error`` relative at the end of the five ridges."""
+    """Root mean squares of x1 (m), ΔL (m) and power (W); ``energy_error`` relative at the end of the five ridges.
+
+    Power and energy are NaN where the power sensor did not see the run, energy also where it saw but a part.
+    """
 
     x1_rmse: float
     length_rmse: float
@@ -75,14 +79,19 @@ def errors(recording: Recording, traverse: Traverse, prediction: Prediction) -> 
     seen = (recording.camera_time >= 0.0) & (recording.camera_time <= traverse.end)
     change = recording.length - traverse.length.initial_length - prediction.length_change
     time, power = measured_power(recording, traverse)
-    energy = float(accumulated(time, power)[-1])
-    ends = np.interp(time[[0, -1]], prediction.time, prediction.energy)
     return Errors(
         x1_rmse=_rms(x1),
         length_rmse=_rms(change[seen & ~traverse.length.outliers]),
         power_rmse=_rms(power - np.interp(time, prediction.time, prediction.power)),
-        energy_error=float(ends[1] - ends[0]) / energy - 1.0,
+        energy_error=np.nan
+        if power_missing(recording, traverse)
+        else _energy_error(time, power, prediction),
     )
+
+
+def _energy_error(time: Array, power: Array, prediction: Prediction) -> float:
+    ends = np.interp(time[[0, -1]], prediction.time, prediction.energy)
+    return float(ends[1] - ends[0]) / float(accumulated(time, power)[-1]) - 1.0
 
 
 def measured_power(recording: Recording, traverse: Traverse) -> tuple[Array, Array]:
@@ -93,4 +102,5 @@ def measured_power(recording: Recording, traverse: Traverse) -> tuple[Array, Arr
 
 
 def _rms(values: Array) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")

@@ -21,6 +21,8 @@ FOLLOWS = 0.4  # of the commanded range, which a body that follows covers at lea
 POWER_GAP = 8.0  # usual intervals between power samples from which a pause is worth a word
 ASTRAY = 10.0  # camera noises by which a body that follows departs from its actuation fit at most
 LEAST_ASTRAY = 1.5e-3  # m
+FEWEST_POWER = 10  # samples over the five ridges
+POWER_SPAN = 0.9  # of the time over the five ridges, that the power sensor covers at least
 AVERAGED = 9  # samples
 
 
@@ -96,6 +98,20 @@ def remarks(recording: Recording, length: MeasuredLength, traverse: Traverse) ->
             f"never reached {RIDGES} ridges (x1 came to {reached * 1e3:.0f} mm): the whole run is used"
         )
     return [f"{recording.name}: {text}" for text in found]
+
+
+def power_missing(recording: Recording, traverse: Traverse) -> str:
+    """Empty, or why a run's energy over its five ridges is not known."""
+    begin, end = max(0.0, float(traverse.length.time[0])), traverse.end
+    time = recording.power_time
+    seen = time[(time >= begin) & (time <= end)]
+    if seen.size >= FEWEST_POWER and seen[-1] - seen[0] >= POWER_SPAN * (end - begin):
+        return ""
+    what = f"from {seen[0]:.1f} to {seen[-1]:.1f} s" if seen.size else "nowhere"
+    return (
+        f"{recording.name}: the power sensor saw {seen.size} samples, {what}, of the {end:.1f} s over five ridges: the "
+        "run is left out of c_b and α_P"
+    )
 
 
 def longest_gap(recording: Recording) -> float:

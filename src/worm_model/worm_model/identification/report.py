@@ -6,8 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from worm_model.identification.advice import advise
-from worm_model.identification.estimate import Estimate
+import numpy as np
+
+from worm_model.identification.advice import Advice
+from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.figures import all_figures
 from worm_model.identification.pipeline import Identification
 from worm_model.identification.prediction import Errors
@@ -34,7 +36,10 @@ FIGURE_TITLES = {
 
 
 def write_report(
-    result: Identification, folder: Path, progress: Callable[[float], None] = lambda _: None
+    result: Identification,
+    advice: Advice,
+    folder: Path,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> Path:
     """Writes report.md and figures/*.png into a folder that does not exist yet; returns the page's path.
 
@@ -50,22 +55,24 @@ def write_report(
         names.append(name)
         progress(len(names) / expected)
     page = folder / PAGE
-    page.write_text(text_of(result, names), encoding="utf-8")
+    page.write_text(text_of(result, advice, names), encoding="utf-8")
     return page
 
 
-def text_of(result: Identification, figures: list[str]) -> str:
+def text_of(result: Identification, advice: Advice, figures: list[str]) -> str:
     """The page."""
     parts = [
         "# Identification",
         _summary(result),
         "## Parameters\n\n" + parameter_table(result.estimates),
-        _open_ends(result),
+        _open_ends(result, advice),
         "## Left out one by one\n\n"
         "Each run under the parameters that the *other* runs give, next to the paper's table; the exact model "
-        "without any nuisance but the run's own initial length. x1 is predicted under the measured length, ΔL from "
-        "the command; root mean squares over the five ridges, the energy's error at their end.\n\n"
-        + error_table(result.held_out, result.paper),
+        "without any nuisance but the run's own initial length, both columns with the clock offset between camera and "
+        "servo that the other runs tell. x1 is predicted under the measured length, ΔL from the command; root mean "
+        "squares over the five ridges, the energy's error at their end. Not done anew without the run: its smoothed "
+        "length (a fit to this run itself), the scatter of the grooves, and the forces under which the others' energy "
+        "is fitted.\n\n" + error_table(result.held_out, result.paper),
     ]
     if result.validation:
         parts.append("## Validation runs\n\n" + error_table(result.validation, {}))
@@ -120,14 +127,13 @@ def _decimals(estimate: Estimate, factor: float) -> int:
     return decimals
 
 
-def _open_ends(result: Identification) -> str:
+def _open_ends(result: Identification, advice: Advice) -> str:
     pairs = [
         f"{SYMBOLS.get(a, a)} and {SYMBOLS.get(b, b)} {rho:+.2f}"
         for a, b, rho in correlations(result)
     ]
     together = f"Estimates that move together (correlation): {'; '.join(pairs)}." if pairs else ""
-    advice = advise(result).text
-    return "\n\n".join(part for part in (together, f"What next: {advice}.") if part)
+    return "\n\n".join(part for part in (together, f"What next: {advice.text}.") if part)
 
 
 def error_table(found: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str:
@@ -140,12 +146,16 @@ def error_table(found: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str
     ]
     for name, error in found.items():
         cells = [
-            form.format(factor * getattr(error, field))
-            + (f" ({form.format(factor * getattr(paper[name], field))})" if name in paper else "")
+            _number(form, factor * getattr(error, field))
+            + (f" ({_number(form, factor * getattr(paper[name], field))})" if name in paper else "")
             for field, factor, form in ERROR_COLUMNS
         ]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _number(form: str, value: float) -> str:
+    return form.format(value) if np.isfinite(value) else "not seen"
 
 
 def nuisance_text(result: Identification) -> str:
@@ -166,20 +176,22 @@ def nuisance_text(result: Identification) -> str:
         "| run | L0 (mm) | P_idle (W) | camera behind servo (ms) | power behind camera (ms) | five ridges |",
         "| --- | ---: | ---: | ---: | ---: | --- |",
     ]
-    rows = zip(
-        result.runs,
-        locomotion.initial_length,
-        result.actuation.fit.clock_offset,
-        result.energy.fit.clock_offset,
-        strict=True,
-    )
-    for run, length, camera, power in rows:
+    clocks = zip(result.actuation.fit.clock_offset, result.actuation.clock_deviation, strict=True)
+    for run, length, clock in zip(result.runs, locomotion.initial_length, clocks, strict=True):
+        camera, power = _milliseconds(*clock), _milliseconds(*result.power_clock(run.name))
         reached = f"after {run.traverse.end:.1f} s" if run.traverse.complete else "not reached"
         lines.append(
-            f"| {run.name} | {length * 1e3:.2f} | {run.idle.value:.3f} | {camera * 1e3:+.1f} | {power * 1e3:+.1f} | "
+            f"| {run.name} | {length * 1e3:.2f} | {run.idle.value:.3f} | {camera} | {power} | "
             f"{reached} |"
         )
     return head + "\n".join(lines)
+
+
+def _milliseconds(offset: float, deviation: float) -> str:
+    """A clock offset with its 95 % interval, if the data tell it."""
+    if not np.isfinite(deviation):
+        return "not told"
+    return f"{offset * 1e3:+.1f} ± {quantile(np.inf) * deviation * 1e3:.1f}"
 
 
 def _picture(name: str) -> str:

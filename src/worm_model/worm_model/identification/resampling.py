@@ -42,7 +42,7 @@ def spread_factor(units: int) -> float:
 
 def estimates(values: Array, refits: Array, units: int) -> list[Estimate]:
     """An estimate for every entry of ``values`` (k,), from its ``refits`` (REFITS, k)."""
-    half = spread_factor(units) * refits.std(axis=0)
+    half = spread_factor(units) * np.maximum(refits.std(axis=0), np.finfo(float).tiny)
     return [
         Estimate(float(v), float(v - h), float(v + h)) for v, h in zip(values, half, strict=True)
     ]
@@ -50,4 +50,7 @@ def estimates(values: Array, refits: Array, units: int) -> list[Estimate]:
 
 def correlation(refits: Array) -> Array:
     """(k, k) of the refits."""
-    return np.corrcoef(refits.T)
+    deviation = refits.std(axis=0)
+    unit = np.where(deviation > 0.0, deviation, np.inf)  # what does not move, moves with nothing
+    centred = (refits - refits.mean(axis=0)) / unit
+    return np.asarray(centred.T @ centred / refits.shape[0])

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.identification.estimate import Estimate
+from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.inputs import Inputs
+from worm_model.identification.locomotion import SHARED as LOCOMOTION
 from worm_model.identification.pipeline import Identification
 from worm_model.parameters import KEYS, ParameterFile
 
@@ -48,6 +49,7 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
         "not_identified": {
             key: e.note for key, e in result.estimates.items() if not e.identifiable
         },
+        "notes": {key: e.note for key, e in result.estimates.items() if e.identifiable and e.note},
         "dry_friction_N": dict(
             zip(("rear", "front"), map(float, result.locomotion.dry_friction), strict=True)
         ),
@@ -60,13 +62,7 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
 
 
 def summary(result: Identification) -> dict[str, Any]:
-    """The JSON object of the command line."""
-    offsets = zip(
-        result.runs,
-        result.actuation.fit.clock_offset,
-        result.energy.fit.clock_offset,
-        strict=True,
-    )
+    """The JSON object of the command line; numbers that are not known are NaN."""
     return {
         "parameters": {key: _estimate(e) for key, e in result.estimates.items()},
         "runs": {name: asdict(error) for name, error in result.held_out.items()}
@@ -74,8 +70,7 @@ def summary(result: Identification) -> dict[str, Any]:
         "paper": {name: asdict(error) for name, error in result.paper.items()},
         "validation": {name: asdict(error) for name, error in result.validation.items()},
         "clock_offsets": {
-            run.name: {"camera_behind_servo": camera, "power_behind_camera": power}
-            for run, camera, power in offsets
+            run.name: _clocks(result, index) for index, run in enumerate(result.runs)
         },
         "nuisances": nuisances(result),
         "correlations": [
@@ -83,6 +78,18 @@ def summary(result: Identification) -> dict[str, Any]:
         ],
         "warnings": list(result.warnings),
         "seed": result.seed,
+    }
+
+
+def _clocks(result: Identification, index: int) -> dict[str, float]:
+    """Offsets in s with half-widths of their 95 % intervals, which are NaN where the data do not tell an offset."""
+    z = quantile(np.inf)
+    power, power_deviation = result.power_clock(result.runs[index].name)
+    return {
+        "camera_behind_servo": float(result.actuation.fit.clock_offset[index]),
+        "camera_behind_servo_half_width": z * float(result.actuation.clock_deviation[index]),
+        "power_behind_camera": power,
+        "power_behind_camera_half_width": z * power_deviation,
     }
 
 
@@ -125,8 +132,7 @@ def correlations(result: Identification) -> list[tuple[str, str, float]]:
 
 
 def _correlated(result: Identification) -> list[tuple[str, str, float]]:
-    names = ("viscous_friction", "switching_threshold", "rear_dry_friction", "front_dry_friction")
-    found = _pairs(names, result.locomotion.correlation)
+    found = _pairs(LOCOMOTION, result.locomotion.correlation)
     found += _pairs(("slack", "gain", "time_constant"), result.actuation.correlation)
     return found + _pairs(("bellows_damping", "power_factor"), result.energy.correlation)
 

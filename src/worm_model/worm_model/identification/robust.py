@@ -10,6 +10,8 @@ Array = NDArray[np.float64]
 
 SIGMA_PER_MAD = 1.4826  # of a normal distribution
 OUTLIER = 5.0  # scales
+MOST_MEMORY = 0.9
+ONE_SIDED = 1.645  # standard deviations of a correlation that white residuals exceed once in twenty
 
 
 def scale_of(values: ArrayLike) -> float:
@@ -24,3 +26,20 @@ def scale_of(values: ArrayLike) -> float:
 def noise_of(values: ArrayLike) -> float:
     """Standard deviation of white noise on a smooth signal, from second differences; the noise of `scale_of`."""
     return scale_of(np.diff(np.asarray(values, dtype=float), 2)) / np.sqrt(6.0)
+
+
+def dependence(residuals: Array) -> float:
+    """By what the variance of a fit is to be multiplied for residuals that resemble the one before them, at least 1.
+
+    A bench test has hysteresis, and its residuals (n,), in the order in which they were taken, then say less than as
+    many independent ones. As for a first-order autoregression; 1 where the correlation could be chance.
+    """
+    r = residuals / max(scale_of(residuals), 1e-300)
+    r = np.clip(r - np.median(r), -OUTLIER, OUTLIER)
+    count = r.size
+    found = float(np.sum(r[1:] * r[:-1]) / max(float(np.sum(r * r)), 1e-300))
+    if found < ONE_SIDED / np.sqrt(count):
+        return 1.0
+    # The estimate around a fitted line is too small by about (2 + 4ρ)/n (Kendall 1954).
+    memory = min(found + (2.0 + 4.0 * found) / count, MOST_MEMORY)
+    return (1.0 + memory) / (1.0 - memory)

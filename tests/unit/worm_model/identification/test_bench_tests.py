@@ -46,6 +46,19 @@ def test_the_bellows_interval_covers_as_often_as_it_says():
     assert 0.92 <= covered <= 0.98
 
 
+def test_the_bellows_interval_also_holds_when_residuals_wander():
+    """As under hysteresis: each residual has half of the one before it."""
+    fits = []
+    for seed in range(300):
+        white, wandering = noise(seed, 36, 0.3), np.zeros(36)
+        wandering[0] = white[0]
+        for k in range(1, 36):
+            wandering[k] = 0.5 * wandering[k - 1] + np.sqrt(0.75) * white[k]
+        fits.append(fit_bellows(COMPRESSION, 968.8 * COMPRESSION + wandering))
+    covered = np.mean([fit.stiffness.low <= 968.8 <= fit.stiffness.high for fit in fits])
+    assert covered >= 0.88
+
+
 @pytest.mark.parametrize(
     ("x", "y", "reason"),
     [

@@ -16,7 +16,7 @@ from worm_model.bags.writer import BagWriter
 from worm_model.gait import Gait
 from worm_model.identification.errors import IdentificationError
 from worm_model.identification.given import given_by_folder
-from worm_model.identification.inputs import read_inputs, read_recording
+from worm_model.identification.inputs import read_inputs, read_recording, read_recordings
 from worm_model.import_lab import import_lab
 from worm_model.lab_logs import LabSettings
 from worm_model.parameters import KEYS, PAPER, load_parameter_file
@@ -178,6 +178,55 @@ def test_two_runs_of_one_name_are_refused(tmp_path):
         write_bag(tmp_path / folder / "run", exact_run(GAIT, PAPER, Instruments(), 0, 7.0))
     with pytest.raises(IdentificationError, match="two runs are called run"):
         read_inputs([tmp_path / "a" / "run", tmp_path / "b" / "run"])
+
+
+def test_runs_of_one_lab_use_what_lies_beside_them(shared):
+    campaign = shared / "campaign"
+    paths = [campaign / "run_07", campaign / "run_08"]
+    inputs = read_inputs(paths)
+    assert [recording.name for recording in inputs.recordings] == ["run_07", "run_08"]
+    assert inputs.folder == campaign.resolve()
+    assert inputs.bellows is not None
+    assert inputs.fin is not None
+    assert inputs.remarks == ()
+    assert read_inputs(paths[:1]).folder == campaign.resolve()
+
+
+def test_runs_of_several_labs_say_that_nothing_beside_them_is_used(shared, tmp_path):
+    for name in ("runs.json", "fin.csv"):
+        shutil.copy(shared / "campaign" / name, tmp_path)
+    shutil.copytree(shared / "campaign" / "run_07", tmp_path / "run_07")
+    inputs = read_inputs([tmp_path / "run_07", shared / "campaign" / "run_08"])
+    assert inputs.folder is None
+    assert inputs.fin is None
+    assert "name --parameters, --bellows" in inputs.remarks[0]
+
+
+def test_a_folder_of_runs_stands_for_all_of_them(shared):
+    names = [recording.name for recording in read_recordings([shared / "campaign"])]
+    assert names == [f"run_{k:02d}" for k in range(1, 9)]
+
+
+def test_a_fitted_run_is_no_validation(shared, tmp_path, monkeypatch, capsys):
+    campaign = tmp_path / "campaign"
+    campaign.mkdir()
+    shutil.copy(shared / "campaign" / "runs.json", campaign)
+    shutil.copytree(shared / "campaign" / "run_07", campaign / "run_07")
+    assert run_identify(monkeypatch, campaign, "--validation", campaign) == 2
+    assert "is fitted too" in capsys.readouterr().err
+
+
+def test_a_readme_may_give_bounds_and_leave_keys_out(tmp_path):
+    text = "M1 = 0.433 ± 0.002 kg, M2 = 424 g +/- 3 g; d = 17.5 ± 0.02 mm. B = d = 4."
+    (tmp_path / "README.md").write_text(text, encoding="utf-8")
+    given = given_by_folder(tmp_path)
+    rear, front, pitch = (given.estimate(k) for k in ("rear_mass", "front_mass", "pitch"))
+    assert (rear.low, rear.high) == pytest.approx((0.431, 0.435))
+    assert (front.low, front.high) == pytest.approx((0.421, 0.427))
+    assert (pitch.low, pitch.high) == pytest.approx((0.01748, 0.01752))
+    assert "README.md" in rear.note
+    assert given.estimate("unstressed_length").note == "as given by the paper"
+    assert given.estimate("slack").note == "as given by the paper"
 
 
 def test_what_a_readme_says_is_given(tmp_path):

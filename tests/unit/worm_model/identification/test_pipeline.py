@@ -8,13 +8,22 @@ import pytest
 from virtual_campaign import SHORT, virtual_campaign
 
 from worm_model.identification.advice import advise
+from worm_model.identification.errors import IdentificationError
+from worm_model.identification.estimate import Estimate
+from worm_model.identification.fin import fit_fin
 from worm_model.identification.given import MEASURED
-from worm_model.identification.pipeline import identify
+from worm_model.identification.pipeline import FIN, bench_warnings, identify
 from worm_model.identification.report import text_of
 from worm_model.identification.results import correlations, parameter_file, summary
+from worm_model.identification.runs import prepared_validation
 from worm_model.parameters import KEYS, PAPER
 
-IDENTIFIED = [key for key in KEYS if key not in MEASURED]
+IDENTIFIED = [key for key in KEYS if key not in MEASURED or key == "pitch"]
+
+
+def covers(result, key, truth):
+    estimate = result.estimates[key]
+    return estimate.low <= getattr(truth, key) <= estimate.high
 
 
 @pytest.fixture(scope="module")
@@ -28,15 +37,28 @@ def results(campaigns):
 
 
 def test_the_intervals_cover_the_truth(campaigns, results):
-    covered = {
-        (index, key): result.estimates[key].low
-        <= getattr(campaign.truth, key)
-        <= result.estimates[key].high
-        for index, (campaign, result) in enumerate(zip(campaigns, results, strict=True))
+    missed = {
+        key: [
+            index
+            for index, (campaign, result) in enumerate(zip(campaigns, results, strict=True))
+            if not covers(result, key, campaign.truth)
+        ]
         for key in IDENTIFIED
     }
-    missed = [place for place, hit in covered.items() if not hit]
-    assert len(missed) <= 0.1 * len(covered), missed
+    assert all(len(robots) < len(results) for robots in missed.values()), missed  # of each key
+    assert sum(map(len, missed.values())) <= 2, missed
+
+
+@pytest.mark.parametrize("off", [4e-5, -4e-5])
+def test_the_intervals_hold_under_a_pitch_that_was_read_off_wrongly(campaigns, off):
+    campaign = campaigns[0]
+    wrong = campaign.given.parameters.replace(pitch=campaign.truth.pitch + off)
+    result = identify(campaign.inputs, replace(campaign.given, parameters=wrong), 0)
+    keys = ("viscous_friction", "switching_threshold", "pitch", "bellows_damping", "power_factor")
+    assert all(covers(result, key, campaign.truth) for key in keys)
+    assert result.estimates["pitch"].spread < 1e-5  # a fifth of the ruler's
+    assert result.parameters.pitch == result.estimates["pitch"].value
+    assert max(error.x1_rmse for error in result.held_out.values()) < 1e-3
 
 
 def test_the_intervals_tell_something(results):
@@ -79,8 +101,9 @@ def test_advice_names_the_widest_interval(results):
     advice = advise(results[0])
     estimate = results[0].estimates[advice.key]
     assert advice.key in advice.text
-    others = [e.spread / abs(e.value) for k, e in results[0].estimates.items() if k != advice.key]
-    assert estimate.spread / estimate.value >= max(others) - 1e-12
+    others = [results[0].estimates[k] for k in IDENTIFIED if k != "initial_length"]
+    widest = max(e.spread / abs(e.value) for e in others)
+    assert estimate.spread / estimate.value == pytest.approx(widest)
     assert advice.gait is None or 0.0 < advice.shrunk < 1.0
 
 
@@ -93,7 +116,7 @@ def test_the_outputs_agree_with_each_other(campaigns, results):
         found["parameters"]["slack"]["low"],
         found["parameters"]["slack"]["high"],
     )
-    text = text_of(result, [])
+    text = text_of(result, advise(result), [])
     assert all(run.name in text for run in result.runs)
     assert np.isfinite(found["runs"]["run_1"]["energy_error"])
 
@@ -112,6 +135,103 @@ def test_without_bench_tests_nothing_is_claimed_that_depends_on_them(campaigns):
     }
     assert unknown == bench | conditional
     assert set(parameter_file(result, blind).intervals).isdisjoint(unknown)
-    assert "not identified" in text_of(result, [])
+    assert "not identified" in text_of(result, advise(result), [])
     assert result.estimates["bellows_damping"].value == PAPER.bellows_damping
     assert summary(result)["parameters"]["viscous_friction"]["note"].endswith("add a fin test")
+
+
+def without_power_after(recording, time):
+    kept = recording.power_time <= time
+    return replace(recording, power_time=recording.power_time[kept], power=recording.power[kept])
+
+
+@pytest.mark.parametrize(("time", "said"), [(0.0, "saw 0 samples"), (1.5, "to 1.5 s")])
+def test_a_run_whose_power_ends_early_is_left_out_of_the_energy_alone(campaigns, time, said):
+    campaign = campaigns[0]
+    spoilt = campaign.inputs.recordings[0]
+    inputs = replace(
+        campaign.inputs,
+        recordings=(without_power_after(spoilt, time), *campaign.inputs.recordings[1:]),
+    )
+    result = identify(inputs, campaign.given, 0)
+    (warning,) = [text for text in result.warnings if "c_b and α_P" in text]
+    assert warning.startswith(f"{spoilt.name}: ")
+    assert said in warning
+    assert [run.name for run in result.power_runs] == [r.name for r in inputs.recordings[1:]]
+    assert len(result.runs) == len(inputs.recordings)
+    assert np.isnan(result.held_out[spoilt.name].energy_error)
+    assert np.isfinite(result.held_out[spoilt.name].x1_rmse)
+    assert covers(result, "bellows_damping", campaign.truth)
+    assert np.isnan(summary(result)["clock_offsets"][spoilt.name]["power_behind_camera"])
+    assert "not seen" in text_of(result, advise(result), [])
+
+
+def test_power_that_ends_early_in_every_run_is_refused(campaigns):
+    inputs = campaigns[0].inputs
+    blind = tuple(without_power_after(recording, 0.0) for recording in inputs.recordings)
+    with pytest.raises(IdentificationError, match="no run has power samples over its five"):
+        identify(replace(inputs, recordings=blind), campaigns[0].given, 0)
+
+
+def test_a_fin_that_is_given_as_exact_is_taken_as_exact(campaigns):
+    campaign = campaigns[0]
+    fins = {key: getattr(campaign.truth, key) for key in FIN}
+    exact = {key: (value, value) for key, value in fins.items()}
+    given = replace(
+        campaign.given, parameters=campaign.given.parameters.replace(**fins), intervals=exact
+    )
+    result = identify(replace(campaign.inputs, fin=None), given, 0)
+    assert result.locomotion.variants == ()
+    assert result.estimates["viscous_friction"].identifiable
+    assert covers(result, "viscous_friction", campaign.truth)
+
+
+def test_naming_the_softer_side_as_engaging_is_worth_a_warning(campaigns):
+    inputs = campaigns[0].inputs
+    fin = fit_fin(inputs.fin.x, inputs.fin.y)
+    wrong = fit_fin(inputs.fin.x, inputs.fin.y, -fin.engages)
+    assert bench_warnings(fin) == bench_warnings(None) == []
+    assert "softer one" in bench_warnings(wrong)[0]
+
+
+def test_the_initial_length_is_a_mean_and_says_how_runs_scatter(campaigns, results):
+    for result in results:
+        lengths = np.array([run.length.initial_length for run in result.runs])
+        estimate = result.estimates["initial_length"]
+        assert estimate.value == pytest.approx(lengths.mean())
+        deviation = lengths.std(ddof=1)
+        assert estimate.spread == pytest.approx(3.182 * deviation / 2.0, rel=1e-3)
+        assert f"scatter around it by {deviation * 1e3:.3f} mm" in estimate.note
+        file = parameter_file(result, campaigns[0].inputs)
+        assert file.run_to_run == {"initial_length": pytest.approx(deviation)}
+        assert file.provenance["notes"]["initial_length"] == estimate.note
+
+
+def test_a_slack_of_nothing_and_no_gait_that_goes_far_stop_no_advice(results, monkeypatch):
+    result = results[0]
+    nothing = Estimate(0.0, -1e-5, 1e-5)
+    advice = advise(replace(result, estimates={**result.estimates, "slack": nothing}))
+    assert advice.key != "slack"
+    open_end = replace(result.estimates["slack"], identifiable=False, note="why")
+    advice = advise(replace(result, estimates={**result.estimates, "slack": open_end}))
+    assert advice.text == "slack: why"
+    wide = Estimate(95.0, 60.0, 130.0)
+    monkeypatch.setattr("worm_model.identification.advice.recorded", lambda *_: None)
+    advice = advise(replace(result, estimates={**result.estimates, "viscous_friction": wide}))
+    assert advice.gait is None
+    assert "no gait tried passes 5 ridges" in advice.text
+
+
+def test_validation_runs_are_checked_like_the_fitted_ones(campaigns):
+    fitted = campaigns[0].inputs.recordings
+    kept = [replace(fitted[1], name="kept"), replace(fitted[2], name="aside")]
+    spoilt = replace(kept[0], x1=np.where(kept[0].camera_time > 4.0, np.nan, kept[0].x1))
+    runs, seen = prepared_validation([spoilt, kept[1]], fitted[:1], PAPER.pitch)
+    assert [run.name for run in runs] == ["kept", "aside"]
+    assert any(text.startswith("validation: kept: ") and "hidden" in text for text in seen)
+    with pytest.raises(IdentificationError, match="two validation runs are called kept"):
+        prepared_validation([kept[0], kept[0]], fitted[:1], PAPER.pitch)
+    same = replace(fitted[0], sources={"camera.csv": "a" * 64})
+    with pytest.raises(IdentificationError, match="run_1, which is fitted too"):
+        prepared_validation([replace(same, name="copy")], [same], PAPER.pitch)
+    assert prepared_validation([], fitted, PAPER.pitch) == ([], [])

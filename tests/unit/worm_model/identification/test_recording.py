@@ -12,7 +12,7 @@ from worm_model.identification.errors import IdentificationError
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.identification.locomotion import traverse_of
 from worm_model.identification.measured_length import measured_length
-from worm_model.identification.quality import longest_gap, remarks, usable
+from worm_model.identification.quality import follows_command, longest_gap, remarks, usable
 from worm_model.identification.recording import recording_of
 from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, TrackerSamples
@@ -230,6 +230,12 @@ def stuck(found, time):
     x2 = found.x2.copy()
     x2[at] = found.x1[at] + (found.x2 - found.x1)[at[0]]
     return replace(found, x2=x2)
+
+
+def test_a_tracker_that_sees_no_length_after_the_onset_is_named():
+    found = recording()
+    blind = with_hidden_marker(found, 0.0, np.inf)
+    assert "saw no length after the gait's onset" in follows_command(blind, measured_length(found))
 
 
 @pytest.mark.parametrize("time", [0.3, 2.0, 4.0])

@@ -8,14 +8,16 @@ import pytest
 from virtual_campaign import Instruments, exact_run
 
 from worm_model.gait import Gait
+from worm_model.identification import locomotion_stage
 from worm_model.identification.actuation import fit_actuation
 from worm_model.identification.actuation_stage import identify_actuation
 from worm_model.identification.blocks import solve
 from worm_model.identification.energy import power_run
 from worm_model.identification.energy_stage import identify_energy
 from worm_model.identification.errors import IdentificationError
-from worm_model.identification.grooves import fit_grooves
+from worm_model.identification.grooves import MEANS, fit_grooves
 from worm_model.identification.locomotion import (
+    Known,
     find_locomotion,
     locomotion_problem,
     search,
@@ -40,6 +42,8 @@ TRUTH = PAPER.replace(
     bellows_damping=900.0,
     power_factor=3.0,
 )
+PITCH_DEVIATION = 2.5e-5  # m, of a ruler over ten ridges
+KNOWN = Known(TRUTH, PITCH_DEVIATION)
 GAITS = [Gait(0.08, 0.15), Gait(0.08, 0.25), Gait(0.09, 0.2)]
 
 
@@ -91,22 +95,110 @@ def test_the_bootstrap_repeats_with_its_seed():
 
 def test_the_search_finds_the_valley_from_nothing():
     runs = traverses(camera_noise=1e-4)
-    landscape = search(runs, TRUTH.replace(viscous_friction=300.0, switching_threshold=0.012))
+    start = TRUTH.replace(viscous_friction=300.0, switching_threshold=0.012)
+    landscape = search(runs, Known(start, PITCH_DEVIATION))
     _, threshold = valleys(landscape)[0]
     assert threshold == pytest.approx(TRUTH.switching_threshold, abs=4e-4)
     assert landscape.cost.max() > 1e3 * landscape.cost.min()  # it jumps
-    solution = find_locomotion(runs, TRUTH, landscape)
+    solution = find_locomotion(runs, KNOWN, landscape)
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
     assert solution.shared[1] == pytest.approx(TRUTH.switching_threshold, abs=4e-5)
-    assert solution.shared[2:] == pytest.approx([0.0, 0.0], abs=0.05)
+    assert solution.shared[2:4] == pytest.approx([0.0, 0.0], abs=0.05)
+
+
+@pytest.mark.parametrize("off", [-5e-5, 5e-5])
+def test_a_pitch_that_was_read_off_wrongly_is_put_right(off):
+    runs = traverses(camera_noise=1e-4)
+    known = Known(TRUTH.replace(pitch=TRUTH.pitch + off), PITCH_DEVIATION)
+    solution = find_locomotion(runs, known, search(runs, known))
+    assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
+    assert solution.shared[1] == pytest.approx(TRUTH.switching_threshold, abs=5e-5)
+    assert solution.shared[4] == pytest.approx(TRUTH.pitch, abs=1e-5)
+
+
+def test_a_pitch_that_is_given_as_exact_stays():
+    runs = traverses(camera_noise=1e-4)
+    start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch])
+    own = np.array([[run.length.initial_length] for run in runs])
+    solution = solve(locomotion_problem(runs, Known(TRUTH, 0.0)), start, own)
+    assert solution.shared[4] == pytest.approx(TRUTH.pitch, abs=1e-7)
+
+
+def test_the_scales_error_does_not_show_in_friction():
+    """So masses need not be nuisances: a gram moves η by less than a thousandth."""
+    runs = traverses(camera_noise=1e-4)
+    own = np.array([[run.length.initial_length] for run in runs])
+    start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch])
+    heavier = TRUTH.replace(rear_mass=TRUTH.rear_mass + 1e-3, front_mass=TRUTH.front_mass - 1e-3)
+    plain, moved = (
+        solve(locomotion_problem(runs, Known(p, PITCH_DEVIATION)), start, own).shared
+        for p in (TRUTH, heavier)
+    )
+    assert moved[0] == pytest.approx(plain[0], rel=1e-3)
+    assert moved[1] == pytest.approx(plain[1], abs=2e-6)
+
+
+def test_clock_offsets_come_with_how_well_they_are_told():
+    found = recordings(camera_noise=2e-4, camera_behind=0.007)
+    result = identify_actuation(found, np.random.default_rng(0))
+    off = np.abs(result.fit.clock_offset - 0.007)
+    assert np.all(off < 3.0 * result.clock_deviation)
+    assert np.all(result.clock_deviation < 0.005)
+
+
+def test_a_clock_offset_that_nothing_tells_is_not_told():
+    slow = recordings(gaits=[Gait(0.012, 0.1)], camera_noise=2e-3)
+    result = identify_actuation(slow, np.random.default_rng(0))
+    assert np.isnan(result.clock_deviation).all()
+
+
+def test_less_than_a_cycle_of_one_run_tells_no_actuation():
+    short = [recording_of(exact_run(GAITS[0], TRUTH, Instruments(), 0, 0.9 / 0.15), "short")]
+    result = identify_actuation(short, np.random.default_rng(0))
+    for estimate in (result.slack, result.gain, result.time_constant):
+        assert not estimate.identifiable
+        assert np.isnan(estimate.low)
+        assert "leave it open" in estimate.note
+
+
+def test_a_cable_without_slack_is_not_given_an_interval_at_the_bound():
+    found = [replace(r, command=r.command + 0.002) for r in recordings(TRUTH.replace(slack=0.0))]
+    slack = identify_actuation(found, np.random.default_rng(0)).slack
+    assert slack.value == 0.0
+    assert not slack.identifiable
+    assert "edge" in slack.note
+
+
+def test_commands_that_never_reach_the_slack_do_not_tell_it():
+    found = [replace(r, command=r.command - 0.002) for r in recordings(TRUTH.replace(slack=0.0))]
+    result = identify_actuation(found, np.random.default_rng(0))
+    assert not result.slack.identifiable
+    assert "no bearing" in result.slack.note
+    assert result.gain.identifiable
+
+
+def test_a_fit_that_never_settles_is_refused(monkeypatch):
+    runs = traverses(camera_noise=1e-4)
+    solution = locomotion_stage.solve(
+        locomotion_problem(runs, KNOWN),
+        np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch]),
+        np.array([[run.length.initial_length] for run in runs]),
+    )
+    fit = fit_grooves(runs, KNOWN, solution)
+    monkeypatch.setattr(locomotion_stage, "search", lambda *_: None)
+    monkeypatch.setattr(locomotion_stage, "find_locomotion", lambda *_: solution)
+    monkeypatch.setattr(locomotion_stage, "fit_grooves", lambda *_: fit)
+    monkeypatch.setattr(locomotion_stage, "_profiles", lambda *_: ([], fit.solution))
+    with pytest.raises(IdentificationError, match="no interval holds"):
+        locomotion_stage.identify_locomotion(runs, KNOWN)
 
 
 def test_what_no_worm_does_is_refused():
     runs = traverses(camera_noise=1e-4)
     wrong = [replace(run, x1=run.x1 - 40.0) for run in runs]
-    landscape = search(wrong, TRUTH)
+    landscape = search(wrong, KNOWN)
     with pytest.raises(IdentificationError, match="explain the motion"):
-        find_locomotion(wrong, TRUTH, landscape)
+        find_locomotion(wrong, KNOWN, landscape)
 
 
 def rough_traverses(dry, rear_grooves, front_grooves):
@@ -114,7 +206,7 @@ def rough_traverses(dry, rear_grooves, front_grooves):
     random = np.random.default_rng(8)
     found = []
     for run in traverses(camera_noise=1e-4):
-        worm = with_values(worm_of(TRUTH, 1), np.array([95.0, 0.0171, *dry]), 0.2952)
+        worm = with_values(worm_of(TRUTH, 1), np.array([95.0, 0.0171, *dry, TRUTH.pitch]), 0.2952)
         samples = slide(run, worm, rear_grooves, front_grooves)
         x1 = np.interp(run.time, run.length.time, samples[:, dry_friction.X1])
         found.append(replace(run, x1=x1 + random.normal(0.0, 1e-4, x1.size), noise=1e-4))
@@ -124,11 +216,11 @@ def rough_traverses(dry, rear_grooves, front_grooves):
 def test_dry_friction_is_not_booked_as_viscous():
     alike = np.zeros((10, 2))
     runs = rough_traverses((0.4, 0.2), alike, alike)
-    problem = locomotion_problem(runs, TRUTH)
+    problem = locomotion_problem(runs, KNOWN)
     own = np.array([[run.length.initial_length] for run in runs])
-    solution = solve(problem, np.array([80.0, 0.0172, 0.05, 0.05]), own)
+    solution = solve(problem, np.array([80.0, 0.0172, 0.05, 0.05, TRUTH.pitch]), own)
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
-    assert solution.shared[2:] == pytest.approx([0.4, 0.2], abs=0.05)
+    assert solution.shared[2:4] == pytest.approx([0.4, 0.2], abs=0.05)
 
 
 def test_grooves_that_differ_are_told_apart():
@@ -138,15 +230,15 @@ def test_grooves_that_differ_are_told_apart():
         for _ in range(2)
     )
     runs = rough_traverses((0.2, 0.2), rear, front)
-    problem = locomotion_problem(runs, TRUTH)
+    problem = locomotion_problem(runs, KNOWN)
     own = np.array([[run.length.initial_length] for run in runs])
-    flat = solve(problem, np.array([90.0, 0.0172, 0.05, 0.05]), own)
-    fit = fit_grooves(runs, TRUTH, flat)
+    flat = solve(problem, np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch]), own)
+    fit = fit_grooves(runs, KNOWN, flat)
     assert fit.solution.cost < 0.8 * flat.cost
     assert 1e-4 < fit.scatter.threshold < 4e-4
     assert 0.01 < fit.scatter.stiffness < 0.06
     first = [tuple(place) for place in fit.places].index((0, dry_friction.FIRST_GROOVE, 0))
-    found = fit.means[1] + fit.solution.shared[4 + first]
+    found = fit.means[1] + fit.solution.shared[MEANS + first]
     assert found == pytest.approx(0.0171 + rear[dry_friction.FIRST_GROOVE, 0], abs=6e-5)
 
 

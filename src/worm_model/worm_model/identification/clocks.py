@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well a run's clock offsets are told: of the camera against the servo, of the power sensor against the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.identification.blocks import Problem, Solution, normal_equations
+
+Array = NDArray[np.float64]
+
+TOLD = 0.5  # of what was assumed before the data: a deviation above it is mostly the assumption
+
+
+def clock_deviations(
+    problem: Problem, solution: Solution, entry: int, weights: Sequence[Array] | None = None
+) -> Array:
+    """(runs,) standard deviations in s of the nuisance ``entry`` of each run, NaN where the data tell it no better.
+
+    From the curvature of the cost, which does not jump in an offset; all other parameters are open.
+    """
+    matrix, _ = normal_equations(problem, solution, weights)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    variance = (
+        np.diag(np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True)) * scale * scale
+    )
+    own = solution.own.shape[1]
+    deviation: Array = np.sqrt(variance[len(problem.shared) + entry :: own])
+    prior = np.array([quantities[entry].spread for quantities in problem.own])
+    return np.where(deviation <= TOLD * prior, deviation, np.nan)

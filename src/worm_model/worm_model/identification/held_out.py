@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of each run under what the others say, next to those of the paper's table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_model.identification.actuation import ActuationFit, fit_actuation
+from worm_model.identification.energy import PowerRun, fit_energy
+from worm_model.identification.idle import idle_power
+from worm_model.identification.locomotion import Known
+from worm_model.identification.locomotion_stage import PITCH, LocomotionResult, refit
+from worm_model.identification.prediction import Errors, errors, predict
+from worm_model.identification.runs import Run
+from worm_model.parameters import PAPER, Parameters
+
+ITERATIONS = 4
+FEWEST = 2  # runs, of which one can be left out
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Errors by run, under what the others say (empty with one run) and under the paper's table."""
+
+    held_out: Mapping[str, Errors]
+    paper: Mapping[str, Errors]
+
+
+def run_errors(run: Run, parameters: Parameters, clock_offset: float) -> Errors:
+    """Of one run; ``clock_offset`` s is by how much the camera is behind the servo, as other runs tell."""
+    prediction = predict(run.recording, run.traverse, parameters, clock_offset)
+    return errors(run.recording, run.traverse, prediction)
+
+
+def leave_one_out(
+    runs: Sequence[Run],
+    known: Known,
+    parameters: Parameters,
+    locomotion: LocomotionResult,
+    actuation: ActuationFit,
+    power_runs: Sequence[PowerRun],
+    damping: float | None,
+) -> LeftOut:
+    """Stages 4 to 7 without each run in turn, from the fit to all of them.
+
+    ``damping`` N·s/m holds c_b where the runs do not tell it. Three things are not done anew: the forces under which
+    the energy is fitted and the scatter of the grooves are those of the fit to all runs, and a run's length is
+    smoothed by a fit to that run itself. Both columns get the camera's clock offset that the other runs tell.
+    """
+    if len(runs) < FEWEST:
+        offset = float(actuation.clock_offset.mean())
+        return LeftOut({}, {run.name: run_errors(run, PAPER, offset) for run in runs})
+    by_name = {run.name: run for run in power_runs}
+
+    def left_out(index: int) -> tuple[Errors, Errors]:
+        others = [k for k in range(len(runs)) if k != index]
+        own = locomotion.fit.solution.own[others]
+        fit = refit([runs[k].traverse for k in others], known, locomotion.fit, own, ITERATIONS)
+        other_actuation = fit_actuation([runs[k].recording for k in others])
+        values = parameters.replace(
+            viscous_friction=fit.means[0],
+            switching_threshold=fit.means[1],
+            pitch=fit.means[PITCH],
+            slack=other_actuation.slack,
+            gain=other_actuation.gain,
+            time_constant=other_actuation.time_constant,
+        )
+        idle = [runs[k].idle for k in others if np.isfinite(runs[k].idle.value)]
+        if idle:
+            values = values.replace(idle_power=idle_power(idle).value)
+        powered = [by_name[runs[k].name] for k in others if runs[k].name in by_name]
+        if powered:
+            energy = fit_energy(powered, damping=damping)
+            values = values.replace(bellows_damping=energy.damping, power_factor=energy.factor)
+        offset = float(other_actuation.clock_offset.mean())
+        return run_errors(runs[index], values, offset), run_errors(runs[index], PAPER, offset)
+
+    with ThreadPoolExecutor() as pool:
+        found = list(pool.map(left_out, range(len(runs))))
+    names = [run.name for run in runs]
+    return LeftOut(
+        {name: pair[0] for name, pair in zip(names, found, strict=True)},
+        {name: pair[1] for name, pair in zip(names, found, strict=True)},
+    )
