@@ -2,6 +2,10 @@
 """The twin node as a process: what it publishes is what the core makes of the same messages."""
 
 import math
+import os
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -159,6 +163,20 @@ def test_it_predicts_shows_and_takes_new_parameters(processes: Processes, probe:
     before = len(states)
     robot.move(0.41)
     probe.wait_for(lambda: len(states) > before, "a state after the change")
+
+
+def test_the_example_of_the_page_asks_it(processes: Processes, probe: Probe, ros_domain: int):
+    processes.start_node("worm_model", "twin_node")
+    Robot(probe)
+    page = (Path(__file__).parents[2] / "docs" / "twin.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(ros_domain)}
+    command = [sys.executable, "-c", example]
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"^3\.46 mm/s, \d grooves in 10 s$", done.stdout, re.MULTILINE)
 
 
 def test_a_parameter_file_may_be_changed_while_it_runs(

@@ -41,6 +41,8 @@ ELSEWHERE = {
     ("worm_driver", "driver_node"): "tests/integration/test_driver.py",
     ("worm_driver", "record"): "tests/integration/test_record.py",
     ("worm_driver", "virtual_robot"): "tests/integration/test_virtual_robot.py",
+    ("worm_model", "twin_node"): "tests/integration/test_twin_node.py",
+    ("worm_model", "watch"): "tests/integration/test_watch.py",
     ("worm_optimizer", "campaign"): "tests/integration/test_campaign.py",
     ("worm_optimizer", "demo"): "tests/integration/test_demo.py",
 }
