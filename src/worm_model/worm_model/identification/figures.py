@@ -126,18 +126,22 @@ def length_figure(run: Run, prediction: Prediction, slack: float) -> Figure:
 
 
 def energy_figure(run: Run, prediction: Prediction) -> Figure:
-    """(a) source power and (b) accumulated energy, measured and predicted."""
-    figure, axes = _figure(2, 4.6)
+    """(a) source power and (b) accumulated energy, measured and predicted; (c) measured less predicted energy."""
+    figure, axes = _figure(3, 5.6, (2.0, 2.0, 1.0))
     time, power = measured_power(run.recording, run.traverse)
     axes[0].plot(time, power, **MEASURED, label="measured")
     predicted = np.interp(time, prediction.time, prediction.power)
     axes[0].plot(time, predicted, **PREDICTED, label="predicted")
     axes[0].set_title(_title(run), fontsize="small")
-    axes[1].plot(time, accumulated(time, power), **MEASURED, label="measured")
-    energy = np.interp(time, prediction.time, prediction.energy)
-    axes[1].plot(time, energy - energy[0], **PREDICTED, label="predicted")
-    axes[1].set_xlabel("time since the onset (s)")
-    return _finished(figure, [(axes[0], "power (W)"), (axes[1], "energy (J)")])
+    axes[2].set_xlabel("time since the onset (s)")
+    labels = [(axes[0], "power (W)"), (axes[1], "energy (J)"), (axes[2], "error (J)")]
+    if time.size:
+        measured = accumulated(time, power)
+        energy = np.interp(time, prediction.time, prediction.energy)
+        axes[1].plot(time, measured, **MEASURED, label="measured")
+        axes[1].plot(time, energy - energy[0], **PREDICTED, label="predicted")
+        axes[2].plot(time, measured - (energy - energy[0]), **MEASURED)
+    return _finished(figure, labels)
 
 
 def _title(run: Run) -> str:

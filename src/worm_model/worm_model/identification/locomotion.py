@@ -32,7 +32,10 @@ LEAST_NOISE = 2e-5  # m, of a position: that of a perfect camera
 SEARCHED_FRICTION = np.geomspace(4.0, 1500.0, 14)  # N·s/m
 SEARCHED_THRESHOLD_STEP = 2e-4  # m
 MOST_THRESHOLD = 1.7  # pitches
-VALLEYS = 6  # that are refined
+VALLEYS = 6  # from which fits start
+COARSE = 2  # steps of the length in one, where half the resolution will do
+ROUGH_ITERATIONS = 10  # of a fit from every start
+REFINED = 4  # of these that are followed to the end
 FIRST_DRY = (0.05, 0.05)  # N, from which dry friction is looked for
 LOST = 1e3  # residual of a sample that no motion explains: the anchors switch without end
 ALIKE = np.zeros((1, dry_friction.GROOVE_COLUMNS))  # all grooves are as the parameters say
@@ -205,9 +208,8 @@ def search(
     progress: Callable[[float], None] | None = None,
 ) -> Landscape:
     """J_loc without dry friction over every admissible pair, pitch as given, L0 of each run as seen at rest."""
-    stride = 2  # a grid needs half the resolution
     parameters = known.parameters
-    problem = locomotion_problem(traverses, known, stride)
+    problem = locomotion_problem(traverses, known, COARSE)
     own = np.array([[t.length.initial_length] for t in traverses])
     threshold = np.arange(
         least_threshold(parameters), MOST_THRESHOLD * parameters.pitch, SEARCHED_THRESHOLD_STEP
@@ -252,15 +254,18 @@ def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Land
 
     Raises `IdentificationError` if nothing explains the motion.
     """
-    problem = locomotion_problem(traverses, known)
     own = np.array([[t.length.initial_length] for t in traverses])
     tried = TRIED_PITCHES if known.pitch_deviation > 0.0 else (0.0,)
     pitches = [known.parameters.pitch + z * known.pitch_deviation for z in tried]
     starts = [
         np.array([*valley, *FIRST_DRY, pitch]) for valley in valleys(landscape) for pitch in pitches
     ]
+    rough = locomotion_problem(traverses, known, COARSE)
+    problem = locomotion_problem(traverses, known)
     with ThreadPoolExecutor() as pool:
-        found = list(pool.map(lambda start: solve(problem, start, own), starts))
+        near = list(pool.map(lambda s: solve(rough, s, own, iterations=ROUGH_ITERATIONS), starts))
+        near.sort(key=lambda solution: solution.cost)
+        found = list(pool.map(lambda s: solve(problem, s.shared, s.own), near[:REFINED]))
     best = min(found, key=lambda solution: solution.cost)
     if max(float(np.sqrt(np.mean(r**2))) for r in best.residuals) >= LOST:
         raise IdentificationError(

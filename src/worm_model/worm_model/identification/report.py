@@ -11,9 +11,10 @@ import numpy as np
 from worm_model.identification.advice import Advice
 from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.figures import all_figures
+from worm_model.identification.fingerprint import code_version
 from worm_model.identification.pipeline import Identification
 from worm_model.identification.prediction import Errors
-from worm_model.identification.results import code_version, correlations
+from worm_model.identification.results import correlations
 from worm_model.parameters import PAPER, SYMBOLS, UNITS
 
 PAGE = "report.md"

@@ -3,30 +3,19 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from worm_model.identification.estimate import Estimate, quantile
+from worm_model.identification.fingerprint import code_version
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion import SHARED as LOCOMOTION
 from worm_model.identification.pipeline import Identification
 from worm_model.parameters import KEYS, ParameterFile
 
-VERSION = "0.1.0"
 CORRELATED = 0.8  # correlations from here on are named
-
-
-def code_version() -> str:
-    """Version of the package, and a fingerprint of its source files."""
-    package = Path(__file__).resolve().parents[1]
-    digest = hashlib.sha256()
-    for file in sorted(package.rglob("*.py")):
-        digest.update(str(file.relative_to(package)).encode() + file.read_bytes())
-    return f"worm_model {VERSION}, sources {digest.hexdigest()[:12]}"
 
 
 def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:

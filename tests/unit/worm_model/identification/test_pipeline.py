@@ -10,9 +10,11 @@ from virtual_campaign import SHORT, virtual_campaign
 from worm_model.identification.advice import advise
 from worm_model.identification.errors import IdentificationError
 from worm_model.identification.estimate import Estimate
+from worm_model.identification.figures import energy_figure
 from worm_model.identification.fin import fit_fin
 from worm_model.identification.given import MEASURED
 from worm_model.identification.pipeline import FIN, bench_warnings, identify
+from worm_model.identification.prediction import predict
 from worm_model.identification.report import text_of
 from worm_model.identification.results import correlations, parameter_file, summary
 from worm_model.identification.runs import prepared_validation
@@ -235,3 +237,18 @@ def test_validation_runs_are_checked_like_the_fitted_ones(campaigns):
     with pytest.raises(IdentificationError, match="run_1, which is fitted too"):
         prepared_validation([replace(same, name="copy")], [same], PAPER.pitch)
     assert prepared_validation([], fitted, PAPER.pitch) == ([], [])
+
+
+def test_the_energy_figure_shows_what_is_left_over(results):
+    result = results[0]
+    run = result.runs[0]
+    prediction = predict(run.recording, run.traverse, result.parameters)
+    figure = energy_figure(run, prediction)
+    left = figure.axes[2].lines[0].get_ydata()
+    assert left[0] == pytest.approx(0.0)
+    curves = [line.get_ydata()[-1] for line in figure.axes[1].lines]
+    assert left[-1] == pytest.approx(curves[0] - curves[1])
+    blind = replace(run, recording=without_power_after(run.recording, 0.0))
+    assert [
+        len(axes.lines[0].get_xdata()) for axes in energy_figure(blind, prediction).axes[:1]
+    ] == [0]

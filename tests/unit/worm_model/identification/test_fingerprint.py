@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fingerprint of the code is that of what identification uses."""
+
+from worm_model.identification.fingerprint import (
+    ENTRY,
+    PACKAGE,
+    code_version,
+    imported_files,
+)
+
+
+def test_what_identification_imports_is_in_it_and_nothing_else():
+    files = {str(file.relative_to(PACKAGE)) for file in imported_files(PACKAGE, ENTRY)}
+    assert {"identify.py", "identification/grooves.py", "kernel/dry_friction.py"} <= files
+    assert {"simulator.py", "smoothing.py", "bags/run_reader.py", "lab_logs.py"} <= files
+    assert not {"twin.py", "twin_node.py", "health.py"} & files
+
+
+def test_imports_are_followed_in_every_form(tmp_path):
+    package = tmp_path / "thing"
+    package.mkdir()
+    sources = {
+        "start.py": "import json\nfrom thing import one\nimport thing.two\n",
+        "one.py": "def f():\n    from thing.three import name\n",
+        "two.py": "import thing.start\n",
+        "three.py": "name = 1\n",
+        "four.py": "",
+    }
+    for name, text in sources.items():
+        (package / name).write_text(text, encoding="utf-8")
+    found = [file.name for file in imported_files(package, "start.py")]
+    assert found == ["one.py", "start.py", "three.py", "two.py"]
+
+
+def test_the_version_tells_both():
+    version = code_version()
+    assert version.startswith("worm_model ")
+    assert version == code_version()
