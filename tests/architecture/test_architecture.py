@@ -97,6 +97,14 @@ def test_libraries_are_imported_only_where_they_belong():
     assert wrong == []
 
 
+def test_every_process_with_ros_begins_and_ends_in_one_way():
+    """Else one of them is found on the network, or loses its context under its hands."""
+    callers = {
+        name_of(path) for path in SOURCES if "rclpy.init(" in path.read_text(encoding="utf-8")
+    }
+    assert callers == {"worm_driver/ros_process.py", "worm_model/ros_process.py"}
+
+
 def test_product_code_knows_nothing_of_the_reference_material():
     wrong = [
         f"{path.relative_to(ROOT)}:{number}"

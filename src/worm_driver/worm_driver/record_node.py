@@ -5,19 +5,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-import rclpy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from worm_driver.recorder import COMPRESSIONS, BagRecorder, Options, RecorderError
 from worm_driver.recording_thread import RecordingThread, Sample, Tally
+from worm_driver.ros_process import ros_process
 from worm_driver.ros_recorder import RecordNode
 from worm_driver.run_manifest import ManifestError, run_manifest
 from worm_driver.topic_selection import SelectionError, TopicSelection
@@ -79,18 +77,6 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-class _StopFlag:
-    """Set by SIGINT and SIGTERM; an Event's lock could deadlock in a signal handler."""
-
-    def __init__(self) -> None:
-        self.is_set = False
-        signal.signal(signal.SIGINT, self._set)
-        signal.signal(signal.SIGTERM, self._set)
-
-    def _set(self, *_: object) -> None:
-        self.is_set = True
-
-
 class _Progress:
     """Totals of a recording and its live line on standard error."""
 
@@ -129,13 +115,13 @@ class _Progress:
 
 
 def _record(
-    node: RecordNode, thread: RecordingThread, stop: _StopFlag, duration: float
+    node: RecordNode, thread: RecordingThread, ended: Callable[[], bool], duration: float
 ) -> _Progress:
     """Take messages until told to stop, the time is over or the disk fails."""
     progress = _Progress(node, thread)
     live = sys.stderr.isatty()
     discovery = report = time.monotonic()
-    while not stop.is_set and thread.error is None and not 0.0 < duration <= progress.elapsed:
+    while not ended() and thread.error is None and not 0.0 < duration <= progress.elapsed:
         now = time.monotonic()
         if now >= discovery:
             node.discover()
@@ -165,8 +151,7 @@ def _fail(status: int, message: str) -> NoReturn:
     raise SystemExit(status)
 
 
-def _run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
-    stop = _StopFlag()
+def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Callable[[], bool]) -> int:
     now = time.time_ns()
     output = arguments.output or Path(
         time.strftime("worm_%Y_%m_%d-%H_%M_%S", time.localtime(now / 1e9))
@@ -189,7 +174,7 @@ def _run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
     thread = RecordingThread(recorder, options.sync_s, BACKLOG_BYTES)
     node.get_logger().info(f"recording to {output}")
     try:
-        progress = _record(node, thread, stop, arguments.duration)
+        progress = _record(node, thread, ended, arguments.duration)
     finally:
         thread.close()
     progress.show("\n")
@@ -209,13 +194,12 @@ def _run(arguments: argparse.Namespace, command: Sequence[str]) -> int:
 
 def main() -> None:
     """Entry point of ``ros2 run worm_driver record``."""
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         command = remove_ros_args(sys.argv)
-        raise SystemExit(_run(_parser().parse_args(command[1:]), command))
+        arguments = _parser().parse_args(command[1:])
+        with ros_process() as ended:
+            raise SystemExit(_run(arguments, command, ended))
     except (RecorderError, SelectionError, ManifestError) as error:
         _fail(2, str(error))
     except OSError as error:
         _fail(1, f"{error.filename or 'the bag'} cannot be written: {error.strerror}")
-    finally:
-        rclpy.try_shutdown()

@@ -7,16 +7,16 @@ import math
 import sys
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import rclpy
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
 
+from worm_driver.ros_process import ros_process
 from worm_driver.virtual_robot.endpoints import DirectoryError, Endpoints
 from worm_driver.virtual_robot.faults import KINDS, FaultBoard, FaultError, make_fault, parse_fault
 from worm_driver.virtual_robot.robot import VirtualRobot
@@ -28,6 +28,7 @@ from worm_msgs.srv import InjectFault
 _REST_SAMPLES = 30  # at the start, whose mean is the initial length that the camera goes by
 # Python hands the interpreter over after 5 ms by default, too late for an answer on the bus.
 _SWITCH_INTERVAL = 0.0002  # s
+_SIGNAL_LATENCY = 0.1  # s, after which a signal is noticed at the latest
 
 log = logging.getLogger("virtual_robot")
 
@@ -138,12 +139,10 @@ def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
         node.endpoints.run()
     except Exception as error:  # noqa: BLE001 (reported by the main thread)
         failures.append(error)
-    finally:
-        rclpy.try_shutdown()
 
 
-def _run(robot: VirtualRobot, directory: Path) -> None:
-    """Serves until a signal. Raises what the serving thread raised."""
+def _run(robot: VirtualRobot, directory: Path, ended: Callable[[], bool]) -> None:
+    """Serves until the process is asked to end. Raises what the serving thread raised."""
     node = VirtualRobotNode(robot, directory)
     failures: list[Exception] = []
     serving = threading.Thread(target=_serve, args=(node, failures), name="serving")
@@ -154,9 +153,8 @@ def _run(robot: VirtualRobot, directory: Path) -> None:
         serving.start()
         sys.stdout.write(f"ready: {directory}\n")
         sys.stdout.flush()
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        while serving.is_alive() and not ended():
+            executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
     finally:
         node.endpoints.stop()
         if serving.ident is not None:
@@ -182,14 +180,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (SettingsError, FaultError) as error:
         return _refuse(error)
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    rclpy.init(args=given)
     try:
-        _run(robot, options.directory)
+        with ros_process(given) as ended:
+            _run(robot, options.directory, ended)
     except DirectoryError as error:
         return _refuse(error)
     except Exception:
         log.exception("stopped by an error")
         return 1
-    finally:
-        rclpy.try_shutdown()
     return 0

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How processes with ROS begin and end."""
+
+import os
+import signal
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
+
+from worm_driver.ros_process import ros_process  # noqa: E402
+
+DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_asks_to_end_and_leaves_the_context_usable(ros_domain, number):
+    before = signal.getsignal(number)
+    with ros_process(["test"]) as ended:
+        assert not ended()
+        os.kill(os.getpid(), number)
+        assert ended()
+        rclpy.create_node("last_words").destroy_node()
+    assert not rclpy.ok()
+    assert signal.getsignal(number) is before
+
+
+def test_every_further_signal_is_told(ros_domain):
+    told: list[int] = []
+    with ros_process(["test"]) as ended:
+        ended.again = lambda: told.append(1)
+        for count in range(3):
+            assert len(told) == max(0, count - 1)
+            os.kill(os.getpid(), signal.SIGTERM)
+    assert len(told) == 2
+
+
+@pytest.mark.parametrize(("given", "wanted"), [(None, "LOCALHOST"), ("SUBNET", "SUBNET")])
+def test_discovery_stays_on_the_machine_unless_somebody_opens_it(
+    ros_domain, monkeypatch, given, wanted
+):
+    monkeypatch.setenv(DISCOVERY, "unset, and put back after the test")
+    monkeypatch.delenv(DISCOVERY)
+    if given is not None:
+        monkeypatch.setenv(DISCOVERY, given)
+    with ros_process(["test"]):
+        assert os.environ[DISCOVERY] == wanted
+
+
+def test_what_is_raised_inside_gets_out_with_ros_ended(ros_domain):
+    with pytest.raises(ZeroDivisionError), ros_process(["test"]):
+        raise ZeroDivisionError
+    assert not rclpy.ok()
