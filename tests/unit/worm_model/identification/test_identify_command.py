@@ -106,6 +106,19 @@ def test_the_report_has_a_figure_of_everything(outcome):
     assert all(symbol in text for symbol in ("p_sw", "α_P", "What next", "Dry friction"))
 
 
+def test_nothing_is_written_before_all_is_known(shared, tmp_path, monkeypatch, capsys):
+    def fail(_):
+        raise IdentificationError("no advice")
+
+    monkeypatch.setattr(identify, "identify", lambda *_: None)
+    monkeypatch.setattr(identify, "advise", fail)
+    output = tmp_path / "robot.yaml"
+    run = shared / "campaign" / "run_07"
+    assert run_identify(monkeypatch, run, "--output", output) == 2
+    assert "no advice" in capsys.readouterr().err
+    assert not output.exists()
+
+
 def test_nothing_is_overwritten(outcome, monkeypatch, capsys):
     folder = outcome[2]
     for option, path in (("--output", "parameters.yaml"), ("--report", "report")):
