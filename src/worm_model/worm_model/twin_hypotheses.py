@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import product
 
 import numpy as np
@@ -58,7 +58,7 @@ class Hypotheses:
     expected: tuple[float, ...]
     difference: tuple[float, ...]
 
-    @property
+    @cached_property
     def difference_rms(self) -> float:
         """W."""
         return math.sqrt(sum(value * value for value in self.difference) / PHASES)

@@ -453,22 +453,24 @@ def test_settings_out_of_range_are_refused():
 
 
 def ten_hours(gait: Gait, hours: int) -> Iterator[list]:
-    """Hour by hour: commands and power at 1 Hz, a camera at 30 Hz for two cycles; a groove is missed in the second."""
+    """Hour by hour: commands and power at 1 Hz, a camera at 30 Hz for a cycle; a groove is missed in it."""
     steady = simulate(gait, cycles=10)
     per_cycle = float(np.diff(steady.at([180.0, 200.0]).x1)[0])
     for hour in range(hours):
         times = np.arange(hour * 3600, (hour + 1) * 3600) + 1.0
         begins = hour * 3600 + 1800.0
-        looks = begins + np.arange(0.0, 2.0 * gait.period, 1.0 / 30.0)
-        seen = steady.at(180.0 + looks[: len(looks) // 2] - begins)
-        length = np.tile(seen.length, 2)
-        x1 = np.concatenate([seen.x1, seen.x1 + per_cycle])
-        x1 += (begins / gait.period - 9.0) * per_cycle
+        looks = begins + np.arange(0.8 * gait.period, 2.0 * gait.period, 1.0 / 30.0)
+        cycle, within = np.divmod(looks, gait.period)
+        order = np.argsort(within)
+        seen = steady.at(180.0 + within[order])
+        length, x1 = np.empty_like(looks), np.empty_like(looks)
+        length[order], x1[order] = seen.length, seen.x1
+        x1 += (cycle - 9.0) * per_cycle
         misses = hour + (looks > begins + 1.6 * gait.period)
         x1 -= misses * PAPER.pitch
         yield in_order(
             [CommandedLength(at(t), gait.command(t)) for t in times],
-            [PowerSample(at(t), 1.0) for t in times[::2]],
+            [PowerSample(at(t), 1.0) for t in times[::4]],
             [MeasuredLength(at(t), v) for t, v in zip(looks, length, strict=True)],
             [TrackerSample(at(t), v, math.nan) for t, v in zip(looks, x1, strict=True)],
         )
@@ -483,14 +485,14 @@ def test_ten_hours_with_misses_need_no_more_memory_and_lose_no_accuracy():
         state, output = twin.step(state, samples)
         last = output.states[-1]
         positions = [r.rear_position for r in output.residuals if math.isfinite(r.rear_position)]
-        residuals.append(np.abs(positions[: len(positions) // 2]))
+        residuals.append(np.abs(positions[: len(positions) // 3]))
         sizes.append(sum(len(v) for v in vars(state).values() if isinstance(v, tuple)))
         sizes[-1] += len(state.track.rows) + len(state.track.settled) + len(state.anchors.moves)
         sizes[-1] += len(state.anchors.gained) + len(state.watch.scores) + len(state.watch.told)
         sizes[-1] += len(state.streams.ahead) + len(state.rest.lengths) + len(state.rest.positions)
     assert max(sizes) <= sizes[1] + 20  # the last eight of a few things are kept
     assert state.anchors.missed == hours
-    assert max(len(found) for found in residuals) > 500
+    assert min(len(found) for found in residuals) > 200
     assert max(found.max() for found in residuals) < 3e-3
     assert (last.stamp_ns - ONSET) * 1e-9 == hours * 3600
     per_cycle = float(np.diff(simulate(gait, cycles=10).at([180.0, 200.0]).x1)[0])
