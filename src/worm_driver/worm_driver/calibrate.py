@@ -21,6 +21,7 @@ from worm_driver.errors import BusError, ConfigurationError, DriverError
 from worm_driver.registers import MODELS, POSITION_MODE, TICKS_PER_TURN
 from worm_driver.servo_bus import ServoBus
 from worm_driver.servos import Servo
+from worm_driver.supervision import Limits
 from worm_driver.transmission import Fin, Spool
 
 #: rad/s, of the spool while the cable is calibrated
@@ -86,7 +87,9 @@ class Calibration:
             f"cable servo {servo.number}: turn the spool by hand until the cable is just taut"
         )
         self._ask("Enter when it is, hands off the robot ")
-        servos.prepare_cable(self._bus, servo)
+        limits = Limits()
+        limit = servos.own_limit(servo, limits.max_current, limits.max_load)
+        servos.prepare_cable(self._bus, servo, limit)
         start = self._bus.read(servo.number, servo["present_position"])
         self._torque_on(servo, start)
         self._move(servo, start + _PROBE)

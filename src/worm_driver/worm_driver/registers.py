@@ -53,12 +53,17 @@ class Register:
 
 @dataclass(frozen=True)
 class ServoModel:
-    """A servo model: the number that it answers to a ping, and its control table by register name."""
+    """A servo model: the number that it answers to a ping, and its control table by register name.
+
+    Attributes:
+        strongest_current: A, largest value that current_limit takes; NaN where there is no such register.
+    """
 
     number: int
     name: str
     minimum_firmware: int
     registers: Mapping[str, Register] = field(repr=False)
+    strongest_current: float = math.nan
 
     @property
     def measures_current(self) -> bool:
@@ -129,9 +134,9 @@ def _table(*own: Register) -> Mapping[str, Register]:
     return MappingProxyType({row.name: row for row in (*_COMMON, *own)})
 
 
-XL330_M288 = ServoModel(1200, "XL330-M288-T", 38, _table(*_current(1e-3)))
+XL330_M288 = ServoModel(1200, "XL330-M288-T", 38, _table(*_current(1e-3)), 1.750)
 XL430_W250 = ServoModel(1060, "XL430-W250-T", 38, _table(*_LOAD))
-XM430_W350 = ServoModel(1020, "XM430-W350-T", 38, _table(*_current(2.69e-3)))
+XM430_W350 = ServoModel(1020, "XM430-W350-T", 38, _table(*_current(2.69e-3)), 1193 * 2.69e-3)
 
 MODELS: Mapping[int, ServoModel] = MappingProxyType(
     {m.number: m for m in (XL330_M288, XL430_W250, XM430_W350)}

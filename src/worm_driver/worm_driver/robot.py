@@ -75,7 +75,7 @@ class Robot:
         for servo in self.servos:
             servos.check(self.bus, servo)
         for servo in self.cables:
-            servos.prepare_cable(self.bus, servo)
+            servos.prepare_cable(self.bus, servo, self._own_limit(servo))
         for servo in self.fins:
             servos.prepare_fin(self.bus, servo)
         self.homed = all(servos.is_homed(self.bus, servo) for servo in self.cables)
@@ -303,12 +303,16 @@ class Robot:
 
     def _count_deviations(self) -> Counts:
         limits = self.settings.limits
-        currents = {
+        efforts = {
             servo.number: state.effort
             for servo, state in zip(self.cables, self._states, strict=False)
-            if servo.model.measures_current and state is not SILENT
+            if state is not SILENT
         }
-        counts = supervision.overcurrent(self._counts, currents, limits)
+        levels = {
+            servo.number: servos.fault_level(servo, limits.max_current, limits.max_load)
+            for servo in self.cables
+        }
+        counts = supervision.overload(self._counts, efforts, levels)
         error = self._cable_length_change(self._states) - self.player.length_change
         self._counts = supervision.following(counts, error, limits)
         return self._counts
@@ -350,11 +354,16 @@ class Robot:
         return None
 
     def _enable_all(self) -> None:
-        fastest = self.settings.max_cable_speed
+        fastest, watchdog = self.settings.max_cable_speed, self.settings.watchdog
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
-            servos.enable(self.bus, servo, fastest / spool.radius, self.settings.watchdog)
+            limit = self._own_limit(servo)
+            servos.enable(self.bus, servo, fastest / spool.radius, watchdog, limit)
         for servo in self.fins:
-            servos.enable(self.bus, servo, self.settings.fin_speed, self.settings.watchdog)
+            servos.enable(self.bus, servo, self.settings.fin_speed, watchdog)
+
+    def _own_limit(self, servo: Servo) -> float:
+        limits = self.settings.limits
+        return servos.own_limit(servo, limits.max_current, limits.max_load)
 
     def _here(self) -> float:
         """Where the cable is, or was asked to be when that is not known (m)."""

@@ -76,6 +76,12 @@ _ROWS = (
         "Of a cable servo; longer than 50 ms is a fault.",
         (0.05, 5.0),
     ),
+    _Row(
+        "limits.max_servo_load",
+        0.9,
+        "As max_servo_current_A, for a model without a current sensor (XL430): ratio of its load.",
+        (0.1, 1.0),
+    ),
     _Row("limits.max_following_error_m", 0.015, "Of the cable; longer is a fault.", (1e-3, 0.2)),
     _Row(
         "limits.max_silence_s",
@@ -140,6 +146,7 @@ def settings(node: Node) -> DriverSettings:
         ),
         limits=Limits(
             max_current=value("limits.max_servo_current_A"),
+            max_load=value("limits.max_servo_load"),
             following_error=value("limits.max_following_error_m"),
             max_silence=value("limits.max_silence_s"),
         ),

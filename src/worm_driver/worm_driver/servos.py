@@ -5,7 +5,9 @@ The led register of a cable servo is the mark of its home: lit while the turn co
 or a power cut, which fold the turn count, put it out, whoever was watching.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from worm_driver.encoding import from_raw, to_raw
 from worm_driver.errors import BusError, ConfigurationError, HomingError
@@ -21,6 +23,10 @@ from worm_driver.servo_bus import ServoBus
 
 #: ticks, homing offset the servos accept (e-manual, homing offset)
 _HOMING_OFFSET_LIMIT = 1_044_479
+
+
+#: by how much a servo's own limit lies above the level of a fault, so that the fault can be seen
+_HEADROOM = 1.1
 
 
 @dataclass(frozen=True)
@@ -96,24 +102,54 @@ def check(bus: ServoBus, servo: Servo) -> None:
         )
 
 
-def prepare(bus: ServoBus, servo: Servo, mode: int) -> None:
+def own_limit(servo: Servo, current: float, load: float) -> float:
+    """What a cable servo itself limits its output to: A, or a ratio of the load where it measures no current.
+
+    Args:
+        servo: a cable servo.
+        current: A, above which it is overloaded.
+        load: ratio, likewise.
+    """
+    if servo.model.measures_current:
+        return min(_HEADROOM * current, servo.model.strongest_current)
+    return min(_HEADROOM * load, 1.0)
+
+
+def fault_level(servo: Servo, current: float, load: float) -> float:
+    """Effort above which a cable servo is overloaded; arguments and unit as of own_limit."""
+    return own_limit(servo, current, load) / _HEADROOM
+
+
+def prepare(
+    bus: ServoBus, servo: Servo, mode: int, settings: Mapping[str, int] = MappingProxyType({})
+) -> None:
     """Takes the torque off and sets the EEPROM up: mode, direct drive, answers at once. Raises BusError.
 
-    A servo that was in another mode has folded its turn count: its home mark is put out.
+    A servo that was in another mode has folded its turn count: its home mark is put out. Only what differs is
+    written, as the EEPROM wears.
+
+    Args:
+        bus: where the servo is.
+        servo: to be set up.
+        mode: operating mode.
+        settings: further registers by name, raw.
     """
     bus.write(servo.number, servo["torque_enable"], 0)
     bus.write(servo.number, servo["status_return_level"], 2)
-    wanted = {"return_delay_time": 0, "drive_mode": 0, "operating_mode": mode}
+    wanted = {"return_delay_time": 0, "drive_mode": 0, "operating_mode": mode, **settings}
     for name, raw in wanted.items():
         if bus.read(servo.number, servo[name]) != raw:
             bus.write(servo.number, servo[name], raw)
-            if name != "return_delay_time":
+            if name in ("drive_mode", "operating_mode"):
                 bus.write(servo.number, servo["led"], 0)
 
 
-def prepare_cable(bus: ServoBus, servo: Servo) -> None:
-    """As prepare, for a cable servo: extended position mode."""
-    prepare(bus, servo, EXTENDED_POSITION_MODE)
+def prepare_cable(bus: ServoBus, servo: Servo, limit: float) -> None:
+    """As prepare, for a cable servo: extended position mode, and its own limit (see own_limit) of the current."""
+    settings = {}
+    if servo.model.measures_current:
+        settings["current_limit"] = to_raw(servo["current_limit"], limit)
+    prepare(bus, servo, EXTENDED_POSITION_MODE, settings)
 
 
 def prepare_fin(bus: ServoBus, servo: Servo) -> None:
@@ -148,14 +184,15 @@ def home(bus: ServoBus, servo: Servo) -> None:
     bus.write(servo.number, servo["led"], 1)
 
 
-def enable(bus: ServoBus, servo: Servo, speed: float, watchdog: float) -> None:
-    """Torque on, holding the present position, with a speed limit and the bus watchdog armed.
+def enable(bus: ServoBus, servo: Servo, speed: float, watchdog: float, limit: float = 1.0) -> None:
+    """Torque on, holding the present position, with limits of speed and load, and the bus watchdog armed.
 
     Args:
         bus: where the servo is.
         servo: to be enabled.
         speed: rad/s, which the servo itself keeps to.
         watchdog: s without packets after which the servo stops by itself.
+        limit: ratio of the load, see own_limit; means nothing where the servo measures its current.
 
     Raises:
         BusError: it does not answer, or refuses.
@@ -164,6 +201,9 @@ def enable(bus: ServoBus, servo: Servo, speed: float, watchdog: float) -> None:
     profile, register = servo["profile_velocity"], servo["bus_watchdog"]
     bus.write(number, register, 0)
     bus.write(number, profile, max(1, to_raw(profile, min(speed, servo.velocity_limit))))
+    if not servo.model.measures_current:
+        most = bus.read(number, servo["pwm_limit"])
+        bus.write(number, servo["goal_pwm"], min(most, to_raw(servo["goal_pwm"], limit)))
     position = bus.read(number, servo["present_position"])
     bus.write(number, servo["goal_position"], position)
     bus.write(number, servo["torque_enable"], 1)

@@ -15,14 +15,16 @@ class Limits:
     Attributes:
         max_silence: s without a state of a servo.
         max_current: A, of a cable servo.
-        overcurrent_cycles: cycles in a row above it.
+        max_load: of a cable servo that measures no current, ratio of its strongest.
+        overload_cycles: cycles in a row above one of the two.
         following_error: m, of the cable behind its command.
         following_cycles: cycles in a row beyond it.
     """
 
     max_silence: float = 0.035
     max_current: float = 2.0
-    overcurrent_cycles: int = 5
+    max_load: float = 0.9
+    overload_cycles: int = 5
     following_error: float = 0.015
     following_cycles: int = 5
 
@@ -32,7 +34,7 @@ class Counts:
     """What has been going on for how many cycles in a row, by servo; and since when servos are silent (s)."""
 
     silent_since: Mapping[int, float] = field(default_factory=dict)
-    overcurrent: Mapping[int, int] = field(default_factory=dict)
+    overload: Mapping[int, int] = field(default_factory=dict)
     following: int = 0
 
 
@@ -51,12 +53,15 @@ def silence(counts: Counts, silent: Iterable[int], since: float) -> Counts:
     return replace(counts, silent_since={s: counts.silent_since.get(s, since) for s in silent})
 
 
-def overcurrent(counts: Counts, currents: Mapping[int, float], limits: Limits) -> Counts:
-    """Counts after a look at the currents (A) of the cable servos that answered."""
-    now = dict(counts.overcurrent)
-    for servo, current in currents.items():
-        now[servo] = now.get(servo, 0) + 1 if abs(current) > limits.max_current else 0
-    return replace(counts, overcurrent=now)
+def overload(counts: Counts, efforts: Mapping[int, float], levels: Mapping[int, float]) -> Counts:
+    """Counts after a look at the efforts of the cable servos that answered; levels: above which it is too much.
+
+    Both by id, in A or as a ratio of the load, as the servo measures.
+    """
+    now = dict(counts.overload)
+    for servo, effort in efforts.items():
+        now[servo] = now.get(servo, 0) + 1 if abs(effort) > levels[servo] else 0
+    return replace(counts, overload=now)
 
 
 def following(counts: Counts, error: float, limits: Limits) -> Counts:
@@ -77,9 +82,12 @@ def fault_in_counts(
         if now - since >= limits.max_silence:
             why = problems.get(servo, "does not answer")
             return f"servo {servo} gives no state for {(now - since) * 1e3:.0f} ms: it {why}"
-    for servo, cycles in counts.overcurrent.items():
-        if cycles >= limits.overcurrent_cycles:
-            return f"servo {servo} draws more than {limits.max_current:g} A: the cable is blocked or overloaded"
+    for servo, cycles in counts.overload.items():
+        if cycles >= limits.overload_cycles:
+            return (
+                f"servo {servo} is beyond its limit (limits.max_servo_current_A, limits.max_servo_load): the "
+                "cable is blocked or overloaded"
+            )
     if counts.following >= limits.following_cycles:
         return f"the cable is more than {limits.following_error * 1e3:g} mm off its command: it is blocked"
     return None

@@ -206,6 +206,11 @@ def test_stop_stops_at_once():
         ("overload", {"target": 12}, "servo 12 reports overload"),
         ("overheating", {"target": 12, "duration": 5.0}, "servo 12 reports overheating"),
         ("input_voltage", {"target": 12, "duration": 5.0}, "servo 12 reports input voltage"),
+        (
+            "input_voltage",
+            {"target": 1, "duration": 5.0, "value": 4.0},
+            "servo 1 reports input voltage",
+        ),
     ],
 )
 def test_a_fault_stops_the_motion_within_100_ms_and_is_named(fault, arguments, words):
@@ -515,6 +520,65 @@ def test_each_model_of_servo_plays_a_gait(model, voltage):
     assert min(s.cable for s in rig.snapshots) == pytest.approx(-0.02, abs=2e-3)
     efforts = [s.servos[0].effort for s in rig.snapshots]
     assert 0.0 < max(efforts) < 3.0
+
+
+@pytest.mark.parametrize(
+    ("model", "voltage", "register", "raw"),
+    [
+        (XL330_M288, 5.0, "current_limit", 1100),  # 1 mA
+        (XL430_W250, 12.0, "goal_pwm", 487),  # 0.113 %
+        (XM430_W350, 12.0, "current_limit", 409),  # 2.69 mA
+    ],
+)
+def test_each_model_limits_its_own_output_a_little_above_the_level_of_a_fault(
+    model, voltage, register, raw
+):
+    limits = Limits(max_current=1.0, max_load=0.5)
+    rig = Rig(
+        settings(spools=(Spool(3, 1, 0.01),), fins=(), limits=limits),
+        other_robot({3: model}, voltage),
+    )
+    rig.activate()
+    assert rig.cable.memory[register] == raw
+    assert rig.cable.memory["torque_enable"] == 1
+    assert rig.cable.memory["profile_velocity"] > 0
+
+
+@pytest.mark.parametrize(
+    ("model", "voltage", "register", "raw"),
+    [(XL330_M288, 5.0, "current_limit", 1750), (XM430_W350, 12.0, "current_limit", 1193)],
+)
+def test_a_limit_beyond_a_models_own_is_the_models_own(model, voltage, register, raw):
+    limits = Limits(max_current=5.0)
+    rig = Rig(
+        settings(spools=(Spool(3, 1, 0.01),), fins=(), limits=limits),
+        other_robot({3: model}, voltage),
+    )
+    assert rig.cable.memory[register] == raw
+
+
+@pytest.mark.parametrize(
+    ("model", "voltage", "limits"),
+    [
+        (XL330_M288, 5.0, Limits(max_current=1.0, following_error=1.0)),
+        (XL430_W250, 12.0, Limits(max_load=0.6, following_error=1.0)),
+        (XM430_W350, 12.0, Limits(max_current=1.5, following_error=1.0)),
+    ],
+)
+def test_an_overload_of_each_model_is_a_fault(model, voltage, limits):
+    """A blocked cable, which only the servo's effort may tell here, in time before it overheats."""
+    rig = Rig(
+        settings(spools=(Spool(3, 1, 0.01),), fins=(), limits=limits),
+        other_robot({3: model}, voltage),
+    )
+    rig.activate()
+    rig.start(0.02, 0.2, cycles=2)
+    rig.run(12.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig.run(1.0)
+    rig.inject("stalled", target=3, duration=10.0)
+    fault = rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
+    assert "servo 3 is beyond its limit" in fault.player.message
+    assert not rig.cable.memory["hardware_error_status"]
 
 
 def test_two_cable_servos_with_opposite_signs_pull_together():

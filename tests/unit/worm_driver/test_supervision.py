@@ -22,12 +22,13 @@ def test_silence_counts_from_the_first_cycle_and_ends_with_an_answer():
 
 def test_a_peak_of_current_is_no_fault_but_a_blocked_cable_is():
     counts = Counts()
+    levels = {1: 2.0, 2: 0.9}
     for _ in range(4):
-        counts = supervision.overcurrent(counts, {1: -2.5}, LIMITS)
-    peak = supervision.overcurrent(counts, {1: 1.0}, LIMITS)
+        counts = supervision.overload(counts, {1: -2.5, 2: 0.8}, levels)
+    peak = supervision.overload(counts, {1: 1.0}, levels)
     assert fault_in_counts(peak, LIMITS, 0.0, {}) is None
-    blocked = supervision.overcurrent(counts, {1: 2.5}, LIMITS)
-    assert "servo 1 draws more than 2 A" in fault_in_counts(blocked, LIMITS, 0.0, {})
+    blocked = supervision.overload(counts, {1: 2.5}, levels)
+    assert "servo 1 is beyond its limit" in fault_in_counts(blocked, LIMITS, 0.0, {})
 
 
 def test_a_cable_that_does_not_follow_is_a_fault():
