@@ -20,8 +20,8 @@ from worm_model.replay import INPUTS, write_replay
 from worm_model.replay_metrics import report_replay
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
 from worm_model.simulator import simulate
-from worm_model.twin_offline import predict_run
-from worm_model.twin_replay import replay_run
+from worm_model.twin.offline import predict_run
+from worm_model.twin.replay import replay_run
 
 TITLE = "times real time of reading a bag and replaying it into the twin"
 

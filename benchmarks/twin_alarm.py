@@ -13,9 +13,9 @@ from worm_driver.virtual_robot.rehearsal import Run, rehearse, sinusoid
 from worm_driver.virtual_robot.settings import load_settings
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.twin import Twin
-from worm_model.twin_hypotheses import FIRST_CYCLE, hypotheses
-from worm_model.twin_records import Activity, CommandedLength, GaitSample, PowerSample, Sample
+from worm_model.twin.core import Twin
+from worm_model.twin.hypotheses import FIRST_CYCLE, hypotheses
+from worm_model.twin.records import Activity, CommandedLength, GaitSample, PowerSample, Sample
 
 TITLE = "missed-anchor alarm from power alone: detection and false alarms in runs of five cycles"
 GAITS = [

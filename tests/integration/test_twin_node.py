@@ -21,7 +21,7 @@ from visualization_msgs.msg import MarkerArray  # noqa: E402
 from worm_model import ros_twin  # noqa: E402
 from worm_model.gait import Gait  # noqa: E402
 from worm_model.parameters import PAPER  # noqa: E402
-from worm_model.twin import Twin  # noqa: E402
+from worm_model.twin.core import Twin  # noqa: E402
 from worm_msgs.msg import (  # noqa: E402
     BodyLength,
     GaitState,

@@ -26,8 +26,8 @@ from worm_model.command_line import Parser, add_parameters, new_file, print_json
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.replay_metrics import CycleReport, Followed, ReplayReport, report_replay
 from worm_model.run import Run
-from worm_model.twin_offline import predict_run
-from worm_model.twin_replay import Replay, Series, replay_run
+from worm_model.twin.offline import predict_run
+from worm_model.twin.replay import Replay, Series, replay_run
 
 INPUTS = ("gait_state", "body_length/commanded", "body_length/measured", "tracker", "power")
 ESTIMATED = 2  # BodyLength.ESTIMATED

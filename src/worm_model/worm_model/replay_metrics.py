@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.run import RUNNING, Run
-from worm_model.twin_replay import Series
+from worm_model.twin.replay import Series
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ class ReplayReport:
 
 
 class Followed(Protocol):
-    """What a report needs of a `twin_replay.Replay` or a `twin_offline.Prediction`."""
+    """What a report needs of a `twin.replay.Replay` or a `twin.offline.Prediction`."""
 
     @property
     def states(self) -> Series:

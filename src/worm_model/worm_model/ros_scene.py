@@ -11,7 +11,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from worm_model.twin_scene import FRAME, Kind, Shape
+from worm_model.twin.scene import FRAME, Kind, Shape
 
 _TYPES = {Kind.BOX: Marker.CUBE, Kind.BOXES: Marker.CUBE_LIST, Kind.CYLINDER: Marker.CYLINDER}
 _UPRIGHT = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)

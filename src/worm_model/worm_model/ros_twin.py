@@ -13,8 +13,8 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from std_msgs.msg import Header
 
 from worm_model.gait import Gait, GaitError
-from worm_model.twin_forecast import Forecast
-from worm_model.twin_records import (
+from worm_model.twin.forecast import Forecast
+from worm_model.twin.records import (
     NANOSECONDS,
     Activity,
     CommandedLength,
@@ -26,7 +26,7 @@ from worm_model.twin_records import (
     StateRecord,
     TrackerSample,
 )
-from worm_model.twin_settings import TwinSettings
+from worm_model.twin.settings import TwinSettings
 from worm_msgs.msg import (
     BodyLength,
     GaitPrediction,

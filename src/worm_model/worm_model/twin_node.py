@@ -27,11 +27,11 @@ from worm_model.gait import GaitError
 from worm_model.parameters import ParameterError, load_parameters
 from worm_model.ros_process import ros_process
 from worm_model.ros_scene import marker_array
-from worm_model.twin import Twin
-from worm_model.twin_forecast import ForecastError, forecast
-from worm_model.twin_records import Notice, Output, Sample, Severity, StateRecord, TrackerSample
-from worm_model.twin_report import Level, report
-from worm_model.twin_scene import LOST_S, Sighting, scene
+from worm_model.twin.core import Twin
+from worm_model.twin.forecast import ForecastError, forecast
+from worm_model.twin.records import Notice, Output, Sample, Severity, StateRecord, TrackerSample
+from worm_model.twin.report import Level, report
+from worm_model.twin.scene import LOST_S, Sighting, scene
 from worm_msgs.msg import BodyLength, TwinResiduals, TwinState
 from worm_msgs.srv import PredictGait
 

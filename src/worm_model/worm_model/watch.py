@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from worm_model.twin_records import Activity, Health, LengthSource
+from worm_model.twin.records import Activity, Health, LengthSource
 
 HEALTH_COLOURS = {
     Health.UNKNOWN: "\033[90m",

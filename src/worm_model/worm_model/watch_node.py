@@ -18,7 +18,7 @@ from rclpy.utilities import remove_ros_args
 from worm_model.parameters import ParameterError, load_parameters
 from worm_model.ros_process import ros_process, spin
 from worm_model.ros_twin import gait_sample
-from worm_model.twin_records import Health, LengthSource
+from worm_model.twin.records import Health, LengthSource
 from worm_model.watch import CLEAR, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
 

@@ -15,7 +15,7 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.parameters import PAPER
 from worm_model.replay_metrics import report_replay
-from worm_model.twin_replay import replay_run
+from worm_model.twin.replay import replay_run
 
 CYCLES = 3
 RUN = simulated_run(CYCLES)

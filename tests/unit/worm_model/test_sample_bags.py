@@ -15,8 +15,8 @@ from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.parameters import PAPER
 from worm_model.replay_metrics import report_replay
 from worm_model.run import POWER_VALID, RUNNING
-from worm_model.twin_offline import predict_run
-from worm_model.twin_replay import replay_run
+from worm_model.twin.offline import predict_run
+from worm_model.twin.replay import replay_run
 
 BAGS = Path(__file__).resolve().parents[3] / "bags"
 NAMES = ("forward", "reverse", "faults", "killed")

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulator import evaluate_gait, simulate
-from worm_model.twin import Twin, TwinSettings
-from worm_model.twin_hypotheses import PHASES, hypotheses
-from worm_model.twin_records import (
+from worm_model.twin.core import Twin, TwinSettings
+from worm_model.twin.hypotheses import PHASES, hypotheses
+from worm_model.twin.records import (
     Activity,
     CommandedLength,
     GaitSample,

@@ -13,8 +13,8 @@ from worm_model.lab_logs import LabSettings, read_lab_run
 from worm_model.parameters import PAPER, Parameters
 from worm_model.replay_metrics import report_replay
 from worm_model.run import LengthSamples, PowerSamples, Run, TrackerSamples
-from worm_model.twin_offline import predict_run
-from worm_model.twin_replay import replay_run
+from worm_model.twin.offline import predict_run
+from worm_model.twin.replay import replay_run
 
 RUN = simulated_run(cycles=3)
 ONSET = EPOCH + round(REST_S * 1e9)

@@ -10,11 +10,11 @@ import pytest
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulator import simulate
-from worm_model.twin import Twin
-from worm_model.twin_actuation import Actuation, engage, respond
-from worm_model.twin_anchors import Cycle
-from worm_model.twin_forecast import ForecastError, forecast
-from worm_model.twin_hypotheses import (
+from worm_model.twin.actuation import Actuation, engage, respond
+from worm_model.twin.anchors import Cycle
+from worm_model.twin.core import Twin
+from worm_model.twin.forecast import ForecastError, forecast
+from worm_model.twin.hypotheses import (
     BIAS,
     BIAS_SPREAD,
     EFFECT,
@@ -27,7 +27,7 @@ from worm_model.twin_hypotheses import (
     miss_probabilities,
     observe_power,
 )
-from worm_model.twin_records import (
+from worm_model.twin.records import (
     Activity,
     CommandedLength,
     GaitSample,
@@ -35,8 +35,8 @@ from worm_model.twin_records import (
     StateRecord,
     TrackerSample,
 )
-from worm_model.twin_report import Level, report
-from worm_model.twin_scene import FREE, HOLDING, YIELDING, Sighting, engagement, scene
+from worm_model.twin.report import Level, report
+from worm_model.twin.scene import FREE, HOLDING, YIELDING, Sighting, engagement, scene
 
 GAIT = Gait(0.08, 0.2)
 ONSET = 10**18

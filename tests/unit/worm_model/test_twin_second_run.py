@@ -12,8 +12,8 @@ import pytest
 from worm_driver.virtual_robot.plant import BodyParameters, Plant, PlantEffects, make_grooves
 from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_model.parameters import PAPER
-from worm_model.twin import Twin
-from worm_model.twin_records import (
+from worm_model.twin.core import Twin
+from worm_model.twin.records import (
     Activity,
     CommandedLength,
     GaitSample,

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from worm_model.parameters import PAPER
-from worm_model.twin_records import Activity, Health
+from worm_model.twin.records import Activity, Health
 from worm_model.watch import CLEAR, View, render
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -14,7 +14,7 @@ from recorded_run import GAIT, REST_S, simulated_run
 from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, PowerSamples
 from worm_model.simulator import simulate
-from worm_model.twin_replay import replay_run
+from worm_model.twin.replay import replay_run
 from worm_optimizer.bringup.figure import draw_run
 from worm_optimizer.bringup.figures import (
     Figures,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from worm_model.parameters import Parameters
 from worm_model.run import Run
-from worm_model.twin_replay import Replay
+from worm_model.twin.replay import Replay
 from worm_optimizer.bringup.figures import (
     Figures,
     Window,

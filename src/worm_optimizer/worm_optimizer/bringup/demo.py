@@ -27,7 +27,7 @@ from worm_model.command_line import (
     run_command,
 )
 from worm_model.parameters import Parameters, load_parameters
-from worm_model.twin_replay import replay_run
+from worm_model.twin.replay import replay_run
 from worm_optimizer.bringup.comparison import Comparison, compare
 from worm_optimizer.bringup.drive import Say, drive
 from worm_optimizer.bringup.figure import draw_run

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from worm_model.run import Run, seconds
-from worm_model.twin_replay import Replay
+from worm_model.twin.replay import Replay
 from worm_optimizer.bringup.figures import Window, averaged_onset, settled_power
 from worm_optimizer.report.style import (
     CABLE,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.run import RUNNING, GaitStates, Run
-from worm_model.twin_replay import Replay
+from worm_model.twin.replay import Replay
 
 STANDARD_GRAVITY = 9.80665  # m/s², as in the cost of transport of the paper
 AVERAGED_CYCLES = 3  # the last ones: the paper's protocol

@@ -27,7 +27,7 @@ from worm_model.parameters import (
 from worm_model.replay_metrics import ReplayReport, report_replay
 from worm_model.run import RUNNING, GaitStates, Run
 from worm_model.simulator import cost_of_transport
-from worm_model.twin_replay import Replay, replay_run
+from worm_model.twin.replay import Replay, replay_run
 from worm_optimizer.bringup.figures import (
     AVERAGED_CYCLES,
     Array,

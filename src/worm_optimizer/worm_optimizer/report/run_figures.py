@@ -13,7 +13,7 @@ from matplotlib.ticker import MultipleLocator
 from worm_model.actuation import effective_command, length_change_of_command
 from worm_model.run import LengthSamples, seconds
 from worm_model.simulator import simulate
-from worm_model.twin_replay import Series
+from worm_model.twin.replay import Series
 from worm_optimizer.bringup.figures import accumulate, settled_power
 from worm_optimizer.report.recorded import RecordedGait
 from worm_optimizer.report.style import (

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from worm_model.twin_records import NANOSECONDS, Health, ResidualRecord
-from worm_model.twin_settings import TwinSettings
+from worm_model.twin.records import NANOSECONDS, Health, ResidualRecord
+from worm_model.twin.settings import TwinSettings
 
 MEMORY_S = 2.0
 SILENT_S = 5.0

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from worm_model.gait import Gait, GaitError
 from worm_model.parameters import Parameters
 from worm_model.run import GaitStates, Run
-from worm_model.twin import Twin
-from worm_model.twin_records import (
+from worm_model.twin.core import Twin
+from worm_model.twin.records import (
     Activity,
     CommandedLength,
     GaitSample,
@@ -30,7 +30,7 @@ from worm_model.twin_records import (
     StateRecord,
     TrackerSample,
 )
-from worm_model.twin_settings import DEFAULTS, TwinSettings
+from worm_model.twin.settings import DEFAULTS, TwinSettings
 
 Series = dict[str, NDArray[Any]]
 

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from worm_model.parameters import Parameters
-from worm_model.twin_anchors import Cycle, observe_anchors
-from worm_model.twin_hypotheses import PowerWatch, hypotheses, observe_power
-from worm_model.twin_phase import CYCLES, length_for
-from worm_model.twin_records import (
+from worm_model.twin.anchors import Cycle, observe_anchors
+from worm_model.twin.hypotheses import PowerWatch, hypotheses, observe_power
+from worm_model.twin.phase import CYCLES, length_for
+from worm_model.twin.records import (
     NANOSECONDS,
     MeasuredLength,
     Notice,
@@ -21,7 +21,7 @@ from worm_model.twin_records import (
     Severity,
     TrackerSample,
 )
-from worm_model.twin_residuals import (
+from worm_model.twin.residuals import (
     LENGTH,
     POSITION,
     POWER,
@@ -29,9 +29,9 @@ from worm_model.twin_residuals import (
     observe,
     record,
 )
-from worm_model.twin_settings import TwinSettings
-from worm_model.twin_state import Observation, Sight, TwinState
-from worm_model.twin_track import HISTORY_S, Knot, positions_at, power_at
+from worm_model.twin.settings import TwinSettings
+from worm_model.twin.state import Observation, Sight, TwinState
+from worm_model.twin.track import HISTORY_S, Knot, positions_at, power_at
 
 TOP_SPEED = 0.15  # m/s; no gait of the paper's box is faster
 
@@ -238,7 +238,7 @@ def _watch_anchors(
 def _fit_phase(
     state: TwinState, stamp_ns: int, parameters: Parameters, *, happened: bool
 ) -> tuple[TwinState, list[Notice]]:
-    """Moves L0 when cycle after cycle gains another number of grooves than it should; see `worm_model.twin_phase`."""
+    """Moves L0 when cycle after cycle gains another number of grooves than it should; see `worm_model.twin.phase`."""
     run, last = state.run, state.anchors.gained[-CYCLES:]
     settled = len(last) == CYCLES and last[0] != 0 and len(set(last)) == 1
     if not happened or not settled or run.length_seen or run.gait is None:

@@ -19,9 +19,9 @@ from worm_model.simulator import (
     SimulationError,
     evaluate_gait,
 )
-from worm_model.twin import Twin
-from worm_model.twin_state import TwinState
-from worm_model.twin_track import power_at_rate
+from worm_model.twin.core import Twin
+from worm_model.twin.state import TwinState
+from worm_model.twin.track import power_at_rate
 
 Array = NDArray[np.float64]
 

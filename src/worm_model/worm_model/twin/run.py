@@ -9,20 +9,20 @@ from dataclasses import replace
 from worm_model.closed_form import front_groove
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import Parameters
-from worm_model.twin_actuation import Actuation, engage, join
-from worm_model.twin_anchors import Anchors
-from worm_model.twin_hypotheses import PowerWatch
-from worm_model.twin_pose import left_behind
-from worm_model.twin_records import (
+from worm_model.twin.actuation import Actuation, engage, join
+from worm_model.twin.anchors import Anchors
+from worm_model.twin.hypotheses import PowerWatch
+from worm_model.twin.pose import left_behind
+from worm_model.twin.records import (
     NANOSECONDS,
     Activity,
     CommandedLength,
     GaitSample,
 )
-from worm_model.twin_residuals import start_monitor
-from worm_model.twin_rest import rest_pose
-from worm_model.twin_settings import TwinSettings
-from worm_model.twin_state import Pose, Run, TwinState
+from worm_model.twin.residuals import start_monitor
+from worm_model.twin.rest import rest_pose
+from worm_model.twin.settings import TwinSettings
+from worm_model.twin.state import Pose, Run, TwinState
 
 PLAYING = (Activity.RUNNING, Activity.STOPPING)
 SAME_RUN_NS = 100_000_000  # the driver states the onset anew with each cycle, through two clocks

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, replace
 from statistics import fmean
 
-from worm_model.twin_records import NANOSECONDS, MeasuredLength, TrackerSample
+from worm_model.twin.records import NANOSECONDS, MeasuredLength, TrackerSample
 
 FEWEST = 5  # samples that make a mean
 GUARD_NS = (

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, replace
 from statistics import fmean
 
-from worm_model.twin_records import NANOSECONDS
+from worm_model.twin.records import NANOSECONDS
 
 WINDOW = 0.15  # of a cycle; the robot is back at its length at its end
 TOLERANCE = 0.3  # of a pitch

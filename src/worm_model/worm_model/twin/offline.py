@@ -20,10 +20,10 @@ from worm_model.parameters import Parameters
 from worm_model.run import GaitStates, Run
 from worm_model.simulator import Locomotion, SimulationError
 from worm_model.smoothing import smooth
-from worm_model.twin import Twin
-from worm_model.twin_anchors import observe_anchors
-from worm_model.twin_observations import CLOSE_S, TOP_SPEED
-from worm_model.twin_offline_inputs import (
+from worm_model.twin.anchors import observe_anchors
+from worm_model.twin.core import Twin
+from worm_model.twin.observations import CLOSE_S, TOP_SPEED
+from worm_model.twin.offline_inputs import (
     Drive,
     Estimates,
     Inputs,
@@ -32,13 +32,13 @@ from worm_model.twin_offline_inputs import (
     driving_lengths,
     estimate,
 )
-from worm_model.twin_records import NANOSECONDS, Activity, MeasuredLength, TrackerSample
-from worm_model.twin_replay import Series, gait_at
-from worm_model.twin_rest import GUARD_NS, observe_rest
-from worm_model.twin_run import PLAYING, SAME_RUN_NS, begin_run
-from worm_model.twin_settings import DEFAULTS, TwinSettings
-from worm_model.twin_state import TwinState
-from worm_model.twin_track import HISTORY_S, force_at_rate
+from worm_model.twin.records import NANOSECONDS, Activity, MeasuredLength, TrackerSample
+from worm_model.twin.replay import Series, gait_at
+from worm_model.twin.rest import GUARD_NS, observe_rest
+from worm_model.twin.run import PLAYING, SAME_RUN_NS, begin_run
+from worm_model.twin.settings import DEFAULTS, TwinSettings
+from worm_model.twin.state import TwinState
+from worm_model.twin.track import HISTORY_S, force_at_rate
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -49,7 +49,7 @@ RESIDUALS = ("stamp_ns", "rear_position", "length", "power", "energy")
 
 @dataclass(frozen=True)
 class Prediction:
-    """The series of a `twin_replay.Replay` that a report is made of, without the twin's health.
+    """The series of a `worm_model.twin.replay.Replay` that a report is made of, without the twin's health.
 
     Attributes:
         states: `stamp_ns` and `rear_groove`.

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from worm_model.parameters import Parameters
 from worm_model.simulator import Locomotion, LocomotionState, Motions
 from worm_model.smoothing import FEWEST_SAMPLES, smooth
-from worm_model.twin_records import NANOSECONDS, LengthSource
+from worm_model.twin.records import NANOSECONDS, LengthSource
 
 Array = NDArray[np.float64]
 

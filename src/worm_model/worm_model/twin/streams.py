@@ -18,7 +18,7 @@ import enum
 import math
 from dataclasses import dataclass, field, replace
 
-from worm_model.twin_records import (
+from worm_model.twin.records import (
     NANOSECONDS,
     CommandedLength,
     GaitSample,
@@ -27,7 +27,7 @@ from worm_model.twin_records import (
     Sample,
     TrackerSample,
 )
-from worm_model.twin_settings import TwinSettings
+from worm_model.twin.settings import TwinSettings
 
 LONGEST_M = 1.0  # no worm is longer; a wrong unit would have the twin count millions of grooves
 JUMP_CONFIRMATIONS = 3  # in a row: one wild stamp restarts nothing

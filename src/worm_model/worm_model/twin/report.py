@@ -7,10 +7,10 @@ import enum
 import math
 from dataclasses import dataclass
 
-from worm_model.twin_records import Health
-from worm_model.twin_residuals import health
-from worm_model.twin_state import TwinState
-from worm_model.twin_streams import Verdict
+from worm_model.twin.records import Health
+from worm_model.twin.residuals import health
+from worm_model.twin.state import TwinState
+from worm_model.twin.streams import Verdict
 
 SILENT_S = 2.0  # without any input, after which health says nothing of the present
 

@@ -12,11 +12,11 @@ What it does with its samples:
   the command, tracker and power up to a second behind the length, without any effect on the outcome. While
   the driver rests before a gait, the twin stays ``start_hold_s`` behind, so that the onset finds it before the
   first moved length.
-- **Late, duplicate, ahead, not a number, clock jump back or ahead**: see `worm_model.twin_streams`.
+- **Late, duplicate, ahead, not a number, clock jump back or ahead**: see `worm_model.twin.streams`.
 - **Missing.** Between driving lengths the body moves in a straight line; a gap beyond ``pause_s`` is reported.
 - **Run.** At a gait's onset the twin is put at rest: x1 where the tracker saw the rear module over the last
   ``rest_s``, L0 the mean measured length of that span (else that of the run before, else the parameter), energy 0.
-  The fins stand as the run before left them (`worm_model.twin_pose`), unless the tracker saw that the
+  The fins stand as the run before left them (`worm_model.twin.pose`), unless the tracker saw that the
   robot was moved. Without any gait state a run begins where the command first leaves 0.
 - **Parameters** may change between two steps (another `Twin` on the same state); L0 stays the run's own.
 """
@@ -32,9 +32,9 @@ from typing import TypeGuard
 from worm_model.closed_form import front_groove, groove_phase
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulator import Locomotion, SimulationError
-from worm_model.twin_actuation import Actuation, respond
-from worm_model.twin_observations import close_cycles, compare
-from worm_model.twin_records import (
+from worm_model.twin.actuation import Actuation, respond
+from worm_model.twin.observations import close_cycles, compare
+from worm_model.twin.records import (
     NANOSECONDS,
     CommandedLength,
     GaitSample,
@@ -50,12 +50,12 @@ from worm_model.twin_records import (
     StateRecord,
     TrackerSample,
 )
-from worm_model.twin_rest import observe_rest
-from worm_model.twin_run import Run, begin_implied_run, begin_run, holding, is_new_run, run_goes_on
-from worm_model.twin_settings import DEFAULTS, TwinSettings
-from worm_model.twin_state import Observation, Pose, TwinState
-from worm_model.twin_streams import JUMPS, admit
-from worm_model.twin_track import HISTORY_S, Knot, Track, follow, force_at_rate, start_track
+from worm_model.twin.rest import observe_rest
+from worm_model.twin.run import Run, begin_implied_run, begin_run, holding, is_new_run, run_goes_on
+from worm_model.twin.settings import DEFAULTS, TwinSettings
+from worm_model.twin.state import Observation, Pose, TwinState
+from worm_model.twin.streams import JUMPS, admit
+from worm_model.twin.track import HISTORY_S, Knot, Track, follow, force_at_rate, start_track
 
 __all__ = ["Twin", "TwinSettings", "TwinState"]
 

@@ -8,20 +8,20 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from worm_model.gait import FORWARD, Gait
-from worm_model.twin_actuation import Actuation
-from worm_model.twin_anchors import Anchors, Cycle, cycle_at
-from worm_model.twin_hypotheses import PowerWatch
-from worm_model.twin_records import (
+from worm_model.twin.actuation import Actuation
+from worm_model.twin.anchors import Anchors, Cycle, cycle_at
+from worm_model.twin.hypotheses import PowerWatch
+from worm_model.twin.records import (
     Activity,
     MeasuredLength,
     PowerSample,
     Sample,
     TrackerSample,
 )
-from worm_model.twin_residuals import Monitor
-from worm_model.twin_rest import Rest
-from worm_model.twin_streams import Streams
-from worm_model.twin_track import Knot, Track
+from worm_model.twin.residuals import Monitor
+from worm_model.twin.rest import Rest
+from worm_model.twin.streams import Streams
+from worm_model.twin.track import Knot, Track
 
 END_NS = 100_000_000  # the driver tells of the end of a cycle with this much of a tolerance
 

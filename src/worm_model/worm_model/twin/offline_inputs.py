@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run's streams as the twin takes them, and the lengths that drive it, as columns; see `twin_offline`."""
+"""A recorded run's streams as the twin takes them, and its driving lengths, as columns; see `worm_model.twin.offline`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from worm_model.kernel.lag import follow_target
 from worm_model.parameters import Parameters
 from worm_model.run import Run
-from worm_model.twin_records import NANOSECONDS
-from worm_model.twin_settings import TwinSettings
-from worm_model.twin_streams import LONGEST_M
+from worm_model.twin.records import NANOSECONDS
+from worm_model.twin.settings import TwinSettings
+from worm_model.twin.streams import LONGEST_M
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -78,7 +78,7 @@ class Inputs:
 
 
 def admit(run: Run) -> Inputs:
-    """Only what `worm_model.twin_streams` admits, by rising stamp."""
+    """Only what `worm_model.twin.streams` admits, by rising stamp."""
     command, length = run.commanded.length_change, run.measured.length
     rear, front = run.tracker.rear_position, run.tracker.front_position
     return Inputs(

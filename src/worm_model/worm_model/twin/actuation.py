@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
-from worm_model.twin_records import NANOSECONDS
+from worm_model.twin.records import NANOSECONDS
 
 
 @dataclass(frozen=True)
