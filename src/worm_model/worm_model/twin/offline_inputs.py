@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run's streams as the twin takes them, and its driving lengths, as columns; see `worm_model.twin.offline`."""
+"""A recorded run's streams as the twin takes them, and its driving lengths, as columns (`worm_model.twin.offline`)."""
 
 from __future__ import annotations
 
