@@ -28,7 +28,7 @@ from worm_driver.hardware import Hardware
 from worm_driver.ros_messages import ClockPair
 from worm_driver.ros_process import Ending, ros_process
 from worm_driver.ros_run_action import RunGaitAction
-from worm_driver.ros_stop import StopService
+from worm_driver.ros_side_node import SideNode
 from worm_driver.telemetry import Snapshot
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker
 
@@ -72,7 +72,9 @@ class DriverNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._action = RunGaitAction(self, lambda: self._hardware)
         self.create_subscription(Tracker, "tracker", self._on_tracker, 100)
-        self._stop_service = StopService(self, self._stop)
+        self._side = SideNode(self, "stop")
+        self._side.node.create_service(Trigger, "stop", self._on_stop)
+        self._side.start()
         self.create_service(Trigger, "home", self._on_home)
         self.create_service(Trigger, "reboot", self._on_reboot)
         self._fresh = self.create_guard_condition(self._publish)
@@ -203,14 +205,22 @@ class DriverNode(LifecycleNode):
 
     # --- services ------------------------------------------------------------------------------
 
-    def _stop(self) -> None:
-        """Holds the robot at once; called in the thread of the service. Raises DriverError."""
-        hardware = self._opened()
-        hardware.loop.insist(lambda now: hardware.robot.stop(now, "the service stop was called"))
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """In the thread of its own node."""
+        try:
+            hardware = self._opened()
+            hardware.loop.insist(
+                lambda now: hardware.robot.stop(now, "the service stop was called")
+            )
+        except Exception as error:  # noqa: BLE001 (the next call must find the service alive)
+            response.success, response.message = False, str(error)
+        else:
+            response.success, response.message = True, "stopped, and holding"
+        return response
 
     def destroy_node(self) -> None:
         """Also ends the service stop."""
-        self._stop_service.close()
+        self._side.close()
         super().destroy_node()
 
     def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
