@@ -10,13 +10,15 @@ from worm_driver import diagnostics, i2c, serial_port
 from worm_driver.bus_types import BusCounters
 from worm_driver.control_loop import ControlLoop, PowerLoop
 from worm_driver.diagnostics import Report
-from worm_driver.errors import DriverError
+from worm_driver.errors import ConfigurationError, DriverError
 from worm_driver.ina219 import INA219, PowerSample, SampleStatus, calibration_for
 from worm_driver.robot import Robot
 from worm_driver.servo_bus import ServoBus
 from worm_driver.settings import DriverSettings, PowerSettings
 from worm_driver.telemetry import Snapshot
 
+#: per cycle, that an adapter may hold back: the state's and the health register's
+_ANSWERS = 2
 #: s, for which snapshots may pile up before the robot is held
 _UNHEARD = 3.0
 
@@ -61,8 +63,9 @@ class Hardware:
             None if sensor is None else PowerLoop(sensor, settings.period, self._on_sample)
         )
         try:
-            bus = ServoBus.open(settings.port, settings.baud_rate, self._latency())
+            bus = ServoBus.open(settings.port, settings.baud_rate)
             try:
+                self._check_latency(bus.port.latency)
                 self.robot = Robot(settings, bus, self._valid_samples, tracker_ready)
             except BaseException:
                 bus.close()
@@ -102,6 +105,11 @@ class Hardware:
             f"gaits to {limits.max_stroke:g} m, {limits.max_frequency:g} Hz, "
             f"{limits.max_cable_speed:.4f} m/s of cable"
         )
+        latency = self._bus.port.latency
+        if latency > 1e-3:
+            lines.append(
+                f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, not 1: install the udev rule"
+            )
         if not self.robot.homed:
             lines.append("not homed: bring the robot to its initial length, then call home")
         return lines
@@ -142,8 +150,14 @@ class Hardware:
             reports.append(diagnostics.power_report(power - seen.power, where))
         return reports
 
-    def _latency(self) -> float:
-        return (serial_port.latency_timer_ms(self.settings.port) or 1) * 1e-3
+    def _check_latency(self, latency: float) -> None:
+        """Raises ConfigurationError where answers may be held back for so long (s) that no cycle can be kept."""
+        if _ANSWERS * latency >= self.settings.period:
+            raise ConfigurationError(
+                f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, too long for "
+                f"{self.settings.rate:g} Hz: install the udev rule (99-worm.rules), or "
+                f"echo 1 | sudo tee {serial_port.latency_timer_path(self.settings.port)}"
+            )
 
     def _valid_samples(self) -> int:
         return 0 if self._power is None else self._power.valid_samples

@@ -19,11 +19,15 @@ def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:
 
     An FTDI adapter holds answers back for that long: 16 ms by default, 1 ms is what 100 Hz needs.
     """
-    path = sysfs / Path(port).resolve().name / "latency_timer"
     try:
-        return int(path.read_text())
+        return int(latency_timer_path(port, sysfs).read_text())
     except (OSError, ValueError):
         return None
+
+
+def latency_timer_path(port: str, sysfs: Path = _SYSFS) -> Path:
+    """Where that number is, ms, to be read and written."""
+    return sysfs / Path(port).resolve().name / "latency_timer"
 
 
 def refuse_other_openers(descriptor: int) -> None:

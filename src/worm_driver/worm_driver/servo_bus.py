@@ -71,7 +71,7 @@ class BusPort(PortHandler):
         super().__init__(path)
         self.is_open = False
         self.baudrate = baud_rate
-        self._latency_ms = latency * 1e3
+        self.latency = latency
         self._clock = clock
 
     def getCurrentTime(self) -> float:  # noqa: N802 (the SDK's name)
@@ -98,7 +98,7 @@ class BusPort(PortHandler):
     @property
     def quiet_time(self) -> float:
         """How long the line must be silent before nothing late can be on its way, s."""
-        return (2 * self._latency_ms + 2.0) * 1e-3
+        return 2 * self.latency + 2e-3
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Up to ``length`` bytes; sleeps until some are there or the wait is over."""
@@ -191,14 +191,23 @@ class ServoBus:
     _settled: bool = False
 
     @staticmethod
-    def open(path: str, baud_rate: int, latency: float = 0.001, retries: int = 1) -> "ServoBus":
+    def open(
+        path: str, baud_rate: int, latency: float | None = None, retries: int = 1
+    ) -> "ServoBus":
         """Opens a serial port exclusively.
+
+        Args:
+            path: serial device.
+            baud_rate: bit/s.
+            latency: s, how long the adapter may hold an answer back; None: as long as its latency timer says
+                once the port is open, for opening asks the adapter to be quick.
+            retries: how often a failed exchange is repeated.
 
         Raises:
             PortError: it is missing, forbidden or in use; the message says what to do.
             ConfigurationError: the SDK does not know the baud rate.
         """
-        port = BusPort(path, baud_rate, latency)
+        port = BusPort(path, baud_rate)
         try:
             if not port.openPort():
                 raise ConfigurationError(
@@ -206,6 +215,9 @@ class ServoBus:
                 )
         except OSError as error:  # SerialException is one
             raise PortError(serial_port.explain_open_failure(path, error)) from error
+        if latency is None:
+            latency = (serial_port.latency_timer_ms(path) or 1) * 1e-3
+        port.latency = latency
         return ServoBus(port, retries)
 
     def close(self) -> None:

@@ -42,7 +42,6 @@ class DriverSettings:
     """Of one robot; SI.
 
     Attributes:
-        latency: s, of the serial adapter.
         watchdog: s without packets after which the servos stop by themselves.
         home_at_start: the robot stands at its initial length when the driver is configured.
         rate: Hz, of commands and telemetry.
@@ -52,7 +51,6 @@ class DriverSettings:
     spools: tuple[Spool, ...]
     fins: tuple[Fin, ...] = ()
     baud_rate: int = 1_000_000
-    latency: float = 0.001
     watchdog: float = 0.08
     home_at_start: bool = False
     rate: float = 100.0

@@ -11,10 +11,12 @@ import pytest
 from driver_rig import settings
 
 from worm_driver import hardware as hardware_module
-from worm_driver.errors import DriverError, PortError
+from worm_driver import serial_port
+from worm_driver.errors import ConfigurationError, DriverError, PortError
 from worm_driver.gait import Gait
 from worm_driver.gait_player import Phase
 from worm_driver.hardware import Hardware
+from worm_driver.servo_bus import BusPort
 from worm_driver.settings import DriverSettings, PowerSettings
 from worm_driver.supervision import Limits
 from worm_driver.virtual_robot.endpoints import Endpoints
@@ -91,6 +93,48 @@ def test_a_snapshot_that_is_taken_at_once_does_not_end_the_loop(hardware):
     done = hardware.loop.report().cycles
     wait_for(lambda: hardware.loop.report().cycles > done + 50 or not hardware.loop.alive)
     assert hardware.loop.alive, hardware.loop.failure
+
+
+class Adapter:
+    """A latency timer of 16 ms, until the port has been opened and the adapter asked to be quick."""
+
+    def __init__(self, monkeypatch, afterwards: int) -> None:
+        self.timer = 16
+        self.afterwards = afterwards
+        self.set_up_port = BusPort.setupPort
+        monkeypatch.setattr(serial_port, "latency_timer_ms", lambda _: self.timer)
+        monkeypatch.setattr(BusPort, "setupPort", lambda port, baud: self.open(port, baud))
+
+    def open(self, port: BusPort, baud_rate: int) -> bool:
+        done = self.set_up_port(port, baud_rate)
+        self.timer = self.afterwards
+        return done
+
+
+def test_the_latency_timer_counts_that_the_open_port_has(given, monkeypatch):
+    Adapter(monkeypatch, afterwards=1)
+    hardware = Hardware(given, lambda: None)
+    assert not any("latency" in line for line in hardware.description())
+    assert hardware.robot.bus.port.quiet_time == pytest.approx(0.004)
+    hardware.close("over")
+
+
+def test_a_latency_timer_that_stays_long_fails_the_configuration_with_the_remedy(
+    given, monkeypatch
+):
+    Adapter(monkeypatch, afterwards=16)
+    with pytest.raises(ConfigurationError, match=r"is 16 ms, too long for 100 Hz: .*udev rule"):
+        Hardware(given, lambda: None)
+    monkeypatch.undo()
+    Hardware(given, lambda: None).close("over")  # the port was given back
+
+
+def test_a_latency_timer_that_a_slow_rate_can_bear_is_told(given, monkeypatch):
+    Adapter(monkeypatch, afterwards=16)
+    hardware = Hardware(replace(given, rate=20.0), lambda: None)
+    assert any("is 16 ms, not 1: install the udev rule" in x for x in hardware.description())
+    assert hardware.robot.bus.port.quiet_time == pytest.approx(0.034)
+    hardware.close("over")
 
 
 def test_closing_gives_port_and_sensor_back(given):
