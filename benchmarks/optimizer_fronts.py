@@ -13,8 +13,9 @@ from benchmarks.report import Row
 from worm_model.parameters import PAPER, ParameterFile
 from worm_optimizer.cache import Cache
 from worm_optimizer.certificate import CertifiedFront, certified_front
-from worm_optimizer.margin import price_of_robustness, scan
+from worm_optimizer.margin import find_cliff, price_of_robustness, scan
 from worm_optimizer.pipeline import make_front
+from worm_optimizer.servo_limits import limits_of, load_driver_file, servo_model
 from worm_optimizer.settings import Settings
 from worm_optimizer.task import MarginTask
 
@@ -53,6 +54,18 @@ def _scan_row(initial_length: float) -> Row:
     return Row("margin scan", f"{seconds:.1f} s", "60 s", how)
 
 
+def _limited_scan_row() -> Row:
+    driver = load_driver_file(Path(__file__).parents[1] / "src/worm_driver/config/driver.yaml")
+    limits = limits_of(driver, servo_model("XM430-W350"), None)
+    start = time.perf_counter()
+    points = list(scan(MarginTask(limits=limits), DEFAULTS.map, DEFAULTS.scan.margins()))
+    seconds = time.perf_counter() - start
+    cliff = find_cliff(points)
+    told = f"cliff at {1e3 * cliff.margin:.1f} mm" if cliff else "no cliff"
+    how = f"{len(points)} margins, every moving gait's force and power looked at; {told}"
+    return Row("margin scan under a servo's limits", f"{seconds:.1f} s", "60 s", how)
+
+
 def _cold_row() -> Row:
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
@@ -65,4 +78,4 @@ def _cold_row() -> Row:
 def run() -> list[Row]:
     """Measures."""
     certify(0.0, 1)  # compiles the kernel, if it is not in its cache
-    return [_share_row(), _scan_row(0.2952), _scan_row(0.2941), _cold_row()]
+    return [_share_row(), _scan_row(0.2952), _scan_row(0.2941), _limited_scan_row(), _cold_row()]

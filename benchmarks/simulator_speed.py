@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from unittest import mock
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -137,6 +138,22 @@ def _cores() -> Row:
     )
 
 
+def _scaling() -> list[Row]:
+    """The same batch over 1 to all workers; the fewest of some times, as other programs only add to it."""
+    stroke, frequency = _box(65536)
+    rows: list[Row] = []
+    rates: list[float] = []
+    for workers in range(1, (os.cpu_count() or 1) + 1):
+        with mock.patch("worm_model.batch.os.cpu_count", return_value=workers):
+            seconds = min(wall_time(lambda: evaluate_gaits(stroke, frequency), 1) for _ in range(5))
+        rates.append(stroke.size / seconds)
+        value = f"{rates[-1]:,.0f} gaits/s, {rates[-1] / rates[0]:.2f} times one worker"
+        rows.append(
+            Row(f"a batch over {workers} worker(s)", value, f"{workers} times", "by the clock")
+        )
+    return rows
+
+
 def _growth() -> list[Row]:
     stroke, frequency = _box(1024)
     few = cpu_time(lambda: evaluate_gaits(stroke, frequency, cycles=5), 5)
@@ -191,6 +208,7 @@ def run() -> list[Row]:
         _against_scipy("DOP853", ""),
         _per_gait(),
         _cores(),
+        *_scaling(),
         *_growth(),
         _dense_output(),
         _start_up(),

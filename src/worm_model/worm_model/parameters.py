@@ -189,7 +189,8 @@ def _parse_run_to_run(content: Any) -> dict[str, float]:
     for key, value in content.items():
         if key not in KEYS:
             raise ParameterError(f"run_to_run: {_unknown_key(str(key))}")
-        if isinstance(value, bool) or not isinstance(value, numbers.Real) or not 0.0 <= value < 1e9:
+        known = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (known and 0.0 <= value < math.inf):
             raise ParameterError(f"run_to_run: {key}: {value!r}: expected {UNITS[key]}, at least 0")
         deviations[key] = float(value)
     return deviations

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from dataclasses import dataclass
 
@@ -91,6 +92,7 @@ class Peaks:
     motor_load: float
 
 
+@functools.lru_cache(maxsize=2**15)  # the margins of a scan share the gaits of their grid
 def peaks(gait: Gait, parameters: Parameters, limits: ActuatorLimits = NO_LIMITS) -> Peaks:
     """Peaks over a periodic cycle of a gait; ``limits`` hold the ends of the motors' line."""
     period = gait.period
