@@ -10,7 +10,7 @@ import os
 import statistics
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import rclpy
@@ -33,9 +33,21 @@ PERIOD = 0.01
 TIMEOUT = 60.0
 
 
+# For a machine that does not give the virtual robot its processor in time, which is no fault of a servo.
+WIDENED = {
+    "bus_watchdog_s": 1.0,
+    "limits.max_silence_s": 0.8,
+    "limits.max_following_error_m": 0.06,
+}
+
+
+class GaitFailedError(RuntimeError):
+    """A gait did not reach its end; says why."""
+
+
 @contextlib.contextmanager
-def _robot_and_driver(folder: Path) -> Iterator[int]:
-    """Both processes; gives the process id of the driver."""
+def _robot_and_driver(folder: Path, changes: Mapping[str, float]) -> Iterator[int]:
+    """Both processes, the driver with these parameters changed; gives the process id of the driver."""
     environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)}
     with ProcessGroup(folder, environment) as group:
         robot = executable_command("worm_driver", "virtual_robot")
@@ -46,10 +58,7 @@ def _robot_and_driver(folder: Path) -> Iterator[int]:
             "i2c_bus": doors / "i2c.sock",
             "home_at_start": "true",
             "autostart": "true",
-            # the virtual robot waits for this computer's processors, which is no fault of a servo
-            "bus_watchdog_s": 1.0,
-            "limits.max_silence_s": 0.8,
-            "limits.max_following_error_m": 0.06,
+            **changes,
         }
         command = [*executable_command("worm_driver", "driver_node"), "--ros-args"]
         for key, value in parameters.items():
@@ -108,7 +117,7 @@ class Watcher:
             if result.result().status == GoalStatus.STATUS_SUCCEEDED:
                 return
             if "activate" not in result.result().result.message:
-                raise RuntimeError(result.result().result.message)
+                raise GaitFailedError(result.result().result.message)
 
     def close(self) -> None:
         """Ends the node."""
@@ -128,8 +137,20 @@ def _percentile(values: list[float], fraction: float) -> float:
 
 
 def run() -> list[Row]:
-    """Five cycles of 3 s."""
-    with tempfile.TemporaryDirectory() as name, _robot_and_driver(Path(name)) as pid:
+    """Five cycles of 3 s with the limits as shipped; where these find a fault, once more with wider ones."""
+    try:
+        return [*_measure({}), Row("safety limits", "as shipped", "as shipped", "driver.yaml")]
+    except GaitFailedError as error:
+        widened = ", ".join(f"{name} {value:g}" for name, value in WIDENED.items())
+        return [
+            *_measure(WIDENED),
+            Row("safety limits", widened, "as shipped", f"with those as shipped: {error}"),
+        ]
+
+
+def _measure(changes: Mapping[str, float]) -> list[Row]:
+    """Raises GaitFailedError."""
+    with tempfile.TemporaryDirectory() as name, _robot_and_driver(Path(name), changes) as pid:
         watcher = Watcher()
         try:
             watcher.wait_for(lambda: len(watcher.stamps) > 100)
