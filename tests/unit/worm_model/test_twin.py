@@ -209,6 +209,18 @@ def test_a_pause_is_reported_and_survived():
     assert all(math.isfinite(s.rear_position) for s in output.states)
 
 
+@pytest.mark.parametrize("one_by_one", [True, False])
+def test_a_pause_of_a_measured_length_is_survived(one_by_one: bool):
+    samples = in_order(announcements(GAIT), commands(GAIT, 3.0), observed(GAIT, 8.0))
+    kept = [s for s in samples if not at(3.0) < s.stamp_ns < at(5.0)]
+    twin = Twin()
+    output = run(kept) if one_by_one else twin.step(twin.start(), kept)[1]
+    assert "no length for 2.0" in texts(output)
+    assert output.states[-1].stamp_ns > at(7.9)
+    energy = [s.energy for s in output.states]
+    assert all(math.isfinite(e) for e in energy)
+
+
 def test_a_clock_that_jumps_back_starts_the_twin_anew():
     first = in_order(announcements(GAIT), commands(GAIT, 6.0))
     output = run(first + first)
@@ -291,7 +303,9 @@ def test_a_missed_or_extra_groove_is_reported_within_a_cycle_and_followed(groove
     assert word in notice.text
     assert notice.stamp_ns <= at(15.1)  # it happened in the third cycle, 10 to 15 s
     suspect = [r for r in output.residuals if at(15.1) < r.stamp_ns < at(16)]
-    assert all(r.health is not Health.HEALTHY and word in r.message for r in suspect)
+    assert all(r.health is Health.SUSPECT and word in r.message for r in suspect)
+    slipping = [r.health for r in output.residuals if at(12.0) < r.stamp_ns < at(15.0)]
+    assert Health.FAULTY in slipping
     after = [r.rear_position for r in output.residuals if r.stamp_ns > at(15.3)]
     assert np.nanmax(np.abs(after)) < 1e-3
     expected = simulate(GAIT).at([19.0])

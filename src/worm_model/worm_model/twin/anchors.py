@@ -49,6 +49,10 @@ class Anchors:
         """Grooves by which the anchors have been moved at a stamp."""
         return self.base + sum(move.grooves for move in self.moves if stamp_ns >= move.stamp_ns)
 
+    def grooves_after(self, stamp_ns: int) -> int:
+        """Grooves by which they are going to be moved after a stamp, as far as is known."""
+        return sum(move.grooves for move in self.moves if stamp_ns < move.stamp_ns)
+
 
 @dataclass(frozen=True)
 class Cycle:

@@ -26,6 +26,7 @@ from worm_model.twin.residuals import (
     POSITION,
     POWER,
     count_energy,
+    forget,
     observe,
     record,
 )
@@ -182,7 +183,9 @@ def _judge_position(
     residual = sample.rear_position - (expected[0] + shifted + state.run.origin)
     if not accepted:
         return _refuse(state.but(sight=sight), sample, residual, settings)
-    monitor = observe(state.monitor, POSITION, sample.stamp_ns, residual, settings.position_scale_m)
+    # What a move that is under way explains is no fault any more.
+    fault = residual - state.anchors.grooves_after(sample.stamp_ns) * parameters.pitch
+    monitor = observe(state.monitor, POSITION, sample.stamp_ns, fault, settings.position_scale_m)
     state = state.but(sight=sight, monitor=monitor)
     notices: list[Notice] = []
     cycle = state.run.cycle_at(sample.stamp_ns)
@@ -230,7 +233,10 @@ def _watch_anchors(
     anchors, text = observe_anchors(
         state.anchors, cycle, residual, parameters.pitch, state.run.direction
     )
-    state, notices = _warn(state.but(anchors=anchors), stamp_ns, cycle, text)
+    state = state.but(anchors=anchors)
+    if text:
+        state = state.but(monitor=forget(state.monitor, POSITION))
+    state, notices = _warn(state, stamp_ns, cycle, text)
     state, more = _fit_phase(state, stamp_ns, parameters, happened=bool(text))
     return state, notices + more
 

@@ -81,6 +81,12 @@ def observe(monitor: Monitor, name: str, stamp_ns: int, residual: float, scale: 
     return replace(monitor, channels={**monitor.channels, name: Channel(stamp_ns, square)})
 
 
+def forget(monitor: Monitor, name: str) -> Monitor:
+    """The monitor without what a channel has said, once that is explained."""
+    kept = {key: channel for key, channel in monitor.channels.items() if key != name}
+    return replace(monitor, channels=kept)
+
+
 def health(monitor: Monitor, stamp_ns: int) -> tuple[Health, str]:
     """(health, what is wrong) at a stamp."""
     sizes = {
