@@ -301,6 +301,9 @@ def _forget(track: Track) -> Track:
     limit = track.stamp_ns - round(HISTORY_S * NANOSECONDS)
     if track.rows[0].stamp_ns > limit - NANOSECONDS // 4:
         return track
-    rows = track.rows[min(bisect_right(track.rows, limit, key=_row_stamp), len(track.rows) - 1) :]
+    keep = (
+        len(track.rows) - 1 - track.unsettled
+    )  # after a pause, rows without a final power may be old
+    rows = track.rows[min(bisect_right(track.rows, limit, key=_row_stamp), keep) :]
     first = min(bisect_right(track.settled, limit, key=_settled_stamp), len(track.settled) - 1)
     return replace(track, rows=rows, settled=track.settled[first:])
