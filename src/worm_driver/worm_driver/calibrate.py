@@ -87,9 +87,7 @@ class Calibration:
             f"cable servo {servo.number}: turn the spool by hand until the cable is just taut"
         )
         self._ask("Enter when it is, hands off the robot ")
-        limits = Limits()
-        limit = servos.own_limit(servo, limits.max_current, limits.max_load)
-        servos.prepare_cable(self._bus, servo, limit)
+        servos.prepare_cable(self._bus, servo, servos.own_limit(servo, Limits()))
         start = self._bus.read(servo.number, servo["present_position"])
         self._torque_on(servo, start)
         self._move(servo, start + _PROBE)

@@ -3,6 +3,7 @@
 
 import enum
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from worm_driver.bus_types import BusCounters
@@ -143,6 +144,12 @@ def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
         level, message = Level.OK, "ok"
     values = tuple((status.name.lower(), str(counts.get(status, 0))) for status in SampleStatus)
     return Report("driver: power sensor", level, message, where, values)
+
+
+def release_report(problems: Sequence[str]) -> Report:
+    """On a release that was not acknowledged by every servo."""
+    message = f"the torque may still be on: {'; '.join(problems)}: switch the supply off before you reach in"
+    return Report("driver: release", Level.ERROR, message)
 
 
 def gait_report(player: PlayerState, *, active: bool, homed: bool) -> Report:

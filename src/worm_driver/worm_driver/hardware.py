@@ -140,6 +140,8 @@ class Hardware:
             diagnostics.bus_report(self.settings.port, counters, seen.counters, timer),
             diagnostics.timing_report(self.loop.report(), self.settings.period),
         ]
+        if robot.unreleased:
+            reports.append(diagnostics.release_report(robot.unreleased))
         for servo, state in zip(robot.servos, latest.servos, strict=True):
             alert = servo.number in latest.alerts
             reports.append(diagnostics.servo_report(servo, state, alert=alert))

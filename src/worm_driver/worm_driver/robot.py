@@ -40,6 +40,9 @@ class Robot:
         tracker_ready: whether the tracker sees the robot, or there is none to wait for.
         clock: s, monotonic.
 
+    Attributes:
+        unreleased: what failed at the last release, in words: a servo may still have its torque.
+
     Raises:
         BusError: a servo does not answer.
         ConfigurationError: a servo is not what the settings say.
@@ -57,6 +60,7 @@ class Robot:
         self.bus = bus
         self.player = PlayerState()
         self.active = False
+        self.unreleased: list[str] = []
         self._clock = clock
         self._tracker_ready = tracker_ready
         self._valid_power_samples = valid_power_samples
@@ -75,7 +79,7 @@ class Robot:
         for servo in self.servos:
             servos.check(self.bus, servo)
         for servo in self.cables:
-            servos.prepare_cable(self.bus, servo, self._own_limit(servo))
+            servos.prepare_cable(self.bus, servo, servos.own_limit(servo, self.settings.limits))
         for servo in self.fins:
             servos.prepare_fin(self.bus, servo)
         self.homed = all(servos.is_homed(self.bus, servo) for servo in self.cables)
@@ -149,6 +153,7 @@ class Robot:
         run = self.player.run
         self.player = PlayerState(since=now, length_change=cable, run=run)
         self._counts, self._last_step, self.active = Counts(), None, True
+        self.unreleased = []
 
     def _check_fitness(self) -> None:
         self.homed = all(servos.is_homed(self.bus, servo) for servo in self.cables)
@@ -214,7 +219,8 @@ class Robot:
     def release(self) -> list[str]:
         """Takes the torque off, by all means; returns what failed on the way, in words."""
         self.active = False
-        return servos.release_all(self.bus, self.servos)
+        self.unreleased = servos.release_all(self.bus, self.servos)
+        return self.unreleased
 
     # --- the cycle -----------------------------------------------------------------------------
 
@@ -308,10 +314,7 @@ class Robot:
             for servo, state in zip(self.cables, self._states, strict=False)
             if state is not SILENT
         }
-        levels = {
-            servo.number: servos.fault_level(servo, limits.max_current, limits.max_load)
-            for servo in self.cables
-        }
+        levels = {servo.number: servos.fault_level(servo, limits) for servo in self.cables}
         counts = supervision.overload(self._counts, efforts, levels)
         error = self._cable_length_change(self._states) - self.player.length_change
         self._counts = supervision.following(counts, error, limits)
@@ -356,14 +359,10 @@ class Robot:
     def _enable_all(self) -> None:
         fastest, watchdog = self.settings.max_cable_speed, self.settings.watchdog
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
-            limit = self._own_limit(servo)
+            limit = servos.own_limit(servo, self.settings.limits)
             servos.enable(self.bus, servo, fastest / spool.radius, watchdog, limit)
         for servo in self.fins:
             servos.enable(self.bus, servo, self.settings.fin_speed, watchdog)
-
-    def _own_limit(self, servo: Servo) -> float:
-        limits = self.settings.limits
-        return servos.own_limit(servo, limits.max_current, limits.max_load)
 
     def _here(self) -> float:
         """Where the cable is, or was asked to be when that is not known (m)."""

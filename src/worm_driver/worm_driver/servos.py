@@ -20,6 +20,7 @@ from worm_driver.registers import (
     hardware_error_text,
 )
 from worm_driver.servo_bus import ServoBus
+from worm_driver.supervision import Limits
 
 #: ticks, homing offset the servos accept (e-manual, homing offset)
 _HOMING_OFFSET_LIMIT = 1_044_479
@@ -102,22 +103,16 @@ def check(bus: ServoBus, servo: Servo) -> None:
         )
 
 
-def own_limit(servo: Servo, current: float, load: float) -> float:
-    """What a cable servo itself limits its output to: A, or a ratio of the load where it measures no current.
-
-    Args:
-        servo: a cable servo.
-        current: A, above which it is overloaded.
-        load: ratio, likewise.
-    """
+def own_limit(servo: Servo, limits: Limits) -> float:
+    """What a cable servo itself limits its output to: A, or a ratio of the load where it measures no current."""
     if servo.model.measures_current:
-        return min(_HEADROOM * current, servo.model.strongest_current)
-    return min(_HEADROOM * load, 1.0)
+        return min(_HEADROOM * limits.max_current, servo.model.strongest_current)
+    return min(_HEADROOM * limits.max_load, 1.0)
 
 
-def fault_level(servo: Servo, current: float, load: float) -> float:
-    """Effort above which a cable servo is overloaded; arguments and unit as of own_limit."""
-    return own_limit(servo, current, load) / _HEADROOM
+def fault_level(servo: Servo, limits: Limits) -> float:
+    """Effort above which a cable servo is overloaded; unit as of own_limit."""
+    return own_limit(servo, limits) / _HEADROOM
 
 
 def prepare(

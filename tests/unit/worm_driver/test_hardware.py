@@ -20,6 +20,7 @@ from worm_driver.servo_bus import BusPort
 from worm_driver.settings import DriverSettings, PowerSettings
 from worm_driver.supervision import Limits
 from worm_driver.virtual_robot.endpoints import Endpoints
+from worm_driver.virtual_robot.faults import make_fault
 from worm_driver.virtual_robot.robot import VirtualRobot
 from worm_driver.virtual_robot.settings import load_settings
 
@@ -168,6 +169,19 @@ def test_without_a_power_sensor_there_are_no_samples_and_no_report_of_one(given)
     assert "driver: power sensor" not in names
     assert not hardware.samples
     hardware.close("over")
+
+
+def test_a_release_that_no_servo_acknowledges_is_reported_until_one_does(hardware, robot):
+    def released() -> list[str]:
+        return [r.message for r in hardware.report(hardware.snapshots[-1]) if "release" in r.name]
+
+    hardware.loop.ask(hardware.robot.activate)
+    robot.board.add(make_fault("no_answer", duration=1e6))
+    hardware.loop.ask(lambda _: hardware.robot.release(), timeout=PATIENCE)
+    assert "torque may still be on: servo 1 does not answer" in released()[0]
+    robot.board.clear()
+    hardware.loop.ask(lambda _: hardware.robot.release(), timeout=PATIENCE)
+    assert released() == []
 
 
 def test_it_says_what_it_found(hardware):
