@@ -270,6 +270,7 @@ def test_ctrl_c_while_it_computes_ends_it_with_its_worker(start, user, probe):
     [
         ({"parameter_file": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read"),
         ({"stroke_low_m": 0.09, "stroke_high_m": 0.01}, "bounds: stroke from 0.09 to 0.01 m"),
+        ({"limits.servo_model": "XM430-W350"}, "without the driver's parameter file"),
     ],
 )
 def test_parameters_that_cannot_work_end_it_with_one_line(start, parameters, says):

@@ -117,6 +117,8 @@ def prepared(word: str, before: str, folder: Path) -> None:
         write_bag(path, simulated_run(5, seed))
     elif word == "FOLDER":
         write_lab(path)
+    elif before == "--limits-from":
+        path.write_bytes((ROOT / "src/worm_driver/config/driver.yaml").read_bytes())
     elif word.endswith(".yaml"):
         path.write_text("gain: 0.86\nintervals: {gain: [0.85, 0.87]}\n")
     elif word.endswith(".csv"):

@@ -114,6 +114,15 @@ def test_the_shipped_file_fills_every_setting(mode):
         assert not any("{" in word for word in node.command_arguments("worm"))
 
 
+def test_on_a_robot_gaits_keep_the_limits_of_its_driver():
+    system = load_system_file(SHIPPED)
+    robot = system.system("robot", driver_file="/etc/driver.yaml", servo_model="XM430-W350")
+    told = robot.node("optimizer").parameters
+    assert told["limits.driver_file"] == "/etc/driver.yaml"
+    assert told["limits.servo_model"] == "XM430-W350"
+    assert set(system.system("virtual").node("optimizer").parameters) == {"parameter_file"}
+
+
 def test_only_the_virtual_robot_is_driven_in_virtual_mode():
     content = load_system_file(SHIPPED)
     driver = content.system("virtual", directory="/run/x").node("driver")
