@@ -40,7 +40,7 @@ from worm_model.kernel.dry_friction import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
 Array = NDArray[np.float64]
 
 ROWS = 10  # grooves of each module: FIRST_GROOVE behind the start, the rest ahead
-MEANS = 5  # shared parameters before the deviations
+MEANS = 6  # shared parameters before the deviations
 FIRST_SCATTER = (1e-4, 0.02)  # m and 1, from which the scatter is looked for
 LEAST_SCATTER = (1e-6, 1e-4)  # that counts as none
 STEPS = (3e-5, 0.01)  # of numerical derivatives by deviations, m and 1
@@ -75,7 +75,7 @@ class GrooveFit:
 
     @property
     def means(self) -> Array:
-        """(η, p_sw, rear and front dry friction, pitch)."""
+        """(η, p_sw, rear and front dry friction, pitch, onset)."""
         return self.solution.shared[:MEANS]
 
 
@@ -183,6 +183,10 @@ def _learned_scatter(
         posterior = matrix.copy()
         for index, spread in zip(entries, spreads, strict=True):
             posterior[index, index] += spread**-2
+        idle = np.flatnonzero(
+            np.diag(posterior) <= 0.0
+        )  # what no run bears on, as a threshold never met
+        posterior[idle, idle] = 1.0
         scale = 1.0 / np.sqrt(np.diag(posterior))
         covariance = np.linalg.inv(posterior * np.outer(scale, scale)) * np.outer(scale, scale)
         mean, variance = covariance @ pull, np.diag(covariance)

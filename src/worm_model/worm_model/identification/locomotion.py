@@ -4,7 +4,9 @@
 J_loc jumps where a groove is gained or lost, so a grid over all that is admissible comes first, and the deepest of its
 valleys are refined. Nuisances: dry friction of each module, which would be booked as η, L0 of each run, of
 which the camera has seen something at rest, and the pitch: the front fin starts L0/d ≈ 17 grooves ahead of the rear,
-so that a twentieth of a millimetre in d is almost a millimetre in where it starts.
+so that a twentieth of a millimetre in d is almost a millimetre in where it starts. And how the body sets in: its length
+starts with a rate at once (eq:slack_clip), and the paper's v1(0) = 0 puts the centre of mass 0.1 mm elsewhere than a
+robot's does, whose modules share that rate.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ COARSE = 2  # steps of the length in one, where half the resolution will do
 ROUGH_ITERATIONS = 10  # of a fit from every start
 REFINED = 4  # of these that are followed to the end
 FIRST_DRY = (0.05, 0.05)  # N, from which dry friction is looked for
+FIRST_ONSET = 0.5
 LOST = 1e3  # residual of a sample that no motion explains: the anchors switch without end
 ALIKE = np.zeros((1, dry_friction.GROOVE_COLUMNS))  # all grooves are as the parameters say
 SHARED = (
@@ -45,6 +48,7 @@ SHARED = (
     "rear_dry_friction",
     "front_dry_friction",
     "pitch",
+    "onset",
 )
 LEAST_PITCH_DEVIATION = 1e-8  # m, of a pitch that is given as exact
 TRIED_PITCHES = (-1.5, 0.0, 1.5)  # standard deviations of the given one, from which a fit starts
@@ -119,13 +123,14 @@ def worm_of(parameters: Parameters, direction: int) -> dry_friction.Worm:
 
 
 def with_values(worm: dry_friction.Worm, values: Array, initial_length: float) -> dry_friction.Worm:
-    """The worm with other (η, p_sw, rear and front dry friction, pitch) and L0; plain, for it is done 10⁵ times."""
+    """The worm with other (η, p_sw, both dry frictions, pitch, onset) and L0; plain, for it is done 10⁵ times."""
     return worm._replace(
         friction=float(values[0]),
         threshold=float(values[1]),
         rear_dry=float(values[2]),
         front_dry=float(values[3]),
         pitch=float(values[4]),
+        onset=float(values[5]),
         initial_length=float(initial_length),
     )
 
@@ -148,7 +153,7 @@ def slide(
 
 
 def shared_quantities(known: Known) -> list[Quantity]:
-    """Of (η, p_sw, rear and front dry friction, pitch)."""
+    """Of (η, p_sw, rear and front dry friction, pitch, onset)."""
     pitch = known.parameters.pitch
     deviation = max(known.pitch_deviation, LEAST_PITCH_DEVIATION)
     low = least_threshold(known.parameters)
@@ -158,6 +163,7 @@ def shared_quantities(known: Known) -> list[Quantity]:
         Quantity(0.02, 0.0, 5.0),
         Quantity(0.02, 0.0, 5.0),
         Quantity(2e-6, 0.5 * pitch, 1.5 * pitch, pitch, deviation),
+        Quantity(0.1, 0.0, 1.0, 0.5, 0.5),
     ]
 
 
@@ -219,7 +225,9 @@ def search(
 
     def fill(row: int) -> None:
         for column, value in enumerate(threshold):
-            values = np.array([SEARCHED_FRICTION[row], value, 0.0, 0.0, parameters.pitch])
+            values = np.array(
+                [SEARCHED_FRICTION[row], value, 0.0, 0.0, parameters.pitch, FIRST_ONSET]
+            )
             squares = [
                 float(np.sum((problem.residuals(run, values, own[run]) * t.noise) ** 2))
                 for run, t in enumerate(traverses)
@@ -258,7 +266,9 @@ def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Land
     tried = TRIED_PITCHES if known.pitch_deviation > 0.0 else (0.0,)
     pitches = [known.parameters.pitch + z * known.pitch_deviation for z in tried]
     starts = [
-        np.array([*valley, *FIRST_DRY, pitch]) for valley in valleys(landscape) for pitch in pitches
+        np.array([*valley, *FIRST_DRY, pitch, FIRST_ONSET])
+        for valley in valleys(landscape)
+        for pitch in pitches
     ]
     rough = locomotion_problem(traverses, known, COARSE)
     problem = locomotion_problem(traverses, known)

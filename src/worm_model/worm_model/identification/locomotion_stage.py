@@ -45,7 +45,7 @@ from worm_model.parameters import PAPER, Parameters
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-FRICTION, SWITCHING, PITCH = 0, 1, 4  # entries of the means
+FRICTION, SWITCHING, PITCH, ONSET = 0, 1, 4, 5  # entries of the means
 SOUGHT = (FRICTION, SWITCHING, PITCH)
 FIRST_REACH = {
     FRICTION: 1.0,
@@ -74,8 +74,8 @@ class LocomotionResult:
 
     ``dry_friction`` (rear, front) N with ``dry_deviation`` their standard deviations; ``initial_length`` (runs,) m;
     ``residuals`` of each run in m; ``inflation`` of the variance for what is not white in them; ``correlation`` of
-    (η, p_sw, rear, front dry friction, pitch); ``variants``: fits under a fin test that is one standard deviation off,
-    one a direction of its covariance; ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``:
+    (η, p_sw, rear, front dry friction, pitch, onset); ``variants``: fits under a fin test that is one standard
+    deviation off, one a direction of its covariance; ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``:
     (η, p_sw) that minimise J_loc as it is printed, without dry friction and with grooves that are alike, at the
     pitch that the fit found.
     """
@@ -300,8 +300,9 @@ def _inverse(matrix: Array) -> Array:
 
 
 def _as_printed(traverses: Sequence[Traverse], known: Known, start: Solution) -> Array:
-    """(η, p_sw) without dry friction, at the start's pitch."""
-    problem = with_fixed(locomotion_problem(traverses, known), PITCH, start.shared[PITCH])
+    """(η, p_sw) without dry friction, at the start's pitch and onset."""
+    problem = with_fixed(locomotion_problem(traverses, known), ONSET, start.shared[ONSET])
+    problem = with_fixed(problem, PITCH, start.shared[PITCH])
     frictionless = with_fixed(with_fixed(problem, 3, 0.0), 2, 0.0)
     return solve(frictionless, start.shared[:2], start.own).shared
 

@@ -32,7 +32,11 @@ FIRST_GROOVE = 2  # row of the groove in which a module starts
 
 
 class Worm(NamedTuple):
-    """Parameters in SI units; ``direction`` is that of the fins, ±1, ``rear_dry`` and ``front_dry`` are in N."""
+    """Parameters in SI units; ``direction`` is that of the fins, ±1, ``rear_dry`` and ``front_dry`` are in N.
+
+    ``onset`` is how ΔL sets in with a rate at once: 0 if the modules share it by their masses, so that the centre of
+    mass stays at rest, 1 if the rear module is at rest after it too, as the paper's initial values have it.
+    """
 
     direction: float
     rear_mass: float
@@ -46,6 +50,7 @@ class Worm(NamedTuple):
     clearance: float
     rear_dry: float
     front_dry: float
+    onset: float = 0.0
 
 
 @inlined
@@ -238,7 +243,8 @@ def slide(
     """
     mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
     lattice = worm.pitch * math.ceil(worm.initial_length / worm.pitch - 0.5 - 1e-12)
-    state, total = _State(mu * length_changes[0], 0.0, 0, 0), 0
+    onset_rate = worm.onset * mu * (length_changes[1] - length_changes[0]) / step
+    state, total = _State(mu * length_changes[0], onset_rate, 0, 0), 0
     samples[0, X1], samples[0, V1], samples[0, HOLDING_FORCE] = 0.0, 0.0, 0.0
     for at in range(1, length_changes.size):
         start, end = length_changes[at - 1], length_changes[at]

@@ -116,9 +116,32 @@ def test_a_pitch_that_was_read_off_wrongly_is_put_right(off):
     assert solution.shared[4] == pytest.approx(TRUTH.pitch, abs=1e-5)
 
 
+def test_runs_that_never_pass_a_groove_tell_friction_but_no_threshold():
+    gaits = [Gait(0.03, 0.15), Gait(0.03, 0.25)]
+    runs = []
+    for seed, gait in enumerate(gaits):
+        run = exact_run(gait, TRUTH, Instruments(camera_noise=1e-4), seed, 3.0 / gait.frequency)
+        recording = recording_of(run, f"run_{seed}")
+        runs.append(traverse_of(recording, measured_length(recording), TRUTH.pitch))
+    result = locomotion_stage.identify_locomotion(runs, KNOWN)
+    assert result.viscous_friction.low < TRUTH.viscous_friction < result.viscous_friction.high
+    assert not result.switching_threshold.identifiable
+
+
+@pytest.mark.parametrize("onset", [0.0, 1.0])
+def test_how_the_body_sets_in_is_found(onset):
+    alike = np.zeros((10, 2))
+    runs = rough_traverses((0.1, 0.1), alike, alike, onset)
+    start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
+    own = np.array([[run.length.initial_length] for run in runs])
+    solution = solve(locomotion_problem(runs, KNOWN), start, own)
+    assert solution.shared[5] == pytest.approx(onset, abs=0.25)
+    assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
+
+
 def test_a_pitch_that_is_given_as_exact_stays():
     runs = traverses(camera_noise=1e-4)
-    start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch])
+    start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
     own = np.array([[run.length.initial_length] for run in runs])
     solution = solve(locomotion_problem(runs, Known(TRUTH, 0.0)), start, own)
     assert solution.shared[4] == pytest.approx(TRUTH.pitch, abs=1e-7)
@@ -128,7 +151,7 @@ def test_the_scales_error_does_not_show_in_friction():
     """So masses need not be nuisances: a gram moves η by less than a thousandth."""
     runs = traverses(camera_noise=1e-4)
     own = np.array([[run.length.initial_length] for run in runs])
-    start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch])
+    start = np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5])
     heavier = TRUTH.replace(rear_mass=TRUTH.rear_mass + 1e-3, front_mass=TRUTH.front_mass - 1e-3)
     plain, moved = (
         solve(locomotion_problem(runs, Known(p, PITCH_DEVIATION)), start, own).shared
@@ -181,7 +204,7 @@ def test_a_fit_that_never_settles_is_refused(monkeypatch):
     runs = traverses(camera_noise=1e-4)
     solution = locomotion_stage.solve(
         locomotion_problem(runs, KNOWN),
-        np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch]),
+        np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]),
         np.array([[run.length.initial_length] for run in runs]),
     )
     fit = fit_grooves(runs, KNOWN, solution)
@@ -201,12 +224,14 @@ def test_what_no_worm_does_is_refused():
         find_locomotion(wrong, KNOWN, landscape)
 
 
-def rough_traverses(dry, rear_grooves, front_grooves):
+def rough_traverses(dry, rear_grooves, front_grooves, onset=0.0):
     """The runs of a worm with dry friction in grooves that differ, by the identification's own model."""
     random = np.random.default_rng(8)
     found = []
     for run in traverses(camera_noise=1e-4):
-        worm = with_values(worm_of(TRUTH, 1), np.array([95.0, 0.0171, *dry, TRUTH.pitch]), 0.2952)
+        worm = with_values(
+            worm_of(TRUTH, 1), np.array([95.0, 0.0171, *dry, TRUTH.pitch, onset]), 0.2952
+        )
         samples = slide(run, worm, rear_grooves, front_grooves)
         x1 = np.interp(run.time, run.length.time, samples[:, dry_friction.X1])
         found.append(replace(run, x1=x1 + random.normal(0.0, 1e-4, x1.size), noise=1e-4))
@@ -218,7 +243,7 @@ def test_dry_friction_is_not_booked_as_viscous():
     runs = rough_traverses((0.4, 0.2), alike, alike)
     problem = locomotion_problem(runs, KNOWN)
     own = np.array([[run.length.initial_length] for run in runs])
-    solution = solve(problem, np.array([80.0, 0.0172, 0.05, 0.05, TRUTH.pitch]), own)
+    solution = solve(problem, np.array([80.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]), own)
     assert solution.shared[0] == pytest.approx(95.0, rel=0.02)
     assert solution.shared[2:4] == pytest.approx([0.4, 0.2], abs=0.05)
 
@@ -232,7 +257,7 @@ def test_grooves_that_differ_are_told_apart():
     runs = rough_traverses((0.2, 0.2), rear, front)
     problem = locomotion_problem(runs, KNOWN)
     own = np.array([[run.length.initial_length] for run in runs])
-    flat = solve(problem, np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch]), own)
+    flat = solve(problem, np.array([90.0, 0.0172, 0.05, 0.05, TRUTH.pitch, 0.5]), own)
     fit = fit_grooves(runs, KNOWN, flat)
     assert fit.solution.cost < 0.8 * flat.cost
     assert 1e-4 < fit.scatter.threshold < 4e-4
