@@ -93,6 +93,23 @@ def invalid_power(run: Run) -> Run:
     return replace(run, power=replace(run.power, status=status))
 
 
+def unseen(run: Run, start: float, end: float) -> Run:
+    """No tracker between two times, s after the onset."""
+    time = (run.tracker.stamp - ONSET) * 1e-9
+    return replace(run, tracker=without(run.tracker, (time > start) & (time < end)))
+
+
+def after_another(run: Run) -> Run:
+    """The driver told of another run before this one."""
+    rows = {}
+    for name, values in vars(run.gait_state).items():
+        before = (
+            values[:2] - 20 * 10**9 * (values[:2] > 0) if name in ("stamp", "onset") else values[:2]
+        )
+        rows[name] = np.concatenate([before, values])
+    return replace(run, gait_state=replace(run.gait_state, **rows))
+
+
 VARIANTS: dict[str, Callable[[], Run]] = {
     "as it is": lambda: RUN,
     "no measured length at all": lambda: replace(RUN, measured=LengthSamples()),
@@ -103,6 +120,10 @@ VARIANTS: dict[str, Callable[[], Run]] = {
     "a gap at the end": lambda: blind(RUN, 7.0, 99.0),
     "duplicates": lambda: doubled(RUN),
     "a missed groove": lambda: shifted(RUN, -PAPER.pitch, 3.2),
+    "a missed groove in the last cycle": lambda: shifted(RUN, -PAPER.pitch, 6.0),
+    "a missed groove while the tracker is away": lambda: unseen(
+        shifted(RUN, -PAPER.pitch, 3.2), 2.8, 4.0
+    ),
     "an extra groove": lambda: shifted(RUN, PAPER.pitch, 1.0),
     "a slip of no whole groove": lambda: shifted(RUN, 0.4 * PAPER.pitch, 1.0),
     "no power": lambda: replace(RUN, power=PowerSamples()),
@@ -137,6 +158,9 @@ IRREGULAR: dict[str, Callable[[], Run]] = {
     "heard of late": lambda: told(RUN, 200_000_000),
     "a tracker that jumps": lambda: shifted(RUN, 0.2, 3.0),
     "a tracker that was not there": lambda: replace(RUN, tracker=TrackerSamples()),
+    "a tracker that is away for long": lambda: unseen(RUN, 3.0, 5.2),
+    "a tracker that goes away": lambda: unseen(RUN, 5.0, 99.0),
+    "a second run": lambda: after_another(RUN),
     "no command": lambda: replace(RUN, commanded=LengthSamples()),
     "neither command nor length for long": lambda: replace(
         blind(RUN, 2.0, 5.0),
