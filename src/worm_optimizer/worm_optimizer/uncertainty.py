@@ -63,6 +63,12 @@ def _reach(content: ParameterFile, key: str, width: float) -> tuple[float, float
 
 def told(content: ParameterFile) -> str:
     """Where the uncertainty of a parameter file comes from, in words."""
+    reach = max(_reach(content, "initial_length", 0.0))
+    phase = f"; φ known to ±{1e3 * reach:.2f} mm in the next run" if reach > 0.0 else ""
+    return _told_of_parameters(content) + phase
+
+
+def _told_of_parameters(content: ParameterFile) -> str:
     own = [key for key in DEFAULT_HALF_WIDTHS if key in content.intervals]
     if len(own) == len(DEFAULT_HALF_WIDTHS):
         return "the parameter file's 95 % intervals"

@@ -72,6 +72,8 @@ def test_what_is_assumed_is_told_apart_from_what_the_file_says():
     assert "slack ±" not in mixed
     everything = {key: (0.9 * PAPER.as_dict()[key], 1.1) for key in DEFAULT_HALF_WIDTHS}
     assert told(ParameterFile(intervals=everything)) == "the parameter file's 95 % intervals"
+    phase = told(ParameterFile(intervals=everything, run_to_run={"initial_length": 4e-4}))
+    assert phase == "the parameter file's 95 % intervals; φ known to ±0.78 mm in the next run"
 
 
 def test_the_known_phase_is_held_whatever_the_pitch():
