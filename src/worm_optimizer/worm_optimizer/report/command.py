@@ -17,7 +17,8 @@ from worm_optimizer.report.build import Report, build_report
 from worm_optimizer.report.choice import bags_of, newest_recording
 from worm_optimizer.report.identification import add_identification, identification_of
 from worm_optimizer.report.optimisation import Optimisation, optimise, why_no_front
-from worm_optimizer.report.recorded import RecordedGait, named_apart, read_recorded_gaits
+from worm_optimizer.report.reading import read_recorded_gaits
+from worm_optimizer.report.recorded import RecordedGait
 from worm_optimizer.report.text import describe
 from worm_optimizer.report.verdict import agreements, orders, title_of
 
@@ -80,10 +81,8 @@ def _beside(path: Path) -> Path:
 
 
 def read_gaits(bags: Sequence[Path], parameters: str) -> list[RecordedGait]:
-    """All gaits of some bags, named apart; as `read_recorded_gaits`."""
-    return named_apart(
-        [gait for bag in bags for gait in read_recorded_gaits(bag, parameters, notify)]
-    )
+    """All gaits of some bags; as `read_recorded_gaits`, which says on standard error what it has to say."""
+    return read_recorded_gaits(bags, parameters, notify)
 
 
 def _optimised(gaits: Sequence[RecordedGait]) -> Optimisation:

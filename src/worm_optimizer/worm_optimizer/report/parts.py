@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording of several gaits, one after the other, cut into runs of one gait each."""
+"""Recordings of gaits that were played one after the other: cut into a run a gait, or joined into one run."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from worm_model.run import RUNNING, GaitStates, Run
+from worm_model.twin.replay import Replay, Series
 
 _RESTING = 2  # GaitState.RESTING
 _SAME_ONSET_NS = 100_000_000  # the driver tells the onset anew with each cycle
 _REST_NS = 3_000_000_000  # before a gait whose rest was not announced
+_JOINTS = "joint_states"
 _SERIES = tuple(field.name for field in fields(Run) if field.name != "origin")
 
 
@@ -41,6 +46,54 @@ def parts_of(run: Run) -> list[Part]:
     return [Part(_cut(run, *span) if bounds else run, *span) for span in spans]
 
 
+def last_stamp(run: Run) -> int:
+    """The greatest stamp (ns since the epoch) of a run, its origin if it has no samples."""
+    stamps = [getattr(run, name).stamp for name in _SERIES]
+    return int(max((stamp.max() for stamp in stamps if stamp.size), default=run.origin))
+
+
+def joined(runs: Sequence[Run]) -> Run:
+    """Runs by rising time as one, without joint states; where two overlap, the samples of the first count."""
+    if len(runs) == 1:
+        return runs[0]
+    whole = {}
+    for name in _SERIES:
+        if name == _JOINTS:
+            continue
+        kept, last = [], np.iinfo(np.int64).min
+        for series in (getattr(run, name) for run in runs):
+            kept.append(_rows(series, series.stamp > last))
+            last = max(last, int(series.stamp.max(initial=last)))
+        columns = {
+            field.name: np.concatenate([getattr(part, field.name) for part in kept])
+            for field in fields(kept[0])
+        }
+        whole[name] = type(kept[0])(**columns)
+    return Run(origin=runs[0].origin, **whole)
+
+
+def cut_replay(replay: Replay, part: Part) -> Replay:
+    """What the twin said of a part, from its first sample to its last."""
+    start, end = part.run.origin, last_stamp(part.run)
+
+    def cut(series: Series) -> Series:
+        rows = (series["stamp_ns"] >= start) & (series["stamp_ns"] <= end)
+        return {name: column[rows] for name, column in series.items()}
+
+    stamps = replay.residuals["stamp_ns"].tolist()
+    return Replay(
+        states=cut(replay.states),
+        residuals=cut(replay.residuals),
+        messages=tuple(
+            text
+            for stamp, text in zip(stamps, replay.messages, strict=True)
+            if start <= stamp <= end
+        ),
+        lengths=cut(replay.lengths),
+        notices=tuple(notice for notice in replay.notices if start <= notice.stamp_ns <= end),
+    )
+
+
 def _onsets(states: GaitStates) -> list[int]:
     """Onset (ns) of each gait that was played."""
     told = np.unique(states.onset[(states.state == RUNNING) & (states.onset > 0)])
@@ -60,12 +113,13 @@ def _cut(run: Run, start: int, end: int) -> Run:
     cut, stamps = {}, []
     for name in _SERIES:
         series = getattr(run, name)
-        rows = (series.stamp >= start) & (series.stamp < end)
-        arrays = {
-            field.name: getattr(series, field.name)[rows]
-            for field in fields(series)
-            if isinstance(getattr(series, field.name), np.ndarray)
-        }
-        cut[name] = replace(series, **arrays)
-        stamps += arrays["stamp"][:1].tolist()
+        cut[name] = _rows(series, (series.stamp >= start) & (series.stamp < end))
+        stamps += cut[name].stamp[:1].tolist()
     return Run(origin=min(stamps, default=run.origin), **cut)
+
+
+def _rows(series: Any, rows: NDArray[np.bool_]) -> Any:
+    """Some samples of a series."""
+    columns = {field.name: getattr(series, field.name) for field in fields(series)}
+    arrays = {name: col[rows] for name, col in columns.items() if isinstance(col, np.ndarray)}
+    return replace(series, **arrays)

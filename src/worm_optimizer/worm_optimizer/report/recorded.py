@@ -3,31 +3,22 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
-import yaml
 
-from worm_model.bags.bag import Bag
-from worm_model.bags.opening import open_bag
-from worm_model.bags.run_reader import read_run
 from worm_model.command_line import InputError
 from worm_model.gait import Gait, GaitError
 from worm_model.parameters import (
-    ParameterError,
     ParameterFile,
-    load_parameter_file,
-    parse_parameter_file,
 )
 from worm_model.replay_metrics import ReplayReport, report_replay
 from worm_model.run import RUNNING, GaitStates, Run
 from worm_model.simulator import cost_of_transport
-from worm_model.twin.replay import Replay, replay_run
+from worm_model.twin.replay import Replay
 from worm_optimizer.bringup.figures import (
     AVERAGED_CYCLES,
     Array,
@@ -37,9 +28,9 @@ from worm_optimizer.bringup.figures import (
     accumulate,
     mean_rate,
 )
-from worm_optimizer.report.events import Event, events_of
+from worm_optimizer.report.events import Event
 from worm_optimizer.report.expectation import Band, Bands, Expectation, expect
-from worm_optimizer.report.parts import Part, parts_of
+from worm_optimizer.report.parts import Part
 
 _ATTACHED = "parameters.yaml"  # the recorder's name for the run's parameter file
 _MANIFEST = "worm_run"
@@ -85,50 +76,21 @@ class RecordedGait:
         return start + 1, end
 
 
-def read_recorded_gaits(
-    path: Path, parameters: str, notify: Callable[[str], None]
-) -> list[RecordedGait]:
-    """Reads a bag, lets the twin follow each of its gaits from rest, and predicts them.
-
-    ``parameters`` is a parameter file; empty: the one inside the bag, else the paper's. Raises BagError,
-    ParameterError, or InputError if the bag holds no gait.
-    """
-    name = path.stem if path.is_file() else path.resolve().name
-    with open_bag(path, notify) as bag:
-        parts = parts_of(read_run(bag))
-        parameters_used = _parameters_of(bag, parameters)
-        provenance = _provenance(bag, path, parameters_used[1])
-        if len(parts) == 1:
-            return [_recorded_gait(bag, parts[0], name, parameters_used, provenance)]
-        notify(f"{path} holds {len(parts)} gaits, each is reported")
-        return [
-            _recorded_gait(bag, part, f"{name}_{number}", parameters_used, provenance)
-            for number, part in enumerate(parts, 1)
-        ]
-
-
-def named_apart(gaits: Sequence[RecordedGait]) -> list[RecordedGait]:
-    """The same gaits, those of one name numbered."""
-    names = [gait.name for gait in gaits]
-    return [
-        replace(gait, name=f"{gait.name} ({names[: row + 1].count(gait.name)})")
-        if names.count(gait.name) > 1
-        else gait
-        for row, gait in enumerate(gaits)
-    ]
-
-
-def _recorded_gait(
-    bag: Bag,
+def recorded_gait(
     part: Part,
     name: str,
+    replay: Replay,
     parameters: tuple[ParameterFile, str],
+    events: tuple[Event, ...],
     provenance: dict[str, str],
 ) -> RecordedGait:
+    """Judges one gait by its part of a recording and of the twin's replay, and predicts it.
+
+    ``parameters`` are the file's content and where it comes from. Raises InputError if the part holds no gait.
+    """
     run = part.run
     content, source = parameters
-    gait, onset, cycles = _last_gait(run.gait_state, bag.path)
-    replay = replay_run(run, content.parameters)
+    gait, onset, cycles = _last_gait(run.gait_state, name)
     window = _averaged_window(run, gait, onset, cycles)
     missing: list[str] = []
     mass = content.parameters.mass
@@ -150,33 +112,18 @@ def _recorded_gait(
         measured=_bands(tracked, energy, gait, window, mass, missing),
         twin=_bands(followed, (states["stamp_ns"], states["energy"]), gait, window, mass, []),
         expected=expect(gait, content),
-        events=events_of(bag, part, replay),
+        events=events,
         missing=tuple(missing),
         provenance=provenance,
     )
 
 
-def _parameters_of(bag: Bag, given: str) -> tuple[ParameterFile, str]:
-    if given:
-        return load_parameter_file(given), given
-    for attached in bag.attachments():
-        if attached.name == _ATTACHED:
-            try:
-                content = parse_parameter_file(yaml.safe_load(attached.data))
-            except (ParameterError, yaml.YAMLError) as error:
-                raise InputError(
-                    f"{bag.path}: its parameter file cannot be used ({error}); give --parameters"
-                ) from None
-            return content, "the parameter file inside the recording"
-    return ParameterFile(), _PAPER
-
-
-def _last_gait(states: GaitStates, path: Path) -> tuple[Gait, int, int]:
+def _last_gait(states: GaitStates, name: str) -> tuple[Gait, int, int]:
     """The last gait that was played, its onset (ns) and its cycles."""
     rows = np.flatnonzero((states.state == RUNNING) & (states.onset > 0))
     if not rows.size:
         raise InputError(
-            f"{path}: holds no gait that was run; record one with the topic gait_state"
+            f"{name}: holds no gait that was run; record one with the topic gait_state"
         )
     row = int(rows[-1])
     try:
@@ -187,7 +134,7 @@ def _last_gait(states: GaitStates, path: Path) -> tuple[Gait, int, int]:
             float(states.margin[row]),
         )
     except GaitError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{name}: {error}") from None
     return gait, int(states.onset[row]), int(states.cycles[row])
 
 
@@ -250,19 +197,3 @@ def _rates(
             if str(error) not in missing:
                 missing.append(str(error))
             yield math.nan
-
-
-def _provenance(bag: Bag, path: Path, source: str) -> dict[str, str]:
-    """What the recording says of itself, its files' hashes, and what it was compared with."""
-    files = [path] if path.is_file() else sorted(f for f in path.iterdir() if f.is_file())
-    hashes = {f"sha256 of {file.name}": _sha256(file) for file in files}
-    manifest = {key: value for key, value in bag.metadata.get(_MANIFEST, {}).items() if value}
-    return {"recording": str(path), **hashes, "compared with": source, **manifest}
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while chunk := file.read(_CHUNK):
-            digest.update(chunk)
-    return digest.hexdigest()

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two gaits in one session of the virtual robot's plant: the second begins with fins that the first has bent."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+from recorded_run import EPOCH, GAIT, IDLE, INITIAL_LENGTH, RESTING, RUNNING
+
+from worm_driver.virtual_robot.plant import BodyParameters, Plant, PlantEffects, make_grooves
+from worm_model.gait import FORWARD
+from worm_model.parameters import PAPER
+from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+
+STEP_S, REST_S, PAUSE_S = 1e-3, 2.0, 6.0
+POWER_W = 1.5  # whatever it does: this robot's sensor is a dummy
+
+
+def recorded_session(cycles: tuple[int, int] = (4, 5)) -> tuple[Run, Run]:
+    """Two recordings of `GAIT`, cut in the rest between; positions go on from the first to the second."""
+    first, again = 0.0, cycles[0] * GAIT.period + PAUSE_S
+    end = again + cycles[1] * GAIT.period + 0.3
+    time = np.arange(round(-REST_S / STEP_S), round(end / STEP_S)) * STEP_S
+    phase = np.zeros_like(time)
+    for onset, count in ((first, cycles[0]), (again, cycles[1])):
+        running = (time >= onset) & (time < onset + count * GAIT.period)
+        phase[running] = 2.0 * np.pi * GAIT.frequency * (time[running] - onset)
+    command = -0.5 * GAIT.stroke * (1.0 - np.cos(phase))
+    positions = _positions(command)
+    cut = again - 0.5 * PAUSE_S
+    return (
+        _run(time, command, positions, (-REST_S, cut), (first, cycles[0])),
+        _run(time, command, positions, (cut, end), (again, cycles[1])),
+    )
+
+
+def _positions(command: np.ndarray) -> np.ndarray:
+    """x1 and x2 (n, 2) m of a robot with the paper's parameters and alike grooves."""
+    body = BodyParameters(**{f.name: getattr(PAPER, f.name) for f in dataclasses.fields(PAPER)})
+    effects = PlantEffects(0.0, 0.0, 0.0, 1e-4, 0.5)
+    grooves = make_grooves(body, effects, 0)
+    plant = Plant(body, effects, grooves, grooves, STEP_S)
+    states = itertools.accumulate(
+        command.tolist(),
+        lambda state, u: plant.step(state, u, (FORWARD, FORWARD)),
+        initial=plant.at_rest(),
+    )
+    return np.array([plant.positions(state) for state in itertools.islice(states, 1, None)])
+
+
+def _run(
+    time: np.ndarray,
+    command: np.ndarray,
+    positions: np.ndarray,
+    span: tuple[float, float],
+    played: tuple[float, int],
+) -> Run:
+    inside = np.flatnonzero((time >= span[0]) & (time < span[1]))
+    fast, slow = inside[::20], inside[::33]
+    stamp = EPOCH + np.rint(time * 1e9).astype(np.int64)
+    x1, x2 = positions[slow].T
+    onset, cycles = played
+    begins = EPOCH + round(onset * 1e9)
+    power = np.full(fast.size, POWER_W)
+    return Run(
+        origin=int(stamp[inside[0]]),
+        commanded=LengthSamples(stamp[fast], INITIAL_LENGTH + command[fast], command[fast]),
+        measured=LengthSamples(stamp[slow], x2 - x1, x2 - x1 - INITIAL_LENGTH),
+        tracker=TrackerSamples(stamp[slow], x1, x2),
+        power=PowerSamples(
+            stamp[fast], np.zeros(fast.size, np.int64), 12.0 + 0 * power, power / 12.0, power
+        ),
+        gait_state=GaitStates(
+            stamp=begins + np.array([-1_500_000_000, 0, round(cycles * GAIT.period * 1e9)]),
+            state=np.array([RESTING, RUNNING, IDLE]),
+            stroke=np.full(3, GAIT.stroke),
+            frequency=np.full(3, GAIT.frequency),
+            direction=np.full(3, GAIT.direction),
+            margin=np.full(3, GAIT.margin),
+            onset=np.array([0, begins, begins]),
+            cycle=np.array([0, 1, cycles]),
+            cycles=np.full(3, cycles),
+        ),
+    )
