@@ -104,10 +104,16 @@ class OperatorNode(Node):
     def refuse_strangers(self, names: Iterable[str]) -> None:
         """Raise `OperatorError` if the namespace has other nodes than these: another worm runs.
 
-        A process that was killed is announced for a while after its end, and is waited for.
+        A node beside one of these carries its name and a purpose (driver_stop) and is no stranger. A process
+        that was killed is announced for a while after its end, and is waited for.
         """
         expected = sorted({*names, self.get_name()})
-        if not self._wait(lambda: sorted(self._names()) == expected, LEASE_S):
+        beside = tuple(f"{name}_" for name in expected)
+
+        def found() -> list[str]:
+            return sorted(n for n in self._names() if n in expected or not n.startswith(beside))
+
+        if not self._wait(lambda: found() == expected, LEASE_S):
             raise self._another_worm(sorted(self._names()))
 
     def _another_worm(self, found: list[str]) -> OperatorError:
