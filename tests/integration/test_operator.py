@@ -86,3 +86,17 @@ def test_a_transition_is_not_asked_for_twice(node, services):
     with pytest.raises(OperatorError, match="no answer from driver/change_state"):
         node.deactivate("driver")
     assert made["driver/change_state"][0].calls == 1
+
+
+@pytest.mark.parametrize("others", [["driver"], ["driver", "driver_stop"]])
+def test_a_node_beside_one_of_ours_is_no_stranger(node, monkeypatch, others):
+    monkeypatch.setattr(node, "_names", lambda: [node.get_name(), *others])
+    node.refuse_strangers(["driver"])
+
+
+@pytest.mark.parametrize("others", [["driver", "twin"], ["driver", "driver"], ["driver_stop"]])
+def test_nodes_of_another_worm_are_strangers(node, monkeypatch, others):
+    monkeypatch.setattr(operator_node, "LEASE_S", 0.1)
+    monkeypatch.setattr(node, "_names", lambda: [node.get_name(), *others])
+    with pytest.raises(OperatorError, match="another worm runs"):
+        node.refuse_strangers(["driver"])
