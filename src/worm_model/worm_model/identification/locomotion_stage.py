@@ -72,12 +72,12 @@ class FinKnowledge:
 class LocomotionResult:
     """``viscous_friction`` N·s/m, ``switching_threshold`` m and ``pitch`` m with intervals; the rest are diagnostics.
 
-    ``dry_friction`` (rear, front) N with ``dry_deviation`` their standard deviations; ``initial_length`` (runs,) m;
-    ``residuals`` of each run in m; ``inflation`` of the variance for what is not white in them; ``correlation`` of
-    (η, p_sw, rear, front dry friction, pitch, onset); ``variants``: fits under a fin test that is one standard
-    deviation off, one a direction of its covariance; ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``:
-    (η, p_sw) that minimise J_loc as it is printed, without dry friction and with grooves that are alike, at the
-    pitch that the fit found.
+    ``dry_friction`` (rear, front) N with ``dry_deviation`` their standard deviations; ``onset`` as in
+    `worm_model.kernel.dry_friction.Worm`; ``initial_length`` (runs,) m; ``residuals`` of each run in m; ``inflation``
+    of the variance for what is not white in them; ``correlation`` of (η, p_sw, rear, front dry friction, pitch,
+    onset); ``variants``: fits under a fin test that is one standard deviation off, one a direction of its covariance;
+    ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``: (η, p_sw) that minimise J_loc as it is
+    printed, without dry friction and with grooves that are alike, at the pitch and the onset that the fit found.
     """
 
     viscous_friction: Estimate
@@ -85,6 +85,7 @@ class LocomotionResult:
     pitch: Estimate
     dry_friction: tuple[float, float]
     dry_deviation: tuple[float, float]
+    onset: float
     initial_length: Array
     residuals: tuple[Array, ...]
     inflation: float
@@ -149,6 +150,7 @@ def identify_locomotion(
         pitch=if_told(pitch),
         dry_friction=(float(fit.means[2]), float(fit.means[3])),
         dry_deviation=(float(deviation[2]), float(deviation[3])),
+        onset=float(fit.means[ONSET]),
         initial_length=fit.solution.own[:, 0],
         residuals=tuple(
             r * t.noise for r, t in zip(fit.solution.residuals, traverses, strict=True)

@@ -13,7 +13,6 @@ from worm_model.identification.actuation_stage import ActuationResult, identify_
 from worm_model.identification.bellows import BellowsFit, fit_bellows
 from worm_model.identification.energy import PowerRun, power_run
 from worm_model.identification.energy_stage import EnergyResult, identify_energy
-from worm_model.identification.errors import IdentificationError
 from worm_model.identification.estimate import Estimate, not_told, quantile
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.forces import Forces, forces_of
@@ -29,7 +28,7 @@ from worm_model.identification.locomotion_stage import (
 )
 from worm_model.identification.prediction import Errors
 from worm_model.identification.recording import Recording
-from worm_model.identification.runs import Run, initial_length, prepared, prepared_validation
+from worm_model.identification.runs import Run, fitted_runs, initial_length, prepared_validation
 from worm_model.parameters import KEYS, Parameters
 
 Array = NDArray[np.float64]
@@ -101,9 +100,10 @@ def identify(
     bellows = fit_bellows(inputs.bellows.x, inputs.bellows.y) if inputs.bellows else None
     fin = fit_fin(inputs.fin.x, inputs.fin.y, fin_engages) if inputs.fin else None
     estimates |= _bench_estimates(bellows, fin)
-    runs, warnings = prepared(inputs.recordings, given.parameters.pitch)
+    runs, warnings = fitted_runs(inputs.recordings, given.parameters.pitch)
     checked, seen = prepared_validation(validation, inputs.recordings, given.parameters.pitch)
     estimates["initial_length"] = initial_length(runs)
+    estimates["idle_power"] = idle_power([run.idle for run in runs])
     pitch_deviation = estimates["pitch"].spread / quantile(np.inf)
     known = Known(_with_values(given.parameters, estimates), pitch_deviation)
     locomotion = identify_locomotion(
@@ -117,7 +117,6 @@ def identify(
     actuation = identify_actuation([run.recording for run in runs], random)
     estimates["slack"], estimates["gain"] = actuation.slack, actuation.gain
     estimates["time_constant"] = actuation.time_constant
-    estimates["idle_power"] = idle_power([run.idle for run in runs])
     progress("energy", 0.0)
     energy, power_runs = _energy(runs, known.parameters, estimates, locomotion, given, random)
     estimates["bellows_damping"] = energy.bellows_damping
@@ -160,10 +159,6 @@ def _energy(
 ) -> tuple[EnergyResult, list[PowerRun]]:
     """Stage 7, on the forces that stage 4 left, of the runs whose power was seen."""
     powered = [index for index, run in enumerate(runs) if run.powered]
-    if not powered:
-        raise IdentificationError(
-            "no run has power samples over its five ridges: let the power sensor log until the run ends"
-        )
     stiffness = estimates["bellows_stiffness"]
     forces = forces_of([run.traverse for run in runs], parameters, locomotion, stiffness, given).of(
         powered

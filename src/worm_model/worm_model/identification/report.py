@@ -170,8 +170,10 @@ def nuisance_text(result: Identification) -> str:
         f"Dry friction: rear module {rear}, front module {front}; without it, as J_loc is printed, "
         f"η = {locomotion.as_printed[0]:.1f} N·s/m and p_sw = {locomotion.as_printed[1] * 1e3:.2f} mm. "
         f"Grooves differ by {scatter.threshold * 1e3:.3f} mm "
-        f"in threshold and {scatter.stiffness * 100:.1f} % in stiffness (standard deviations). Residuals of x1 weigh "
-        f"{locomotion.inflation:.2f} times white noise of the camera.\n\n"
+        f"in threshold and {scatter.stiffness * 100:.1f} % in stiffness (standard deviations). When the slack is taken "
+        f"up, the rear module has {1.0 - locomotion.onset:.2f} of its share of the body's first rate (1: the centre of "
+        "mass rests, as of a robot at rest; 0: the rear module rests, as the paper's initial values have it). "
+        f"Residuals of x1 weigh {locomotion.inflation:.2f} times white noise of the camera.\n\n"
     )
     lines = [
         "| run | L0 (mm) | P_idle (W) | camera behind servo (ms) | power behind camera (ms) | five ridges |",

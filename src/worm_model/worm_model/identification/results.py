@@ -104,6 +104,7 @@ def nuisances(result: Identification) -> dict[str, Any]:
         "without_dry_friction": dict(
             zip(("viscous_friction", "switching_threshold"), locomotion.as_printed, strict=True)
         ),
+        "onset": locomotion.onset,
         "threshold_scatter": locomotion.fit.scatter.threshold,
         "stiffness_scatter": locomotion.fit.scatter.stiffness,
         "initial_length": {

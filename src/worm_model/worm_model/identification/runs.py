@@ -58,6 +58,19 @@ def prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], 
     return runs, warnings
 
 
+def fitted_runs(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], list[str]]:
+    """`prepared` runs from which all parameters can be fitted.
+
+    Raises `IdentificationError` if none can be used, or none has power over its five ridges.
+    """
+    runs, warnings = prepared(recordings, pitch)
+    if not any(run.powered for run in runs):
+        raise IdentificationError(
+            "no run has power samples over its five ridges: let the power sensor log until the run ends"
+        )
+    return runs, warnings
+
+
 def prepared_validation(
     recordings: Sequence[Recording], fitted: Sequence[Recording], pitch: float
 ) -> tuple[list[Run], list[str]]:
