@@ -12,13 +12,13 @@ from dataclasses import replace
 
 import serial
 
+from worm_driver.dynamixel.servo_bus import BusPort, ServoBus
 from worm_driver.errors import BusError
-from worm_driver.gait import Gait
-from worm_driver.gait_player import Phase
-from worm_driver.i2c import I2CDevice
-from worm_driver.ina219 import INA219, PowerSample, SampleStatus, calibration_for
+from worm_driver.gaits.gait import Gait
+from worm_driver.gaits.gait_player import Phase
+from worm_driver.power.i2c import I2CDevice
+from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
 from worm_driver.robot import Robot
-from worm_driver.servo_bus import BusPort, ServoBus
 from worm_driver.settings import DriverSettings
 from worm_driver.telemetry import Snapshot
 from worm_driver.transmission import Fin, Spool

@@ -16,10 +16,10 @@ from types import FrameType
 
 from worm_driver import servos
 from worm_driver.calibration import Reading, parameter_text, spool_from
-from worm_driver.encoding import from_raw, to_raw
+from worm_driver.dynamixel.encoding import from_raw, to_raw
+from worm_driver.dynamixel.registers import MODELS, POSITION_MODE, TICKS_PER_TURN
+from worm_driver.dynamixel.servo_bus import ServoBus
 from worm_driver.errors import BusError, ConfigurationError, DriverError
-from worm_driver.registers import MODELS, POSITION_MODE, TICKS_PER_TURN
-from worm_driver.servo_bus import ServoBus
 from worm_driver.servos import Servo
 from worm_driver.supervision import Limits
 from worm_driver.transmission import Fin, Spool

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import yaml
 
+from worm_driver.dynamixel.registers import TICKS_PER_TURN
 from worm_driver.errors import ConfigurationError
-from worm_driver.registers import TICKS_PER_TURN
 from worm_driver.transmission import Fin, Spool
 
 #: m, by which ruler readings may scatter about a straight line

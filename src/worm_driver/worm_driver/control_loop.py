@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from worm_driver.errors import DriverError, LimitError, PowerSensorError
-from worm_driver.ina219 import INA219, PowerSample, SampleStatus
+from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus
 from worm_driver.robot import Robot
 from worm_driver.telemetry import Snapshot
 from worm_driver.timing import DeadlineGrid, PeriodMeter, TimingReport

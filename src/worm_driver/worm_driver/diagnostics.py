@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from worm_driver.bus_types import BusCounters
-from worm_driver.gait_player import Phase, PlayerState
-from worm_driver.ina219 import SampleStatus
+from worm_driver.dynamixel.bus_types import BusCounters
+from worm_driver.gaits.gait_player import Phase, PlayerState
+from worm_driver.power.ina219 import SampleStatus
 from worm_driver.servos import Servo
 from worm_driver.telemetry import SILENT, ServoState
 from worm_driver.timing import TimingReport

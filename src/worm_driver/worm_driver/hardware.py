@@ -6,14 +6,16 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from worm_driver import diagnostics, i2c, serial_port
-from worm_driver.bus_types import BusCounters
+from worm_driver import diagnostics
 from worm_driver.control_loop import ControlLoop, PowerLoop
 from worm_driver.diagnostics import Report
+from worm_driver.dynamixel import serial_port
+from worm_driver.dynamixel.bus_types import BusCounters
+from worm_driver.dynamixel.servo_bus import ServoBus
 from worm_driver.errors import ConfigurationError, DriverError
-from worm_driver.ina219 import INA219, PowerSample, SampleStatus, calibration_for
+from worm_driver.power import i2c
+from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
 from worm_driver.robot import Robot
-from worm_driver.servo_bus import ServoBus
 from worm_driver.settings import DriverSettings, PowerSettings
 from worm_driver.telemetry import Snapshot
 

@@ -8,12 +8,13 @@ import math
 import time
 from collections.abc import Callable
 
-from worm_driver import gait_player, servos, supervision
+from worm_driver import servos, supervision
+from worm_driver.dynamixel.registers import COMMON
+from worm_driver.dynamixel.servo_bus import ServoBus
 from worm_driver.errors import BusError, ConfigurationError, HomingError, LimitError, NoReplyError
-from worm_driver.gait import Gait, GaitLimits
-from worm_driver.gait_player import Observation, Phase, PlayerState
-from worm_driver.registers import COMMON
-from worm_driver.servo_bus import ServoBus
+from worm_driver.gaits import gait_player
+from worm_driver.gaits.gait import Gait, GaitLimits
+from worm_driver.gaits.gait_player import Observation, Phase, PlayerState
 from worm_driver.servos import Servo
 from worm_driver.settings import DriverSettings
 from worm_driver.state_reader import StateReader

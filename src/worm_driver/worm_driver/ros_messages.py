@@ -11,9 +11,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from worm_driver.diagnostics import Level, Report
-from worm_driver.gait import Gait
-from worm_driver.gait_player import Phase
-from worm_driver.ina219 import PowerSample, SampleStatus
+from worm_driver.gaits.gait import Gait
+from worm_driver.gaits.gait_player import Phase
+from worm_driver.power.ina219 import PowerSample, SampleStatus
 from worm_driver.telemetry import Snapshot
 from worm_msgs.msg import BodyLength, GaitState, Power
 from worm_msgs.msg import Gait as GaitMessage

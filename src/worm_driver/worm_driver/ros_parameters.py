@@ -9,7 +9,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from worm_driver.errors import ConfigurationError
-from worm_driver.gait_player import PlayerSettings
+from worm_driver.gaits.gait_player import PlayerSettings
 from worm_driver.settings import DriverSettings, PowerSettings, load_body
 from worm_driver.supervision import Limits
 from worm_driver.transmission import Fin, Spool

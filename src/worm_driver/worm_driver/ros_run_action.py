@@ -14,11 +14,11 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from worm_driver.errors import DriverError
-from worm_driver.gait import Gait
-from worm_driver.gait_metrics import Figures, RunRecord, distance, figures
-from worm_driver.gait_player import Ending, Phase, Run
+from worm_driver.gaits.gait import Gait
+from worm_driver.gaits.gait_metrics import Figures, RunRecord, distance, figures
+from worm_driver.gaits.gait_player import Ending, Phase, Run
 from worm_driver.hardware import Hardware
-from worm_driver.ina219 import PowerSample
+from worm_driver.power.ina219 import PowerSample
 from worm_driver.ros_messages import gait_from
 from worm_driver.telemetry import Snapshot
 from worm_msgs.action import RunGait

@@ -9,9 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from worm_driver.encoding import from_raw, to_raw
-from worm_driver.errors import BusError, ConfigurationError, HomingError
-from worm_driver.registers import (
+from worm_driver.dynamixel.encoding import from_raw, to_raw
+from worm_driver.dynamixel.registers import (
     EXTENDED_POSITION_MODE,
     MODELS,
     POSITION_MODE,
@@ -19,7 +18,8 @@ from worm_driver.registers import (
     ServoModel,
     hardware_error_text,
 )
-from worm_driver.servo_bus import ServoBus
+from worm_driver.dynamixel.servo_bus import ServoBus
+from worm_driver.errors import BusError, ConfigurationError, HomingError
 from worm_driver.supervision import Limits
 
 #: ticks, homing offset the servos accept (e-manual, homing offset)

@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 
 from worm_driver.errors import ConfigurationError
-from worm_driver.gait_player import PlayerSettings
+from worm_driver.gaits.gait_player import PlayerSettings
 from worm_driver.supervision import Limits
 from worm_driver.transmission import Fin, Spool
 

@@ -3,14 +3,14 @@
 
 from collections.abc import Mapping, Sequence
 
-from worm_driver import tick_clock
-from worm_driver.bus_types import Reply, error_text
-from worm_driver.encoding import unpack_from
-from worm_driver.registers import COMMON, WATCHDOG_EXPIRED
-from worm_driver.servo_bus import ServoBus
+from worm_driver.dynamixel import tick_clock
+from worm_driver.dynamixel.bus_types import Reply, error_text
+from worm_driver.dynamixel.encoding import unpack_from
+from worm_driver.dynamixel.registers import COMMON, WATCHDOG_EXPIRED
+from worm_driver.dynamixel.servo_bus import ServoBus
+from worm_driver.dynamixel.tick_clock import TickClock
 from worm_driver.servos import Servo
 from worm_driver.telemetry import SILENT, STATE_SIZE, STATE_START, ServoState, decode
-from worm_driver.tick_clock import TickClock
 
 #: one of these registers is read per cycle beside the state, in turn: none of them lies in the state's block
 _HEALTH = tuple(COMMON[name] for name in ("torque_enable", "hardware_error_status", "bus_watchdog"))

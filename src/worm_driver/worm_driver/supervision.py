@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from worm_driver.registers import TICKS_PER_TURN, WATCHDOG_EXPIRED, hardware_error_text
+from worm_driver.dynamixel.registers import TICKS_PER_TURN, WATCHDOG_EXPIRED, hardware_error_text
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,9 @@
 import math
 from dataclasses import dataclass
 
-from worm_driver.encoding import from_raw, unpack_from
-from worm_driver.gait_player import PlayerState
-from worm_driver.registers import COMMON, ServoModel
+from worm_driver.dynamixel.encoding import from_raw, unpack_from
+from worm_driver.dynamixel.registers import COMMON, ServoModel
+from worm_driver.gaits.gait_player import PlayerState
 
 #: the block that is read in every cycle: Realtime Tick to Present Temperature, without a gap in any model
 STATE_START = COMMON["realtime_tick"].address

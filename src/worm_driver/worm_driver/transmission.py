@@ -8,8 +8,8 @@ offset so, hence the home lives in the servo and not in a file beside it.
 import math
 from dataclasses import dataclass
 
+from worm_driver.dynamixel.registers import EXTENDED_POSITION_LIMIT, TICKS_PER_TURN
 from worm_driver.errors import ConfigurationError, LimitError
-from worm_driver.registers import EXTENDED_POSITION_LIMIT, TICKS_PER_TURN
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from worm_driver.calibrate import Calibration, calibrate, main
 from worm_driver.calibration import Reading, parameter_text, spool_from
+from worm_driver.dynamixel.servo_bus import ServoBus
 from worm_driver.errors import ConfigurationError, DriverError
-from worm_driver.servo_bus import ServoBus
 from worm_driver.transmission import Fin, Spool
 from worm_driver.virtual_robot.faults import make_fault
 from worm_driver.virtual_robot.robot import VirtualRobot

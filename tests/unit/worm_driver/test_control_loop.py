@@ -9,7 +9,7 @@ import pytest
 
 from worm_driver.control_loop import ControlLoop, PeriodicThread, PowerLoop
 from worm_driver.errors import DriverError, LimitError, PowerSensorError
-from worm_driver.ina219 import PowerSample, SampleStatus
+from worm_driver.power.ina219 import PowerSample, SampleStatus
 
 PATIENCE = 10.0  # s, only a failure waits for so long
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 
 from worm_driver import diagnostics
-from worm_driver.bus_types import BusCounters
 from worm_driver.diagnostics import Level
+from worm_driver.dynamixel.bus_types import BusCounters
+from worm_driver.dynamixel.registers import XM430_W350
 from worm_driver.errors import PortError
-from worm_driver.gait_player import Phase, PlayerState
-from worm_driver.ina219 import SampleStatus
-from worm_driver.registers import XM430_W350
+from worm_driver.gaits.gait_player import Phase, PlayerState
+from worm_driver.power.ina219 import SampleStatus
 from worm_driver.servos import Servo
 from worm_driver.telemetry import SILENT, ServoState
 from worm_driver.timing import TimingReport

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from worm_driver.gait import Gait
-from worm_driver.gait_metrics import RunRecord, distance, figures
-from worm_driver.gait_player import Ending, Run
-from worm_driver.ina219 import PowerSample, SampleStatus
+from worm_driver.gaits.gait import Gait
+from worm_driver.gaits.gait_metrics import RunRecord, distance, figures
+from worm_driver.gaits.gait_player import Ending, Run
+from worm_driver.power.ina219 import PowerSample, SampleStatus
 from worm_driver.settings import Body
 
 FREQUENCY = 0.5

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from worm_driver import gait_player
 from worm_driver.errors import LimitError
-from worm_driver.gait import Gait
-from worm_driver.gait_player import (
+from worm_driver.gaits import gait_player
+from worm_driver.gaits.gait import Gait
+from worm_driver.gaits.gait_player import (
     Ending,
     Observation,
     Phase,

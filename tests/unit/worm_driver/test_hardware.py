@@ -11,12 +11,12 @@ import pytest
 from driver_rig import settings
 
 from worm_driver import hardware as hardware_module
-from worm_driver import serial_port
+from worm_driver.dynamixel import serial_port
+from worm_driver.dynamixel.servo_bus import BusPort
 from worm_driver.errors import ConfigurationError, DriverError, PortError
-from worm_driver.gait import Gait
-from worm_driver.gait_player import Phase
+from worm_driver.gaits.gait import Gait
+from worm_driver.gaits.gait_player import Phase
 from worm_driver.hardware import Hardware
-from worm_driver.servo_bus import BusPort
 from worm_driver.settings import DriverSettings, PowerSettings
 from worm_driver.supervision import Limits
 from worm_driver.virtual_robot.endpoints import Endpoints

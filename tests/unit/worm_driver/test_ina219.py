@@ -8,8 +8,8 @@ import pytest
 from driver_rig import Clock, DirectSMBus
 
 from worm_driver.errors import ConfigurationError, PowerSensorError
-from worm_driver.i2c import I2CDevice, open_device, swap
-from worm_driver.ina219 import (
+from worm_driver.power.i2c import I2CDevice, open_device, swap
+from worm_driver.power.ina219 import (
     INA219,
     POWER_ON_CONFIGURATION,
     RUNNING_CONFIGURATION,

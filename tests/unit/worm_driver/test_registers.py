@@ -3,7 +3,7 @@ import itertools
 
 import pytest
 
-from worm_driver.registers import COMMON, MODELS, XL430_W250, hardware_error_text
+from worm_driver.dynamixel.registers import COMMON, MODELS, XL430_W250, hardware_error_text
 from worm_driver.telemetry import STATE_SIZE, STATE_START
 from worm_driver.virtual_robot import control_table
 

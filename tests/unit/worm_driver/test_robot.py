@@ -9,9 +9,9 @@ from dataclasses import replace
 import pytest
 from driver_rig import CABLE, Rig, settings
 
+from worm_driver.dynamixel.registers import COMMON
 from worm_driver.errors import BusError, ConfigurationError, HomingError, LimitError
-from worm_driver.gait_player import Ending, Phase
-from worm_driver.registers import COMMON
+from worm_driver.gaits.gait_player import Ending, Phase
 from worm_driver.supervision import Limits
 from worm_driver.telemetry import SILENT
 from worm_driver.transmission import Fin, Spool

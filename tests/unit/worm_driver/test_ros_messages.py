@@ -10,9 +10,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from worm_driver import ros_messages
 from worm_driver.diagnostics import Level, Report
-from worm_driver.gait import Gait
-from worm_driver.gait_player import Phase, PlayerState, Run
-from worm_driver.ina219 import PowerSample, SampleStatus
+from worm_driver.gaits.gait import Gait
+from worm_driver.gaits.gait_player import Phase, PlayerState, Run
+from worm_driver.power.ina219 import PowerSample, SampleStatus
 from worm_driver.ros_messages import ClockPair
 from worm_driver.telemetry import SILENT, ServoState, Snapshot
 from worm_msgs.msg import BodyLength, GaitState, Power

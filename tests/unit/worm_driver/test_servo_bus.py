@@ -15,8 +15,10 @@ from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from worm_driver.bus_types import Identity
-from worm_driver.encoding import pack
+from worm_driver.dynamixel.bus_types import Identity
+from worm_driver.dynamixel.encoding import pack
+from worm_driver.dynamixel.registers import COMMON, Register
+from worm_driver.dynamixel.servo_bus import BusPort, ServoBus
 from worm_driver.errors import (
     BusError,
     ConfigurationError,
@@ -25,8 +27,6 @@ from worm_driver.errors import (
     PortError,
     StatusError,
 )
-from worm_driver.registers import COMMON, Register
-from worm_driver.servo_bus import BusPort, ServoBus
 from worm_driver.telemetry import STATE_SIZE, STATE_START
 from worm_driver.virtual_robot.faults import make_fault
 from worm_driver.virtual_robot.packet import InstructionReader, status_packet

@@ -3,7 +3,7 @@ from dynamixel_sdk import Protocol2PacketHandler
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.stuffing import stuff, unstuff
+from worm_driver.dynamixel.stuffing import stuff, unstuff
 from worm_driver.virtual_robot.packet import stuff as independent_stuff
 
 #: bodies rich in headers

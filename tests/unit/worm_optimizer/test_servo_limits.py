@@ -9,7 +9,7 @@ import pytest
 import yaml
 from gaits_for_tests import COARSE_MAP
 
-from worm_driver import registers
+from worm_driver.dynamixel import registers
 from worm_driver.virtual_robot import control_table
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER

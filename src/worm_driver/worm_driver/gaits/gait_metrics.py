@@ -13,8 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from worm_driver.gait_player import Run
-from worm_driver.ina219 import PowerSample, SampleStatus
+from worm_driver.gaits.gait_player import Run
+from worm_driver.power.ina219 import PowerSample, SampleStatus
 from worm_driver.settings import Body
 
 STANDARD_GRAVITY = 9.80665

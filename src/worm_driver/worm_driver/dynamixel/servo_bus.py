@@ -26,9 +26,11 @@ from dataclasses import dataclass, field, replace
 import serial
 from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PortHandler, Protocol2PacketHandler
 
-from worm_driver import serial_port
-from worm_driver.bus_types import BusCounters, Identity, Reply, error_text
-from worm_driver.encoding import pack, unpack
+from worm_driver.dynamixel import serial_port
+from worm_driver.dynamixel.bus_types import BusCounters, Identity, Reply, error_text
+from worm_driver.dynamixel.encoding import pack, unpack
+from worm_driver.dynamixel.registers import COMMON, Register
+from worm_driver.dynamixel.stuffing import stuff, unstuff
 from worm_driver.errors import (
     BusError,
     ConfigurationError,
@@ -37,8 +39,6 @@ from worm_driver.errors import (
     PortError,
     StatusError,
 )
-from worm_driver.registers import COMMON, Register
-from worm_driver.stuffing import stuff, unstuff
 
 BROADCAST = 254
 

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 from worm_driver.errors import LimitError
-from worm_driver.gait import Gait
+from worm_driver.gaits.gait import Gait
 
 #: m, closer to delta L = 0 than this counts as rest: nothing is to be paid out
 REST_TOLERANCE = 1e-4

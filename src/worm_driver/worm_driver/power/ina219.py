@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 from worm_driver.errors import ConfigurationError, PowerSensorError
-from worm_driver.i2c import I2CDevice, swap
+from worm_driver.power.i2c import I2CDevice, swap
 
 CONFIGURATION, SHUNT, BUS, POWER, CALIBRATION = 0, 1, 2, 3, 5  # register addresses; 4 is Current
 

@@ -6,7 +6,7 @@ The SDK hands every value back unsigned; two's complement is undone here, and no
 
 import math
 
-from worm_driver.registers import Register
+from worm_driver.dynamixel.registers import Register
 
 
 def pack(register: Register, raw: int) -> bytes:
