@@ -34,6 +34,7 @@ DRIVER_DEFAULTS: Mapping[str, Any] = {
     "limits.max_frequency_Hz": 0.4,
     "limits.max_cable_speed_m_s": 0.12,
     "limits.max_servo_current_A": 2.0,
+    "limits.max_servo_load": 0.9,
 }
 
 
@@ -48,11 +49,14 @@ class ServoModel:
     velocity_limit: float
     measures_current: bool
 
-    def torque(self, max_current: float, voltage: float) -> float:
-        """The greatest torque in N·m at a supply voltage in V, with a current of ``max_current`` A where it counts."""
+    def torque(self, max_current: float, max_load: float, voltage: float) -> float:
+        """The greatest torque in N·m at a supply voltage in V, with a current of ``max_current`` A at most.
+
+        A model that measures no current has at most the share ``max_load`` of its stall torque instead.
+        """
         stall = self.stall_torque * voltage / self.voltage
         if not self.measures_current:
-            return stall
+            return stall * max_load
         return min(stall, self.stall_torque / self.stall_current * max_current)
 
 
@@ -69,6 +73,7 @@ class DrivenBy:
     max_frequency: float
     max_cable_speed: float
     max_servo_current: float
+    max_servo_load: float
     sensor_current: float
 
 
@@ -130,6 +135,7 @@ def load_driver_file(path: str | Path) -> DrivenBy:
         max_frequency=positive("limits.max_frequency_Hz"),
         max_cable_speed=positive("limits.max_cable_speed_m_s"),
         max_servo_current=positive("limits.max_servo_current_A"),
+        max_servo_load=positive("limits.max_servo_load"),
         sensor_current=sensor if values["i2c_bus"] else math.inf,
     )
 
@@ -147,11 +153,12 @@ def limits_of(driver: DrivenBy, model: ServoModel | None, voltage: float | None)
     slimmest, widest = min(driver.spool_radii), max(driver.spool_radii)
     ratio, cables = volts / model.voltage, len(driver.spool_radii)
     no_load = model.no_load_speed * ratio
+    torque = model.torque(driver.max_servo_current, driver.max_servo_load, volts)
     return ActuatorLimits(
         cable_speed=min(
             driver.max_cable_speed, slimmest * model.velocity_limit, slimmest * no_load
         ),
-        cable_force=cables * model.torque(driver.max_servo_current, volts) / widest,
+        cable_force=cables * torque / widest,
         electrical_power=power,
         stall_force=cables * model.stall_torque * ratio / widest,
         no_load_speed=slimmest * no_load,

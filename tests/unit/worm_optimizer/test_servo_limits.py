@@ -93,7 +93,8 @@ def test_two_cables_pull_together_and_the_slimmer_spool_is_the_slower(driver_fil
     radii = [0.02, 0.025]
     two = load_driver_file(driver_file(cable_servos={"ids": [1, 2], "spool_radius_m": radii}))
     limits = limits_of(two, servo_model("XL430-W250"), None)
-    assert limits.cable_force == pytest.approx(2 * 1.5 / 0.025)  # it has no current to limit
+    assert limits.cable_force == pytest.approx(2 * 0.9 * 1.5 / 0.025)  # a share: it has no current
+    assert limits.stall_force == pytest.approx(2 * 1.5 / 0.025)
     assert limits.no_load_speed == pytest.approx(0.02 * 61.0 * 2 * math.pi / 60)
 
 
