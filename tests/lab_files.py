@@ -30,10 +30,12 @@ def write_bench_tests(folder: Path) -> tuple[Path, Path]:
     return bellows, fin
 
 
-def write_lab(folder: Path, cycles: int = 5) -> Path:
-    """A lab's folder of one run, the virtual camera, power sensor and servo of `recorded_run`."""
-    run = simulated_run(cycles)
-    place = folder / "run_01"
+def write_lab(folder: Path, name: str = "run_01", cycles: int = 5) -> Path:
+    """Adds a run to a lab's folder: camera, power sensor and servo of `recorded_run`, and the bench tests."""
+    gaits = folder / "runs.json"
+    listed = json.loads(gaits.read_text()) if gaits.exists() else {}
+    run = simulated_run(cycles, seed=len(listed))
+    place = folder / name
     place.mkdir(parents=True)
 
     def time(stamp: np.ndarray) -> np.ndarray:
@@ -48,7 +50,7 @@ def write_lab(folder: Path, cycles: int = 5) -> Path:
     ticks = np.rint(-command.length_change / (2.0 * np.pi * _RADIUS) * _TICKS)
     _write(place / "servo.csv", "time_s,goal_ticks", time(command.stamp), ticks)
     gait = {"stroke_m": GAIT.stroke, "frequency_Hz": GAIT.frequency}
-    (folder / "runs.json").write_text(json.dumps({"run_01": gait}))
+    gaits.write_text(json.dumps({**listed, name: gait}))
     write_bench_tests(folder)
     return folder
 

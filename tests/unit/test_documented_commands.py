@@ -117,6 +117,8 @@ def prepared(word: str, before: str, folder: Path) -> None:
         write_bag(path, simulated_run(5, seed))
     elif word == "FOLDER":
         write_lab(path)
+    elif word.startswith("FOLDER/"):
+        write_lab(path.parent, path.name)
     elif before == "--limits-from":
         path.write_bytes((ROOT / "src/worm_driver/config/driver.yaml").read_bytes())
     elif word.endswith(".yaml"):
