@@ -36,5 +36,5 @@ def draw_parameters(content: ParameterFile) -> Figure:
     axes.invert_yaxis()
     axes.set_xlabel("value over the paper's (1)")
     axes.grid(visible=True, axis="x", linewidth=0.4)
-    axes.legend(loc="upper left", bbox_to_anchor=(0.0, 1.16), ncols=2, frameon=False)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
     return figure
