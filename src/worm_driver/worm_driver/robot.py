@@ -358,12 +358,14 @@ class Robot:
         return None
 
     def _enable_all(self) -> None:
-        fastest, watchdog = self.settings.max_cable_speed, self.settings.watchdog
+        fastest = self.settings.max_cable_speed
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
             limit = servos.own_limit(servo, self.settings.limits)
-            servos.enable(self.bus, servo, fastest / spool.radius, watchdog, limit)
+            servos.limit_motion(self.bus, servo, fastest / spool.radius, limit)
         for servo in self.fins:
-            servos.enable(self.bus, servo, self.settings.fin_speed, watchdog)
+            servos.limit_motion(self.bus, servo, self.settings.fin_speed)
+        for servo in self.servos:
+            servos.enable(self.bus, servo, self.settings.watchdog)
 
     def _here(self) -> float:
         """Where the cable is, or was asked to be when that is not known (m)."""

@@ -179,26 +179,32 @@ def home(bus: ServoBus, servo: Servo) -> None:
     bus.write(servo.number, servo["led"], 1)
 
 
-def enable(bus: ServoBus, servo: Servo, speed: float, watchdog: float, limit: float = 1.0) -> None:
-    """Torque on, holding the present position, with limits of speed and load, and the bus watchdog armed.
+def limit_motion(bus: ServoBus, servo: Servo, speed: float, limit: float = 1.0) -> None:
+    """Sets what the servo itself keeps to once it is enabled; disarms the bus watchdog, which would refuse it.
 
     Args:
         bus: where the servo is.
-        servo: to be enabled.
-        speed: rad/s, which the servo itself keeps to.
-        watchdog: s without packets after which the servo stops by itself.
+        servo: with its torque off.
+        speed: rad/s.
         limit: ratio of the load, see own_limit; means nothing where the servo measures its current.
 
     Raises:
         BusError: it does not answer, or refuses.
     """
-    number = servo.number
-    profile, register = servo["profile_velocity"], servo["bus_watchdog"]
-    bus.write(number, register, 0)
+    number, profile = servo.number, servo["profile_velocity"]
+    bus.write(number, servo["bus_watchdog"], 0)
     bus.write(number, profile, max(1, to_raw(profile, min(speed, servo.velocity_limit))))
     if not servo.model.measures_current:
         most = bus.read(number, servo["pwm_limit"])
         bus.write(number, servo["goal_pwm"], min(most, to_raw(servo["goal_pwm"], limit)))
+
+
+def enable(bus: ServoBus, servo: Servo, watchdog: float) -> None:
+    """Torque on, holding the present position, with the bus watchdog (s without packets) armed. Raises BusError.
+
+    As short as can be: the servos that are enabled already wait for their first goal.
+    """
+    number, register = servo.number, servo["bus_watchdog"]
     position = bus.read(number, servo["present_position"])
     bus.write(number, servo["goal_position"], position)
     bus.write(number, servo["torque_enable"], 1)
