@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.identification.actuation import (
+    CLOCK_SPREAD,
     SHARED,
     ActuationFit,
     actuation_problem,
@@ -17,7 +18,7 @@ from worm_model.identification.actuation import (
     fitted_samples,
 )
 from worm_model.identification.blocks import normal_equations
-from worm_model.identification.clocks import clock_deviations
+from worm_model.identification.clocks import clock_deviations, told
 from worm_model.identification.estimate import Estimate, if_told, not_told, quantile
 from worm_model.identification.recording import Recording
 from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
@@ -73,7 +74,7 @@ def identify_actuation(
         _told(estimate, entry, float(matrix[entry, entry]))
         for entry, estimate in enumerate((slack, gain, time_constant))
     )
-    clocks = clock_deviations(problem, fit.solution, CLOCK)
+    clocks = told(clock_deviations(problem, fit.solution, CLOCK), CLOCK_SPREAD)
     return ActuationResult(slack, gain, time_constant, correlation(refits), fit, clocks)
 
 

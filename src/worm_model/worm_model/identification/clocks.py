@@ -18,7 +18,7 @@ TOLD = 0.5  # of what was assumed before the data: a deviation above it is mostl
 def clock_deviations(
     problem: Problem, solution: Solution, entry: int, weights: Sequence[Array] | None = None
 ) -> Array:
-    """(runs,) standard deviations in s of the nuisance ``entry`` of each run, NaN where the data tell it no better.
+    """(runs,) standard deviations in s of the nuisance ``entry`` of each run.
 
     From the curvature of the cost, which does not jump in an offset; all other parameters are open.
     """
@@ -29,5 +29,9 @@ def clock_deviations(
     )
     own = solution.own.shape[1]
     deviation: Array = np.sqrt(variance[len(problem.shared) + entry :: own])
-    prior = np.array([quantities[entry].spread for quantities in problem.own])
+    return deviation
+
+
+def told(deviation: Array, prior: float) -> Array:
+    """The deviations, NaN where the data tell hardly more than the ``prior`` one."""
     return np.where(deviation <= TOLD * prior, deviation, np.nan)

@@ -15,13 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.identification.blocks import evaluate
-from worm_model.identification.clocks import clock_deviations
+from worm_model.identification.clocks import clock_deviations, told
 from worm_model.identification.energy import (
+    CLOCK_SPREAD,
     INDEPENDENT,
     EnergyFit,
     PowerRun,
     energy_problem,
     fit_energy,
+    predicted_energy,
     with_force,
 )
 from worm_model.identification.estimate import VAGUE, Estimate, not_told
@@ -112,8 +114,32 @@ def _given(runs: Sequence[PowerRun], damping: float, note: str) -> EnergyResult:
 
 
 def _clocks(runs: Sequence[PowerRun], fit: EnergyFit) -> Array:
-    """By what is left over in each run, which says how far an energy can be trusted."""
-    scatter = max(float(np.sqrt(np.mean([np.mean(r**2) for r in fit.residuals]))), LEAST_SCATTER)
-    weights = [np.full(run.power_time.size, INDEPENDENT / run.power_time.size) for run in runs]
-    solution = evaluate(energy_problem(runs, scatter), fit.solution.shared, fit.solution.own)
-    return clock_deviations(energy_problem(runs, scatter), solution, 0, weights)
+    """By what is left over in each run, and by how far its idle power, held in the fit, may be off."""
+    scatter = np.maximum([np.sqrt(np.mean(r**2)) for r in fit.residuals], LEAST_SCATTER)
+    weights = [
+        np.full(run.power_time.size, INDEPENDENT / run.power_time.size / own**2)
+        for run, own in zip(runs, scatter, strict=True)
+    ]
+    problem = energy_problem(runs, scale=1.0)
+    solution = evaluate(problem, fit.solution.shared, fit.solution.own)
+    idle = np.array([run.idle for run in runs])
+    idle_deviation = float(idle.std(ddof=1)) if idle.size > 1 else 0.0
+    by_idle = [
+        _shift_by_idle(run, fit, offset) for run, offset in zip(runs, fit.clock_offset, strict=True)
+    ]
+    return told(
+        np.hypot(
+            clock_deviations(problem, solution, 0, weights), idle_deviation * np.array(by_idle)
+        ),
+        CLOCK_SPREAD,
+    )
+
+
+def _shift_by_idle(run: PowerRun, fit: EnergyFit, offset: float) -> float:
+    """By how many s a fitted offset moves for a watt of idle power too much: a ramp of energy looks like a shift."""
+    sides = [
+        predicted_energy(run, fit.damping, fit.factor, offset + half) for half in (-5e-4, 5e-4)
+    ]
+    by_offset = (sides[1] - sides[0]) / 1e-3
+    ramp = run.power_time - run.power_time[0]
+    return abs(float(by_offset @ ramp)) / max(float(by_offset @ by_offset), 1e-12)

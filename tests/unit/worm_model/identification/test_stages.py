@@ -307,6 +307,23 @@ def test_damping_and_power_factor_are_found_from_several_frequencies():
     assert result.correlation[0, 1] < -0.8
 
 
+def test_a_wrong_idle_power_does_not_pass_for_a_clock_offset():
+    gaits = [Gait(0.07, f) for f in (0.1, 0.15, 0.2, 0.3)]
+    random = np.random.default_rng(4)
+    off = (0.02, -0.02, 0.02, -0.02)
+    runs = [
+        replace(run, idle=run.idle + error)
+        for run, error in zip(power_runs(gaits, random, 0.0), off, strict=True)
+    ]
+    forces = [run.static_force for run in runs]
+    result = identify_energy(runs, [g.frequency for g in gaits], lambda _: forces, 862.4, random)
+    known = np.isfinite(result.clock_deviation)
+    assert known.any()
+    assert not known.all()  # the slowest run's ramp is longest
+    assert np.all(np.abs(result.fit.clock_offset) < 2.0 * result.clock_deviation, where=known)
+    assert np.abs(result.fit.clock_offset[~known]).max() > 0.004
+
+
 def test_one_frequency_cannot_tell_damping_from_power_factor():
     result = energy_of([Gait(stroke, 0.2) for stroke in (0.06, 0.07, 0.08, 0.09)])
     for estimate in (result.bellows_damping, result.power_factor):
