@@ -69,6 +69,18 @@ def test_activation_holds_the_servos_where_they_stand_with_the_watchdog_armed(ri
         assert servo.memory["profile_velocity"] > 0
 
 
+def test_no_servo_has_its_torque_before_every_one_has_its_limits(rig):
+    """Else the watchdog of the first one runs while the last one is still being set up."""
+    rig.run(0.1)
+    begin = len(rig.wire.sent)
+    rig.robot.activate(rig.clock.now)
+    writes = [packet for packet in rig.wire.sent[begin:] if packet[7] == 3]
+    addresses = [int.from_bytes(packet[8:10], "little") for packet in writes]
+    speeds, torques = COMMON["profile_velocity"].address, COMMON["torque_enable"].address
+    last_speed = max(i for i, address in enumerate(addresses) if address == speeds)
+    assert last_speed < addresses.index(torques)
+
+
 def test_activation_refuses_a_supply_out_of_range(rig):
     rig.inject("input_voltage", target=CABLE, value=8.0)
     rig.run(0.1)
