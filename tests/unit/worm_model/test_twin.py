@@ -240,12 +240,13 @@ WILD = {
 }
 
 
-@pytest.mark.parametrize("kind", WILD)
-@pytest.mark.parametrize("time", [-1000.0, 7.0, 1000.0])
+# A latched gait state may be as old as it likes.
+WILD_STAMPS = [(k, t) for k in WILD for t in (-1000.0, 7.0, 1000.0) if k != "gait" or t > 0.0]
+
+
+@pytest.mark.parametrize(("kind", "time"), WILD_STAMPS)
 @pytest.mark.parametrize("count", [1, 2])
 def test_wild_stamps_restart_nothing(kind, time, count):
-    if kind == "gait" and time < 0.0:
-        pytest.skip("a latched gait state may be old")
     clean = in_order(announcements(GAIT), commands(GAIT, 4.0), observed(GAIT, 4.0))
     place = next(k for k, s in enumerate(clean) if s.stamp_ns > at(2.0))
     wild = [WILD[kind](time + k / 100) for k in range(count)]
