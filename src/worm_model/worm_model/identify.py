@@ -95,12 +95,14 @@ def _print(result: Identification, advice: Advice, *, as_json: bool) -> None:
     if as_json:
         print_json(summary(result) | {"advice": advice.text})
     else:
-        parts = (
+        parts = [
             parameter_table(result.estimates),
             "Held out, in brackets the paper's table:\n"
             + error_table(result.held_out, result.paper),
-            f"What next: {advice.text}.",
-        )
+        ]
+        if result.validation:
+            parts.append("Validation runs:\n" + error_table(result.validation, {}))
+        parts.append(f"What next: {advice.text}.")
         sys.stdout.write("\n\n".join(parts) + "\n")
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from worm_model.identification.actuation import ActuationFit, fit_actuation
 from worm_model.identification.energy import PowerRun, fit_energy
+from worm_model.identification.energy_stage import EnergyResult
 from worm_model.identification.idle import idle_power
 from worm_model.identification.locomotion import Known
 from worm_model.identification.locomotion_stage import PITCH, LocomotionResult, refit
@@ -43,17 +44,18 @@ def leave_one_out(
     locomotion: LocomotionResult,
     actuation: ActuationFit,
     power_runs: Sequence[PowerRun],
-    damping: float | None,
+    energy: EnergyResult,
 ) -> LeftOut:
     """Stages 4 to 7 without each run in turn, from the fit to all of them.
 
-    ``damping`` N·s/m holds c_b where the runs do not tell it. Three things are not done anew: the forces under which
+    Where the runs do not tell c_b it stays as it is. Three things are not done anew: the forces under which
     the energy is fitted and the scatter of the grooves are those of the fit to all runs, and a run's length is
     smoothed by a fit to that run itself. Both columns get the camera's clock offset that the other runs tell.
     """
     if len(runs) < FEWEST:
         offset = float(actuation.clock_offset.mean())
         return LeftOut({}, {run.name: run_errors(run, PAPER, offset) for run in runs})
+    damping = None if energy.bellows_damping.identifiable else energy.fit.damping
     by_name = {run.name: run for run in power_runs}
 
     def left_out(index: int) -> tuple[Errors, Errors]:
@@ -74,8 +76,8 @@ def leave_one_out(
             values = values.replace(idle_power=idle_power(idle).value)
         powered = [by_name[runs[k].name] for k in others if runs[k].name in by_name]
         if powered:
-            energy = fit_energy(powered, damping=damping)
-            values = values.replace(bellows_damping=energy.damping, power_factor=energy.factor)
+            fitted = fit_energy(powered, damping=damping)
+            values = values.replace(bellows_damping=fitted.damping, power_factor=fitted.factor)
         offset = float(other_actuation.clock_offset.mean())
         return run_errors(runs[index], values, offset), run_errors(runs[index], PAPER, offset)
 

@@ -13,6 +13,7 @@ from worm_model.identification.actuation_stage import ActuationResult, identify_
 from worm_model.identification.bellows import BellowsFit, fit_bellows
 from worm_model.identification.energy import PowerRun, power_run
 from worm_model.identification.energy_stage import EnergyResult, identify_energy
+from worm_model.identification.errors import IdentificationError
 from worm_model.identification.estimate import Estimate, not_told, quantile
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.forces import Forces, forces_of
@@ -106,27 +107,24 @@ def identify(
     estimates["idle_power"] = idle_power([run.idle for run in runs])
     pitch_deviation = estimates["pitch"].spread / quantile(np.inf)
     known = Known(_with_values(given.parameters, estimates), pitch_deviation)
-    locomotion = identify_locomotion(
-        [run.traverse for run in runs],
-        known,
-        _fin_knowledge(estimates, fin),
-        lambda done: progress("locomotion", done),
-    )
+    locomotion = _locomotion(runs, known, _fin_knowledge(estimates, fin), fin, progress)
     estimates |= _locomotion_estimates(locomotion, estimates, fin)
     progress("actuation", 0.0)
     actuation = identify_actuation([run.recording for run in runs], random)
-    estimates["slack"], estimates["gain"] = actuation.slack, actuation.gain
-    estimates["time_constant"] = actuation.time_constant
+    estimates |= {
+        "slack": actuation.slack,
+        "gain": actuation.gain,
+        "time_constant": actuation.time_constant,
+    }
     progress("energy", 0.0)
     energy, power_runs = _energy(runs, known.parameters, estimates, locomotion, given, random)
-    estimates["bellows_damping"] = energy.bellows_damping
-    estimates["power_factor"] = energy.power_factor
+    estimates |= {
+        "bellows_damping": energy.bellows_damping,
+        "power_factor": energy.power_factor,
+    }
     parameters = _with_values(known.parameters, estimates)
     progress("held out", 0.0)
-    damping = None if energy.bellows_damping.identifiable else energy.fit.damping
-    left_out = leave_one_out(
-        runs, known, parameters, locomotion, actuation.fit, power_runs, damping
-    )
+    left_out = leave_one_out(runs, known, parameters, locomotion, actuation.fit, power_runs, energy)
     offset = float(actuation.fit.clock_offset.mean())
     result = Identification(
         estimates=estimates,
@@ -147,6 +145,23 @@ def identify(
     )
     progress("done", 1.0)
     return result
+
+
+def _locomotion(
+    runs: Sequence[Run],
+    known: Known,
+    fins: FinKnowledge | None,
+    fin: FinFit | None,
+    progress: Progress,
+) -> LocomotionResult:
+    """Stage 4; where it finds nothing, an odd bench test may be the reason."""
+    traverses = [run.traverse for run in runs]
+    try:
+        return identify_locomotion(
+            traverses, known, fins, lambda done: progress("locomotion", done)
+        )
+    except IdentificationError as error:
+        raise IdentificationError("; ".join([str(error), *bench_warnings(fin)])) from None
 
 
 def _energy(

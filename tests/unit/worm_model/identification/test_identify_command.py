@@ -126,6 +126,29 @@ def test_nothing_is_overwritten(outcome, monkeypatch, capsys):
         assert "exists already" in capsys.readouterr().err
 
 
+def test_two_runs_a_spoilt_one_and_a_validation_are_told_in_words(
+    shared, tmp_path, monkeypatch, capsys
+):
+    campaign = tmp_path / "campaign"
+    campaign.mkdir()
+    for name in ("runs.json", "bellows.csv", "fin.csv"):
+        shutil.copy(shared / "campaign" / name, campaign)
+    for name in ("run_06", "run_07"):
+        shutil.copytree(shared / "campaign" / name, campaign / name)
+    power = (campaign / "run_07" / "power.csv").read_text(encoding="utf-8").splitlines()
+    (campaign / "run_07" / "power.csv").unlink()
+    (campaign / "run_07" / "power.csv").write_text("\n".join(power[:175]), encoding="utf-8")
+    runs = [campaign / "run_06", campaign / "run_07"]
+    validation = ("--validation", shared / "campaign" / "run_08")
+    assert run_identify(monkeypatch, *runs, *validation) == 0
+    told = capsys.readouterr()
+    assert "run_07: the power sensor saw 7" in told.err
+    assert "validation: run_08: 8 camera samples with a hidden marker" in told.err
+    assert "Validation runs:" in told.out
+    assert "| run_08 |" in told.out
+    assert "one run cannot tell c_b from α_P" in told.out
+
+
 def test_a_bag_says_what_the_folder_says(shared, tmp_path):
     folder = shared / "campaign" / "run_07"
     import_lab(folder, tmp_path / "run_07", LabSettings(epoch=10**18), "/worm")

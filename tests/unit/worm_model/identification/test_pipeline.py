@@ -205,6 +205,17 @@ def test_naming_the_softer_side_as_engaging_is_worth_a_warning(campaigns):
     assert "softer one" in bench_warnings(wrong)[0]
 
 
+def test_an_odd_fin_test_is_named_where_nothing_fits(campaigns, monkeypatch):
+    def fail(*_):
+        raise IdentificationError("nothing fits")
+
+    inputs = campaigns[0].inputs
+    engages = fit_fin(inputs.fin.x, inputs.fin.y).engages
+    monkeypatch.setattr("worm_model.identification.pipeline.identify_locomotion", fail)
+    with pytest.raises(IdentificationError, match=r"nothing fits; fin test: .* softer one"):
+        identify(inputs, campaigns[0].given, 0, -engages)
+
+
 def test_the_initial_length_is_a_mean_and_says_how_runs_scatter(campaigns, results):
     for result in results:
         lengths = np.array([run.length.initial_length for run in result.runs])
