@@ -25,7 +25,7 @@ from visualization_msgs.msg import MarkerArray
 from worm_model import ros_twin, warm_up
 from worm_model.gait import GaitError
 from worm_model.parameters import ParameterError, load_parameters
-from worm_model.ros_process import ros_process
+from worm_model.ros_process import ros_process, spare_pauses
 from worm_model.ros_scene import marker_array
 from worm_model.twin.core import Twin
 from worm_model.twin.forecast import ForecastError, forecast
@@ -231,6 +231,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except ParameterError as error:
             sys.stderr.write(f"twin: {error}\n")
             return 2
+        spare_pauses()
         try:
             _spin(node, ended)
         finally:
