@@ -26,7 +26,7 @@ from worm_driver.diagnostics import offline_report
 from worm_driver.errors import ConfigurationError, DriverError, StoppedError
 from worm_driver.hardware import Hardware
 from worm_driver.ros_messages import ClockPair
-from worm_driver.ros_process import Ending, ros_process
+from worm_driver.ros_process import Ending, ros_process, spare_pauses
 from worm_driver.ros_run_action import RunGaitAction
 from worm_driver.ros_side_node import SideNode
 from worm_driver.telemetry import Snapshot
@@ -381,6 +381,7 @@ def _run(ended: Ending) -> None:
     try:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        spare_pauses()
         node.autostart()
         while not ended():
             executor.spin_once(timeout_sec=0.05)
