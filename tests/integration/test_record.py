@@ -161,9 +161,10 @@ def test_nothing_is_lost_or_doubled_while_it_adapts(
     less = QoSProfile(
         depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=LATCHED.durability
     )
-    probe.node.create_publisher(Tracker, "tracker", less)
+    newcomer = probe.node.create_publisher(Tracker, "tracker", less)
     adapted = "a new publisher offers less"
     probe.wait_for(lambda: send() or adapted in recorder.output(), "the second subscription")
+    probe.node.destroy_publisher(newcomer)  # while an unheard one is there, a gap may be its start
     alone = "the old subscription is given up"
     probe.wait_for(lambda: send() or alone in recorder.output(), "the second subscription alone")
     for _ in range(50):
@@ -174,7 +175,9 @@ def test_nothing_is_lost_or_doubled_while_it_adapts(
     found = recorded(tmp_path / "bag")
     assert len(found) == len(set(found)) == outcome["messages"]
     assert found == sorted(found)
-    assert outcome["messages"] + outcome["dropped"] == len(sent) - (sent[-1] - found[-1])
+    # What was replaced before the first look, or lost at the end, leaves no gap.
+    assert outcome["messages"] + outcome["dropped"] == found[-1] - found[0] + 1
+    assert found[0] <= 1
 
 
 def test_a_killed_recorder_leaves_a_bag_that_is_recovered(
