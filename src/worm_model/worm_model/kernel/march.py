@@ -233,8 +233,10 @@ def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -
     elif (region == ABOVE) == (direction > 0):
         groove += direction
         region = region_of(direction * (c.threshold - c.pitch), c.half_clearance)
-    else:
+    elif c.half_clearance > 0.0:
         region = CLEAR
+    else:  # straight from one bar to the other: a region of no width could be entered for ever
+        region = ABOVE if direction > 0 else BELOW
     if front:
         return Motion(y, y_rate, motion.rear_groove, groove, motion.rear_region, region)
     return Motion(y, y_rate, groove, motion.front_groove, region, motion.front_region)
@@ -364,8 +366,9 @@ def march(
         offset += duration
         y = value(stage.mode.y, b)
         y_rate = value(derivative(stage.mode.y, stage.mode.roots, segment.wave), b)
-        if stop in (END, NOTHING):
-            ledger[CHATTER] = 1.0 if stop == NOTHING else ledger[CHATTER]
+        chatter = stop != END and ledger[STEPS] > MOST_STEPS
+        if stop == END or chatter:
+            ledger[CHATTER] = 1.0 if chatter else ledger[CHATTER]
             return Motion(
                 y,
                 y_rate,
