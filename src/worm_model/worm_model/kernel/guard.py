@@ -4,7 +4,7 @@
 A guard watches a gap that is positive until its event. Its value, its rate and bounds on its second
 derivative enclose it between two parabolas for the time ahead. The lower one tells how long the gap
 surely stays open; where the upper one reaches zero, the event surely happens, and only once in between,
-so that Newton's method may locate it. A gap that touches zero within rounding and opens again triggers
+so that Newton's method may locate it. A gap that touches zero within rounding, and opens again or stays, triggers
 nothing.
 """
 
@@ -27,6 +27,7 @@ from worm_model.kernel.linear import (
 NOTHING, REAR_HIGH, REAR_LOW, FRONT_HIGH, FRONT_LOW, FORCE_SIGN, RATE_SIGN, END = range(8)
 
 SHORTEST_STEP = 1e-10  # s, keeps a gap that opens from zero moving
+TOUCH = 1e-13  # m (N, m/s of a sign): a fin at rest at its border, moved by rounding alone, does not pass it
 SIMULTANEOUS = 1e-11  # s, events closer than this are one moment: the guard named first comes first
 MOST_NEWTON_STEPS = 50
 NEVER = 1e300  # s; infinity has no meaning here, see `worm_model.kernel.compiled`
@@ -137,7 +138,7 @@ def _enclosure(gap: float, rate: float, least: float, most: float) -> tuple[floa
 def narrow(ahead: Horizon, gap: Reading, stop: int) -> Horizon:
     """The horizon once a further guard has been consulted."""
     h, least = ahead.time, min(gap.least, 0.0)
-    if gap.position + h * (gap.rate + 0.5 * least * h) >= 0.0:
+    if gap.position + h * (gap.rate + 0.5 * least * h) >= -TOUCH:
         return ahead
     earliest, latest = _enclosure(max(gap.position, 0.0), gap.rate, least, max(gap.most, 0.0))
     if earliest > h:
