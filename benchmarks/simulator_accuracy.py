@@ -19,18 +19,27 @@ TITLE = "agreement with an independent integration (minutes)"
 CASES = int(os.environ.get("WORM_BENCH_CASES", "1000"))
 
 
-def compare(seed: int) -> tuple[float, float, bool]:
-    """(relative error of power, largest error of x1 at a cycle's start in m, switches equal) of a case."""
+Comparison = tuple[float, float, bool]
+
+
+def compare(seed: int) -> Comparison | None:
+    """(relative error of power, largest error of x1 at a cycle's start in m, switches equal) of a case.
+
+    None where the oracle's own check says that it may have stepped over an event.
+    """
     _, gait, parameters = random_case(seed)
     result = evaluate_gait(gait, parameters)
-    oracle = Oracle(gait, parameters).run()
+    try:
+        oracle = Oracle(gait, parameters).run()
+    except AssertionError:
+        return None
     starts = simulate(gait, parameters).at(np.arange(6) * gait.period)
     error = np.abs(starts.x1 - [x1 for x1, _ in oracle.boundaries]).max()
     power = parameters.idle_power + parameters.power_factor * oracle.work(3) * gait.frequency
     return abs(result.power / power - 1.0), float(error), result.switches == oracle.switches
 
 
-def _compare_all() -> Iterator[tuple[float, float, bool]]:
+def _compare_all() -> Iterator[Comparison | None]:
     with ProcessPoolExecutor() as pool:
         for done, outcome in enumerate(pool.map(compare, range(CASES), chunksize=5), start=1):
             if done % max(CASES // 10, 1) == 0:
@@ -40,7 +49,9 @@ def _compare_all() -> Iterator[tuple[float, float, bool]]:
 
 def run() -> list[Row]:
     """Measures."""
-    power, position, same = (np.array(column) for column in zip(*_compare_all(), strict=True))
+    outcomes = list(_compare_all())
+    told = [outcome for outcome in outcomes if outcome is not None]
+    power, position, same = (np.array(column) for column in zip(*told, strict=True))
     how = f"{CASES} seeded random gaits and robots against DOP853 at 1e-10, events located"
     return [
         Row("largest error of power", f"{power.max():.1e}", "1e-6", f"relative; {how}"),
@@ -48,4 +59,7 @@ def run() -> list[Row]:
             "largest error of x1", f"{position.max() * 1e9:.1e} nm", "1 nm", "at the cycles' starts"
         ),
         Row("cases with other switch counts", f"{np.count_nonzero(~same)}", "0", ""),
+        Row(
+            "cases left out", f"{len(outcomes) - len(told)}", "0", "the oracle is not sure of them"
+        ),
     ]
