@@ -111,11 +111,7 @@ def identify(
     estimates |= _locomotion_estimates(locomotion, estimates, fin)
     progress("actuation", 0.0)
     actuation = identify_actuation([run.recording for run in runs], random)
-    estimates |= {
-        "slack": actuation.slack,
-        "gain": actuation.gain,
-        "time_constant": actuation.time_constant,
-    }
+    estimates |= _actuation_estimates(actuation)
     progress("energy", 0.0)
     energy, power_runs = _energy(runs, known.parameters, estimates, locomotion, given, random)
     estimates |= {
@@ -241,6 +237,14 @@ def _locomotion_estimates(
         "viscous_friction": friction,
         "switching_threshold": threshold,
         "pitch": Estimate(pitch.value, pitch.low, pitch.high, pitch.identifiable, note),
+    }
+
+
+def _actuation_estimates(actuation: ActuationResult) -> dict[str, Estimate]:
+    return {
+        "slack": actuation.slack,
+        "gain": actuation.gain,
+        "time_constant": actuation.time_constant,
     }
 
 

@@ -317,7 +317,7 @@ def _follow_mode(
     ledger: np.ndarray,
     samples: np.ndarray,
 ) -> tuple[float, int, Basis]:
-    """Follows a mode to its end: (its duration, what ends it, the basis there)."""
+    """Follows a mode to its end: (its duration, what ends it, the basis there); NOTHING if it gives up."""
     wave = segment.wave
     bill = _open_bill(_side(stage.force, b), _side(stage.length_rate, b), stage, b, wave)
     s = 0.0
@@ -331,6 +331,8 @@ def _follow_mode(
             _write_samples(s, stage, bill, segment, motion, c, ledger, samples)
         if bill.active:
             ledger[WORK_DONE] += bill.mark - _antiderivative(stage, b, wave)
+        if ledger[STEPS] > MOST_STEPS and ahead.stop != END:
+            return s, NOTHING, b
         if ahead.stop == FORCE_SIGN:
             bill = _open_bill(-bill.force_side, bill.rate_side, stage, b, wave)
         elif ahead.stop == RATE_SIGN:
@@ -366,9 +368,8 @@ def march(
         offset += duration
         y = value(stage.mode.y, b)
         y_rate = value(derivative(stage.mode.y, stage.mode.roots, segment.wave), b)
-        chatter = stop != END and ledger[STEPS] > MOST_STEPS
-        if stop == END or chatter:
-            ledger[CHATTER] = 1.0 if chatter else ledger[CHATTER]
+        if stop in (END, NOTHING):
+            ledger[CHATTER] = 1.0 if stop == NOTHING else ledger[CHATTER]
             return Motion(
                 y,
                 y_rate,

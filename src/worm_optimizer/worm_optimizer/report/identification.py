@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 from worm_model.command_line import InputError, Parser
 from worm_model.identification import bellows, fin
-from worm_model.identification.bellows import BellowsFit, fit_bellows
+from worm_model.identification.bellows import Array, BellowsFit, fit_bellows
 from worm_model.identification.errors import IdentificationError
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.inputs import read_bench_test
@@ -18,6 +19,7 @@ from worm_model.identification.report import FIGURE_TITLES, FIGURES, PAGE
 from worm_model.parameters import ParameterFile, load_parameter_file
 
 _SUFFIX = ".png"
+_Fit = TypeVar("_Fit")
 
 
 @dataclass(frozen=True)
@@ -62,31 +64,23 @@ def identification_of(options: argparse.Namespace) -> Identification | None:
     return Identification(
         content=load_parameter_file(str(files[0])) if files else None,
         source=str(files[0]) if files else "",
-        bellows_fit=_bellows_fit(options.bellows),
-        fin_fit=_fin_fit(options.fin),
+        bellows_fit=_fit("--bellows", options.bellows, bellows.COLUMNS, fit_bellows),
+        fin_fit=_fit("--fin", options.fin, fin.COLUMNS, fit_fin),
         text=text,
         figures=figures,
     )
 
 
-def _bellows_fit(path: Path | None) -> BellowsFit | None:
+def _fit(
+    option: str, path: Path | None, columns: tuple[str, str], fit: Callable[[Array, Array], _Fit]
+) -> _Fit | None:
     if path is None:
         return None
     try:
-        test = read_bench_test(path, bellows.COLUMNS)
-        return fit_bellows(test.x, test.y)
+        test = read_bench_test(path, columns)
+        return fit(test.x, test.y)
     except IdentificationError as error:
-        raise InputError(f"--bellows {path}: {error}") from None
-
-
-def _fin_fit(path: Path | None) -> FinFit | None:
-    if path is None:
-        return None
-    try:
-        test = read_bench_test(path, fin.COLUMNS)
-        return fit_fin(test.x, test.y)
-    except IdentificationError as error:
-        raise InputError(f"--fin {path}: {error}") from None
+        raise InputError(f"{option} {path}: {error}") from None
 
 
 def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
