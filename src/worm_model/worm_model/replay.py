@@ -6,18 +6,16 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import asdict
-from heapq import merge
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from worm_model import warm_up
-from worm_model.bags.bag import Bag, Message, Topic
+from worm_model.bags.bag import Bag
+from worm_model.bags.blocks import block_of_topics, merge_into
 from worm_model.bags.definitions import topic_of
 from worm_model.bags.opening import open_bag
+from worm_model.bags.payloads import Payloads
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.bags.run_writer import encode_stamped
 from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic, offered_qos
@@ -55,34 +53,25 @@ def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str) -> None
                 writer.add_metadata(record.name, dict(record.values))
         for topic in [*kept, *own.values()]:
             writer.add_topic(topic)
-        messages = [bag.messages([topic.name for topic in kept])]
-        messages += [_messages(own[name], name, replay) for name in TWIN_TOPICS]
-        for message in merge(*messages, key=_log_time):
-            writer.write(message.topic, message.data, message.log_time, message.publish_time)
+        twins = block_of_topics({own[name].name: _messages(name, replay) for name in TWIN_TOPICS})
+        for block in merge_into(bag.blocks([topic.name for topic in kept]), twins):
+            writer.write_block(block)
 
 
-def _log_time(message: Message) -> int:
-    return message.log_time
-
-
-def _messages(topic: Topic, name: str, replay: Replay) -> Iterator[Message]:
-    """Messages of one of the twin's topics, by rising stamp, which is taken for the time of reception."""
+def _messages(name: str, replay: Replay) -> Payloads:
+    """Messages of one of the twin's topics; their stamp is taken for the time of reception."""
     series: Series = {
         "twin/state": replay.states,
         "twin/residuals": replay.residuals,
         "body_length/estimated": replay.lengths,
     }[name]
-    order = np.argsort(series["stamp_ns"], kind="stable")
-    stamps = series["stamp_ns"][order]
-    numbers: dict[str, Any] = {key: v[order] for key, v in series.items() if key != "stamp_ns"}
+    numbers: dict[str, Any] = {key: v for key, v in series.items() if key != "stamp_ns"}
     texts = {}
     if name == "twin/residuals":
-        texts["message"] = [replay.messages[row] for row in order]
+        texts["message"] = replay.messages
     if name == "body_length/estimated":
         numbers["source"] = ESTIMATED
-    payloads = encode_stamped(TYPES[name], stamps, numbers, texts)
-    for stamp, data in zip(stamps.tolist(), payloads, strict=True):
-        yield Message(topic.name, stamp, data, stamp)
+    return encode_stamped(TYPES[name], series["stamp_ns"], numbers, texts)
 
 
 def report_json(report: ReplayReport, duration: float, elapsed: float) -> dict[str, Any]:

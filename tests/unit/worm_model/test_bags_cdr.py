@@ -109,14 +109,14 @@ def test_encoding_is_byte_for_byte_that_of_an_independent_encoder():
     strokes = np.array([0.05, math.nan, 0.07])
     texts = ["", "cable servo 2: overload", ""]
     found = encode(
-        3,
+        np.arange(3),
         type_name,
         installed_types(),
         {"header.stamp.sec": np.array([1, 2, 3]), "gait.stroke": strokes, "gait.direction": -1.0},
         {"header.frame_id": "pipe", "message": texts},
     )
     t = STORE.types
-    for row, payload in enumerate(found):
+    for row, payload in enumerate(found.messages()):
         time = t["builtin_interfaces/msg/Time"]
         message = t[type_name](
             header=t["std_msgs/msg/Header"](stamp=time(row + 1, 0), frame_id="pipe"),
@@ -134,16 +134,22 @@ def test_sequences_are_encoded_by_their_columns_and_elements():
     positions = np.arange(6.0).reshape(2, 3)
     names = {"name[0]": "cable", "name[1]": "fin", "name[2]": ""}
     found = encode(
-        2, "sensor_msgs/msg/JointState", installed_types(), {"position": positions}, names
+        np.arange(2),
+        "sensor_msgs/msg/JointState",
+        installed_types(),
+        {"position": positions},
+        names,
     )
-    decoded = [STORE.deserialize_cdr(data, "sensor_msgs/msg/JointState") for data in found]
+    decoded = [
+        STORE.deserialize_cdr(data, "sensor_msgs/msg/JointState") for data in found.messages()
+    ]
     assert [list(m.position) for m in decoded] == positions.tolist()
     assert all(m.name == ["cable", "fin", ""] and len(m.effort) == 0 for m in decoded)
 
 
 def test_a_field_that_the_type_lacks_is_refused():
     with pytest.raises(BagError, match="no field speed"):
-        encode(1, "worm_msgs/msg/Tracker", installed_types(), {"speed": 1.0}, {})
+        encode(np.arange(1), "worm_msgs/msg/Tracker", installed_types(), {"speed": 1.0}, {})
 
 
 def refusal(call: Callable[[], object]) -> str:

@@ -12,6 +12,7 @@ import pytest
 from recorded_run import simulated_run, write_bag
 
 from worm_model import export
+from worm_model.bags.blocks import block_of_topics
 from worm_model.bags.cdr import encode
 from worm_model.bags.definitions import installed_types, topic_of
 from worm_model.bags.writer import BagWriter
@@ -64,10 +65,14 @@ def test_sequences_become_a_column_an_element(tmp_path: Path, monkeypatch):
     """Also if they grow within the bag: what a message lacks is an empty cell."""
     kind = "sensor_msgs/msg/JointState"
     few = encode(
-        2, kind, installed_types(), {"position": np.array([[1.0], [2.0]])}, {"name[0]": "a"}
+        np.array([1, 2]),
+        kind,
+        installed_types(),
+        {"position": np.array([[1.0], [2.0]])},
+        {"name[0]": "a"},
     )
     more = encode(
-        1,
+        np.array([3]),
         kind,
         installed_types(),
         {"position": np.array([[3.0, 4.0]])},
@@ -75,8 +80,8 @@ def test_sequences_become_a_column_an_element(tmp_path: Path, monkeypatch):
     )
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_topic(topic_of("/worm/joint_states", kind))
-        for time, data in enumerate([*few, *more], 1):
-            writer.write("/worm/joint_states", data, time, time)
+        for part in (few, more):
+            writer.write_block(block_of_topics({"/worm/joint_states": part}))
     assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv") == 0
     found = table(tmp_path / "csv" / "worm__joint_states.csv")
     assert found["position[0]"] == ["1.0", "2.0", "3.0"]
@@ -96,7 +101,8 @@ def test_a_topic_that_cannot_be_decoded_is_left_out_and_named(tmp_path: Path, mo
     with BagWriter(tmp_path / "bag") as writer:
         for name in ("/worm/power", "/worm/bad"):
             writer.add_topic(topic_of(name, "worm_msgs/msg/Power"))
-        data = encode(1, "worm_msgs/msg/Power", installed_types(), {"power": 1.0}, {})[0]
+        power = encode(np.array([1]), "worm_msgs/msg/Power", installed_types(), {"power": 1.0}, {})
+        data = power.message(0)
         writer.write("/worm/power", data, 1, 1)
         writer.write("/worm/bad", data[:-9], 2, 2)
     assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv") == 0

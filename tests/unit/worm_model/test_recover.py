@@ -97,11 +97,11 @@ def test_two_that_open_an_unclosed_bag_at_once_read_the_same_recovery(
 def test_a_full_disk_ends_with_status_1_and_leaves_nothing(
     cut: Path, tmp_path: Path, monkeypatch, capsys
 ):
-    class FullDisk(writer.Writer):
+    class FullDisk(writer.McapWriter):
         def finish(self) -> None:
             raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(writer, "Writer", FullDisk)
+    monkeypatch.setattr(writer, "McapWriter", FullDisk)
     target = tmp_path / "saved"
     assert command(monkeypatch, cut, "--output", target) == 1
     error = capsys.readouterr().err

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol
 
 import yaml
 
+from worm_model.bags.blocks import MessageBlock
 from worm_model.bags.errors import BagError
 from worm_model.bags.payloads import Payloads
 
@@ -90,8 +91,8 @@ class Storage(Protocol):
         """Files kept inside."""
         ...
 
-    def batches(self, topics: frozenset[str]) -> Iterator[list[Message]]:
-        """Messages of some topics by rising log time."""
+    def blocks(self, topics: frozenset[str]) -> Iterator[MessageBlock]:
+        """Messages of some topics by rising log time, lazily."""
         ...
 
     def payloads(self, topics: frozenset[str]) -> dict[str, Payloads]:
@@ -169,12 +170,14 @@ class Bag:
         Raises:
             BagError: a topic does not exist, or the file turns out to be damaged.
         """
-        for batch in self.batches(topics):
-            yield from batch
+        for block in self.blocks(topics):
+            names = [block.names[index] for index in block.topic.tolist()]
+            log_time, publish_time = block.log_time.tolist(), block.publish_time.tolist()
+            yield from map(Message, names, log_time, block.payloads.messages(), publish_time)
 
-    def batches(self, topics: Iterable[str] | None = None) -> Iterator[list[Message]]:
-        """As `messages`, many at a time."""
-        return self._storage.batches(self._wanted(topics))
+    def blocks(self, topics: Iterable[str] | None = None) -> Iterator[MessageBlock]:
+        """As `messages`, many at a time: each block begins no earlier than the one before it ends."""
+        return self._storage.blocks(self._wanted(topics))
 
     def payloads(self, topics: Iterable[str]) -> dict[str, Payloads]:
         """All messages of some topics at once, by topic: fast, and as large as the topics are.

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -22,7 +22,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
 from worm_model.bags.errors import BagError
-from worm_model.bags.payloads import Bytes, Payloads
+from worm_model.bags.payloads import Bytes, Integers, Payloads, Times, groups
 
 HEADER_BYTES = 4
 BIG, LITTLE = b"\x00\x00", b"\x00\x01"  # representation identifiers of plain CDR
@@ -284,16 +284,16 @@ def _place(
 
 
 def encode(
-    count: int,
+    log_time: Integers | Times,
     type_name: str,
     types: Types,
     numbers: Mapping[str, NDArray[Any] | float],
     texts: Mapping[str, str | Sequence[str]],
-) -> list[bytes]:
+) -> Payloads:
     """Messages of one type from columns; what is not given is zero or empty.
 
     Args:
-        count: number of messages.
+        log_time: of each message, ns since the epoch, shape (count,).
         numbers: by path; one value for all messages, shape (count,), or (count, k) for a sequence of k numbers.
         texts: by path; one text for all messages, or one a message. A sequence of texts is given by its elements'
             paths, ``name[0]`` and so on.
@@ -301,25 +301,38 @@ def encode(
     Raises:
         BagError: the type has no such field.
     """
+    count = len(log_time)
     encoded = {
-        path: text.encode() if isinstance(text, str) else None for path, text in texts.items()
+        path: text.encode() if isinstance(text, str) else [one.encode() for one in text]
+        for path, text in texts.items()
     }
-    varying = [path for path, text in encoded.items() if text is None]
-    keys = list(zip(*(texts[path] for path in varying), strict=True)) if varying else [()] * count
-    messages: list[bytes] = [b""] * count
-    for key in dict.fromkeys(keys):
-        rows = [row for row, other in enumerate(keys) if other == key]
-        constant = {path: text for path, text in encoded.items() if text is not None}
-        constant |= {path: text.encode() for path, text in zip(varying, key, strict=True)}
-        part = {
-            path: values[rows] if isinstance(values, np.ndarray) else values
-            for path, values in numbers.items()
+    blocks: list[Bytes] = []
+    offset, size = np.empty(count, np.int64), np.empty(count, np.int64)
+    filled = 0
+    for rows in _alike(count, [text for text in encoded.values() if isinstance(text, list)]):
+        part = {p: v[rows] if isinstance(v, np.ndarray) else v for p, v in numbers.items()}
+        same = {
+            p: [text[row] for row in rows] if isinstance(text, list) else text
+            for p, text in encoded.items()
         }
-        for row, data in zip(
-            rows, _encode_alike(len(rows), type_name, types, part, constant), strict=True
-        ):
-            messages[row] = data
-    return messages
+        block = _encode_alike(len(rows), type_name, types, part, same)
+        size[rows] = block.shape[1]
+        offset[rows] = filled + block.shape[1] * np.arange(len(rows))
+        filled += block.size
+        blocks.append(block.reshape(-1))
+    buffer = np.concatenate([np.empty(0, np.uint8), *blocks])
+    return Payloads(buffer, offset, size, log_time.astype(np.uint64))
+
+
+def _alike(count: int, texts: list[list[bytes]]) -> Iterator[Integers]:
+    """Rows whose texts have the same lengths, hence one layout."""
+    layout = np.zeros(count, np.int64)
+    for column in texts:
+        length = np.array([len(text) for text in column], dtype=np.int64)
+        combined = layout * (length.max(initial=0) + 1) + length
+        layout = np.unique(combined, return_inverse=True)[1]
+    for _, rows in groups(layout):
+        yield rows
 
 
 def _encode_alike(
@@ -327,9 +340,9 @@ def _encode_alike(
     type_name: str,
     types: Types,
     numbers: Mapping[str, NDArray[Any] | float],
-    texts: Mapping[str, bytes],
-) -> list[bytes]:
-    """Messages that share all texts, hence one layout."""
+    texts: Mapping[str, bytes | list[bytes]],
+) -> Bytes:
+    """Messages of one layout, shape (count, bytes of each)."""
     cursor = _WriteCursor(lengths=_lengths(numbers, texts))
     _walk(types, type_name, "", cursor)
     unknown = (numbers.keys() - cursor.numbers.keys()) | (texts.keys() - cursor.texts.keys())
@@ -338,25 +351,32 @@ def _encode_alike(
     block = np.zeros((count, cursor.position), np.uint8)
     block[:, :HEADER_BYTES] = np.frombuffer(LITTLE_HEADER, np.uint8)
     for offset, value in cursor.words:
-        block[:, offset : offset + 4] = np.frombuffer(struct.pack("<I", value), np.uint8)
+        _column(block, "u4", offset, None)[...] = value
     for path, text in texts.items():
         offset, length = cursor.texts[path]
-        block[:, offset : offset + length] = np.frombuffer(text, np.uint8)
+        several = [text] if isinstance(text, bytes) else text
+        characters = np.frombuffer(b"".join(several), np.uint8)
+        block[:, offset : offset + length] = characters.reshape(len(several), length)
     for path, values in numbers.items():
-        code, offset, elements = cursor.numbers[path]
-        shape = (count,) if elements is None else (count, elements)
-        column = np.broadcast_to(np.asarray(values), shape).astype(np.dtype(code).newbyteorder("<"))
-        raw = np.ascontiguousarray(column).view(np.uint8).reshape(count, -1)
-        block[:, offset : offset + raw.shape[1]] = raw
-    whole = block.tobytes()
-    return [whole[i * cursor.position : (i + 1) * cursor.position] for i in range(count)]
+        _column(block, *cursor.numbers[path])[...] = np.asarray(values)
+    return block
+
+
+def _column(block: Bytes, code: str, offset: int, elements: int | None) -> NDArray[Any]:
+    """A number of each message, shape (count,), or several, shape (count, elements): to be filled in."""
+    dtype = np.dtype(code).newbyteorder("<")
+    shape = (len(block),) if elements is None else (len(block), elements)
+    strides = (block.shape[1], dtype.itemsize)[: len(shape)]
+    return np.ndarray(shape, dtype, block, offset, strides)
 
 
 def _lengths(
-    numbers: Mapping[str, NDArray[Any] | float], texts: Mapping[str, bytes]
+    numbers: Mapping[str, NDArray[Any] | float], texts: Mapping[str, bytes | list[bytes]]
 ) -> dict[str, int]:
     """Length words of texts (with their terminator) and of sequences (by their columns or elements)."""
-    lengths = {path: len(text) + 1 for path, text in texts.items()}
+    lengths = {
+        path: len(text if isinstance(text, bytes) else text[0]) + 1 for path, text in texts.items()
+    }
     for path, values in numbers.items():
         if np.ndim(values) == 2:
             lengths[path] = np.shape(values)[1]

@@ -68,9 +68,9 @@ class Contents:
 def read_contents(stream: BinaryIO, size: int) -> Contents:
     """Contents of a file of some size in bytes that begins with MAGIC."""
     try:
-        return _by_summary(stream, size) or _by_scan(stream)
+        return _by_summary(stream, size) or scan_contents(stream, size)
     except (*DAMAGE, OSError):  # OSError: an offset before the file's beginning
-        return _by_scan(stream)
+        return scan_contents(stream, size)
 
 
 # --- by the summary -------------------------------------------------------------------------------
@@ -131,8 +131,9 @@ def _suffices(contents: Contents, statistics: Statistics | None) -> bool:
 # --- by a scan ------------------------------------------------------------------------------------
 
 
-def _by_scan(stream: BinaryIO) -> Contents:
-    scanner = _Scanner(stream)
+def scan_contents(stream: BinaryIO, size: int) -> Contents:
+    """As `read_contents`, whatever the file's summary and indexes say."""
+    scanner = _Scanner(stream, size)
     with suppress(*DAMAGE):  # `end` tells where: the rest of the file is lost
         scanner.run()
     scanner.close_run()
@@ -142,10 +143,10 @@ def _by_scan(stream: BinaryIO) -> Contents:
 class _Scanner:
     """Walks through the records of a file and takes note of what is where."""
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: BinaryIO, size: int) -> None:
         self.contents = Contents(end=len(MAGIC))
         self._stream = stream
-        self._size = stream.seek(0, 2)
+        self._size = size
         self._run: list[int] = []  # offset, least and greatest log time of a run of plain messages
 
     def run(self) -> None:

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import fcntl
-from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -13,8 +12,9 @@ from typing import BinaryIO
 import numpy as np
 from mcap.records import Attachment
 
+from worm_model.bags.blocks import MessageBlock, block_of
 from worm_model.bags.errors import BagError
-from worm_model.bags.mcap_contents import MAGIC, read_contents
+from worm_model.bags.mcap_contents import MAGIC, Contents, read_contents
 from worm_model.bags.mcap_records import (
     DAMAGE,
     INDEX_ENTRY,
@@ -27,11 +27,11 @@ from worm_model.bags.mcap_records import (
     unwrap_chunk,
     walk_messages,
 )
-from worm_model.bags.payloads import Payloads, payloads_of
+from worm_model.bags.payloads import Integers, Payloads, Times, groups, payloads_of
 
 BLOCK_BYTES = 1 << 24  # of chunks that are taken apart together
 
-SourcedMessage = tuple[int, RawMessage]
+Reader = Callable[[BinaryIO, int], Contents]
 
 
 @contextmanager
@@ -53,43 +53,52 @@ class McapFile:
 
     Args:
         path: the file.
+        read: finds out what is where: `read_contents` or `scan_contents`.
 
     Raises:
         BagError: it is missing, empty, or no MCAP file.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, read: Reader = read_contents) -> None:
         self.path = path
         self._stream = _open(path)
         self.size = path.stat().st_size
-        self.contents = read_contents(self._stream, self.size)
+        self.contents = read(self._stream, self.size)
 
     def close(self) -> None:
         """Close the file."""
         self._stream.close()
 
-    def load(self, extent: Extent, wanted: frozenset[int]) -> list[RawMessage]:
-        """The messages of some channels in one extent, by rising log time."""
+    def block(self, extent: Extent, names: tuple[str, ...]) -> MessageBlock:
+        """The messages of some topics in one extent."""
+        topics = {
+            number: names.index(channel.topic)
+            for number, channel in self.contents.channels.items()
+            if channel.topic in names
+        }
         with explained(self.path):
-            messages = list(walk_messages(self._read(extent)[0], wanted))
-        messages.sort(key=_log_time)
-        return messages
+            records, indexes = self._read(extent)
+            if extent.indexes is None:
+                return _walked_block(records, names, topics)
+            part = _Indexed(frozenset(topics))
+            part.add(records, extent, indexes)
+            return part.block(names, topics)
 
     def payloads(self, wanted: frozenset[int]) -> list[tuple[int, Payloads]]:
         """All messages of some channels in arrays, in pieces: with message indexes, no message is touched singly."""
         found: list[tuple[int, Payloads]] = []
-        block = _Block(wanted)
+        part = _Indexed(wanted)
         with explained(self.path):
             for extent in self.contents.extents:
                 records, indexes = self._read(extent)
                 if extent.indexes is None:
                     found += _walked_payloads(records, wanted)
                     continue
-                block.add(records, extent, indexes)
-                if block.size > BLOCK_BYTES:
-                    found += block.payloads()
-                    block = _Block(wanted)
-            found += block.payloads()
+                part.add(records, extent, indexes)
+                if part.size > BLOCK_BYTES:
+                    found += part.payloads()
+                    part = _Indexed(wanted)
+            found += part.payloads()
         return found
 
     def _read(self, extent: Extent) -> tuple[bytes, bytes]:
@@ -121,10 +130,6 @@ class McapFile:
         return False
 
 
-def _log_time(message: RawMessage) -> int:
-    return message.log_time
-
-
 def _open(path: Path) -> BinaryIO:
     try:
         stream = path.open("rb")
@@ -139,14 +144,14 @@ def _open(path: Path) -> BinaryIO:
     raise BagError(f"{path} is not an MCAP file: its first bytes are {magic!r}")
 
 
-class _Block:
-    """Chunks that are taken apart together: numpy costs the same for one as for many."""
+class _Indexed:
+    """Chunks with message indexes that are taken apart together: numpy costs the same for one as for many."""
 
     def __init__(self, wanted: frozenset[int]) -> None:
         self.size = 0
         self._wanted = wanted
         self._records: list[bytes] = []
-        self._entries: dict[int, list[tuple[bytes, int, int]]] = {}
+        self._parts: list[tuple[int, bytes, int, int]] = []
 
     def add(self, records: bytes, extent: Extent, indexes: bytes) -> None:
         """Add the records of a chunk with its message indexes."""
@@ -154,22 +159,41 @@ class _Block:
         for channel, place in (extent.indexes or {}).items():
             if channel in self._wanted:
                 entries = index_entries(indexes, place - extent.offset - extent.length, channel)
-                self._entries.setdefault(channel, []).append((entries, begin, end))
+                self._parts.append((channel, entries, begin, end))
         self._records.append(records)
         self.size = end
 
     def payloads(self) -> list[tuple[int, Payloads]]:
         """Messages by channel."""
+        channel, messages, _ = self._gather()
+        return [(number, messages.select(rows).compact()) for number, rows in groups(channel)]
+
+    def block(self, names: tuple[str, ...], topics: Mapping[int, int]) -> MessageBlock:
+        """Messages by rising log time, of equal ones in the order of the file.
+
+        Args:
+            names: of topics.
+            topics: index into them by channel.
+        """
+        channel, messages, publish_time = self._gather()
+        order = np.lexsort((messages.offset, messages.log_time))
+        topic = np.zeros(len(channel), np.int64)
+        for number, index in topics.items():
+            topic[channel == number] = index
+        return MessageBlock(names, topic[order], messages.select(order), publish_time[order])
+
+    def _gather(self) -> tuple[Integers, Payloads, Times]:
+        """Channels, messages and their publish times, channel by channel."""
         records = np.frombuffer(b"".join(self._records), np.uint8)
-        found = []
-        for channel, parts in self._entries.items():
-            entries = np.frombuffer(b"".join(entries for entries, _, _ in parts), INDEX_ENTRY)
-            counts = [len(part) // INDEX_ENTRY.itemsize for part, _, _ in parts]
-            begin = np.repeat([begin for _, begin, _ in parts], counts)
-            limit = np.repeat([end for _, _, end in parts], counts)
-            offset = entries["offset"].astype(np.int64) + begin
-            found.append((channel, gather(records, offset, limit, channel)))
-        return found
+        entries = np.frombuffer(b"".join(part for _, part, _, _ in self._parts), INDEX_ENTRY)
+        places = [
+            (channel, begin, end, len(part) // INDEX_ENTRY.itemsize)
+            for channel, part, begin, end in self._parts
+        ]
+        columns = np.array(places, dtype=np.int64).reshape(-1, 4).T
+        channel, begin, limit = (np.repeat(column, columns[3]) for column in columns[:3])
+        offset = entries["offset"].astype(np.int64) + begin
+        return channel, *gather(records, offset, limit, channel)
 
 
 def _walked_payloads(records: bytes, wanted: frozenset[int]) -> list[tuple[int, Payloads]]:
@@ -182,27 +206,13 @@ def _walked_payloads(records: bytes, wanted: frozenset[int]) -> list[tuple[int, 
     ]
 
 
-def merge(sources: Sequence[tuple[McapFile, frozenset[int]]]) -> Iterator[list[SourcedMessage]]:
-    """Messages of several files by rising log time, a batch at a time, each with the index of its file.
-
-    What is in memory at a time is the extents that overlap in time, however long the files are.
-    """
-    extents = sorted(
-        (extent.start, extent.end, index, extent)
-        for index, (file, _) in enumerate(sources)
-        for extent in file.contents.extents
+def _walked_block(
+    records: bytes, names: tuple[str, ...], topics: Mapping[int, int]
+) -> MessageBlock:
+    found = list(walk_messages(records, frozenset(topics)))
+    return block_of(
+        names,
+        [topics[message.channel] for message in found],
+        payloads_of([m.data for m in found], [m.log_time for m in found]),
+        [m.publish_time for m in found],
     )
-    pending: list[SourcedMessage] = []
-    for start, _, index, extent in extents:
-        ready = bisect_left(pending, start, key=_sourced_log_time)
-        if ready:
-            yield pending[:ready]
-        file, wanted = sources[index]
-        pending = pending[ready:] + [(index, message) for message in file.load(extent, wanted)]
-        pending.sort(key=_sourced_log_time)
-    if pending:
-        yield pending
-
-
-def _sourced_log_time(item: SourcedMessage) -> int:
-    return item[1].log_time

@@ -21,13 +21,13 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
 
-from worm_model.bags.payloads import Bytes, Integers, Payloads
+from worm_model.bags.payloads import Bytes, Integers, Payloads, Times, cells, place
 
 MAX_CHUNK_BYTES = 1 << 31  # more than any writer makes: a damaged length, not a chunk
 RECORD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _MESSAGE_BODY = _MESSAGE.size - RECORD.size  # before the payload
-_HEAD = np.dtype(
+HEAD = np.dtype(
     [
         ("opcode", "u1"),
         ("length", "<u8"),
@@ -36,7 +36,7 @@ _HEAD = np.dtype(
         ("log_time", "<u8"),
         ("publish_time", "<u8"),
     ]
-)  # the same as columns
+)  # of a message, the same as columns
 _CHUNK = struct.Struct("<QQQII")  # first and last log time, size, checksum, length of compression
 _CHUNK_INDEX = struct.Struct("<QQQQI")  # first and last log time, offset, length, bytes of indexes
 _CHANNEL_INDEX = struct.Struct("<HQ")  # channel, offset of its message index
@@ -189,23 +189,49 @@ def index_entries(indexes: bytes, place: int, channel: int) -> bytes:
     return indexes[start : start + size]
 
 
-def gather(records: Bytes, offset: Integers, limit: Integers, channel: int) -> Payloads:
-    """Messages of a channel whose records begin at some offsets.
+def gather(
+    records: Bytes, offset: Integers, limit: Integers, channel: Integers
+) -> tuple[Payloads, Times]:
+    """Messages whose records begin at some offsets, in place, and when they were sent.
 
     Args:
         records: of one or several chunks.
         offset: shape (messages,).
         limit: end of the chunk that each lies in, shape (messages,).
+        channel: that each is of, shape (messages,).
 
     Raises:
         ValueError: there is something else at an offset.
     """
-    if (offset < 0).any() or (offset > limit - _MESSAGE.size).any():
+    if (offset < 0).any() or (offset > limit - HEAD.itemsize).any():
         raise ValueError("a message index points out of its chunk")
-    heads = records[offset[:, np.newaxis] + np.arange(_MESSAGE.size)].reshape(-1).view(_HEAD)
+    heads = cells(records, HEAD.itemsize)[offset].view(HEAD)
     size = heads["length"].astype(np.int64) - _MESSAGE_BODY
     fits = (heads["opcode"] == Opcode.MESSAGE) & (heads["channel"] == channel) & (size >= 0)
-    if not (fits & (offset + _MESSAGE.size + size <= limit)).all():
+    if not (fits & (size <= limit - offset - HEAD.itemsize)).all():
         raise ValueError("a message index points to something else")
-    log_time = heads["log_time"].astype(np.int64)
-    return Payloads(records, offset + _MESSAGE.size, size, log_time).compact()
+    payloads = Payloads(records, offset + HEAD.itemsize, size, heads["log_time"].astype(np.uint64))
+    return payloads, heads["publish_time"].astype(np.uint64)
+
+
+def message_records(
+    channel: Integers, payloads: Payloads, publish_time: Times
+) -> tuple[Bytes, Integers]:
+    """Records of messages, one behind the other, and where each begins; the opposite of `gather`.
+
+    Args:
+        channel: of each message, shape (messages,).
+        publish_time: when each was sent, ns since the epoch, shape (messages,).
+    """
+    heads = np.zeros(len(payloads), HEAD)
+    heads["opcode"] = Opcode.MESSAGE
+    heads["length"] = payloads.size + _MESSAGE_BODY
+    heads["channel"] = channel
+    heads["log_time"] = payloads.log_time
+    heads["publish_time"] = publish_time
+    ends = np.cumsum(payloads.size + HEAD.itemsize)
+    start = ends - payloads.size - HEAD.itemsize
+    records = np.empty(int(ends[-1]) if len(ends) else 0, np.uint8)
+    cells(records, HEAD.itemsize)[start] = heads.view(f"V{HEAD.itemsize}")
+    place(payloads, records, start + HEAD.itemsize)
+    return records, start

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from worm_model.bags.bag import AttachedFile, Message, MetadataRecord, Topic
+from worm_model.bags.bag import AttachedFile, MetadataRecord, Topic
+from worm_model.bags.blocks import MessageBlock, merge
 from worm_model.bags.errors import BagError
-from worm_model.bags.mcap_file import McapFile, merge
+from worm_model.bags.mcap_file import McapFile
 from worm_model.bags.payloads import Payloads, join
 
 
@@ -50,29 +51,22 @@ class McapStorage:
     def payloads(self, topics: frozenset[str]) -> dict[str, Payloads]:
         """All messages of some topics, by topic."""
         parts: dict[str, list[Payloads]] = {topic: [] for topic in topics}
-        for file, names, wanted in self._channels(topics):
+        for file in self._files:
+            names = {number: channel.topic for number, channel in file.contents.channels.items()}
+            wanted = frozenset(number for number, topic in names.items() if topic in topics)
             for channel, payloads in file.payloads(wanted):
                 parts[names[channel]].append(payloads)
         return {topic: join(found) for topic, found in parts.items()}
 
-    def _channels(
-        self, topics: frozenset[str]
-    ) -> Iterator[tuple[McapFile, dict[int, str], frozenset[int]]]:
-        """Each file with its topics by channel, and its channels of some topics."""
-        for file in self._files:
-            names = {number: channel.topic for number, channel in file.contents.channels.items()}
-            wanted = frozenset(number for number, topic in names.items() if topic in topics)
-            yield file, names, wanted
+    def blocks(self, topics: frozenset[str]) -> Iterator[MessageBlock]:
+        """Messages of some topics by rising log time.
 
-    def batches(self, topics: frozenset[str]) -> Iterator[list[Message]]:
-        """Messages of some topics by rising log time."""
-        files = list(self._channels(topics))
-        names = [known for _, known, _ in files]
-        for batch in merge([(file, wanted) for file, _, wanted in files]):
-            yield [
-                Message(names[index][raw.channel], raw.log_time, raw.data, raw.publish_time)
-                for index, raw in batch
-            ]
+        What is in memory at a time is the extents that overlap in time, however long the files are.
+        """
+        names = tuple(sorted(topics))
+        extents = [(file, extent) for file in self._files for extent in file.contents.extents]
+        extents.sort(key=lambda item: (item[1].start, item[1].end))  # equal ones as in the files
+        return merge((extent.start, file.block(extent, names)) for file, extent in extents)
 
 
 def _topics(files: Sequence[McapFile]) -> tuple[Topic, ...]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int64]
+Times = NDArray[np.uint64]  # ns since the epoch, unsigned as files have them
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,7 @@ class Payloads:
     """Messages, each a stretch of a buffer.
 
     Attributes:
-        buffer: shape (bytes,).
+        buffer: shape (bytes,), contiguous.
         offset: first byte of each message, shape (messages,).
         size: bytes of each, shape (messages,).
         log_time: when each was received, ns since the epoch, shape (messages,).
@@ -27,7 +28,7 @@ class Payloads:
     buffer: Bytes
     offset: Integers
     size: Integers
-    log_time: Integers
+    log_time: Times
 
     def __len__(self) -> int:
         return len(self.offset)
@@ -37,46 +38,91 @@ class Payloads:
         start = self.offset[row]
         return self.buffer[start : start + self.size[row]].tobytes()
 
+    def messages(self) -> list[bytes]:
+        """All messages apart."""
+        data = self.buffer.data
+        places = zip(self.offset.tolist(), self.size.tolist(), strict=True)
+        return [bytes(data[start : start + size]) for start, size in places]
+
     def rows(self, chosen: Integers) -> Bytes:
         """Some messages of one size, shape (len(chosen), size)."""
         size = int(self.size[chosen[0]])
-        offset = self.offset[chosen]
-        first = offset[0]
-        if (np.diff(offset) == size).all():  # they lie one behind the other
-            return self.buffer[first : first + size * len(chosen)].reshape(len(chosen), size)
-        return self.buffer[offset[:, np.newaxis] + np.arange(size)]
+        if not size:
+            return np.empty((len(chosen), 0), np.uint8)
+        return cells(self.buffer, size)[self.offset[chosen]].view(np.uint8).reshape(-1, size)
+
+    def select(self, chosen: Integers | slice) -> Payloads:
+        """Some of the messages, in the same buffer."""
+        return Payloads(self.buffer, self.offset[chosen], self.size[chosen], self.log_time[chosen])
 
     def compact(self) -> Payloads:
-        """The same messages in a buffer that holds nothing else."""
+        """The same messages in a buffer that holds nothing else, one behind the other."""
         ends = np.cumsum(self.size)
         starts = ends - self.size
-        total = int(ends[-1]) if len(ends) else 0
-        if total and (self.size == self.size[0]).all():
-            alike = self.rows(np.arange(len(self)))
-            return Payloads(alike.reshape(-1), starts, self.size, self.log_time)
-        source = np.repeat(self.offset - starts, self.size) + np.arange(total)
-        return Payloads(self.buffer[source], starts, self.size, self.log_time)
+        buffer = np.empty(int(ends[-1]) if len(ends) else 0, np.uint8)
+        place(self, buffer, starts)
+        return Payloads(buffer, starts, self.size, self.log_time)
+
+
+def cells(buffer: Bytes, size: int) -> NDArray[np.void]:
+    """All stretches of a size in a contiguous buffer: the i-th begins at byte i. They share its memory.
+
+    Many of them are taken out or put in at the cost of a copy each, where an index per byte would cost tenfold.
+    """
+    return np.ndarray(max(len(buffer) - size + 1, 0), f"V{size}", buffer, strides=(1,))
+
+
+def groups(keys: NDArray[np.integer]) -> Iterator[tuple[int, Integers]]:
+    """Each value of some keys, which are not negative, with the rows that have it, in their order; by rising value."""
+    if not len(keys):
+        return
+    narrow = keys.astype(
+        np.min_scalar_type(int(keys.max()))
+    )  # numpy sorts narrow integers by digits
+    order = np.argsort(narrow, kind="stable")
+    borders = np.flatnonzero(np.diff(narrow[order])) + 1
+    for rows in np.split(order, borders):
+        yield int(keys[rows[0]]), rows
+
+
+def place(payloads: Payloads, target: Bytes, start: Integers) -> None:
+    """Copy messages into a buffer, each to begin at its start, shape (messages,)."""
+    for size, rows in groups(payloads.size):
+        if size:
+            source = cells(payloads.buffer, size)
+            cells(target, size)[start[rows]] = source[payloads.offset[rows]]
 
 
 def payloads_of(messages: Sequence[bytes], log_times: Sequence[int]) -> Payloads:
     """Payloads of separate messages."""
     sizes = np.array([len(data) for data in messages], dtype=np.int64)
     buffer = np.frombuffer(b"".join(messages), np.uint8)
-    times = np.array(log_times, dtype=np.int64)
+    times = np.array(log_times, dtype=np.uint64)
     return Payloads(buffer, np.cumsum(sizes) - sizes, sizes, times)
 
 
 def join(parts: Sequence[Payloads]) -> Payloads:
-    """All messages of some payloads by rising log time."""
+    """All messages of some payloads by rising log time, of equal ones in the order of the parts."""
+    return arrange(parts, time_order(parts))
+
+
+def time_order(parts: Sequence[Payloads]) -> Integers:
+    """Rows of some payloads, counted through, by rising log time; of equal ones in the order of the parts."""
+    times = [part.log_time for part in parts]
+    return np.argsort(np.concatenate([np.empty(0, np.uint64), *times]), kind="stable")
+
+
+def arrange(parts: Sequence[Payloads], order: Integers) -> Payloads:
+    """All messages of some payloads in an order, which is that of their rows counted through, one behind the other."""
     if not parts:
         return payloads_of([], [])
-    shifts = np.cumsum([0, *(len(part.buffer) for part in parts[:-1])])
     log_time = np.concatenate([part.log_time for part in parts])
-    order = np.argsort(log_time, kind="stable")
-    offset = np.concatenate([p.offset + s for p, s in zip(parts, shifts, strict=True)])
-    return Payloads(
-        buffer=np.concatenate([part.buffer for part in parts]),
-        offset=offset[order],
-        size=np.concatenate([part.size for part in parts])[order],
-        log_time=log_time[order],
-    )
+    size = np.concatenate([part.size for part in parts])
+    start = np.empty_like(size)
+    start[order] = np.cumsum(size[order]) - size[order]
+    buffer = np.empty(int(size.sum()), np.uint8)
+    first = 0
+    for part in parts:
+        place(part, buffer, start[first : first + len(part)])
+        first += len(part)
+    return Payloads(buffer, start[order], size[order], log_time[order])

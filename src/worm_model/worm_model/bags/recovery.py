@@ -9,7 +9,8 @@ from pathlib import Path
 
 from worm_model.bags.bag import METADATA_FILE, read_metadata
 from worm_model.bags.errors import BagError
-from worm_model.bags.mcap_file import McapFile
+from worm_model.bags.mcap_contents import read_contents, scan_contents
+from worm_model.bags.mcap_file import McapFile, Reader
 from worm_model.bags.mcap_storage import McapStorage
 from worm_model.bags.writer import ROSBAG2_RECORD, BagWriter
 
@@ -56,7 +57,7 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
     Raises:
         BagError: there is nothing to save, the bag is still being recorded, or the output exists.
     """
-    files, unreadable = open_files(mcap_files(path))
+    files, unreadable = open_files(mcap_files(path), scan_contents)
     try:
         for file in files:
             if not file.contents.whole and file.is_being_written():
@@ -104,7 +105,9 @@ def _split_number(name: str) -> tuple[int, str]:
     return (int(number) if number.isdecimal() else 0), name
 
 
-def open_files(paths: Iterable[Path]) -> tuple[list[McapFile], tuple[str, ...]]:
+def open_files(
+    paths: Iterable[Path], read: Reader = read_contents
+) -> tuple[list[McapFile], tuple[str, ...]]:
     """Open what can be opened; also the names of those that cannot.
 
     Raises:
@@ -115,7 +118,7 @@ def open_files(paths: Iterable[Path]) -> tuple[list[McapFile], tuple[str, ...]]:
     reason: BagError | None = None
     for path in paths:
         try:
-            files.append(McapFile(path))
+            files.append(McapFile(path, read))
         except BagError as error:
             failed.append(path.name)
             reason = error
@@ -141,8 +144,7 @@ def _rewrite(files: Sequence[McapFile], target: Path, source: Path) -> int:
                 writer.add_metadata(record.name, dict(record.values))
         for topic in storage.topics:
             writer.add_topic(topic)
-        for batch in storage.batches(frozenset(topic.name for topic in storage.topics)):
-            for message in batch:
-                writer.write(message.topic, message.data, message.log_time, message.publish_time)
-            count += len(batch)
+        for block in storage.blocks(frozenset(topic.name for topic in storage.topics)):
+            writer.write_block(block)
+            count += len(block)
     return count

@@ -21,9 +21,10 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import Reader
 
-from worm_model.bags.bag import AttachedFile, Message, MetadataRecord, Topic
+from worm_model.bags.bag import AttachedFile, MetadataRecord, Topic
+from worm_model.bags.blocks import MessageBlock, block_of
 from worm_model.bags.errors import BagError
-from worm_model.bags.payloads import Payloads, payloads_of
+from worm_model.bags.payloads import Payloads, join, payloads_of
 
 BATCH = 1000
 _FORMATS = MappingProxyType(
@@ -73,33 +74,33 @@ class RosbagsStorage:
         """None."""
         return iter(())
 
-    def batches(self, topics: frozenset[str]) -> Iterator[list[Message]]:
+    def blocks(self, topics: frozenset[str]) -> Iterator[MessageBlock]:
         """Messages of some topics by rising log time; the sending time is not known and taken for the same."""
         wanted = [c for c in self._reader.connections if c.topic in topics]
         if not wanted:
             return  # the library takes no connections for all
+        names = tuple(sorted(topics))
         with _explained(self._path):
-            found = (
-                Message(connection.topic, time, bytes(data), time)
-                for connection, time, data in self._reader.messages(wanted)
-            )
+            found = self._reader.messages(wanted)
         while True:
             with _explained(self._path):
                 batch = list(islice(found, BATCH))
-            if not batch:
-                return
-            yield batch
+                if not batch:
+                    return
+                times = [time for _, time, _ in batch]
+                payloads = payloads_of([bytes(data) for _, _, data in batch], times)
+                block = block_of(
+                    names, [names.index(c.topic) for c, _, _ in batch], payloads, times
+                )
+            yield block
 
     def payloads(self, topics: frozenset[str]) -> dict[str, Payloads]:
         """All messages of some topics, by topic."""
-        found: dict[str, list[Message]] = {topic: [] for topic in topics}
-        for batch in self.batches(topics):
-            for message in batch:
-                found[message.topic].append(message)
-        return {
-            topic: payloads_of([m.data for m in messages], [m.log_time for m in messages])
-            for topic, messages in found.items()
-        }
+        found: dict[str, list[Payloads]] = {topic: [] for topic in topics}
+        for block in self.blocks(topics):
+            for topic, payloads in block.by_topic():
+                found[topic].append(payloads)
+        return {topic: join(parts) for topic, parts in found.items()}
 
 
 def _topic(connection: Connection) -> Topic:

@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.bags.blocks import block_of_topics
 from worm_model.bags.cdr import encode
 from worm_model.bags.definitions import installed_types, topic_of
+from worm_model.bags.errors import BagError
+from worm_model.bags.payloads import Payloads
 from worm_model.bags.worm_topics import TYPES, offered_qos
 from worm_model.bags.writer import BagWriter
 from worm_model.run import LengthSamples, Run, Stamps
@@ -25,26 +28,27 @@ def write_run(writer: BagWriter, run: Run, namespace: str = "/worm") -> None:
     Raises:
         BagError: the definitions of worm_msgs are not installed.
     """
-    series = {name: (stamp, numbers) for name, stamp, numbers in _series(run) if len(stamp)}
-    messages = []
-    for order, (name, (stamp, numbers)) in enumerate(series.items()):
-        topic = topic_of(f"{namespace.rstrip('/')}/{name}", TYPES[name], offered_qos(name))
-        writer.add_topic(topic)
-        payloads = encode_stamped(TYPES[name], stamp, numbers)
-        messages += [
-            (time, order, row, topic.name, data)
-            for row, (time, data) in enumerate(zip(stamp.tolist(), payloads, strict=True))
-        ]
-    for time, _, _, topic_name, data in sorted(messages, key=lambda m: m[:3]):
-        writer.write(topic_name, data, time, time)
+    messages: dict[str, Payloads] = {}
+    for name, stamp, numbers in _series(run):
+        if len(stamp):
+            topic = topic_of(f"{namespace.rstrip('/')}/{name}", TYPES[name], offered_qos(name))
+            writer.add_topic(topic)
+            messages[topic.name] = encode_stamped(TYPES[name], stamp, numbers)
+    writer.write_block(block_of_topics(messages))
 
 
 def encode_stamped(
     type_name: str, stamp: Stamps, numbers: Numbers, texts: Mapping[str, Any] | None = None
-) -> list[bytes]:
-    """CDR messages of a type with a header, from stamps (ns since the epoch) and columns."""
+) -> Payloads:
+    """CDR messages of a type with a header, from stamps (ns since the epoch) and columns; received at their stamps.
+
+    Raises:
+        BagError: a stamp is from before the epoch, or the type has no such field.
+    """
+    if len(stamp) and stamp.min() < 0:
+        raise BagError(f"a {type_name} is from before 1970, which no bag can hold")
     header = {"header.stamp.sec": stamp // 10**9, "header.stamp.nanosec": stamp % 10**9}
-    return encode(len(stamp), type_name, installed_types(), {**header, **numbers}, texts or {})
+    return encode(stamp, type_name, installed_types(), {**header, **numbers}, texts or {})
 
 
 def _series(run: Run) -> list[tuple[str, Stamps, Numbers]]:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.bags.bag import Bag, Message, Topic
+from worm_model.bags.bag import Bag, Topic
 from worm_model.bags.cdr import Columns
 from worm_model.bags.errors import BagError
-from worm_model.bags.payloads import payloads_of
+from worm_model.bags.payloads import Payloads
 from worm_model.bags.run_reader import decode_topic
 
 LOG_TIME = "log_time_ns"
@@ -35,8 +35,8 @@ def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[Table], dict[str,
     """The tables of some topics, and why others have none. Reads the bag once: sequences may grow within it."""
     kinds: dict[str, dict[str, Kind]] = {name: {} for name in topics}
     failed: dict[str, BagError] = {}
-    for batch in bag.batches(kinds):
-        for name, messages in _by_topic(batch).items():
+    for block in bag.blocks(kinds):
+        for name, messages in block.by_topic():
             if name in failed:
                 continue
             try:
@@ -55,8 +55,8 @@ def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[Table], dict[str,
 def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, Rows]]:
     """Rows of tables, a batch at a time: lists by column name, None where a message lacks the field."""
     by_topic = {table.topic.name: table for table in tables}
-    for batch in bag.batches(by_topic):
-        for name, messages in _by_topic(batch).items():
+    for block in bag.blocks(by_topic):
+        for name, messages in block.by_topic():
             table = by_topic[name]
             found = _flat(table.topic, messages)
             missing = [None] * len(messages)
@@ -66,18 +66,10 @@ def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, Rows
             )
 
 
-def _by_topic(batch: Iterable[Message]) -> dict[str, list[Message]]:
-    found: dict[str, list[Message]] = {}
-    for message in batch:
-        found.setdefault(message.topic, []).append(message)
-    return found
-
-
-def _flat(topic: Topic, messages: list[Message]) -> dict[str, tuple[Kind, list[Any]]]:
+def _flat(topic: Topic, messages: Payloads) -> dict[str, tuple[Kind, list[Any]]]:
     """Kind and values of each column."""
-    times = [message.log_time for message in messages]
-    columns = decode_topic(topic, payloads_of([message.data for message in messages], times))
-    flat: dict[str, tuple[Kind, list[Any]]] = {LOG_TIME: ("int64", times)}
+    columns = decode_topic(topic, messages)
+    flat: dict[str, tuple[Kind, list[Any]]] = {LOG_TIME: ("int64", messages.log_time.tolist())}
     for path, values in columns.numbers.items():
         if path.endswith(SECONDS) and path.removesuffix(SECONDS) + NANOSECONDS in columns.numbers:
             stem = path.removesuffix(SECONDS)

@@ -5,20 +5,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 import yaml
-from mcap.writer import CompressionType, Writer
 
-from worm_model.bags.bag import METADATA_FILE, METADATA_ROOT, AttachedFile, Topic
+from worm_model.bags.bag import (
+    METADATA_FILE,
+    METADATA_ROOT,
+    YAML_LOADER,
+    AttachedFile,
+    Message,
+    Topic,
+)
+from worm_model.bags.blocks import MessageBlock
 from worm_model.bags.draft import new_folder
 from worm_model.bags.errors import UnwritableError
+from worm_model.bags.mcap_writer import CHUNK_BYTES, McapWriter
+from worm_model.bags.payloads import payloads_of
 
 METADATA_VERSION = 9  # ROS 2 Jazzy's
-CHUNK_BYTES = 768 * 1024
+WAITING = 1000  # single messages that are put together
 LIBRARY = "worm_model"
+YAML_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the one in C is faster
 ROSBAG2_RECORD = "rosbag2"
 
 
@@ -41,16 +53,15 @@ class BagWriter:
         self._topics: dict[str, Topic] = {}
         self._schemas: dict[tuple[str, str], int] = {}
         self._channels: dict[str, int] = {}
-        self._counts: dict[str, int] = {}
-        self._span: tuple[int, int] | None = None
+        self._waiting: list[Message] = []
+        self._waiting_bytes = 0
         self._resources = ExitStack()
         try:
             self._draft = self._resources.enter_context(new_folder(directory))
         except OSError as error:
             raise UnwritableError(f"{directory} cannot be written: {error.strerror}") from None
         self._stream = (self._draft / self._file).open("xb")
-        self._mcap = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._mcap.start("ros2", LIBRARY)
+        self._mcap = McapWriter(self._stream, LIBRARY)
         self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": self._yaml()})
 
     def __enter__(self) -> BagWriter:
@@ -83,11 +94,11 @@ class BagWriter:
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Keep a metadata record."""
-        self._mcap.add_metadata(name, dict(values))
+        self._mcap.add_metadata(name, values)
 
     def add_attachment(self, attached: AttachedFile) -> None:
         """Keep a file inside; it gets no date, so that the bytes do not depend on the day."""
-        self._mcap.add_attachment(0, 0, attached.name, attached.media_type, attached.data)
+        self._mcap.add_attachment(attached.name, attached.media_type, attached.data)
 
     def add_topic(self, topic: Topic) -> None:
         """Make a topic known before its first message; one without messages is kept too."""
@@ -95,74 +106,104 @@ class BagWriter:
             return
         key = (topic.type_name, topic.definition)
         if key not in self._schemas:
-            self._schemas[key] = self._mcap.register_schema(
+            self._schemas[key] = self._mcap.add_schema(
                 topic.type_name, topic.definition_format, topic.definition.encode()
             )
-        self._channels[topic.name] = self._mcap.register_channel(
+        self._channels[topic.name] = self._mcap.add_channel(
             topic.name, topic.encoding, self._schemas[key], dict(topic.metadata)
         )
         self._topics[topic.name] = topic
-        self._counts[topic.name] = 0
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """Append a message of a known topic; times in ns since the epoch."""
-        self._mcap.add_message(self._channels[topic], log_time, data, publish_time)
-        self._counts[topic] += 1
-        first, last = self._span or (log_time, log_time)
-        self._span = min(first, log_time), max(last, log_time)
+        if topic not in self._channels:
+            raise KeyError(topic)
+        self._waiting.append(Message(topic, log_time, data, publish_time))
+        self._waiting_bytes += len(data)
+        if len(self._waiting) >= WAITING or self._waiting_bytes >= CHUNK_BYTES:
+            self._write_waiting()
+
+    def write_block(self, block: MessageBlock) -> None:
+        """Append messages of known topics."""
+        self._write_waiting()
+        channels = np.array([self._channels[name] for name in block.names], dtype=np.int64)
+        self._mcap.write(channels[block.topic], block.payloads, block.publish_time)
+
+    def _write_waiting(self) -> None:
+        messages, self._waiting, self._waiting_bytes = self._waiting, [], 0
+        channel = np.array([self._channels[m.topic] for m in messages], dtype=np.int64)
+        payloads = payloads_of([m.data for m in messages], [m.log_time for m in messages])
+        publish_time = np.array([m.publish_time for m in messages], dtype=np.uint64)
+        self._mcap.write(channel, payloads, publish_time)
 
     def _finish(self) -> None:
-        self._mcap.flush()
+        self._write_waiting()
+        self._mcap.end_chunk()  # so that it counts
         self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": self._yaml()})
         self._mcap.finish()
         self._stream.close()
-        text = yaml.safe_dump({METADATA_ROOT: self._document([self._file])}, sort_keys=False)
+        text = _dump({METADATA_ROOT: self._document([self._file])})
         (self._draft / METADATA_FILE).write_text(text, encoding="utf-8")
 
     def _yaml(self) -> str:
         """The copy inside the file, which does not know the file's name: bags of any name have the same bytes."""
-        return yaml.safe_dump(self._document([]), sort_keys=False)
+        return _dump(self._document([]))
 
     def _document(self, files: list[str]) -> dict[str, Any]:
         """Content of metadata.yaml below its root key."""
-        first, last = self._span or (0, 0)
+        statistics = self._mcap.statistics()
+        first, last = statistics.message_start_time, statistics.message_end_time
+        counts = statistics.channel_message_counts
         extent = {
             "duration": {"nanoseconds": last - first},
             "starting_time": {"nanoseconds_since_epoch": first},
-            "message_count": sum(self._counts.values()),
+            "message_count": statistics.message_count,
         }
         return {
             "version": METADATA_VERSION,
             "storage_identifier": "mcap",
             **extent,
             "topics_with_message_count": [
-                {"topic_metadata": _describe(topic), "message_count": self._counts[name]}
+                {
+                    "topic_metadata": _describe(topic),
+                    "message_count": counts.get(self._channels[name], 0),
+                }
                 for name, topic in self._topics.items()
             ],
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": files,
-            "files": [{"path": name, **_copy(extent)} for name in files],
+            "files": [{"path": name, **extent} for name in files],
             "custom_data": self._custom,
             "ros_distro": "jazzy",
         }
 
 
-def _copy(extent: Mapping[str, Any]) -> dict[str, Any]:
-    """A copy that YAML does not take for the same object, which it would write as a reference."""
-    return {key: dict(v) if isinstance(v, dict) else v for key, v in extent.items()}
+class _Dumper(YAML_DUMPER):
+    """Repeats an object that occurs several times, where YAML would refer to its first occurrence."""
+
+    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - of any
+        return True
+
+
+def _dump(document: dict[str, Any]) -> str:
+    return yaml.dump(document, Dumper=_Dumper, sort_keys=False)
 
 
 def _describe(topic: Topic) -> dict[str, Any]:
     metadata = dict(topic.metadata)
-    try:
-        profiles = yaml.safe_load(metadata.get("offered_qos_profiles", "")) or []
-    except yaml.YAMLError:
-        profiles = []  # of a foreign writer: the channel keeps its text
     return {
         "name": topic.name,
         "type": topic.type_name,
         "serialization_format": topic.encoding,
-        "offered_qos_profiles": profiles,
+        "offered_qos_profiles": _profiles(metadata.get("offered_qos_profiles", "")),
         "type_description_hash": metadata.get("topic_type_hash", ""),
     }
+
+
+@lru_cache(maxsize=64)
+def _profiles(text: str) -> Any:
+    try:
+        return yaml.load(text, Loader=YAML_LOADER) or []
+    except yaml.YAMLError:
+        return []  # of a foreign writer: the channel keeps its text
