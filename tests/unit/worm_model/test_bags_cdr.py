@@ -16,6 +16,7 @@ from worm_model.bags.cdr import decode, encode, parse_types
 from worm_model.bags.definitions import definition_files, installed_types, topic_of
 from worm_model.bags.errors import BagError
 from worm_model.bags.payloads import payloads_of
+from worm_model.bags.run_writer import encode_stamped
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 for type_name, path in definition_files().items():
@@ -145,6 +146,47 @@ def test_sequences_are_encoded_by_their_columns_and_elements():
     ]
     assert [list(m.position) for m in decoded] == positions.tolist()
     assert all(m.name == ["cable", "fin", ""] and len(m.effort) == 0 for m in decoded)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(TEXTS, TEXTS, st.integers(0, 255)), max_size=8), TEXTS)
+def test_texts_may_differ_from_message_to_message(rows: list[tuple[str, str, int]], name: str):
+    kind = "diagnostic_msgs/msg/DiagnosticStatus"
+    found = encode(
+        np.arange(len(rows)),
+        kind,
+        installed_types(),
+        {"level": np.array([level for _, _, level in rows])},
+        {
+            "message": [text for text, _, _ in rows],
+            "hardware_id": tuple(text for _, text, _ in rows),
+            "name": name,
+        },
+    )
+    assert found.log_time.tolist() == list(range(len(rows)))
+    columns = decode(found, kind, installed_types())
+    if rows:
+        assert columns.numbers["level"].tolist() == [level for _, _, level in rows]
+        assert columns.texts["message"] == [text for text, _, _ in rows]
+        assert columns.texts["hardware_id"] == [text for _, text, _ in rows]
+    for data, (message, hardware_id, level) in zip(found.messages(), rows, strict=True):
+        status = STORE.types[kind](level % 128, name, message, hardware_id, [])
+        expected = bytearray(STORE.serialize_cdr(status, kind))
+        expected[4] = level  # rosbags takes a byte for signed
+        assert data == bytes(expected)
+
+
+def test_a_text_of_its_own_in_each_of_many_messages():
+    texts = [f"message {i}" for i in range(30_000)]
+    found = encode(
+        np.arange(len(texts)), "std_msgs/msg/String", installed_types(), {}, {"data": texts}
+    )
+    assert decode(found, "std_msgs/msg/String", installed_types()).texts["data"] == texts
+
+
+def test_a_stamp_from_before_the_epoch_is_refused():
+    with pytest.raises(BagError, match="before 1970"):
+        encode_stamped("worm_msgs/msg/Tracker", np.array([5, -1]), {})
 
 
 def test_a_field_that_the_type_lacks_is_refused():

@@ -74,7 +74,8 @@ def edit(data: bytes, edits) -> bytes:
 def read(path: Path) -> None:
     with open_bag(path, lambda _: None) as bag:
         for topic in list(bag.topics.values()):
-            list(bag.messages([topic.name]))
+            count = sum(1 for _ in bag.messages([topic.name]))
+            assert sum(len(block) for block in bag.blocks([topic.name])) == count
             decode_topic(topic, bag.payloads([topic.name])[topic.name])
         list(bag.attachments())
 

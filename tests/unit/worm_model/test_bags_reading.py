@@ -7,6 +7,7 @@ import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from mcap.writer import CompressionType, IndexType, Writer
@@ -175,6 +176,8 @@ def test_bags_of_all_writers_are_read_by_rising_time(tmp_path: Path, writer: str
         assert numbers(bag) == list(range(COUNT))
         assert numbers(bag, ["/b"]) == list(range(1, COUNT, 2))
         assert numbers(bag, []) == []
+        assert sum(len(block) for block in bag.blocks()) == COUNT
+        assert sum(len(block) for block in bag.blocks(["/b"])) == COUNT // 2
         at_once = bag.payloads(["/a", "/b"])
         for k, topic in enumerate(("/a", "/b")):
             assert at_once[topic].log_time.tolist() == [i * 1000 + 1 for i in range(k, COUNT, 2)]
@@ -194,17 +197,58 @@ def test_files_of_a_split_bag_are_one(tmp_path: Path):
         assert numbers(bag) == sorted(list(range(COUNT)) * 3)
 
 
-def test_memory_does_not_grow_with_the_length_of_a_bag(tmp_path: Path):
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize("chunked", [True, False])
+def test_equal_times_keep_the_order_of_the_file(tmp_path: Path, chunked: bool, indexed: bool):
+    """Also where they lie in several chunks, of which some begin before others end."""
+    times = [(i // 50) * 50 - 60 * (i % 9 == 0) + 100 for i in range(COUNT)]
+    with (tmp_path / "a.mcap").open("xb") as stream:
+        kind = IndexType.ALL if indexed else IndexType.NONE
+        writer = Writer(stream, chunk_size=700, use_chunking=chunked, index_types=kind)
+        writer.start()
+        schema = writer.register_schema(TYPE, "ros2msg", b"uint64 data\n")
+        channels = [writer.register_channel(t, "cdr", schema) for t in ("/b", "/c", "/a")]
+        for i in range(COUNT):
+            writer.add_message(channels[i % 3], times[i], payload(i), i)
+        writer.finish()
+    expected = sorted(range(COUNT), key=lambda i: times[i])
+    with open_bag(tmp_path / "a.mcap") as bag:
+        assert numbers(bag) == expected
+        assert numbers(bag, ["/a", "/c"]) == [i for i in expected if i % 3]
+        assert [m.publish_time for m in bag.messages()] == expected
+        assert [m.topic for m in bag.messages()] == [("/b", "/c", "/a")[i % 3] for i in expected]
+        last = 0
+        for block in bag.blocks():
+            assert len(block) > 0
+            assert int(block.log_time[0]) >= last
+            assert (np.diff(block.log_time.astype(np.int64)) >= 0).all()
+            last = int(block.log_time[-1])
+
+
+def count_messages(bag: Bag) -> int:
+    return sum(1 for _ in bag.messages())
+
+
+def count_in_blocks(bag: Bag) -> int:
+    return sum(len(block) for block in bag.blocks())
+
+
+@pytest.mark.parametrize("count_all", [count_messages, count_in_blocks])
+def test_memory_does_not_grow_with_the_length_of_a_bag(
+    tmp_path: Path, count_all: Callable[[Bag], int]
+):
+    """Nor with chunks each of which overlaps the next one."""
+
     def peak(count: int) -> int:
         path = tmp_path / f"{count}"
         with BagWriter(path) as writer:
             writer.add_topic(Topic("/a", TYPE, 0, "uint64 data\n", "ros2msg", "cdr"))
             for i in range(count):
-                writer.write("/a", payload(i) + bytes(1000), i, i)
+                writer.write("/a", payload(i) + bytes(1000), i ^ 511, i)
         with open_bag(path) as bag:
             tracemalloc.start()
             try:
-                assert sum(1 for _ in bag.messages()) == count
+                assert count_all(bag) == count
                 return tracemalloc.get_traced_memory()[1]
             finally:
                 tracemalloc.stop()
@@ -212,6 +256,27 @@ def test_memory_does_not_grow_with_the_length_of_a_bag(tmp_path: Path):
     short, long = peak(3_000), peak(30_000)
     assert long < 1.3 * short
     assert long < 30_000 * 1000 / 3
+
+
+def test_few_messages_in_large_chunks_do_not_keep_these_in_memory_when_copied(tmp_path: Path):
+    """The writer collects what is little from many chunks."""
+    with BagWriter(tmp_path / "bag") as writer:
+        for name in ("/a", "/b"):
+            writer.add_topic(Topic(name, TYPE, 0, "uint64 data\n", "ros2msg", "cdr"))
+        for i in range(60):
+            writer.write("/a", bytes(1_000_000), 2 * i, 0)
+            writer.write("/b", payload(i), 2 * i + 1, 0)
+    with open_bag(tmp_path / "bag") as bag, BagWriter(tmp_path / "copy") as writer:
+        writer.add_topic(bag.topics["/b"])
+        tracemalloc.start()
+        try:
+            for block in bag.blocks(["/b"]):
+                writer.write_block(block)
+            assert tracemalloc.get_traced_memory()[1] < 10_000_000
+        finally:
+            tracemalloc.stop()
+    with open_bag(tmp_path / "copy") as bag:
+        assert numbers(bag) == list(range(60))
 
 
 def check_one_line(error: pytest.ExceptionInfo[BagError], *words: str) -> None:
@@ -289,6 +354,34 @@ def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
         found = numbers(bag)
     assert 301 not in found
     assert COUNT - 100 < len(found) < COUNT
+
+
+def test_recovery_does_not_trust_the_summary_of_a_spoilt_file(tmp_path: Path):
+    """What reading advises when it finds damage: recovery walks through the records themselves."""
+    from worm_model.bags.recovery import recover
+
+    path = by_mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
+    data = bytearray(path.read_bytes())
+    data[data.index(payload(301)) + 6] ^= 0xFF
+    path.write_bytes(data)
+    report = recover(path, tmp_path / "saved")
+    assert report.damaged_chunks == 1
+    with open_bag(tmp_path / "saved") as bag:
+        assert COUNT - 100 < len(numbers(bag)) == report.messages < COUNT
+
+
+@pytest.mark.parametrize("offset", [0, 2**40, 2**63 + 5])
+def test_a_message_index_that_points_elsewhere_is_noticed(tmp_path: Path, offset: int):
+    path = by_mcap(tmp_path / "a.mcap")
+    data = bytearray(path.read_bytes())
+    entry = data.index(struct.pack("<Q", 301 * 1000 + 1))  # chunks are compressed
+    data[entry + 8 : entry + 16] = struct.pack("<Q", offset)
+    path.write_bytes(data)
+    with open_bag(path) as bag:
+        for read in (numbers, count_in_blocks):
+            with pytest.raises(BagError) as error:
+                read(bag)
+            check_one_line(error, "damaged", "recover")
 
 
 def test_a_bag_without_metadata_is_made_whole(tmp_path: Path):

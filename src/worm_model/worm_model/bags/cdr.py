@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -22,7 +22,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
 from worm_model.bags.errors import BagError
-from worm_model.bags.payloads import Bytes, Integers, Payloads, Times, groups
+from worm_model.bags.payloads import Bytes, Integers, Payloads, Times, groups, payloads_of
 
 HEADER_BYTES = 4
 BIG, LITTLE = b"\x00\x00", b"\x00\x01"  # representation identifiers of plain CDR
@@ -302,20 +302,19 @@ def encode(
         BagError: the type has no such field.
     """
     count = len(log_time)
-    encoded = {
-        path: text.encode() if isinstance(text, str) else [one.encode() for one in text]
-        for path, text in texts.items()
-    }
+    constant, varying = {}, {}
+    for path, text in texts.items():
+        if isinstance(text, str):
+            constant[path] = np.frombuffer(text.encode(), np.uint8).reshape(1, -1)
+        else:
+            varying[path] = payloads_of(list(map(str.encode, text)), log_time)
     blocks: list[Bytes] = []
     offset, size = np.empty(count, np.int64), np.empty(count, np.int64)
     filled = 0
-    for rows in _alike(count, [text for text in encoded.values() if isinstance(text, list)]):
+    for rows in _alike(count, [text.size for text in varying.values()]):
         part = {p: v[rows] if isinstance(v, np.ndarray) else v for p, v in numbers.items()}
-        same = {
-            p: [text[row] for row in rows] if isinstance(text, list) else text
-            for p, text in encoded.items()
-        }
-        block = _encode_alike(len(rows), type_name, types, part, same)
+        characters = constant | {path: text.rows(rows) for path, text in varying.items()}
+        block = _encode_alike(len(rows), type_name, types, part, characters)
         size[rows] = block.shape[1]
         offset[rows] = filled + block.shape[1] * np.arange(len(rows))
         filled += block.size
@@ -324,11 +323,10 @@ def encode(
     return Payloads(buffer, offset, size, log_time.astype(np.uint64))
 
 
-def _alike(count: int, texts: list[list[bytes]]) -> Iterator[Integers]:
-    """Rows whose texts have the same lengths, hence one layout."""
+def _alike(count: int, lengths: Iterable[Integers]) -> Iterator[Integers]:
+    """Rows whose texts have the same lengths, hence one layout; the lengths of a text are of shape (count,)."""
     layout = np.zeros(count, np.int64)
-    for column in texts:
-        length = np.array([len(text) for text in column], dtype=np.int64)
+    for length in lengths:
         combined = layout * (length.max(initial=0) + 1) + length
         layout = np.unique(combined, return_inverse=True)[1]
     for _, rows in groups(layout):
@@ -340,9 +338,9 @@ def _encode_alike(
     type_name: str,
     types: Types,
     numbers: Mapping[str, NDArray[Any] | float],
-    texts: Mapping[str, bytes | list[bytes]],
+    texts: Mapping[str, Bytes],
 ) -> Bytes:
-    """Messages of one layout, shape (count, bytes of each)."""
+    """Messages of one layout, shape (count, bytes of each), from texts of shape (1 or count, length)."""
     cursor = _WriteCursor(lengths=_lengths(numbers, texts))
     _walk(types, type_name, "", cursor)
     unknown = (numbers.keys() - cursor.numbers.keys()) | (texts.keys() - cursor.texts.keys())
@@ -354,9 +352,7 @@ def _encode_alike(
         _column(block, "u4", offset, None)[...] = value
     for path, text in texts.items():
         offset, length = cursor.texts[path]
-        several = [text] if isinstance(text, bytes) else text
-        characters = np.frombuffer(b"".join(several), np.uint8)
-        block[:, offset : offset + length] = characters.reshape(len(several), length)
+        block[:, offset : offset + length] = text
     for path, values in numbers.items():
         _column(block, *cursor.numbers[path])[...] = np.asarray(values)
     return block
@@ -371,12 +367,10 @@ def _column(block: Bytes, code: str, offset: int, elements: int | None) -> NDArr
 
 
 def _lengths(
-    numbers: Mapping[str, NDArray[Any] | float], texts: Mapping[str, bytes | list[bytes]]
+    numbers: Mapping[str, NDArray[Any] | float], texts: Mapping[str, Bytes]
 ) -> dict[str, int]:
     """Length words of texts (with their terminator) and of sequences (by their columns or elements)."""
-    lengths = {
-        path: len(text if isinstance(text, bytes) else text[0]) + 1 for path, text in texts.items()
-    }
+    lengths = {path: text.shape[1] + 1 for path, text in texts.items()}
     for path, values in numbers.items():
         if np.ndim(values) == 2:
             lengths[path] = np.shape(values)[1]

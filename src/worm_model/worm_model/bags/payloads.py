@@ -93,9 +93,9 @@ def place(payloads: Payloads, target: Bytes, start: Integers) -> None:
             cells(target, size)[start[rows]] = source[payloads.offset[rows]]
 
 
-def payloads_of(messages: Sequence[bytes], log_times: Sequence[int]) -> Payloads:
+def payloads_of(messages: Sequence[bytes], log_times: Sequence[int] | Integers | Times) -> Payloads:
     """Payloads of separate messages."""
-    sizes = np.array([len(data) for data in messages], dtype=np.int64)
+    sizes = np.fromiter(map(len, messages), np.int64, len(messages))
     buffer = np.frombuffer(b"".join(messages), np.uint8)
     times = np.array(log_times, dtype=np.uint64)
     return Payloads(buffer, np.cumsum(sizes) - sizes, sizes, times)
