@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is written from columns is read back equal by other readers, and the file's indexes agree with it."""
 
+import resource
 import struct
 import zlib
 from collections import Counter
@@ -23,6 +24,7 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 from worm_model.bags import mcap_writer
 from worm_model.bags.bag import AttachedFile, Message, Topic
 from worm_model.bags.blocks import block_of
+from worm_model.bags.errors import UnwritableError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.payloads import payloads_of
 from worm_model.bags.recovery import recover
@@ -224,6 +226,20 @@ def test_an_unknown_topic_is_refused_before_anything_is_written(tmp_path: Path):
         writer.write("/a", b"", 0, 0)
     with pytest.raises(KeyError), BagWriter(tmp_path / "bag") as writer:
         writer.write_block(block_of(["/a"], [0], payloads_of([b""], [0]), [0]))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_is_full_in_the_middle_is_said_and_nothing_is_left(tmp_path: Path):
+    """By a limit of the process, at which writing fails as on a full disk."""
+    draw = np.random.default_rng(4)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        messages = [Message("/a", i, draw.bytes(1000), i) for i in range(100)]
+        with pytest.raises(UnwritableError, match="bag cannot be written: File too large"):
+            write(tmp_path / "bag", messages, [0])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes an MCAP file from columns: chunks with message indexes, and a summary (https://mcap.dev/spec).
 
-The records of messages are put together thousands at a time; all others are written by the `mcap` library. How messages
-are divided among calls leaves no trace in the file.
+The records of messages are put together thousands at a time; all others are written by the `mcap` library. A chunk is
+compressed in a thread while the next one is put together. How messages are divided among calls leaves no trace in the
+file.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -40,11 +42,13 @@ from worm_model.bags.payloads import Integers, Payloads, Times, groups
 
 PROFILE = "ros2"
 CHUNK_BYTES = 768 * 1024  # a chunk ends with the message that makes it larger
-COMPRESSION_LEVEL = 1
+COMPRESSION_LEVEL = 3
 
 
 class McapWriter:
     """An MCAP file in the making.
+
+    Whoever made it closes it, finished or not.
 
     Args:
         stream: empty, and closed by whoever opened it.
@@ -57,13 +61,15 @@ class McapWriter:
     def __init__(self, stream: BinaryIO, library: str) -> None:
         self._stream = stream
         self._position = 0
-        self._compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
+        self._worker = ThreadPoolExecutor(max_workers=1)
+        self._compressing: tuple[_ChunkContent, Future[Chunk]] | None = None
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts: Counter[int] = Counter()
+        self._span: tuple[int, int] | None = None
         self._chunk = _ChunkContent()
         self._put(MAGIC)
         self._put_record(Header(PROFILE, library))
@@ -112,6 +118,9 @@ class McapWriter:
             channel: of each message, shape (messages,).
             publish_time: when each was sent, ns since the epoch, shape (messages,).
         """
+        if not len(payloads):
+            return
+        self._count(channel, payloads.log_time)
         ends = np.cumsum(payloads.size + HEAD.itemsize)
         done, written = 0, 0
         while done < len(payloads):
@@ -128,13 +137,19 @@ class McapWriter:
         """End the chunk in the making, if there is any."""
         content, self._chunk = self._chunk, _ChunkContent()
         if content.has_messages:
-            self._put_chunk(content)
+            self._put_compressed()  # one at a time, in their order
+            self._compressing = content, self._worker.submit(content.compressed)
         else:
             self._put(content.records())  # topics without messages: outside of chunks
+
+    def close(self) -> None:
+        """End the thread."""
+        self._worker.shutdown()
 
     def finish(self) -> None:
         """Write what is left, and the summary."""
         self.end_chunk()
+        self._put_compressed()
         self._put_record(DataEnd(0))
         start = self._position
         summary = RecordBuilder()
@@ -165,33 +180,38 @@ class McapWriter:
         ]
 
     def statistics(self) -> Statistics:
-        """Numbers of what has been written, the chunk in the making apart; times are 0 without messages."""
+        """Numbers of what has been written; times are 0 without messages."""
+        first, last = self._span or (0, 0)
         return Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=dict(sorted(self._counts.items())),
             chunk_count=len(self._chunks),
             message_count=self._counts.total(),
-            message_start_time=min((c.message_start_time for c in self._chunks), default=0),
-            message_end_time=max((c.message_end_time for c in self._chunks), default=0),
+            message_start_time=first,
+            message_end_time=last,
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
 
-    def _put_chunk(self, content: _ChunkContent) -> None:
-        records = content.records()
-        channel, entries = content.index()
-        chunk = Chunk(
-            compression="zstd",
-            data=self._compressor.compress(records),
-            message_start_time=int(entries["log_time"].min()),
-            message_end_time=int(entries["log_time"].max()),
-            uncompressed_crc=zlib.crc32(records),
-            uncompressed_size=len(records),
-        )
+    def _count(self, channel: Integers, log_time: Times) -> None:
+        counts = np.bincount(channel)
+        for number in np.flatnonzero(counts).tolist():
+            self._counts[number] += int(counts[number])
+        first, last = int(log_time.min()), int(log_time.max())
+        least, greatest = self._span or (first, last)
+        self._span = min(first, least), max(last, greatest)
+
+    def _put_compressed(self) -> None:
+        """Append the chunk that is being compressed, if there is any, and its message indexes."""
+        if self._compressing is None:
+            return
+        content, compressed = self._compressing
+        self._compressing = None
+        chunk = compressed.result()
         offset = self._position
         length = self._put_record(chunk)
-        indexes = self._put_message_indexes(channel, entries)
+        indexes = self._put_message_indexes(*content.index())
         self._chunks.append(
             ChunkIndex(
                 chunk_start_offset=offset,
@@ -217,7 +237,6 @@ class McapWriter:
             builder.write4(len(rows) * INDEX_ENTRY.itemsize)
             builder.write(entries[rows].tobytes())
             builder.finish_record()
-            self._counts[number] += len(rows)
         self._put(builder.end())
         return places
 
@@ -261,6 +280,19 @@ class _ChunkContent:
         self._channels.append(channel)
         self._entries.append(entries)
         self.size += len(records)
+
+    def compressed(self) -> Chunk:
+        """The chunk; there must be messages in it."""
+        records = self.records()
+        _, entries = self.index()
+        return Chunk(
+            compression="zstd",
+            data=zstandard.compress(records, COMPRESSION_LEVEL),
+            message_start_time=int(entries["log_time"].min()),
+            message_end_time=int(entries["log_time"].max()),
+            uncompressed_crc=zlib.crc32(records),
+            uncompressed_size=len(records),
+        )
 
     def records(self) -> bytes:
         """All records, one behind the other."""

@@ -89,6 +89,7 @@ class BagWriter:
                 raise error
             self._finish()
         finally:
+            self._mcap.close()
             with suppress(OSError):  # what a full disk did not take is still in its buffer
                 self._stream.close()
 
@@ -138,11 +139,11 @@ class BagWriter:
 
     def _finish(self) -> None:
         self._write_waiting()
-        self._mcap.end_chunk()  # so that it counts
+        self._mcap.end_chunk()  # which is compressed meanwhile
+        text = _dump({METADATA_ROOT: self._document([self._file])})
         self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": self._yaml()})
         self._mcap.finish()
         self._stream.close()
-        text = _dump({METADATA_ROOT: self._document([self._file])})
         (self._draft / METADATA_FILE).write_text(text, encoding="utf-8")
 
     def _yaml(self) -> str:
