@@ -22,9 +22,8 @@ from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic, offered_
 from worm_model.bags.writer import ROSBAG2_RECORD, BagWriter
 from worm_model.command_line import Parser, add_parameters, new_file, print_json, run_command
 from worm_model.parameters import Parameters, load_parameters
-from worm_model.replay_metrics import CycleReport, Followed, ReplayReport, report_replay
+from worm_model.replay_metrics import CycleReport, ReplayReport, report_replay
 from worm_model.run import Run
-from worm_model.twin.offline import predict_run
 from worm_model.twin.replay import Replay, Series, replay_run
 
 INPUTS = ("gait_state", "body_length/commanded", "body_length/measured", "tracker", "power")
@@ -151,11 +150,7 @@ def _replay(options: argparse.Namespace) -> None:
 
 def _follow(
     run: Run, parameters: Parameters, bag: Bag, output: Path | None, namespace: str
-) -> Followed:
-    """A report alone needs no sample-by-sample twin; what that is to publish does."""
-    predicted = predict_run(run, parameters) if output is None else None
-    if predicted is not None:
-        return predicted
+) -> Replay:
     replay = replay_run(run, parameters)
     for notice in replay.notices:
         _notify(notice.text)

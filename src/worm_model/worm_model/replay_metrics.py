@@ -6,13 +6,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.run import RUNNING, Run
-from worm_model.twin.replay import Series
+from worm_model.twin.replay import Replay, Series
 
 Array = NDArray[np.float64]
 
@@ -63,21 +62,7 @@ class ReplayReport:
     cycles: tuple[CycleReport, ...]
 
 
-class Followed(Protocol):
-    """What a report needs of a `twin.replay.Replay` or a `twin.offline.Prediction`."""
-
-    @property
-    def states(self) -> Series:
-        """With `stamp_ns` and `rear_groove`."""
-        ...
-
-    @property
-    def residuals(self) -> Series:
-        """With `stamp_ns`, `rear_position`, `length`, `power`, `energy`."""
-        ...
-
-
-def report_replay(run: Run, replay: Followed, pitch: float) -> ReplayReport:
+def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
     """Judge a replay; `pitch` of the grooves in m."""
     onset, period = _gait(run)
     end = _end(run)
@@ -146,7 +131,7 @@ def _root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
 
 
-def _energy_error(run: Run, replay: Followed, start: int) -> float:
+def _energy_error(run: Run, replay: Replay, start: int) -> float:
     """The twin's own energy residual at the last power sample, over the energy measured until then."""
     series = replay.residuals
     known = np.flatnonzero(np.isfinite(series["energy"]))
@@ -170,7 +155,7 @@ def _energy(run: Run, start: int, end: int) -> float:
 
 
 def _cycle(
-    run: Run, replay: Followed, span: tuple[int, int], pitch: float, end: int
+    run: Run, replay: Replay, span: tuple[int, int], pitch: float, end: int
 ) -> CycleReport:
     first, last = span
     states = replay.states

@@ -9,13 +9,13 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
+from same_replay import check_same
 
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.parameters import PAPER
 from worm_model.replay_metrics import report_replay
 from worm_model.run import POWER_VALID, RUNNING
-from worm_model.twin.offline import predict_run
 from worm_model.twin.replay import replay_run
 
 BAGS = Path(__file__).resolve().parents[3] / "bags"
@@ -58,9 +58,7 @@ def test_the_twin_follows_them(bag: Path):
         assert opened.metadata["worm_run"]["note.made_by"] == f"bags/make.py {bag.name}"
         assert float(opened.metadata["worm_gait"]["stroke"]) > 0.05
         run = read_run(opened)
-    prediction = predict_run(run, PAPER)
-    assert prediction is not None
-    report = report_replay(run, prediction, PAPER.pitch)
+    report = report_replay(run, replay_run(run, PAPER), PAPER.pitch)
     assert report.residuals.x1_rmse < 1e-3
     assert report.residuals.power_rmse < 1.0
     assert abs(report.energy_error) < 0.05
@@ -76,15 +74,7 @@ def test_the_twin_follows_them(bag: Path):
 def test_sample_by_sample_and_all_at_once_agree(bag: Path):
     with open_bag(bag, lambda _: None) as opened:
         run = read_run(opened)
-    reports = [
-        report_replay(run, followed, PAPER.pitch)
-        for followed in (predict_run(run, PAPER), replay_run(run, PAPER))
-        if followed is not None
-    ]
-    assert len(reports) == 2
-    for name in ("x1_rmse", "length_rmse", "power_rmse"):
-        one, other = (getattr(report.residuals, name) for report in reports)
-        assert one == pytest.approx(other, rel=1e-9)
+    check_same(run, PAPER)
 
 
 @pytest.mark.parametrize("bag", ["faults"], indirect=True)

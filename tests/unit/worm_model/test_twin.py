@@ -423,6 +423,15 @@ def test_without_any_gait_state_a_run_begins_with_the_command():
     assert last.rear_position == pytest.approx(exact.x1[0], abs=1e-6)
 
 
+def test_before_a_run_the_twin_stands_still_and_says_so():
+    output = run(in_order(commands(GAIT, 0.0), observed(GAIT, 0.0)))
+    assert output.states[0].length_rate == 0.0
+    assert all(math.isfinite(state.power) for state in output.states)
+    last = output.states[-1]
+    elapsed = (last.stamp_ns - output.states[0].stamp_ns) * 1e-9
+    assert last.energy == pytest.approx(PAPER.idle_power * elapsed, rel=1e-3)
+
+
 def test_a_twin_that_comes_late_takes_the_gait_as_commanded():
     late = [s for s in commands(GAIT, 25.0) if s.stamp_ns > at(7.0)]
     gait = GaitSample(at(5.0), Activity.RUNNING, GAIT, ONSET)

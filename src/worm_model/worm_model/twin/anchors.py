@@ -80,14 +80,16 @@ def observe_anchors(
     """(anchors, what happened or nothing) with a position residual (m) in a cycle."""
     text = ""
     if cycle.number > anchors.cycle:
-        anchors, text = _close(anchors, cycle, pitch, direction)
+        anchors, text = close_anchors(anchors, cycle, pitch, direction)
     if cycle.phase >= 1.0 - WINDOW:
         anchors = replace(anchors, residuals=(*anchors.residuals, residual))
     return anchors, text
 
 
-def _close(anchors: Anchors, cycle: Cycle, pitch: float, direction: int) -> tuple[Anchors, str]:
-    """Ends the cycle before this one."""
+def close_anchors(
+    anchors: Anchors, cycle: Cycle, pitch: float, direction: int
+) -> tuple[Anchors, str]:
+    """(anchors, what happened or nothing) once the cycle before this one is over."""
     ended = replace(anchors, cycle=cycle.number, residuals=())
     if len(anchors.residuals) < FEWEST:
         return ended, ""

@@ -51,11 +51,19 @@ from worm_model.twin.records import (
     TrackerSample,
 )
 from worm_model.twin.rest import observe_rest
-from worm_model.twin.run import Run, begin_implied_run, begin_run, holding, is_new_run, run_goes_on
+from worm_model.twin.run import (
+    Run,
+    begin_implied_run,
+    begin_run,
+    holding,
+    is_new_run,
+    put_at_rest,
+    run_goes_on,
+)
 from worm_model.twin.settings import DEFAULTS, TwinSettings
 from worm_model.twin.state import Observation, Pose, TwinState
 from worm_model.twin.streams import JUMPS, admit
-from worm_model.twin.track import HISTORY_S, Knot, Track, follow, force_at_rate, start_track
+from worm_model.twin.track import HISTORY_S, Knot, Track, follow, force_at_rate
 
 __all__ = ["Twin", "TwinSettings", "TwinState"]
 
@@ -163,11 +171,11 @@ class Twin:
     # --- the driving length ---------------------------------------------------------------------
 
     def _take_command(self, state: TwinState, sample: CommandedLength, sink: _Sink) -> TwinState:
-        parameters = self.effective_parameters(state)
         before = state.actuation or Actuation(sample.stamp_ns)
         if begin_implied_run(state, before, sample):
             state = self._begin_implied(state, before, sink)
             before = state.actuation or before
+        parameters = self.effective_parameters(state)
         if sample.stamp_ns < before.stamp_ns:  # of the time before a run that began late
             return state
         after = respond(before, sample.stamp_ns, sample.length_change, parameters)
@@ -227,19 +235,9 @@ class Twin:
     # --- the motion -----------------------------------------------------------------------------
 
     def _start_track(self, state: TwinState, sink: _Sink, knot: Knot | None = None) -> TwinState:
-        """Puts the twin at rest: where the run starts, or anew at a knot."""
-        pose = state.run.pose
-        if knot is None:
-            actuation = state.actuation
-            assert actuation is not None
-            knot = Knot(
-                actuation.stamp_ns, actuation.length_change, actuation.rate, LengthSource.ESTIMATED
-            )
-        model = self._model(state)
-        motion = model.start(0.0, knot.length_change, pose.x1, pose.front_groove)
-        track = start_track(knot, motion, model)
-        state = state.but(track=track, queued=(), published_ns=knot.stamp_ns)
-        sink.states.append(self._record(state, track))
+        state = put_at_rest(state, self.locomotion(state), knot)
+        assert state.track is not None
+        sink.states.append(self._record(state, state.track))
         return state
 
     def _flush_if_due(self, state: TwinState, sink: _Sink) -> TwinState:
@@ -253,7 +251,9 @@ class Twin:
         if not state.queued or state.track is None:
             return state
         try:
-            track = follow(state.track, state.queued, self._model(state), self.settings.smoothing_s)
+            track = follow(
+                state.track, state.queued, self.locomotion(state), self.settings.smoothing_s
+            )
         except SimulationError as error:
             text = f"the motion could not be followed ({error}): the twin is put at rest"
             sink.notices.append(Notice(state.end_ns, Severity.ERROR, text))
@@ -308,7 +308,8 @@ class Twin:
         """The parameters with the L0 of the state's run."""
         return _with_length(self.parameters, state.run.initial_length)
 
-    def _model(self, state: TwinState) -> Locomotion:
+    def locomotion(self, state: TwinState) -> Locomotion:
+        """The locomotion model of the state's run."""
         return Locomotion(self.effective_parameters(state), state.run.direction)
 
 

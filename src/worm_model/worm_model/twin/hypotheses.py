@@ -121,7 +121,7 @@ def observe_power(
     """(watch, alarm or nothing) with a power sample (W) in a cycle."""
     text = ""
     if cycle.number > watch.cycle:
-        watch, text = _close(watch, cycle.number, pair)
+        watch, text = close_watch(watch, cycle.number, pair)
     if math.isnan(cycle.phase):
         return watch, text
     k = min(int(cycle.phase * PHASES), PHASES - 1)
@@ -135,7 +135,8 @@ def observe_power(
     return watch, text
 
 
-def _close(watch: PowerWatch, next_cycle: int, pair: Hypotheses) -> tuple[PowerWatch, str]:
+def close_watch(watch: PowerWatch, next_cycle: int, pair: Hypotheses) -> tuple[PowerWatch, str]:
+    """(watch, alarm or nothing) once the watch's cycle is over and another one has begun."""
     ended = PowerWatch(next_cycle, scores=watch.scores, told=watch.told, missed=watch.missed)
     if watch.cycle < FIRST_CYCLE or watch.samples < FEWEST_SAMPLES or watch.norm == 0.0:
         return ended, ""

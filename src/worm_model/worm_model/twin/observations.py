@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from worm_model.parameters import Parameters
-from worm_model.twin.anchors import Cycle, observe_anchors
+from worm_model.twin.anchors import Anchors, Cycle, observe_anchors
 from worm_model.twin.hypotheses import PowerWatch, hypotheses, observe_power
 from worm_model.twin.phase import CYCLES, length_for
 from worm_model.twin.records import (
@@ -175,7 +175,7 @@ def _judge_position(
     expected = None if state.track is None else positions_at(state.track, sample.stamp_ns)
     if expected is None or math.isnan(sample.rear_position):
         return None
-    sight, accepted = _look(state.sight, sample, settings)
+    sight, accepted = look(state.sight, sample, settings)
     if math.isnan(state.sight.position) and not state.run.start_ns:
         # Before the first run the tracker's first word says where the robot stands.
         state = state.but(run=replace(state.run, origin=sample.rear_position - expected[0]))
@@ -194,7 +194,7 @@ def _judge_position(
     return state, [record(state.monitor, settings, sample.stamp_ns, position=residual)], notices
 
 
-def _look(sight: Sight, sample: TrackerSample, settings: TwinSettings) -> tuple[Sight, bool]:
+def look(sight: Sight, sample: TrackerSample, settings: TwinSettings) -> tuple[Sight, bool]:
     """(the sight, whether the position is a possible one): it cannot jump."""
     elapsed = max(sample.stamp_ns - sight.stamp_ns, 0) / NANOSECONDS
     jump = abs(sample.rear_position - sight.position)
@@ -207,13 +207,16 @@ def _look(sight: Sight, sample: TrackerSample, settings: TwinSettings) -> tuple[
     return sight, False
 
 
+def stays(sight: Sight, stamp_ns: int, settings: TwinSettings) -> bool:
+    """Whether refused positions have agreed for so long that the tracker must have been moved."""
+    return stamp_ns - sight.refused_ns >= settings.tracker_moved_s * NANOSECONDS
+
+
 def _refuse(
     state: TwinState, sample: TrackerSample, residual: float, settings: TwinSettings
 ) -> Comparison:
     """A position that cannot be; if it stays, the tracker (or the robot, by hand) was moved: the origin follows."""
-    sight = state.sight
-    lasting = sample.stamp_ns - sight.refused_ns >= settings.tracker_moved_s * NANOSECONDS
-    if not lasting:
+    if not stays(state.sight, sample.stamp_ns, settings):
         return state, [], []
     run = replace(state.run, origin=state.run.origin + residual)
     text = (
@@ -245,18 +248,24 @@ def _fit_phase(
     state: TwinState, stamp_ns: int, parameters: Parameters, *, happened: bool
 ) -> tuple[TwinState, list[Notice]]:
     """Moves L0 when cycle after cycle gains another number of grooves than it should; see `worm_model.twin.phase`."""
-    run, last = state.run, state.anchors.gained[-CYCLES:]
-    settled = len(last) == CYCLES and last[0] != 0 and len(set(last)) == 1
-    if not happened or not settled or run.length_seen or run.gait is None:
+    run = state.run
+    if not happened or not tells_of_length(state.anchors) or run.length_seen or run.gait is None:
         return state, []
-    length = length_for(run.gait, parameters, last[0])
+    gained = state.anchors.gained[-1]
+    length = length_for(run.gait, parameters, gained)
     if length is None:
         return state, []
     text = (
-        f"{CYCLES} cycles running gained {last[0]:+d} grooves more than predicted: L0 is taken as "
+        f"{CYCLES} cycles running gained {gained:+d} grooves more than predicted: L0 is taken as "
         f"{1e3 * length:.1f} mm instead of {1e3 * run.initial_length:.1f} mm"
     )
     run = replace(run, initial_length=length, length_fitted=True)
     anchors = replace(state.anchors, gained=())
     notice = Notice(stamp_ns, Severity.WARNING, text)
     return state.but(run=run, anchors=anchors, watch=PowerWatch(state.watch.cycle)), [notice]
+
+
+def tells_of_length(anchors: Anchors) -> bool:
+    """Whether cycle after cycle gained another number of grooves than it should, always the same."""
+    last = anchors.gained[-CYCLES:]
+    return len(last) == CYCLES and last[0] != 0 and len(set(last)) == 1

@@ -1,112 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run through the twin, offline: arrays in, arrays out, the same each time.
-
-The samples go in by rising stamp, which is what a live twin makes of them, too.
-"""
+"""A recording through the twin, offline: arrays in, arrays out, the same each time."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-
-from worm_model.gait import Gait, GaitError
 from worm_model.parameters import Parameters
-from worm_model.run import GaitStates, Run
-from worm_model.twin.core import Twin
-from worm_model.twin.records import (
-    Activity,
-    CommandedLength,
-    GaitSample,
-    LengthRecord,
-    MeasuredLength,
-    Notice,
-    PowerSample,
-    ResidualRecord,
-    Sample,
-    StateRecord,
-    TrackerSample,
-)
+from worm_model.run import Run
+from worm_model.simulator import SimulationError
+from worm_model.twin.by_sample import Replay, Series, replay_samples
+from worm_model.twin.offline.follow import replay_columns
+from worm_model.twin.offline.timeline import Irregular
 from worm_model.twin.settings import DEFAULTS, TwinSettings
 
-Series = dict[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class Replay:
-    """What the twin made of a run: each series is a column per field of its record, by name.
-
-    Attributes:
-        states: of StateRecord (the message TwinState).
-        residuals: of ResidualRecord (TwinResiduals), `message` apart.
-        messages: the residuals' messages.
-        lengths: of LengthRecord (BodyLength, ESTIMATED).
-        notices: what the twin told on the way.
-    """
-
-    states: Series
-    residuals: Series
-    messages: tuple[str, ...]
-    lengths: Series
-    notices: tuple[Notice, ...]
+__all__ = ["Replay", "Series", "replay_run"]
 
 
 def replay_run(run: Run, parameters: Parameters, settings: TwinSettings = DEFAULTS) -> Replay:
-    """Let the twin follow a run."""
-    twin = Twin(parameters, settings)
-    _, output = twin.step(twin.start(), samples_of(run))
-    return Replay(
-        states=_series(StateRecord, output.states),
-        residuals=_series(ResidualRecord, output.residuals),
-        messages=tuple(record.message for record in output.residuals),
-        lengths=_series(LengthRecord, output.lengths),
-        notices=output.notices,
-    )
-
-
-def samples_of(run: Run) -> list[Sample]:
-    """All samples that the twin takes, by rising stamp; of equal ones the gait state goes first."""
-    samples: list[Sample] = list(_gait_samples(run.gait_state))
-    commanded, measured, tracker = run.commanded, run.measured, run.tracker
-    samples += map(CommandedLength, commanded.stamp.tolist(), commanded.length_change.tolist())
-    samples += map(MeasuredLength, measured.stamp.tolist(), measured.length.tolist())
-    samples += map(
-        TrackerSample,
-        tracker.stamp.tolist(),
-        tracker.rear_position.tolist(),
-        tracker.front_position.tolist(),
-    )
-    samples += map(PowerSample, run.power.stamp.tolist(), run.power.valid_power.tolist())
-    return sorted(samples, key=lambda sample: sample.stamp_ns)
-
-
-def _gait_samples(states: GaitStates) -> Iterable[GaitSample]:
-    for row in range(len(states.stamp)):
-        yield GaitSample(
-            int(states.stamp[row]),
-            Activity(int(states.state[row])),
-            gait_at(states, row),
-            int(states.onset[row]),
-        )
-
-
-def gait_at(states: GaitStates, row: int) -> Gait | None:
-    """The gait of a gait state; one that is not admissible counts as none."""
+    """Let the twin follow a recording: all at once, or sample by sample where only that can tell."""
     try:
-        return Gait(
-            float(states.stroke[row]),
-            float(states.frequency[row]),
-            int(states.direction[row]),
-            float(states.margin[row]),
-        )
-    except GaitError:
-        return None
-
-
-def _series(kind: type, records: Sequence[Any]) -> Series:
-    """A column per numeric field."""
-    names = [field.name for field in fields(kind) if field.name != "message"]
-    return {name: np.array([getattr(record, name) for record in records]) for name in names}
+        return replay_columns(run, parameters, settings)
+    except (Irregular, SimulationError):
+        return replay_samples(run, parameters, settings)

@@ -9,6 +9,7 @@ faulty beyond ``FAULTY_FROM``. A channel without samples for ``SILENT_S`` has no
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from worm_model.twin.records import NANOSECONDS, Health, ResidualRecord
@@ -95,11 +96,16 @@ def health(monitor: Monitor, stamp_ns: int) -> tuple[Health, str]:
         if stamp_ns - channel.stamp_ns <= SILENT_S * NANOSECONDS
     }
     warned = monitor.warning and stamp_ns <= monitor.warning_until_ns
-    found = [monitor.warning] if warned else []
+    return judge(sizes, monitor.warning if warned else "")
+
+
+def judge(sizes: Mapping[str, float], warning: str) -> tuple[Health, str]:
+    """(health, what is wrong) from the channels' residuals in units of their usual size, and a warning or nothing."""
+    found = [warning] if warning else []
     found += [
-        f"{COMPLAINTS[name]} ({size:.1f} times the usual residual)"
-        for name, size in sizes.items()
-        if size > SUSPECT_FROM
+        f"{COMPLAINTS[name]} ({sizes[name]:.1f} times the usual residual)"
+        for name in COMPLAINTS
+        if sizes.get(name, 0.0) > SUSPECT_FROM
     ]
     if any(size > FAULTY_FROM for size in sizes.values()):
         return Health.FAULTY, "; ".join(found)

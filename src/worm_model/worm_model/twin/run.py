@@ -9,6 +9,7 @@ from dataclasses import replace
 from worm_model.closed_form import front_groove
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import Parameters
+from worm_model.simulator import Locomotion
 from worm_model.twin.actuation import Actuation, engage, join
 from worm_model.twin.anchors import Anchors
 from worm_model.twin.hypotheses import PowerWatch
@@ -18,11 +19,13 @@ from worm_model.twin.records import (
     Activity,
     CommandedLength,
     GaitSample,
+    LengthSource,
 )
 from worm_model.twin.residuals import start_monitor
 from worm_model.twin.rest import rest_pose
 from worm_model.twin.settings import TwinSettings
 from worm_model.twin.state import Pose, Run, TwinState
+from worm_model.twin.track import Knot, start_track
 
 PLAYING = (Activity.RUNNING, Activity.STOPPING)
 SAME_RUN_NS = 100_000_000  # the driver states the onset anew with each cycle, through two clocks
@@ -131,3 +134,17 @@ def _stand(
         text += "; the robot was moved since the last run"
     origin = before.origin if math.isnan(seen.position) else seen.position
     return replace(run, origin=origin, pose=pose), text
+
+
+def put_at_rest(state: TwinState, model: Locomotion, knot: Knot | None = None) -> TwinState:
+    """The state with the twin at rest: where the run starts, or anew at a knot."""
+    pose = state.run.pose
+    if knot is None:
+        actuation = state.actuation
+        assert actuation is not None
+        knot = Knot(
+            actuation.stamp_ns, actuation.length_change, actuation.rate, LengthSource.ESTIMATED
+        )
+    motion = model.start(0.0, knot.length_change, pose.x1, pose.front_groove)
+    track = start_track(knot, motion, model)
+    return state.but(track=track, queued=(), published_ns=knot.stamp_ns)

@@ -107,10 +107,10 @@ class Track:
 
 
 def start_track(knot: Knot, motion: LocomotionState, model: Locomotion) -> Track:
-    """A track that starts at a knot with a motion at rest, whose time is 0."""
+    """A track that starts at a knot with a motion at rest, whose time is 0; so does a length without a rate."""
     instant = motion.time + 1.0 / NANOSECONDS  # the kernel tells nothing of no time at all
     _, motions = model.follow(motion, [instant], [motion.length_change])
-    row = _rows([knot], motions, np.array([knot.rate]), model.parameters)[0]
+    row = _rows([knot], motions, np.nan_to_num([knot.rate]), model.parameters)[0]
     return Track(knot.stamp_ns, motion, (row,), (Settled(knot.stamp_ns, row.power, 0.0),))
 
 
