@@ -67,14 +67,14 @@ def test_sequences_become_a_column_an_element(tmp_path: Path, monkeypatch):
     few = encode(
         np.array([1, 2]),
         kind,
-        installed_types(),
+        installed_types(kind),
         {"position": np.array([[1.0], [2.0]])},
         {"name[0]": "a"},
     )
     more = encode(
         np.array([3]),
         kind,
-        installed_types(),
+        installed_types(kind),
         {"position": np.array([[3.0, 4.0]])},
         {"name[0]": "a", "name[1]": "b"},
     )
@@ -101,7 +101,13 @@ def test_a_topic_that_cannot_be_decoded_is_left_out_and_named(tmp_path: Path, mo
     with BagWriter(tmp_path / "bag") as writer:
         for name in ("/worm/power", "/worm/bad"):
             writer.add_topic(topic_of(name, "worm_msgs/msg/Power"))
-        power = encode(np.array([1]), "worm_msgs/msg/Power", installed_types(), {"power": 1.0}, {})
+        power = encode(
+            np.array([1]),
+            "worm_msgs/msg/Power",
+            installed_types("worm_msgs/msg/Power"),
+            {"power": 1.0},
+            {},
+        )
         data = power.message(0)
         writer.write("/worm/power", data, 1, 1)
         writer.write("/worm/bad", data[:-9], 2, 2)

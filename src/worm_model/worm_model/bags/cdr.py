@@ -58,7 +58,7 @@ def parse_types(type_name: str, definition: str, definition_format: str) -> Type
 def _parse(type_name: str, definition: str, definition_format: str) -> dict[str, Any]:
     if definition_format != "ros2idl":
         try:  # the parser takes its time for every line
-            return get_types_from_msg(_without_comments(definition), type_name)
+            return get_types_from_msg(without_comments(definition), type_name)
         except _UNREADABLE:
             return get_types_from_msg(definition, type_name)
     found: dict[str, Any] = {}
@@ -68,7 +68,7 @@ def _parse(type_name: str, definition: str, definition_format: str) -> dict[str,
     return found
 
 
-def _without_comments(definition: str) -> str:
+def without_comments(definition: str) -> str:
     """The lines of a definition that matter for the layout: no comments, no constants."""
     lines = (line.split("#", 1)[0].strip() for line in definition.splitlines())
     return "\n".join(line for line in lines if line and not _CONSTANT.match(line)) + "\n"

@@ -17,11 +17,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from worm_model.bags.bag import Topic
-from worm_model.bags.cdr import Types
+from worm_model.bags.cdr import Types, without_comments
 from worm_model.bags.errors import BagError
 
 PACKAGE = "worm_msgs"
 SEPARATOR = "=" * 80
+HEADER = "builtin_interfaces/Time stamp\nstring frame_id\n"  # std_msgs/msg/Header
 
 
 def _folders() -> Iterator[Path]:
@@ -48,21 +49,36 @@ def definition_files() -> dict[str, Path]:
 
 
 @lru_cache(maxsize=1)
-def _store() -> Typestore:
-    store = get_typestore(Stores.ROS2_JAZZY)
+def _own_store() -> Typestore:
+    """worm_msgs and what they need: making all standard types takes ten times as long."""
+    store = get_typestore(Stores.EMPTY)
+    found = get_types_from_msg(HEADER, "std_msgs/msg/Header")
     for type_name, path in definition_files().items():
-        store.register(get_types_from_msg(path.read_text(encoding="utf-8"), type_name))
+        text = without_comments(path.read_text(encoding="utf-8"))
+        found.update(get_types_from_msg(text, type_name))
+    store.register(found)
     return store
 
 
 @lru_cache(maxsize=1)
-def installed_types() -> Types:
-    """Fields of all types of worm_msgs and of the standard packages of ROS 2 Jazzy, by type name.
+def _standard_store() -> Typestore:
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def _store_of(type_name: str) -> Typestore:
+    own = _own_store()
+    return own if type_name in own.fielddefs else _standard_store()
+
+
+@lru_cache(maxsize=64)
+def installed_types(type_name: str) -> Types:
+    """Fields of a type of worm_msgs or of a standard package of ROS 2 Jazzy, and of all that it needs, by type name.
 
     Raises:
         BagError: worm_msgs is nowhere to be found.
     """
-    return {name: list(fields) for name, (_, fields) in _store().fielddefs.items()}
+    store = _store_of(type_name)
+    return {name: list(fields) for name, (_, fields) in store.fielddefs.items()}
 
 
 @lru_cache(maxsize=64)
@@ -72,7 +88,7 @@ def topic_of(name: str, type_name: str, offered_qos: str = "") -> Topic:
     Raises:
         BagError: the type is not known.
     """
-    store = _store()
+    store = _store_of(type_name)
     if type_name not in store.fielddefs:
         raise BagError(f"{type_name} is neither in {PACKAGE} nor a standard type")
     definition = _definition(store, type_name)

@@ -107,7 +107,7 @@ def decode_topic(topic: Topic, payloads: Payloads) -> Columns:
     if topic.definition:
         types = parse_types(topic.type_name, topic.definition, topic.definition_format)
     else:
-        types = installed_types()
+        types = installed_types(topic.type_name)
     try:
         return decode(payloads, topic.type_name, types)
     except BagError as error:

@@ -48,7 +48,7 @@ def encode_stamped(
     if len(stamp) and stamp.min() < 0:
         raise BagError(f"a {type_name} is from before 1970, which no bag can hold")
     header = {"header.stamp.sec": stamp // 10**9, "header.stamp.nanosec": stamp % 10**9}
-    return encode(stamp, type_name, installed_types(), {**header, **numbers}, texts or {})
+    return encode(stamp, type_name, installed_types(type_name), {**header, **numbers}, texts or {})
 
 
 def _series(run: Run) -> list[tuple[str, Stamps, Numbers]]:
