@@ -20,7 +20,6 @@ from worm_model.bags.mcap_records import (
     INDEX_ENTRY,
     RECORD,
     Extent,
-    RawMessage,
     gather,
     index_entries,
     read_rare,
@@ -71,35 +70,40 @@ class McapFile:
 
     def block(self, extent: Extent, names: tuple[str, ...]) -> MessageBlock:
         """The messages of some topics in one extent."""
-        topics = {
-            number: names.index(channel.topic)
-            for number, channel in self.contents.channels.items()
-            if channel.topic in names
-        }
+        topics = self._topics(names)
         with explained(self.path):
             records, indexes = self._read(extent)
             if extent.indexes is None:
                 return _walked_block(records, names, topics)
-            part = _Indexed(frozenset(topics))
+            part = _Indexed(names, topics)
             part.add(records, extent, indexes)
-            return part.block(names, topics)
+            return part.block()
 
-    def payloads(self, wanted: frozenset[int]) -> list[tuple[int, Payloads]]:
-        """All messages of some channels in arrays, in pieces: with message indexes, no message is touched singly."""
-        found: list[tuple[int, Payloads]] = []
-        part = _Indexed(wanted)
+    def payloads(self, names: tuple[str, ...]) -> list[tuple[str, Payloads]]:
+        """All messages of some topics, in pieces: with message indexes, no message is touched singly."""
+        found: list[tuple[str, Payloads]] = []
+        topics = self._topics(names)
+        part = _Indexed(names, topics)
         with explained(self.path):
             for extent in self.contents.extents:
                 records, indexes = self._read(extent)
                 if extent.indexes is None:
-                    found += _walked_payloads(records, wanted)
+                    found += _walked_block(records, names, topics).by_topic()
                     continue
                 part.add(records, extent, indexes)
                 if part.size > BLOCK_BYTES:
                     found += part.payloads()
-                    part = _Indexed(wanted)
+                    part = _Indexed(names, topics)
             found += part.payloads()
         return found
+
+    def _topics(self, names: tuple[str, ...]) -> dict[int, int]:
+        """Index into some topics' names by channel, of the channels that are theirs."""
+        return {
+            number: names.index(channel.topic)
+            for number, channel in self.contents.channels.items()
+            if channel.topic in names
+        }
 
     def _read(self, extent: Extent) -> tuple[bytes, bytes]:
         """Records of an extent, and its message indexes, which lie right behind it."""
@@ -147,9 +151,10 @@ def _open(path: Path) -> BinaryIO:
 class _Indexed:
     """Chunks with message indexes that are taken apart together: numpy costs the same for one as for many."""
 
-    def __init__(self, wanted: frozenset[int]) -> None:
+    def __init__(self, names: tuple[str, ...], topics: Mapping[int, int]) -> None:
         self.size = 0
-        self._wanted = wanted
+        self._names = names
+        self._topics = topics
         self._records: list[bytes] = []
         self._parts: list[tuple[int, bytes, int, int]] = []
 
@@ -157,53 +162,37 @@ class _Indexed:
         """Add the records of a chunk with its message indexes."""
         begin, end = self.size, self.size + len(records)
         for channel, place in (extent.indexes or {}).items():
-            if channel in self._wanted:
+            if channel in self._topics:
                 entries = index_entries(indexes, place - extent.offset - extent.length, channel)
                 self._parts.append((channel, entries, begin, end))
         self._records.append(records)
         self.size = end
 
-    def payloads(self) -> list[tuple[int, Payloads]]:
-        """Messages by channel."""
-        channel, messages, _ = self._gather()
-        return [(number, messages.select(rows).compact()) for number, rows in groups(channel)]
+    def payloads(self) -> list[tuple[str, Payloads]]:
+        """Messages by topic."""
+        topic, messages, _ = self._gather()
+        return [
+            (self._names[index], messages.select(rows).compact()) for index, rows in groups(topic)
+        ]
 
-    def block(self, names: tuple[str, ...], topics: Mapping[int, int]) -> MessageBlock:
-        """Messages by rising log time, of equal ones in the order of the file.
-
-        Args:
-            names: of topics.
-            topics: index into them by channel.
-        """
-        channel, messages, publish_time = self._gather()
+    def block(self) -> MessageBlock:
+        """Messages by rising log time, of equal ones in the order of the file."""
+        topic, messages, publish_time = self._gather()
         order = np.lexsort((messages.offset, messages.log_time))
-        topic = np.zeros(len(channel), np.int64)
-        for number, index in topics.items():
-            topic[channel == number] = index
-        return MessageBlock(names, topic[order], messages.select(order), publish_time[order])
+        return MessageBlock(self._names, topic[order], messages.select(order), publish_time[order])
 
     def _gather(self) -> tuple[Integers, Payloads, Times]:
-        """Channels, messages and their publish times, channel by channel."""
+        """Topics (indexes into the names), messages and their publish times, channel by channel."""
         records = np.frombuffer(b"".join(self._records), np.uint8)
         entries = np.frombuffer(b"".join(part for _, part, _, _ in self._parts), INDEX_ENTRY)
         places = [
-            (channel, begin, end, len(part) // INDEX_ENTRY.itemsize)
+            (channel, self._topics[channel], begin, end, len(part) // INDEX_ENTRY.itemsize)
             for channel, part, begin, end in self._parts
         ]
-        columns = np.array(places, dtype=np.int64).reshape(-1, 4).T
-        channel, begin, limit = (np.repeat(column, columns[3]) for column in columns[:3])
+        columns = np.array(places, dtype=np.int64).reshape(-1, 5).T
+        channel, topic, begin, limit = (np.repeat(column, columns[4]) for column in columns[:4])
         offset = entries["offset"].astype(np.int64) + begin
-        return channel, *gather(records, offset, limit, channel)
-
-
-def _walked_payloads(records: bytes, wanted: frozenset[int]) -> list[tuple[int, Payloads]]:
-    found: dict[int, list[RawMessage]] = {}
-    for message in walk_messages(records, wanted):
-        found.setdefault(message.channel, []).append(message)
-    return [
-        (channel, payloads_of([m.data for m in messages], [m.log_time for m in messages]))
-        for channel, messages in found.items()
-    ]
+        return topic, *gather(records, offset, limit, channel)
 
 
 def _walked_block(

@@ -52,10 +52,8 @@ class McapStorage:
         """All messages of some topics, by topic."""
         parts: dict[str, list[Payloads]] = {topic: [] for topic in topics}
         for file in self._files:
-            names = {number: channel.topic for number, channel in file.contents.channels.items()}
-            wanted = frozenset(number for number, topic in names.items() if topic in topics)
-            for channel, payloads in file.payloads(wanted):
-                parts[names[channel]].append(payloads)
+            for topic, payloads in file.payloads(tuple(sorted(topics))):
+                parts[topic].append(payloads)
         return {topic: join(found) for topic, found in parts.items()}
 
     def blocks(self, topics: frozenset[str]) -> Iterator[MessageBlock]:
