@@ -441,18 +441,35 @@ def test_a_folder_of_bags_stands_for_them_in_the_order_of_their_ends(tmp_path: P
 def test_what_was_recorded_last_may_be_a_campaign(tmp_path: Path):
     times = {"old": 10, "campaign/cruise": 30, "campaign/max_speed": 40, "single": 35}
     for name, closed in times.items():
-        (tmp_path / name).mkdir(parents=True)
-        (tmp_path / name / "metadata.yaml").touch()
+        write_bag(tmp_path / name, simulated_run(1))
         os.utime(tmp_path / name / "metadata.yaml", (0, closed))
-    assert newest_recording(tmp_path) == tmp_path / "campaign"
+    told: list[str] = []
+    assert newest_recording(tmp_path, told.append) == tmp_path / "campaign"
     os.utime(tmp_path / "single" / "metadata.yaml", (0, 50))
-    assert newest_recording(tmp_path) == tmp_path / "single"
+    assert newest_recording(tmp_path, told.append) == tmp_path / "single"
+    assert not told
+
+
+def test_a_recording_without_a_gait_or_a_broken_one_is_passed_over(tmp_path: Path):
+    write_bag(tmp_path / "good", simulated_run(1))
+    run = simulated_run(1)
+    rested = GaitStates(*(values[:1] for values in vars(run.gait_state).values()))
+    write_bag(tmp_path / "failed", dataclasses.replace(run, gait_state=rested))
+    (tmp_path / "broken").mkdir()
+    for number, name in enumerate(("good", "failed", "broken")):
+        (tmp_path / name / "metadata.yaml").touch()
+        os.utime(tmp_path / name / "metadata.yaml", (0, 10 + number))
+    told: list[str] = []
+    assert newest_recording(tmp_path, told.append) == tmp_path / "good"
+    assert [line.startswith("passed over: ") for line in told] == [True, True]
+    assert "is not rosbag2's" in told[0]
+    assert told[1].endswith("failed no gait was run")
 
 
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        ((), "no recording in"),
+        ((), "no recording of a gait in"),
         (("nowhere",), "nowhere does not exist"),
         (("nowhere", "--output", "."), "exists already"),
         (("nowhere", "--identification", "none.yaml"), "none.yaml: cannot be read"),

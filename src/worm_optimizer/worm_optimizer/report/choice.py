@@ -3,10 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from worm_model.bags.bag import METADATA_FILE
+from worm_model.bags.errors import BagError
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
 from worm_model.command_line import InputError
+from worm_model.run import RUNNING
 
 
 def bags_of(path: Path) -> list[Path]:
@@ -15,18 +20,31 @@ def bags_of(path: Path) -> list[Path]:
     return [file.parent for file in sorted(inside, key=_closed)] or [path]
 
 
-def newest_recording(folder: Path) -> Path:
-    """What was recorded last in a folder: a bag, or a folder of bags such as a campaign's.
+def newest_recording(folder: Path, notify: Callable[[str], None]) -> Path:
+    """What was recorded last in a folder: a bag, or a folder of bags such as a campaign's, in which a gait was run.
 
-    Raises InputError if there is nothing.
+    ``notify`` is told of what is passed over. Raises InputError if there is nothing.
     """
     found = [*folder.glob(f"*/{METADATA_FILE}"), *folder.glob(f"*/*/{METADATA_FILE}")]
-    if not found:
-        raise InputError(
-            f"no recording in {folder.resolve()}: name one, or record one (./worm demo)"
-        )
-    newest = max(found, key=_closed)
-    return folder / newest.relative_to(folder).parts[0]
+    for metadata in sorted(found, key=_closed, reverse=True):
+        if _holds_gait(metadata.parent, notify):
+            return folder / metadata.relative_to(folder).parts[0]
+    raise InputError(
+        f"no recording of a gait in {folder.resolve()}: name one, or record one (./worm demo)"
+    )
+
+
+def _holds_gait(path: Path, notify: Callable[[str], None]) -> bool:
+    try:
+        with open_bag(path, notify) as bag:
+            states = read_run(bag, names=("gait_state",)).gait_state
+    except BagError as error:
+        notify(f"passed over: {error}")
+        return False
+    played = bool(((states.state == RUNNING) & (states.onset > 0)).any())
+    if not played:
+        notify(f"passed over: in {path} no gait was run")
+    return played
 
 
 def _closed(metadata: Path) -> tuple[float, str]:

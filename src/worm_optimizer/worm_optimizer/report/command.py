@@ -55,7 +55,7 @@ def _parser() -> Parser:
 
 
 def _report(options: argparse.Namespace) -> None:
-    named = options.bags or [newest_recording(_BAGS)]
+    named = options.bags or [newest_recording(_BAGS, notify)]
     folder = options.output or _beside(named[0])
     if folder.exists():
         raise InputError(f"{folder}: exists already; give another name with --output")
