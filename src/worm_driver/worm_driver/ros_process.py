@@ -56,9 +56,10 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Ending]:
     try:
         yield ending
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         rclpy.try_shutdown()
+        for number, handler in before.items():
+            # A process that was asked ends now: another Ctrl-C must not turn that into a failure.
+            signal.signal(number, signal.SIG_IGN if ending() else handler)
 
 
 def spare_pauses() -> None:

@@ -44,9 +44,10 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Callable[[],
     try:
         yield lambda: asked
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         rclpy.try_shutdown()
+        for number, handler in before.items():
+            # A process that was asked ends now: another Ctrl-C must not turn that into a failure.
+            signal.signal(number, signal.SIG_IGN if asked else handler)
 
 
 def spare_pauses() -> None:

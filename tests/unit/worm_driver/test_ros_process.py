@@ -3,6 +3,7 @@
 
 import os
 import signal
+from collections.abc import Iterator
 
 import pytest
 
@@ -13,16 +14,33 @@ from worm_driver.ros_process import ros_process  # noqa: E402
 DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
+
+@pytest.fixture(autouse=True)
+def _signals_put_back() -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_asks_to_end_and_leaves_the_context_usable(ros_domain, number):
-    before = signal.getsignal(number)
     with ros_process(["test"]) as ended:
         assert not ended()
         os.kill(os.getpid(), number)
         assert ended()
         rclpy.create_node("last_words").destroy_node()
     assert not rclpy.ok()
-    assert signal.getsignal(number) is before
+    os.kill(os.getpid(), number)  # changes nothing any more
+
+
+def test_a_process_that_was_not_asked_gets_its_signals_back(ros_domain):
+    before = [signal.getsignal(number) for number in SIGNALS]
+    with ros_process(["test"]):
+        assert [signal.getsignal(number) for number in SIGNALS] != before
+    assert [signal.getsignal(number) for number in SIGNALS] == before
 
 
 def test_every_further_signal_is_told(ros_domain):
