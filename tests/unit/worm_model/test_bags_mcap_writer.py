@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
+import yaml
 import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -252,3 +253,32 @@ def test_many_sizes_of_messages(tmp_path: Path):
     bag = write(tmp_path / "bag", messages, [1100, 1200])
     with open_bag(bag) as own:
         assert list(own.messages()) == messages
+
+
+def test_metadata_of_a_bag_beside_and_inside_its_file(tmp_path: Path):
+    """Also with texts that YAML has to quote or to fold."""
+    odd = {"state": "a: b # c", "lines": "one\n\n  two\n", "long": "word " * 60 + "é"}
+    with BagWriter(tmp_path / "bag", odd) as writer:
+        for topic in topics():
+            writer.add_topic(topic)
+        writer.write("/b", b"12", 7, 7)
+        writer.write("/b", b"12", 5, 7)
+    beside = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text(encoding="utf-8"))
+    content = beside["rosbag2_bagfile_information"]
+    reader = make_reader(BytesIO(file_of(tmp_path / "bag").read_bytes()))
+    copies = [yaml.safe_load(m.metadata["serialized_metadata"]) for m in reader.iter_metadata()]
+    extent = {
+        "duration": {"nanoseconds": 2},
+        "starting_time": {"nanoseconds_since_epoch": 5},
+        "message_count": 2,
+    }
+    assert content["custom_data"] == odd
+    assert content["relative_file_paths"] == ["bag_0.mcap"]
+    assert content["files"] == [{"path": "bag_0.mcap", **extent}]
+    counts = {
+        t["topic_metadata"]["name"]: t["message_count"]
+        for t in content["topics_with_message_count"]
+    }
+    assert counts == {"/a": 0, "/b": 2, "/c": 0}
+    assert copies[-1] == {**content, "relative_file_paths": [], "files": []}
+    assert copies[0]["message_count"] == 0

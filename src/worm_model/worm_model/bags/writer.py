@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from functools import lru_cache
 from pathlib import Path
+from textwrap import indent
 from types import TracebackType
 from typing import Any
 
@@ -62,7 +63,8 @@ class BagWriter:
             raise UnwritableError(f"{directory} cannot be written: {error.strerror}") from None
         self._stream = (self._draft / self._file).open("xb")
         self._mcap = McapWriter(self._stream, LIBRARY)
-        self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": self._yaml()})
+        provisional = self._text(self._topics_text(), [])
+        self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": provisional})
 
     def __enter__(self) -> BagWriter:
         return self
@@ -140,37 +142,28 @@ class BagWriter:
     def _finish(self) -> None:
         self._write_waiting()
         self._mcap.end_chunk()  # which is compressed meanwhile
-        text = _dump({METADATA_ROOT: self._document([self._file])})
-        self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": self._yaml()})
+        topics = self._topics_text()
+        inside, beside = self._text(topics, []), self._text(topics, [self._file])
+        self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": inside})
         self._mcap.finish()
         self._stream.close()
+        text = f"{METADATA_ROOT}:\n{indent(beside, '  ')}"
         (self._draft / METADATA_FILE).write_text(text, encoding="utf-8")
 
-    def _yaml(self) -> str:
-        """The copy inside the file, which does not know the file's name: bags of any name have the same bytes."""
-        return _dump(self._document([]))
+    def _text(self, topics: str, files: list[str]) -> str:
+        """Content of metadata.yaml below its root key.
 
-    def _document(self, files: list[str]) -> dict[str, Any]:
-        """Content of metadata.yaml below its root key."""
+        The copy inside the file does not know the file's name: bags of any name have the same bytes.
+        """
         statistics = self._mcap.statistics()
         first, last = statistics.message_start_time, statistics.message_end_time
-        counts = statistics.channel_message_counts
         extent = {
             "duration": {"nanoseconds": last - first},
             "starting_time": {"nanoseconds_since_epoch": first},
             "message_count": statistics.message_count,
         }
-        return {
-            "version": METADATA_VERSION,
-            "storage_identifier": "mcap",
-            **extent,
-            "topics_with_message_count": [
-                {
-                    "topic_metadata": _describe(topic),
-                    "message_count": counts.get(self._channels[name], 0),
-                }
-                for name, topic in self._topics.items()
-            ],
+        head = {"version": METADATA_VERSION, "storage_identifier": "mcap", **extent}
+        tail = {
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": files,
@@ -178,6 +171,19 @@ class BagWriter:
             "custom_data": self._custom,
             "ros_distro": "jazzy",
         }
+        return _dump(head) + topics + _dump(tail)
+
+    def _topics_text(self) -> str:
+        """The topics in metadata.yaml, which are most of it."""
+        counts = self._mcap.statistics().channel_message_counts
+        topics = [
+            {
+                "topic_metadata": _describe(topic),
+                "message_count": counts.get(self._channels[name], 0),
+            }
+            for name, topic in self._topics.items()
+        ]
+        return _dump({"topics_with_message_count": topics})
 
 
 class _Dumper(YAML_DUMPER):
