@@ -65,7 +65,6 @@ class RawMessage(NamedTuple):
     channel: int
     data: bytes
     publish_time: int
-    sequence: int
 
 
 class Extent(NamedTuple):
@@ -131,12 +130,12 @@ def walk_messages(data: bytes, wanted: frozenset[int] | None) -> Iterator[RawMes
     for opcode, start, end in walk_records(data):
         if opcode != Opcode.MESSAGE:
             continue
-        _, length, channel, sequence, log_time, publish_time = unpack(data, start - RECORD.size)
+        _, length, channel, _, log_time, publish_time = unpack(data, start - RECORD.size)
         if length < _MESSAGE_BODY:
             raise ValueError("a message is shorter than its head")
         if wanted is None or channel in wanted:
             payload = data[start + _MESSAGE_BODY : end]
-            yield RawMessage(log_time, channel, payload, publish_time, sequence)
+            yield RawMessage(log_time, channel, payload, publish_time)
 
 
 def unwrap_chunk(body: bytes) -> bytes:
