@@ -13,6 +13,7 @@ from worm_model.bags.payloads import (
     Payloads,
     Times,
     arrange,
+    concatenate,
     groups,
     payloads_of,
     time_order,
@@ -88,7 +89,7 @@ def block_of_topics(messages: Mapping[str, Payloads]) -> MessageBlock:
     """A block of the messages of some topics, each sent when it was received; of equal times in the topics' order."""
     parts = list(messages.values())
     order = time_order(parts)
-    payloads = arrange(parts, order)
+    payloads = concatenate(parts).select(order)
     counts = np.array([len(part) for part in parts], dtype=np.int64)
     topic = np.repeat(np.arange(len(parts)), counts)
     return MessageBlock(tuple(messages), topic[order], payloads, payloads.log_time)

@@ -327,8 +327,8 @@ def _alike(count: int, lengths: Iterable[Integers]) -> Iterator[Integers]:
     """Rows whose texts have the same lengths, hence one layout; the lengths of a text are of shape (count,)."""
     layout = np.zeros(count, np.int64)
     for length in lengths:
-        combined = layout * (length.max(initial=0) + 1) + length
-        layout = np.unique(combined, return_inverse=True)[1]
+        layout = np.unique(layout, return_inverse=True)[1]  # small numbers, for the product
+        layout = layout * (length.max(initial=0) + 1) + length
     for _, rows in groups(layout):
         yield rows
 

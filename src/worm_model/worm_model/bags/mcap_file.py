@@ -88,7 +88,8 @@ class McapFile:
             for extent in self.contents.extents:
                 records, indexes = self._read(extent)
                 if extent.indexes is None:
-                    found += _walked_block(records, names, topics).by_topic()
+                    walked = _walked_block(records, names, topics)
+                    found += [(name, rows.compact()) for name, rows in walked.by_topic()]
                     continue
                 part.add(records, extent, indexes)
                 if part.size > BLOCK_BYTES:

@@ -103,7 +103,22 @@ def payloads_of(messages: Sequence[bytes], log_times: Sequence[int] | Integers |
 
 def join(parts: Sequence[Payloads]) -> Payloads:
     """All messages of some payloads by rising log time, of equal ones in the order of the parts."""
-    return arrange(parts, time_order(parts))
+    return concatenate(parts).select(time_order(parts))
+
+
+def concatenate(parts: Sequence[Payloads]) -> Payloads:
+    """All messages of some payloads, one after the other; copies their buffers as they are."""
+    if not parts:
+        return payloads_of([], [])
+    if len(parts) == 1:
+        return parts[0]
+    shifts = np.cumsum([0, *(len(part.buffer) for part in parts[:-1])])
+    return Payloads(
+        buffer=np.concatenate([part.buffer for part in parts]),
+        offset=np.concatenate([p.offset + s for p, s in zip(parts, shifts, strict=True)]),
+        size=np.concatenate([part.size for part in parts]),
+        log_time=np.concatenate([part.log_time for part in parts]),
+    )
 
 
 def time_order(parts: Sequence[Payloads]) -> Integers:
@@ -113,9 +128,7 @@ def time_order(parts: Sequence[Payloads]) -> Integers:
 
 
 def arrange(parts: Sequence[Payloads], order: Integers) -> Payloads:
-    """All messages of some payloads in an order, which is that of their rows counted through, one behind the other."""
-    if not parts:
-        return payloads_of([], [])
+    """All messages of some payloads in an order, given by rows counted through, in a buffer that holds nothing else."""
     log_time = np.concatenate([part.log_time for part in parts])
     size = np.concatenate([part.size for part in parts])
     start = np.empty_like(size)

@@ -99,7 +99,7 @@ class RosbagsStorage:
         found: dict[str, list[Payloads]] = {topic: [] for topic in topics}
         for block in self.blocks(topics):
             for topic, payloads in block.by_topic():
-                found[topic].append(payloads)
+                found[topic].append(payloads.compact())
         return {topic: join(parts) for topic, parts in found.items()}
 
 
