@@ -13,7 +13,7 @@ from typing import Any
 from worm_model import warm_up
 from worm_model.bags.bag import Bag
 from worm_model.bags.blocks import block_of_topics, merge_into
-from worm_model.bags.definitions import topic_of
+from worm_model.bags.definitions import parse_ahead, topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.payloads import Payloads
 from worm_model.bags.run_reader import namespace_of, read_run
@@ -134,7 +134,8 @@ def _parser() -> Parser:
 def _replay(options: argparse.Namespace) -> None:
     parameters = load_parameters(options.parameters)
     output = new_file(options.output) if options.output else None
-    warm_up.main()  # compiling is not replaying
+    warm_up.main()  # neither compiling nor parsing definitions is replaying
+    parse_ahead(TYPES[name] for name in (*INPUTS, *TWIN_TOPICS))
     begin = time.perf_counter()
     with open_bag(options.bag, _notify) as bag:
         run = read_run(bag, options.namespace, INPUTS)

@@ -154,9 +154,7 @@ def _energy(run: Run, start: int, end: int) -> float:
     return float(np.sum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
 
 
-def _cycle(
-    run: Run, replay: Replay, span: tuple[int, int], pitch: float, end: int
-) -> CycleReport:
+def _cycle(run: Run, replay: Replay, span: tuple[int, int], pitch: float, end: int) -> CycleReport:
     first, last = span
     states = replay.states
     displacement = _at(run.tracker.stamp, run.tracker.rear_position, last) - _at(

@@ -89,7 +89,9 @@ def _fit(time: Array, value: Array, at: Array, before: float, after: float) -> A
     powers = np.stack([inside.astype(float), t, t * t])
     normal = np.einsum("iab,jab->aij", powers, powers)
     moments = np.einsum("iab,ab->ai", powers, y)
-    spread = np.linalg.eigvalsh(normal)  # ascending: samples at fewer than three times make no parabola
+    spread = np.linalg.eigvalsh(
+        normal
+    )  # ascending: samples at fewer than three times make no parabola
     enough = (last - first >= FEWEST_SAMPLES) & (spread[:, 0] > 1e-10 * spread[:, 2])
     solution = np.full((at.size, 3), np.nan)
     solution[enough] = np.linalg.solve(normal[enough], moments[enough][..., np.newaxis])[..., 0]

@@ -40,7 +40,6 @@ Fields = list[tuple[str, Any]]
 Types = Mapping[str, Fields]
 
 
-@lru_cache(maxsize=256)
 def parse_types(type_name: str, definition: str, definition_format: str) -> Types:
     """Fields of a type and of all that it needs.
 
@@ -48,24 +47,33 @@ def parse_types(type_name: str, definition: str, definition_format: str) -> Type
         BagError: the definition cannot be read.
     """
     try:
-        found = _parse(type_name, definition, definition_format)
+        if definition_format == "ros2idl":
+            return _idl_fields(definition)
+        try:
+            return _msg_fields(type_name, without_comments(definition))
+        except _UNREADABLE:
+            return _msg_fields(type_name, definition)
     except _UNREADABLE as error:
         reason = " ".join(str(error).split())
         raise BagError(f"the definition of {type_name} cannot be read: {reason}") from None
-    return {name: list(fields) for name, (_, fields) in found.items()}
 
 
-def _parse(type_name: str, definition: str, definition_format: str) -> dict[str, Any]:
-    if definition_format != "ros2idl":
-        try:  # the parser takes its time for every line
-            return get_types_from_msg(without_comments(definition), type_name)
-        except _UNREADABLE:
-            return get_types_from_msg(definition, type_name)
+@lru_cache(maxsize=256)  # the parser takes its time for every line
+def _msg_fields(type_name: str, definition: str) -> Types:
+    return _fields(get_types_from_msg(definition, type_name))
+
+
+@lru_cache(maxsize=256)
+def _idl_fields(definition: str) -> Types:
     found: dict[str, Any] = {}
     for part in definition.split("=" * 80 + "\n"):
         idl = part.split("\n", 1)[1] if part.startswith("IDL:") else part
         found.update(get_types_from_idl(idl) if idl.strip() else {})
-    return found
+    return _fields(found)
+
+
+def _fields(found: Mapping[str, Any]) -> Types:
+    return {name: list(fields) for name, (_, fields) in found.items()}
 
 
 def without_comments(definition: str) -> str:

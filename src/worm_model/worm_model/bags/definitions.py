@@ -9,7 +9,8 @@ lies in or was installed from with ``pip install --editable``. Standard types co
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from worm_model.bags.bag import Topic
-from worm_model.bags.cdr import Types, without_comments
+from worm_model.bags.cdr import Types, parse_types, without_comments
 from worm_model.bags.errors import BagError
 
 PACKAGE = "worm_msgs"
@@ -112,3 +113,15 @@ def _definition(store: Typestore, type_name: str) -> str:
             f"{SEPARATOR}\nMSG: {name}\n{path.read_text(encoding='utf-8') if path else text}"
         )
     return "\n".join(part.rstrip("\n") + "\n" for part in parts)
+
+
+def parse_ahead(type_names: Iterable[str]) -> None:
+    """Parse definitions of worm_msgs now rather than with the first bag that holds, or gets, messages of these types.
+
+    Where worm_msgs is not installed, nothing happens: a bag may carry all that is needed.
+    """
+    with suppress(BagError):
+        for type_name in type_names:
+            installed_types(type_name)
+            topic = topic_of("", type_name)
+            parse_types(type_name, topic.definition, topic.definition_format)

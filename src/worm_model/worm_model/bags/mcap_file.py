@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -29,6 +29,7 @@ from worm_model.bags.mcap_records import (
 from worm_model.bags.payloads import Integers, Payloads, Times, groups, payloads_of
 
 BLOCK_BYTES = 1 << 24  # of chunks that are taken apart together
+TOGETHER_BYTES = 1 << 20  # the same of those that are read lazily
 
 Reader = Callable[[BinaryIO, int], Contents]
 
@@ -68,16 +69,29 @@ class McapFile:
         """Close the file."""
         self._stream.close()
 
-    def block(self, extent: Extent, names: tuple[str, ...]) -> MessageBlock:
-        """The messages of some topics in one extent."""
+    def blocks(
+        self, extents: Iterable[Extent], names: tuple[str, ...]
+    ) -> Iterator[tuple[int, MessageBlock]]:
+        """Messages of some topics in some extents by rising start, each block with its start (ns).
+
+        Small extents that follow each other are one block: a recorder that synchronises often leaves many.
+        """
         topics = self._topics(names)
+        start, part = 0, _Indexed(names, topics)
         with explained(self.path):
-            records, indexes = self._read(extent)
-            if extent.indexes is None:
-                return _walked_block(records, names, topics)
-            part = _Indexed(names, topics)
-            part.add(records, extent, indexes)
-            return part.block()
+            for extent in extents:
+                records, indexes = self._read(extent)
+                alone = extent.indexes is None
+                if part.size and (alone or part.size + len(records) > TOGETHER_BYTES):
+                    yield start, part.block()
+                    part = _Indexed(names, topics)
+                if alone:
+                    yield extent.start, _walked_block(records, names, topics)
+                    continue
+                start = start if part.size else extent.start
+                part.add(records, extent, indexes)
+            if part.size:
+                yield start, part.block()
 
     def payloads(self, names: tuple[str, ...]) -> list[tuple[str, Payloads]]:
         """All messages of some topics, in pieces: with message indexes, no message is touched singly."""

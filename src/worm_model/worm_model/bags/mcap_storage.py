@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import groupby
+from operator import itemgetter
 
 from worm_model.bags.bag import AttachedFile, MetadataRecord, Topic
 from worm_model.bags.blocks import MessageBlock, merge
@@ -59,12 +61,18 @@ class McapStorage:
     def blocks(self, topics: frozenset[str]) -> Iterator[MessageBlock]:
         """Messages of some topics by rising log time.
 
-        What is in memory at a time is the extents that overlap in time, however long the files are.
+        What is in memory at a time is the extents that overlap in time, or TOGETHER_BYTES of small ones, however long
+        the files are.
         """
         names = tuple(sorted(topics))
         extents = [(file, extent) for file in self._files for extent in file.contents.extents]
         extents.sort(key=lambda item: (item[1].start, item[1].end))  # equal ones as in the files
-        return merge((extent.start, file.block(extent, names)) for file, extent in extents)
+        runs = groupby(extents, key=itemgetter(0))
+        return merge(
+            block
+            for file, run in runs
+            for block in file.blocks((extent for _, extent in run), names)
+        )
 
 
 def _topics(files: Sequence[McapFile]) -> tuple[Topic, ...]:
