@@ -7,11 +7,13 @@ from worm_model.parameters import Parameters
 from worm_model.run import Run
 from worm_model.twin.by_sample import Replay, replay_samples
 from worm_model.twin.offline.follow import replay_columns
+from worm_model.twin.settings import DEFAULTS, TwinSettings
 
 
-def check_same(run: Run, parameters: Parameters) -> Replay:
+def check_same(run: Run, parameters: Parameters, settings: TwinSettings = DEFAULTS) -> Replay:
     """Every state, residual, length, message and notice agrees, numbers to rounding; raises Irregular."""
-    one, other = replay_columns(run, parameters), replay_samples(run, parameters)
+    one = replay_columns(run, parameters, settings)
+    other = replay_samples(run, parameters, settings)
     for part in ("states", "residuals", "lengths"):
         columns, expected = getattr(one, part), getattr(other, part)
         assert columns.keys() == expected.keys()

@@ -21,6 +21,7 @@ from worm_model.twin.hypotheses import PHASES, hypotheses
 from worm_model.twin.offline.follow import replay_columns
 from worm_model.twin.offline.timeline import Irregular
 from worm_model.twin.replay import replay_run
+from worm_model.twin.settings import TwinSettings
 
 RUN = simulated_run(cycles=3)
 ONSET = EPOCH + round(REST_S * 1e9)
@@ -201,6 +202,21 @@ def test_both_agree(variant: str):
 )
 def test_both_agree_on_other_robots(changes: dict[str, float]):
     check_same(RUN, PAPER.replace(**changes))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"output_period_s": 0.1, "start_hold_s": 0.0},
+        {"output_period_s": 0.0, "measured_stale_s": 0.02},
+        {"smoothing_s": 0.05, "rest_s": 0.3},
+        {"smoothing_s": 0.6, "position_scale_m": 2e-4, "power_scale_W": 0.05},
+        {"tracker_gate_m": 0.005},
+    ],
+)
+def test_both_agree_whatever_the_settings(changes: dict[str, float]):
+    run = wild(shifted(end_to_end(RUN, RUN), -PAPER.pitch, 3.2), [2.0])
+    check_same(run, PAPER, TwinSettings(**changes))
 
 
 @pytest.mark.parametrize("number", range(1, 9))

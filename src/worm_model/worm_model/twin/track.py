@@ -124,7 +124,7 @@ def follow(track: Track, knots: Sequence[Knot], model: Locomotion, smoothing_s: 
     rates = _provisional_rates(track, knots, motions.length_rate, smoothing_s)
     rows = track.rows + tuple(_rows(knots, motions, rates, model.parameters, track.rows[-1]))
     moved = replace(track, motion=motion, rows=rows, unsettled=track.unsettled + len(knots))
-    return _forget(_settle(moved, model.parameters, smoothing_s))
+    return _forget(_settle(moved, model.parameters, smoothing_s), smoothing_s)
 
 
 def positions_at(track: Track, stamp_ns: int) -> tuple[float, float, float] | None:
@@ -296,9 +296,10 @@ def _worth_settling(pending: Sequence[Row], ready: int) -> bool:
     return span >= SETTLE_STEP_S * NANOSECONDS
 
 
-def _forget(track: Track) -> Track:
+def _forget(track: Track, smoothing_s: float) -> Track:
     """Drops what no late observation and no window asks for any more, in pieces."""
-    limit = track.stamp_ns - round(HISTORY_S * NANOSECONDS)
+    window_s = 2.0 * smoothing_s + SETTLE_STEP_S  # around the oldest row that is not settled yet
+    limit = track.stamp_ns - round(max(HISTORY_S, window_s) * NANOSECONDS)
     if track.rows[0].stamp_ns > limit - NANOSECONDS // 4:
         return track
     keep = (
