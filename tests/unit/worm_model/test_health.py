@@ -186,7 +186,7 @@ def test_steady_series_are_seldom_reported():
 
 
 # Estimates of seed 4 rise and fall by chance for six bags in a row, by less than one bag can tell.
-@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize("seed", [4])
 def test_a_steady_robot_is_not_reported(seed):
     bags = [
         estimate_bag(recording_of(robot_run(seed, k), f"bag{k}"), k, PAPER).estimates

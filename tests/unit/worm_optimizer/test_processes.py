@@ -13,6 +13,7 @@ from worm_optimizer.bringup.processes import (
     ProcessError,
     ProcessGroup,
     executable_command,
+    termination_as_interrupt,
     wait_for,
 )
 
@@ -117,3 +118,11 @@ def test_nothing_outlives_a_killed_parent(tmp_path):
 def test_an_executable_that_is_not_there_is_named():
     with pytest.raises(ProcessError, match="package no_such_package is not installed"):
         executable_command("no_such_package", "node")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_every_request_to_end_is_an_interrupt_while_it_lasts(number: signal.Signals):
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt), termination_as_interrupt():
+        os.kill(os.getpid(), number)
+    assert signal.getsignal(number) is before
