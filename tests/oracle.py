@@ -18,6 +18,8 @@ from scipy.integrate import solve_ivp
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 
+SETTLING_S = 1e-9  # after an event, in which its border cannot be passed again
+
 
 @dataclass
 class OracleRun:
@@ -133,8 +135,6 @@ class Oracle:
         functions.append(lambda t, s: d.force_sign * quantity(0, t, s))
         if not clipped:  # a mere decay keeps its sign
             functions.append(lambda t, s: d.rate_sign * quantity(1, t, s))
-        for function in functions:
-            function.terminal, function.direction = True, -1.0  # type: ignore[attr-defined]
         return functions
 
     def apply(self, event: int, d: _Discrete) -> tuple[_Discrete, bool]:
@@ -215,7 +215,7 @@ class Oracle:
                 lambda t, s: self.rates(t, s, clipped, d),
                 (time, end),
                 state,
-                events=gaps,
+                events=[_from_the_right_side(gap, time) for gap in gaps],
                 dense_output=True,
                 max_step=longest,
                 **self.options,
@@ -230,6 +230,17 @@ class Oracle:
         times = (solution.t[:-1, np.newaxis] + steps * np.linspace(0.125, 1.0, 8)).ravel()
         states = solution.sol(times)
         return any(np.min(gap(times, states), initial=0.0) < -1e-11 for gap in gaps)
+
+
+def _from_the_right_side(gap: Callable[..., float], start: float) -> Callable[..., float]:
+    """The gap, above zero at first: rounding takes what has just come to a border for what is about to pass it."""
+
+    def positive_at_first(time: float, state: np.ndarray) -> float:
+        found = gap(time, state)
+        return max(found, 1e-18) if time < start + SETTLING_S else found
+
+    positive_at_first.terminal, positive_at_first.direction = True, -1.0  # type: ignore[attr-defined]
+    return positive_at_first
 
 
 def _region(displacement: float, half: float) -> int:
