@@ -19,6 +19,7 @@ def check_same(run: Run, parameters: Parameters, settings: TwinSettings = DEFAUL
         assert columns.keys() == expected.keys()
         for name, values in expected.items():
             where = f"{part}.{name}"
+            assert columns[name].dtype == values.dtype, where
             if np.issubdtype(values.dtype, np.integer):
                 assert columns[name].tolist() == values.tolist(), where
             else:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is written from columns is read back equal by other readers, and the file's indexes agree with it."""
 
+import errno
 import resource
 import struct
 import zlib
@@ -242,6 +243,30 @@ def test_a_disk_that_is_full_in_the_middle_is_said_and_nothing_is_left(tmp_path:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_takes_no_file_at_all_is_said_and_nothing_is_left(tmp_path: Path, monkeypatch):
+    def refuse(path: Path, mode: str):
+        raise OSError(errno.ENOSPC, "No space left on device", path)
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(UnwritableError, match="bag cannot be written: No space left on device"):
+        BagWriter(tmp_path / "bag")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_summary_that_is_not_what_was_written_is_not_believed(tmp_path: Path):
+    """With any of its bits flipped, all messages come, in their order."""
+    messages = [Message(NAMES[i % 3], i, bytes(40), i) for i in range(60)]
+    file = write(tmp_path / "bag", messages, [60]) / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    summary = data.rindex(Opcode.DATA_END.to_bytes(1, "little") + struct.pack("<Q", 4)) + 13
+    for place in np.random.default_rng(1).integers(summary, len(data) - 37, 40):
+        data[place] ^= 0x40
+        file.write_bytes(data)
+        with open_bag(file) as bag:
+            assert list(bag.messages()) == messages
+        data[place] ^= 0x40
 
 
 def test_many_sizes_of_messages(tmp_path: Path):

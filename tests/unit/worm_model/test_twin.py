@@ -184,6 +184,22 @@ def test_bad_samples_leave_no_trace(places, kind):
     assert repr(run(spoilt)) == repr(run(clean))
 
 
+@pytest.mark.parametrize(
+    "bad",
+    [
+        PowerSample(at(1.0), 1e300),
+        PowerSample(at(1.0), -math.inf),
+        TrackerSample(at(1.0), 1e300, 0.7),
+        TrackerSample(at(1.0), math.inf, math.nan),
+    ],
+)
+def test_what_no_instrument_can_see_leaves_no_trace(bad):
+    clean = in_order(announcements(GAIT), commands(GAIT, 2.0))
+    clean += [s for s in observed(GAIT, 2.0) if s.stamp_ns != bad.stamp_ns]
+    clean.sort(key=lambda sample: sample.stamp_ns)
+    assert repr(run(in_order(clean, [bad]))) == repr(run(clean))
+
+
 def test_stale_measurements_hand_over_to_the_command_and_back():
     kept = [
         s

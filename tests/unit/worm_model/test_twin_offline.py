@@ -75,6 +75,36 @@ def invalid_power(run: Run) -> Run:
     return replace(run, power=replace(run.power, status=status))
 
 
+def silent(run: Run, start: float, end: float, *names: str) -> Run:
+    """Nothing from some streams between two times, s after the onset."""
+    kept = {}
+    for name in names:
+        samples = getattr(run, name)
+        time = (samples.stamp - ONSET) * 1e-9
+        kept[name] = without(samples, (time > start) & (time < end))
+    return replace(run, **kept)
+
+
+def told_as(run: Run, *states: tuple[float, int, float | None]) -> Run:
+    """Other gait states: time and onset in s after the onset (None: not known), and what the driver does."""
+    known = {name: np.full(len(states), v[-1]) for name, v in vars(run.gait_state).items()}
+    known["stamp"] = np.array([ONSET + round(1e9 * time) for time, _, _ in states])
+    known["state"] = np.array([state for _, state, _ in states])
+    known["onset"] = np.array([0 if o is None else ONSET + round(1e9 * o) for _, _, o in states])
+    return replace(run, gait_state=GaitStates(**known))
+
+
+def absurd(run: Run) -> Run:
+    """Numbers that no robot can have."""
+    power, rear = run.power.power.copy(), run.tracker.rear_position.copy()
+    power[[100, 200]], rear[[50, 60, 70]] = [1e300, -np.inf], [1e300, np.inf, -1e7]
+    return replace(
+        run,
+        power=replace(run.power, power=power),
+        tracker=replace(run.tracker, rear_position=rear),
+    )
+
+
 def unseen(run: Run, start: float, end: float) -> Run:
     """No tracker between two times, s after the onset."""
     time = (run.tracker.stamp - ONSET) * 1e-9
@@ -162,6 +192,18 @@ VARIANTS: dict[str, Callable[[], Run]] = {
     "told of long before the onset": lambda: told(RUN, -200_000_000),
     "heard of late": lambda: told(RUN, 200_000_000),
     "heard of much later": lambda: told(RUN, 1_700_000_000),
+    "neither command nor length for a while": lambda: silent(
+        RUN, 2.0, 2.7, "commanded", "measured"
+    ),
+    "no command for a while": lambda: silent(RUN, 2.0, 2.9, "commanded"),
+    "the recorder starts in mid-run": lambda: told_as(
+        silent(RUN, -9.0, 2.9, "commanded", "measured", "tracker", "power"), (2.5, 3, 0.0)
+    ),
+    "no length before the onset": lambda: silent(RUN, -9.0, 0.0, "commanded", "measured"),
+    "absurd numbers": lambda: absurd(RUN),
+    "a stop in between": lambda: told_as(
+        RUN, (-1.4, 2, None), (0.0, 3, 0.0), (2.0, 4, 0.0), (2.4, 5, 0.0), (4.0, 2, None)
+    ),
     "other noise": lambda: simulated_run(cycles=2, seed=7),
     "no tracker": lambda: replace(RUN, tracker=TrackerSamples()),
     "a tracker that is away for long": lambda: unseen(RUN, 3.0, 5.2),
@@ -258,6 +300,16 @@ IRREGULAR: dict[str, Callable[[], Run]] = {
             RUN.commanded, np.abs(RUN.commanded.stamp - ONSET - 35 * 10**8) < 15 * 10**8
         ),
     ),
+    "a power that nothing is remembered for": lambda: silent(
+        RUN, 2.0, 2.9, "commanded", "measured"
+    ),
+    "a length that no command is remembered for": lambda: silent(RUN, 2.0, 3.4, "commanded"),
+    "a run that is over before it begins": lambda: told_as(
+        RUN, (-1.4, 2, None), (-0.03, 3, 0.0), (-0.01, 4, 0.0), (-0.005, 5, 0.0)
+    ),
+    "a run that begins before the one before it": lambda: told_as(
+        RUN, (-1.4, 2, None), (0.0, 3, 0.9), (0.02, 3, 0.0)
+    ),
     "grooves that tell of the length": lambda: shifted(
         shifted(one_marker(LONG), -PAPER.pitch, 3.2), -PAPER.pitch, 5.7
     ),
@@ -291,6 +343,9 @@ def recordings(draw: st.DrawFn) -> Run:
         run = unseen(run, start := draw(TIMES), start + draw(TIMES))
     if draw(st.booleans()):
         run = end_to_end(run, simulated_run(cycles=1), draw(st.sampled_from([0.0, 0.5])))
+    for name in draw(st.sets(st.sampled_from(["commanded", "measured", "tracker", "power"]))):
+        start, length = draw(st.floats(-1.5, 6.0)), draw(st.sampled_from([0.1, 0.5, 0.95, 2.0]))
+        run = silent(run, start, start + length, name)
     seed = np.random.default_rng(draw(st.integers(0, 99)))
     kept, jitter_ns = draw(st.sampled_from([1.0, 0.9, 0.5])), draw(st.sampled_from([0, 2_000_000]))
     streams = {}

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import BinaryIO
@@ -24,6 +25,7 @@ from worm_model.bags.mcap_records import (
 
 MAGIC = b"\x89MCAP0\r\n"
 PLAIN_EXTENT_BYTES = 1 << 20  # messages outside of chunks are taken in runs of about this size
+_CHECKSUM_BYTES = 4
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
 
 
@@ -77,14 +79,17 @@ def read_contents(stream: BinaryIO, size: int) -> Contents:
 
 
 def _by_summary(stream: BinaryIO, size: int) -> Contents | None:
-    """None if there is no summary that suffices."""
+    """None if there is no summary that suffices, or it is not what was written."""
     stream.seek(-_FOOTER.size - len(MAGIC), 2)
     tail = stream.read()
-    opcode, _, start, _, _ = _FOOTER.unpack_from(tail)
+    opcode, _, start, _, checksum = _FOOTER.unpack_from(tail)
     if tail[_FOOTER.size :] != MAGIC or opcode != Opcode.FOOTER or not start:
         return None
     stream.seek(start)
     summary = stream.read(size - len(tail) - start)
+    covered = tail[: _FOOTER.size - _CHECKSUM_BYTES]  # the checksum is of the footer, too
+    if checksum and zlib.crc32(covered, zlib.crc32(summary)) != checksum:
+        return None
     contents = Contents(end=size, whole=True)
     statistics = _read_summary(stream, summary, contents)
     return contents if _suffices(contents, statistics) else None

@@ -56,15 +56,16 @@ class BagWriter:
         self._channels: dict[str, int] = {}
         self._waiting: list[Message] = []
         self._waiting_bytes = 0
-        self._resources = ExitStack()
-        try:
-            self._draft = self._resources.enter_context(new_folder(directory))
-        except OSError as error:
-            raise UnwritableError(f"{directory} cannot be written: {error.strerror}") from None
-        self._stream = (self._draft / self._file).open("xb")
-        self._mcap = McapWriter(self._stream, LIBRARY)
-        provisional = self._text(self._topics_text(), [])
-        self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": provisional})
+        with ExitStack() as resources:
+            try:
+                self._draft = resources.enter_context(new_folder(directory))
+                self._stream = (self._draft / self._file).open("xb")
+                self._mcap = McapWriter(self._stream, LIBRARY)
+                provisional = self._text(self._topics_text(), [])
+                self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": provisional})
+            except OSError as error:
+                raise UnwritableError(f"{directory} cannot be written: {error.strerror}") from None
+            self._resources = resources.pop_all()
 
     def __enter__(self) -> BagWriter:
         return self

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ Series = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Replay:
-    """What the twin made of a recording: each series is a column per field of its record, by name.
+    """What the twin made of a recording: each series is a column per field of its record, by name (see `series_of`).
 
     Attributes:
         states: of StateRecord (the message TwinState).
@@ -105,6 +106,14 @@ def _gait_at(states: GaitStates, row: int) -> Gait | None:
 
 
 def series_of(kind: type, records: Sequence[Any]) -> Series:
-    """Records of a kind as a column per numeric field."""
-    names = [field.name for field in fields(kind) if field.name != "message"]
-    return {name: np.array([getattr(record, name) for record in records]) for name in names}
+    """Records of a kind as a column per numeric field: int64 where a record has a whole number, else float64."""
+    return {
+        name: np.array([getattr(record, name) for record in records], np.int64 if whole else float)
+        for name, whole in _numbers_of(kind).items()
+    }
+
+
+@lru_cache
+def _numbers_of(kind: type) -> dict[str, bool]:
+    """The numeric fields of a kind of record, and whether each is a whole number."""
+    return {name: issubclass(of, int) for name, of in get_type_hints(kind).items() if of is not str}

@@ -9,7 +9,7 @@
   a row agree, from two streams if two were alive, all of them are taken: after up to ``jump_ahead_s`` as
   the end of a pause, beyond as a clock that jumped ahead, with which the twin restarts. If a sample
   of the present comes before that, those held had wild stamps and are left.
-- **Not a number**, or no length of a worm: counted and left.
+- **Not a number**, or no length, position or power of a worm: counted and left.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from worm_model.twin.records import (
 from worm_model.twin.settings import TwinSettings
 
 LONGEST_M = 1.0  # no worm is longer; a wrong unit would have the twin count millions of grooves
+FARTHEST_M = 1e5  # no tracker sees farther
+MOST_W = 1e5  # no worm takes more
 JUMP_CONFIRMATIONS = 3  # in a row: one wild stamp restarts nothing
 PATIENCE = 100  # samples ahead in a row, which one stream alone may convince with
 
@@ -159,7 +161,9 @@ def _is_number(sample: Sample) -> bool:
     if isinstance(sample, MeasuredLength):
         return 0.0 < sample.length <= LONGEST_M
     if isinstance(sample, PowerSample):
-        return math.isfinite(sample.power)
+        return abs(sample.power) <= MOST_W
     if isinstance(sample, TrackerSample):
-        return math.isfinite(sample.rear_position) or math.isfinite(sample.front_position)
+        places = (sample.rear_position, sample.front_position)
+        seen = [abs(place) <= FARTHEST_M for place in places if not math.isnan(place)]
+        return bool(seen) and all(seen)
     return True

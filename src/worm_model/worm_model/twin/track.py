@@ -95,11 +95,6 @@ class Track:
         return self.rows[-1].stamp_ns
 
     @property
-    def settled_ns(self) -> int:
-        """Stamp up to which power and energy are final."""
-        return self.settled[-1].stamp_ns
-
-    @property
     def energy(self) -> float:
         """J since the run's start up to the newest row, the part after the last settled one provisional."""
         fresh = self.rows[-1].energy - self.rows[-1 - self.unsettled].energy
@@ -296,10 +291,15 @@ def _worth_settling(pending: Sequence[Row], ready: int) -> bool:
     return span >= SETTLE_STEP_S * NANOSECONDS
 
 
+def remembered_ns(smoothing_s: float) -> int:
+    """How far back (ns) from its newest row a track remembers at least."""
+    window_s = 2.0 * smoothing_s + SETTLE_STEP_S  # around the oldest row that is not settled yet
+    return round(max(HISTORY_S, window_s) * NANOSECONDS)
+
+
 def _forget(track: Track, smoothing_s: float) -> Track:
     """Drops what no late observation and no window asks for any more, in pieces."""
-    window_s = 2.0 * smoothing_s + SETTLE_STEP_S  # around the oldest row that is not settled yet
-    limit = track.stamp_ns - round(max(HISTORY_S, window_s) * NANOSECONDS)
+    limit = track.stamp_ns - remembered_ns(smoothing_s)
     if track.rows[0].stamp_ns > limit - NANOSECONDS // 4:
         return track
     keep = (

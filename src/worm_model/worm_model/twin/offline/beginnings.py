@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.gait import Gait
-from worm_model.twin.offline.timeline import COMMAND, Irregular, Timeline, resting_spans
+from worm_model.twin.offline.timeline import Irregular, Kind, Timeline, resting_spans
 from worm_model.twin.records import NANOSECONDS
 from worm_model.twin.run import MOVED, PLAYING, SAME_RUN_NS
 from worm_model.twin.settings import TwinSettings
@@ -47,7 +47,7 @@ def cut(timeline: Timeline, settings: TwinSettings) -> list[Stretch]:
     """The stretches of a recording, the first of them before any run.
 
     Raises:
-        Irregular: a run without a gait.
+        Irregular: a gait that cannot be, a run that is over before it begins, or begins before the one before it.
     """
     begins = [*_unannounced(timeline), *_announced(timeline, settings)]
     borders = [0, *np.maximum.accumulate([0, *(b.place for b in begins)])[1:].tolist()]
@@ -60,6 +60,8 @@ def cut(timeline: Timeline, settings: TwinSettings) -> list[Stretch]:
         over = [n for n in later if timeline.gaits[n].activity not in PLAYING]
         end_ns = timeline.gaits[over[0]].stamp_ns if over else 0
         end = timeline.places[over[0]] if over else last
+        if 0 < end_ns < begin.onset_ns:
+            raise Irregular
         found.append(Stretch(begin, first, last, end_ns, end))
     return found
 
@@ -67,7 +69,7 @@ def cut(timeline: Timeline, settings: TwinSettings) -> list[Stretch]:
 def _unannounced(timeline: Timeline) -> list[Beginning]:
     """Before any gait state, a command that leaves 0 begins a run at the command before."""
     unheard = timeline.places[0] if timeline.places else len(timeline.stamp)
-    commands = np.flatnonzero(timeline.kind[:unheard] == COMMAND)
+    commands = np.flatnonzero(timeline.kind[:unheard] == Kind.COMMAND)
     moved = np.flatnonzero(timeline.value[commands] < -MOVED)
     if not len(moved):
         return []
@@ -84,7 +86,7 @@ def _announced(timeline: Timeline, settings: TwinSettings) -> list[Beginning]:
             continue
         if onset and abs(sample.onset_ns - onset) <= SAME_RUN_NS:
             continue
-        if sample.gait is None:
+        if sample.gait is None or sample.onset_ns < onset:
             raise Irregular
         onset, place = sample.onset_ns, _first_sample(timeline, number, settings)
         begins.append(Beginning(number, place, sample.stamp_ns, onset, sample.gait))

@@ -16,13 +16,15 @@ from worm_model.twin.offline.timeline import Array, Irregular, Rows, Stamps
 from worm_model.twin.records import NANOSECONDS, TrackerSample
 from worm_model.twin.settings import TwinSettings
 from worm_model.twin.state import Sight
+from worm_model.twin.track import HISTORY_S
 
 
 @dataclass(frozen=True)
 class Observations:
-    """Observations of one kind in the order in which they are judged: ``trigger`` is the comparison that judges each.
+    """Observations of one kind in the order in which they are judged, each array (observations,).
 
-    ``place`` where in the stretch it was taken, ``stamp`` in ns, ``value`` in SI.
+    ``trigger`` is the comparison that judges each, ``place`` where in the stretch it was taken, ``stamp`` in ns,
+    ``value`` L or x1 in m, or W.
     """
 
     trigger: Rows
@@ -49,16 +51,31 @@ class Triggers:
     settled: Stamps
     estimated: Stamps
 
-    def judge(self, signal: Signal, ready: Stamps, first_ns: int) -> Observations:
-        """Those observations whose time comes: when ``ready`` (triggers,) gets there, none before ``first_ns``."""
+    def judge(
+        self, signal: Signal, known: Stamps, ready: Stamps, forgotten: Stamps
+    ) -> Observations:
+        """Those observations whose time comes.
+
+        Args:
+            known: stamps (ns, ascending) of what they are compared with; none is before the first.
+            ready: up to where that is known at each comparison, ns, shape (triggers,).
+            forgotten: up to where the twin need not remember it any more, the same.
+
+        Raises:
+            Irregular: the twin may not remember what to compare one with.
+        """
         earliest = np.searchsorted(self.place, signal.place)
         trigger = np.maximum(earliest, np.searchsorted(ready, signal.stamp))
         last = np.append(self.now, 0)[np.maximum(trigger, 1) - 1]
-        forgotten = (trigger > earliest) & (last - signal.stamp > CLOSE_S * NANOSECONDS)
-        seen = (trigger < len(self.place)) & (signal.stamp >= first_ns) & ~forgotten
-        return Observations(
+        given_up = (trigger > earliest) & (last - signal.stamp > CLOSE_S * NANOSECONDS)
+        before = np.searchsorted(known, signal.stamp, side="right") - 1
+        seen = (trigger < len(self.place)) & (before >= 0) & ~given_up
+        judged = Observations(
             trigger[seen], signal.place[seen], signal.stamp[seen], signal.value[seen]
         )
+        if (known[before[seen]] <= forgotten[judged.trigger]).any():
+            raise Irregular
+        return judged
 
 
 def triggers(looks: Rows, now: Stamps, motion: Motion | None, estimates: Estimates) -> Triggers:
@@ -90,8 +107,8 @@ def judge_lengths(
     stale = round(settings.measured_stale_s * NANOSECONDS)
     near = (heard > 0) & (measured.stamp <= last + stale)
     signal = Signal(measured.place[near], measured.stamp[near], measured.value[near])
-    first = int(estimates.stamp[0]) if len(estimates.stamp) else 0
-    judged = found.judge(signal, found.estimated, first)
+    forgotten = found.estimated - round(HISTORY_S * NANOSECONDS)
+    judged = found.judge(signal, estimates.stamp, found.estimated, forgotten)
     if not len(judged.stamp):
         return judged, np.empty(0)
     return judged, _at(judged.stamp, estimates.stamp, estimates.length_change)

@@ -22,7 +22,7 @@ from worm_model.twin.track import HISTORY_S, WINDOW_SAMPLES
 
 @dataclass(frozen=True)
 class Signal:
-    """Samples of one kind: where in the stretch they are taken, stamps in ns, values."""
+    """Samples of one kind, each array (samples,): where in the stretch they are taken, stamps in ns, values in SI."""
 
     place: Rows
     stamp: Stamps
@@ -31,7 +31,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Estimates:
-    """The length estimated from the command at the command's stamps: ΔL in m, its rate in m/s."""
+    """The length estimated from the command, at its stamps, each array (commands,): ΔL in m, its rate in m/s."""
 
     place: Rows
     stamp: Stamps
@@ -41,10 +41,10 @@ class Estimates:
 
 @dataclass(frozen=True)
 class Drive:
-    """The driving lengths, row 0 where the motion starts: ΔL in m, the exact rate in m/s (NaN: measured).
+    """The driving lengths, row 0 where the motion starts, each array (rows,) or (flushes,).
 
-    ``place`` is where in the stretch each is queued (−1: before it), ``flush_row`` the last row of each flush and
-    ``flush_place`` where it happens.
+    ΔL in m, its exact rate in m/s (NaN: measured); ``place`` is where in the stretch each is queued (−1: before it),
+    ``flush_row`` the last row of each flush and ``flush_place`` where it happens.
     """
 
     place: Rows
@@ -163,6 +163,7 @@ def _flushes(
 
 
 def _check(drive: Drive, settings: TwinSettings) -> None:
+    """Raises Irregular where the twin would tell of a pause, or would thin the lengths out for its windows."""
     pause = min(HISTORY_S, settings.pause_s) * NANOSECONDS
     if np.diff(drive.stamp).max(initial=0) > pause:
         raise Irregular

@@ -13,8 +13,8 @@ from worm_model.run import Run
 from worm_model.twin.by_sample import Replay, Series
 from worm_model.twin.core import Twin
 from worm_model.twin.offline.beginnings import Beginning, Stretch, cut
-from worm_model.twin.offline.stretch import follow_stretch, samples_of
-from worm_model.twin.offline.timeline import LENGTH, POSITION, Timeline, read_timeline
+from worm_model.twin.offline.stretch import follow_stretch, samples_in
+from worm_model.twin.offline.timeline import Kind, Timeline, read_timeline
 from worm_model.twin.records import (
     NANOSECONDS,
     CommandedLength,
@@ -49,7 +49,7 @@ def replay_columns(run: Run, parameters: Parameters, settings: TwinSettings = DE
             parts.append(notice)
         following = stretches[number + 1].begins if number + 1 < len(stretches) else None
         next_ns = 0 if following is None else following.heard_ns
-        state, output = follow_stretch(state, samples_of(timeline, stretch, next_ns), twin)
+        state, output = follow_stretch(state, samples_in(timeline, stretch, next_ns), twin)
         parts.append(output)
         if following is not None:
             state = _rest_before(state, timeline, stretch, following, settings)
@@ -89,9 +89,9 @@ def _rest_before(
     )
     rest = state.rest
     for stamp, kind, value, front in rows:
-        if kind == LENGTH:
+        if kind == Kind.LENGTH:
             rest = observe_rest(rest, MeasuredLength(stamp, value), settings.rest_s)
-        elif kind == POSITION:
+        elif kind == Kind.POSITION:
             rest = observe_rest(rest, TrackerSample(stamp, value, front), settings.rest_s)
     last = int(timeline.stamp[stretch.last - 1]) if stretch.last else 0
     newest = {GaitSample: following.heard_ns, CommandedLength: last}

@@ -44,7 +44,7 @@ class Motion:
     end: LocomotionState
 
 
-def follow(drive: Drive, track: Track, model: Locomotion, settings: TwinSettings) -> Motion:
+def follow_lengths(drive: Drive, track: Track, model: Locomotion, settings: TwinSettings) -> Motion:
     """The motion from the track's only row, which is row 0.
 
     Raises:

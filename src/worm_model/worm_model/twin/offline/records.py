@@ -83,8 +83,8 @@ def state_columns(
 class Judged:
     """Observations of one channel.
 
-    ``residual`` is for the record, ``fault`` what of it counts for the health (NaN: nothing); ``energy`` in J, of
-    power only.
+    ``residual`` is for the record, ``fault`` what of it counts for the health (NaN: nothing), m or W; ``energy`` in
+    J, of power only; each (observations,).
     """
 
     seen: Observations
@@ -112,7 +112,7 @@ def residual_columns(
         values = np.where(channel == c, np.concatenate([j.residual for j in judged]), nan)
         columns[name], columns[f"{name}_scale"] = values[order], np.full(len(stamp), scale)
     columns["energy"] = np.concatenate([one.energy for one in judged])[order]
-    begins = [_begin(finding, place, trigger) for finding in findings]
+    begins = [_first_record(finding, place, trigger) for finding in findings]
     size, monitor = _remember(
         channel[order], stamp, square[order], list(zip(begins, findings, strict=True)), monitor
     )
@@ -121,7 +121,7 @@ def residual_columns(
     return columns, messages, monitor
 
 
-def _begin(finding: Finding, place: Rows, trigger: Rows) -> int:
+def _first_record(finding: Finding, place: Rows, trigger: Rows) -> int:
     """First record that a finding counts for: that of the observation which told, or the first after the comparison."""
     at, row = finding.closing, finding.closing.row
     first = int(np.searchsorted(trigger, at.trigger, side="right"))

@@ -39,14 +39,11 @@ from worm_model.twin.offline.drive import (
     due,
     estimate,
 )
-from worm_model.twin.offline.motion import Motion, follow
+from worm_model.twin.offline.motion import Motion, follow_lengths
 from worm_model.twin.offline.records import Judged, residual_columns, state_columns
 from worm_model.twin.offline.timeline import (
-    COMMAND,
-    LENGTH,
-    POSITION,
-    POWER,
     Array,
+    Kind,
     Mask,
     Rows,
     Stamps,
@@ -62,7 +59,7 @@ from worm_model.twin.records import (
 from worm_model.twin.run import put_at_rest
 from worm_model.twin.settings import TwinSettings
 from worm_model.twin.state import Run, TwinState
-from worm_model.twin.track import Knot, Row, Settled, Track
+from worm_model.twin.track import Knot, Row, Settled, Track, remembered_ns
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,7 @@ class Samples:
     next_ns: int
 
 
-def samples_of(timeline: Timeline, stretch: Stretch, next_ns: int) -> Samples:
+def samples_in(timeline: Timeline, stretch: Stretch, next_ns: int) -> Samples:
     """The samples of a stretch."""
     span = slice(stretch.first, stretch.last)
     kind, stamp, value = timeline.kind[span], timeline.stamp[span], timeline.value[span]
@@ -92,11 +89,11 @@ def samples_of(timeline: Timeline, stretch: Stretch, next_ns: int) -> Samples:
         return Signal(place, stamp[place], value[place])
 
     return Samples(
-        commands=signal(COMMAND),
-        measured=signal(LENGTH),
-        rear=signal(POSITION),
-        power=signal(POWER),
-        looks=np.flatnonzero((kind == POSITION) | (kind == POWER)),
+        commands=signal(Kind.COMMAND),
+        measured=signal(Kind.LENGTH),
+        rear=signal(Kind.POSITION),
+        power=signal(Kind.POWER),
+        looks=np.flatnonzero((kind == Kind.POSITION) | (kind == Kind.POWER)),
         now=np.append(timeline.now[span], next_ns),
         next_ns=next_ns,
     )
@@ -115,10 +112,10 @@ def follow_stretch(state: TwinState, samples: Samples, twin: Twin) -> tuple[Twin
     estimates = estimate(samples.commands, state.actuation, parameters)
     state, motion = _move(state, samples, estimates, twin)
     found = triggers(samples.looks, samples.now, motion, estimates)
-    seen = _seen(samples.rear, motion, found)
+    seen = _seen(samples.rear, motion, found, settings)
     sight, accepted = accept(state.sight, seen, settings)
     seen = seen.only(accepted)
-    state, off, origins = _place(state, motion, seen, found)
+    state, off, origins = _put_in_frame(state, motion, seen, found)
     state = state.but(sight=sight)
     powers = _judge_powers(state.run, samples.power, motion, found, settings)
     state, positions, findings = _watch(state, seen, off, powers.seen, samples, found, twin)
@@ -151,7 +148,7 @@ def _move(
     if state.track is None:
         state = put_at_rest(state, model, _knot(drive, 0))
     assert state.track is not None
-    return state, follow(drive, state.track, model, twin.settings)
+    return state, follow_lengths(drive, state.track, model, twin.settings)
 
 
 def _knot(drive: Drive, row: int) -> Knot:
@@ -163,13 +160,16 @@ def _knot(drive: Drive, row: int) -> Knot:
 # --- comparison -----------------------------------------------------------------------------------
 
 
-def _seen(signal: Signal, motion: Motion | None, found: Triggers) -> Observations:
+def _seen(
+    signal: Signal, motion: Motion | None, found: Triggers, settings: TwinSettings
+) -> Observations:
     """The positions whose time comes."""
-    first = 0 if motion is None else int(motion.drive.stamp[0])
-    return found.judge(signal, found.followed, first)
+    known = np.empty(0, np.int64) if motion is None else motion.drive.stamp
+    forgotten = found.followed - remembered_ns(settings.smoothing_s)
+    return found.judge(signal, known, found.followed, forgotten)
 
 
-def _place(
+def _put_in_frame(
     state: TwinState, motion: Motion | None, seen: Observations, found: Triggers
 ) -> tuple[TwinState, Array, Array]:
     """(the state, how far (m) the positions are off without any moves, the twin's zero (m) at each state record)."""
@@ -196,7 +196,8 @@ def _judge_powers(
     if motion is None:
         return _nothing()
     start = int(motion.drive.stamp[0])
-    seen = found.judge(power, found.settled, start)
+    forgotten = found.followed - remembered_ns(settings.smoothing_s)
+    seen = found.judge(power, motion.drive.stamp, found.settled, forgotten)
     expected, used = predicted_power(motion, seen.stamp)
     residual = seen.value - expected
     # No window resolves the step of the length rate at the onset.

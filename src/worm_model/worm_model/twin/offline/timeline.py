@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,14 +13,21 @@ from worm_model.run import GaitStates, Run
 from worm_model.twin.by_sample import gait_samples
 from worm_model.twin.records import NANOSECONDS, Activity, GaitSample
 from worm_model.twin.settings import TwinSettings
-from worm_model.twin.streams import LONGEST_M
+from worm_model.twin.streams import FARTHEST_M, LONGEST_M, MOST_W
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Rows = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
-COMMAND, LENGTH, POSITION, POWER = range(4)  # of equal stamps the first goes first
+
+class Kind(enum.IntEnum):
+    """Of a sample; of equal stamps the first of these goes first."""
+
+    COMMAND = 0
+    LENGTH = 1
+    POSITION = 2
+    POWER = 3
 
 
 class Irregular(Exception):  # noqa: N818 - nobody's error
@@ -30,8 +38,8 @@ class Irregular(Exception):  # noqa: N818 - nobody's error
 class Timeline:
     """Samples of all streams but the gait states, in the order in which the twin takes them, a row per sample.
 
-    ``kind`` is COMMAND, LENGTH, POSITION or POWER; ``value`` u_cmd in m, L in m, x1 in m (NaN: hidden) or W;
-    ``front`` x2 in m (POSITION, else NaN); ``now`` the newest stamp heard when the sample is taken.
+    ``kind`` is a `Kind` each; ``value`` u_cmd in m, L in m, x1 in m (NaN: hidden) or W;
+    ``front`` x2 in m (NaN: hidden, or no position); ``now`` the newest stamp heard when the sample is taken.
     ``gaits`` are the gait states, ``places`` the number of samples before each.
     """
 
@@ -87,8 +95,8 @@ def _streams(run: Run) -> tuple[Stamps, NDArray[np.int64], Array, Array]:
     streams = (
         (run.commanded.stamp, command, np.abs(command) <= LONGEST_M),
         (run.measured.stamp, length, (length > 0.0) & (length <= LONGEST_M)),
-        (run.tracker.stamp, rear, np.isfinite(rear) | np.isfinite(front)),
-        (run.power.stamp, power, np.isfinite(power)),
+        (run.tracker.stamp, rear, _is_seen(rear, front)),
+        (run.power.stamp, power, np.abs(power) <= MOST_W),
     )
     stamps, kinds, values, fronts = [], [], [], []
     for number, (stamp, value, good) in enumerate(streams):
@@ -97,11 +105,19 @@ def _streams(run: Run) -> tuple[Stamps, NDArray[np.int64], Array, Array]:
         stamps.append(found)
         kinds.append(np.full(len(found), number))
         values.append(value[rows[first]])
-        fronts.append(front[rows[first]] if number == POSITION else np.full(len(found), np.nan))
+        fronts.append(
+            front[rows[first]] if number == Kind.POSITION else np.full(len(found), np.nan)
+        )
     stamp = np.concatenate(stamps)
     order = np.argsort(stamp, kind="stable")
     kind, value = np.concatenate(kinds), np.concatenate(values)
     return stamp[order], kind[order], value[order], np.concatenate(fronts)[order]
+
+
+def _is_seen(rear: Array, front: Array) -> Mask:
+    """Whether a tracker's sample has a position, and none that cannot be."""
+    seen: Mask = (np.abs(rear) <= FARTHEST_M) | (np.abs(front) <= FARTHEST_M)
+    return seen & ~((np.abs(rear) > FARTHEST_M) | (np.abs(front) > FARTHEST_M))
 
 
 def _taken_at(stamp: Stamps, gaits: tuple[GaitSample, ...], places: Rows, hold: int) -> Stamps:
