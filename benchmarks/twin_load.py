@@ -110,6 +110,7 @@ def measure(topic: str) -> Load:
         source = Source(topic)
         if not wait_for(source.ready, 120.0):
             raise RuntimeError(f"the twin did not start: {process.last_line()}")
+        source.predict(10.0)  # when it answers, its start is over
         spare_pauses()  # of the source, which would pass for the twin's
         onset = source.begin()
         started, used = time.monotonic(), processor_time(process.pid)
