@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.quadrature import accumulated
 from worm_model.run import RUNNING, Run
 from worm_model.twin.replay import Replay, Series
 
@@ -84,7 +85,7 @@ def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
 def _gait(run: Run) -> tuple[int | None, float]:
     """Onset (ns) and period (ns) of the last gait that ran."""
     states = run.gait_state
-    running = np.flatnonzero((states.state == RUNNING) & (states.onset > 0))
+    running = np.flatnonzero(states.played)
     if not len(running):
         return None, math.nan
     last = running[-1]
@@ -151,7 +152,7 @@ def _energy(run: Run, start: int, end: int) -> float:
         return math.nan
     time = np.concatenate([[0.0], (stamp - start) * 1e-9])
     values = np.concatenate([power[:1], power])
-    return float(np.sum(0.5 * (values[1:] + values[:-1]) * np.diff(time)))
+    return float(accumulated(time, values)[-1])
 
 
 def _cycle(run: Run, replay: Replay, span: tuple[int, int], pitch: float, end: int) -> CycleReport:

@@ -81,6 +81,11 @@ class GaitStates:
     cycle: Codes = field(default_factory=_stamps)
     cycles: Codes = field(default_factory=_stamps)
 
+    @property
+    def played(self) -> NDArray[np.bool_]:
+        """In which states a gait runs whose onset is known, shape (n,)."""
+        return (self.state == RUNNING) & (self.onset > 0)
+
 
 @dataclass(frozen=True)
 class JointSamples:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from worm_model.identification.blocks import Problem, Quantity, Solution, solve, with_fixed
 from worm_model.identification.recording import Recording
+from worm_model.quadrature import accumulated
 
 Array = NDArray[np.float64]
 
@@ -57,11 +58,6 @@ class EnergyFit:
     clock_offset: Array
     residuals: tuple[Array, ...]
     solution: Solution
-
-
-def accumulated(time: Array, power: Array) -> Array:
-    """Energy in J since the first sample, (n,), by the trapezoidal rule."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(time))])
 
 
 def power_run(

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from worm_model.actuation import effective_command
 from worm_model.identification.bellows import BellowsFit
-from worm_model.identification.energy import accumulated
 from worm_model.identification.fin import FinFit
 from worm_model.identification.pipeline import Identification, Run
 from worm_model.identification.prediction import Prediction, measured_power, predict
+from worm_model.quadrature import accumulated
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.identification.actuation import predicted_length_change
-from worm_model.identification.energy import accumulated
 from worm_model.identification.locomotion import Traverse
 from worm_model.identification.quality import power_missing
 from worm_model.identification.recording import Recording
 from worm_model.parameters import Parameters
+from worm_model.quadrature import accumulated
 from worm_model.simulator import Locomotion
 from worm_model.smoothing import Smoothed
 

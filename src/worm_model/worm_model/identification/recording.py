@@ -143,7 +143,7 @@ def _check_sizes(recording: Recording) -> None:
 
 def _gait(states: GaitStates, name: str) -> tuple[Gait, int]:
     """The one gait that was played, and its onset (ns since the epoch)."""
-    played = (states.state == RUNNING) & (states.onset > 0)
+    played = states.played
     onsets = np.unique(states.onset[played])
     count = int(np.sum(np.diff(onsets) > SAME_ONSET)) + 1 if onsets.size else 0
     if count != 1:

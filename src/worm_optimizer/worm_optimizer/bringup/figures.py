@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.run import RUNNING, GaitStates, Run
+from worm_model.quadrature import accumulated
+from worm_model.run import GaitStates, Run
 from worm_model.twin.replay import Replay
 
 STANDARD_GRAVITY = 9.80665  # m/s², as in the cost of transport of the paper
@@ -67,7 +68,7 @@ def averaged_window(states: GaitStates) -> Window:
 
 def _last_running(states: GaitStates) -> int:
     """Row of the last gait that was run."""
-    running = np.flatnonzero((states.state == RUNNING) & (states.onset > 0))
+    running = np.flatnonzero(states.played)
     if running.size == 0:
         raise RecordingError("the recording has no gait that was run")
     return int(running[-1])
@@ -110,8 +111,7 @@ def accumulate(stamps: Stamps, power: Array) -> tuple[Stamps, Array]:
     """Energy (J) at each valid sample of a power (W), by the trapezoidal rule."""
     valid = np.isfinite(power)
     stamps, power = stamps[valid], power[valid]
-    steps = np.diff(stamps) * 1e-9 * 0.5 * (power[1:] + power[:-1])
-    return stamps, np.concatenate(([0.0], np.cumsum(steps)))[: stamps.size]
+    return stamps, accumulated((stamps - stamps[:1]).astype(np.float64) * 1e-9, power)
 
 
 def mean_rate(samples: tuple[Stamps, Array], window: Window, name: str) -> float:

@@ -11,7 +11,6 @@ from worm_model.bags.errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.command_line import InputError
-from worm_model.run import RUNNING
 
 
 def bags_of(path: Path) -> list[Path]:
@@ -41,7 +40,7 @@ def _holds_gait(path: Path, notify: Callable[[str], None]) -> bool:
     except BagError as error:
         notify(f"passed over: {error}")
         return False
-    played = bool(((states.state == RUNNING) & (states.onset > 0)).any())
+    played = bool(states.played.any())
     if not played:
         notify(f"passed over: in {path} no gait was run")
     return played

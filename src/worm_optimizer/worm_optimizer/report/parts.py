@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.run import RUNNING, GaitStates, Run
+from worm_model.run import GaitStates, Run
 from worm_model.twin.replay import Replay, Series
 
 _RESTING = 2  # GaitState.RESTING
@@ -96,7 +96,7 @@ def cut_replay(replay: Replay, part: Part) -> Replay:
 
 def _onsets(states: GaitStates) -> list[int]:
     """Onset (ns) of each gait that was played."""
-    told = np.unique(states.onset[(states.state == RUNNING) & (states.onset > 0)])
+    told = np.unique(states.onset[states.played])
     first = np.diff(told, prepend=told[:1] - 2 * _SAME_ONSET_NS) > _SAME_ONSET_NS
     return [int(onset) for onset in told[first]]
 

@@ -16,7 +16,7 @@ from worm_model.parameters import (
     ParameterFile,
 )
 from worm_model.replay_metrics import ReplayReport, report_replay
-from worm_model.run import RUNNING, GaitStates, Run
+from worm_model.run import GaitStates, Run
 from worm_model.simulator import cost_of_transport
 from worm_model.twin.replay import Replay
 from worm_optimizer.bringup.figures import (
@@ -120,7 +120,7 @@ def recorded_gait(
 
 def _last_gait(states: GaitStates, name: str) -> tuple[Gait, int, int]:
     """The last gait that was played, its onset (ns) and its cycles."""
-    rows = np.flatnonzero((states.state == RUNNING) & (states.onset > 0))
+    rows = np.flatnonzero(states.played)
     if not rows.size:
         raise InputError(
             f"{name}: holds no gait that was run; record one with the topic gait_state"

@@ -4,15 +4,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.quadrature import accumulated
 from worm_model.twin.observations import CLOSE_S, TOP_SPEED, look, stays
 from worm_model.twin.offline.drive import Estimates, Signal
 from worm_model.twin.offline.motion import Motion
-from worm_model.twin.offline.timeline import Array, Irregular, Rows, Stamps
+from worm_model.twin.offline.timeline import Array, Irregular, Mask, Rows, Stamps, only
 from worm_model.twin.records import NANOSECONDS, TrackerSample
 from worm_model.twin.settings import TwinSettings
 from worm_model.twin.state import Sight
@@ -31,10 +31,6 @@ class Observations:
     place: Rows
     stamp: Stamps
     value: Array
-
-    def only(self, chosen: NDArray[np.bool_]) -> Observations:
-        """Some of them."""
-        return Observations(*(getattr(self, row.name)[chosen] for row in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -70,9 +66,7 @@ class Triggers:
         given_up = (trigger > earliest) & (last - signal.stamp > CLOSE_S * NANOSECONDS)
         before = np.searchsorted(known, signal.stamp, side="right") - 1
         seen = (trigger < len(self.place)) & (before >= 0) & ~given_up
-        judged = Observations(
-            trigger[seen], signal.place[seen], signal.stamp[seen], signal.value[seen]
-        )
+        judged = only(Observations(trigger, signal.place, signal.stamp, signal.value), seen)
         if (known[before[seen]] <= forgotten[judged.trigger]).any():
             raise Irregular
         return judged
@@ -106,9 +100,8 @@ def judge_lengths(
     last = np.append(0, estimates.stamp)[heard]
     stale = round(settings.measured_stale_s * NANOSECONDS)
     near = (heard > 0) & (measured.stamp <= last + stale)
-    signal = Signal(measured.place[near], measured.stamp[near], measured.value[near])
     forgotten = found.estimated - round(HISTORY_S * NANOSECONDS)
-    judged = found.judge(signal, estimates.stamp, found.estimated, forgotten)
+    judged = found.judge(only(measured, near), estimates.stamp, found.estimated, forgotten)
     if not len(judged.stamp):
         return judged, np.empty(0)
     return judged, _at(judged.stamp, estimates.stamp, estimates.length_change)
@@ -135,7 +128,7 @@ def measured_energy(start_ns: int, stamp: Stamps, power: Array) -> Array:
     later = stamp > start_ns
     values = np.append(power[later][:1], power[later])
     time = np.append(0.0, (stamp[later] - start_ns) / NANOSECONDS)
-    spent[later] = np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))
+    spent[later] = accumulated(time, values)[1:]
     return spent
 
 
@@ -145,9 +138,7 @@ def _at(stamp: Stamps, known: Stamps, value: Array) -> Array:
     return found
 
 
-def accept(
-    before: Sight, seen: Observations, settings: TwinSettings
-) -> tuple[Sight, NDArray[np.bool_]]:
+def accept(before: Sight, seen: Observations, settings: TwinSettings) -> tuple[Sight, Mask]:
     """(the sight in the end, which positions can be), as `worm_model.twin.observations.look` has it.
 
     Raises:

@@ -6,14 +6,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from worm_model.kernel.lag import follow_target
 from worm_model.kernel.recording import pick_due
 from worm_model.parameters import Parameters
 from worm_model.smoothing import FEWEST_SAMPLES
 from worm_model.twin.actuation import Actuation
-from worm_model.twin.offline.timeline import Array, Irregular, Mask, Rows, Stamps
+from worm_model.twin.offline.timeline import Array, Irregular, Mask, Rows, Stamps, only
 from worm_model.twin.records import NANOSECONDS
 from worm_model.twin.settings import TwinSettings
 from worm_model.twin.state import TwinState
@@ -61,7 +60,7 @@ def estimate(commands: Signal, before: Actuation | None, parameters: Parameters)
     if before is not None:
         # Older ones are of the time before a run that began late.
         heard = commands.stamp >= before.stamp_ns
-        commands = Signal(commands.place[heard], commands.stamp[heard], commands.value[heard])
+        commands = only(commands, heard)
     if before is None or not before.engaged:
         still = np.zeros(len(commands.stamp))
         return Estimates(commands.place, commands.stamp, still, still)
@@ -172,7 +171,7 @@ def _check(drive: Drive, settings: TwinSettings) -> None:
         raise Irregular
 
 
-def too_dense(stamp: Stamps, window_s: float) -> NDArray[np.bool_]:
+def too_dense(stamp: Stamps, window_s: float) -> Mask:
     """At which measured lengths the window before them holds more than the twin smooths over."""
     first = np.searchsorted(stamp, stamp - round(window_s * NANOSECONDS))
     count = np.arange(len(stamp)) - first + 1

@@ -9,6 +9,7 @@ import numpy as np
 
 from worm_model.kernel.recording import pick_settled
 from worm_model.parameters import Parameters
+from worm_model.quadrature import accumulated
 from worm_model.simulator import Locomotion, LocomotionState
 from worm_model.smoothing import smooth
 from worm_model.twin.offline.drive import Drive
@@ -73,17 +74,12 @@ def follow_lengths(drive: Drive, track: Track, model: Locomotion, settings: Twin
         columns=columns,
         rate=rate,
         power=power,
-        energy=integral(time, power),
+        energy=accumulated(time, power),
         final_power=final_power,
-        final_energy=integral(time, final_power),
+        final_energy=accumulated(time, final_power),
         settled=settled,
         end=end,
     )
-
-
-def integral(time: Array, value: Array) -> Array:
-    """By trapezoids from the first time on."""
-    return np.append(0.0, np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(time)))
 
 
 def _power(columns: dict[str, Array], rate: Array, parameters: Parameters) -> Array:

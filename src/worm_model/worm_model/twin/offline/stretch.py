@@ -48,6 +48,7 @@ from worm_model.twin.offline.timeline import (
     Rows,
     Stamps,
     Timeline,
+    only,
 )
 from worm_model.twin.records import (
     NANOSECONDS,
@@ -114,7 +115,7 @@ def follow_stretch(state: TwinState, samples: Samples, twin: Twin) -> tuple[Twin
     found = triggers(samples.looks, samples.now, motion, estimates)
     seen = _seen(samples.rear, motion, found, settings)
     sight, accepted = accept(state.sight, seen, settings)
-    seen = seen.only(accepted)
+    seen = only(seen, accepted)
     state, off, origins = _put_in_frame(state, motion, seen, found)
     state = state.but(sight=sight)
     powers = _judge_powers(state.run, samples.power, motion, found, settings)
@@ -165,8 +166,12 @@ def _seen(
 ) -> Observations:
     """The positions whose time comes."""
     known = np.empty(0, np.int64) if motion is None else motion.drive.stamp
-    forgotten = found.followed - remembered_ns(settings.smoothing_s)
-    return found.judge(signal, known, found.followed, forgotten)
+    return found.judge(signal, known, found.followed, _forgotten(found, settings))
+
+
+def _forgotten(found: Triggers, settings: TwinSettings) -> Stamps:
+    """Up to where the twin need not remember its motion at each comparison."""
+    return found.followed - remembered_ns(settings.smoothing_s)
 
 
 def _put_in_frame(
@@ -196,8 +201,7 @@ def _judge_powers(
     if motion is None:
         return _nothing()
     start = int(motion.drive.stamp[0])
-    forgotten = found.followed - remembered_ns(settings.smoothing_s)
-    seen = found.judge(power, motion.drive.stamp, found.settled, forgotten)
+    seen = found.judge(power, motion.drive.stamp, found.settled, _forgotten(found, settings))
     expected, used = predicted_power(motion, seen.stamp)
     residual = seen.value - expected
     # No window resolves the step of the length rate at the onset.

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,14 @@ class Kind(enum.IntEnum):
     LENGTH = 1
     POSITION = 2
     POWER = 3
+
+
+Columns = TypeVar("Columns")
+
+
+def only(columns: Columns, chosen: Mask) -> Columns:
+    """Some rows of a dataclass whose fields are all arrays of as many."""
+    return type(columns)(*(values[chosen] for values in vars(columns).values()))
 
 
 class Irregular(Exception):  # noqa: N818 - nobody's error
