@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from worm_model.gait import FORWARD, REVERSE, Gait
-from worm_optimizer.bringup.operator_node import OperatorNode, operator
-from worm_optimizer.bringup.processes import Process, ProcessGroup, executable_command
+from worm_optimizer.nodes.operator_node import OperatorNode, operator
+from worm_optimizer.operation.processes import Process, ProcessGroup, executable_command
 
 TIMEOUT_S = 60.0
 BEFORE_S, AFTER_S = 2.0, 0.5  # recorded at rest, and after the gait's end
@@ -59,7 +59,7 @@ def make(name: str, sample: Sample, folder: Path) -> None:
     """Record one sample into a new folder below `folder`."""
     with tempfile.TemporaryDirectory() as place, ProcessGroup(Path(place)) as group:
         _start_robot(group, sample, Path(place))
-        record = [*executable_command("worm_driver", "record"), "--regex", TOPICS]
+        record = [*executable_command("worm_model", "record"), "--regex", TOPICS]
         record += ["--output", str(folder / name), "--seed", str(sample.seed)]
         record += ["--note", f"made_by=bags/make.py {name}", *sample.recording, *ROS]
         recorder = group.start("recorder", record)

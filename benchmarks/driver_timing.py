@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState
 from benchmarks.report import Row
 from worm_msgs.action import RunGait
 from worm_msgs.msg import Gait, Power
-from worm_optimizer.bringup.processes import ProcessGroup, executable_command
+from worm_optimizer.operation.processes import ProcessGroup, executable_command
 
 TITLE = "period of the driver's loop, its load, and the age of a sample on arrival"
 

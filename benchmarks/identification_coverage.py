@@ -14,12 +14,12 @@ import numpy as np
 
 from benchmarks.report import Row, wall_time
 from tests.virtual_campaign import virtual_campaign
-from worm_model.identification.errors import IdentificationError
 from worm_model.identification.estimate import Estimate
 from worm_model.identification.fingerprint import code_version
 from worm_model.identification.given import MEASURED, given_by_folder
+from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.inputs import read_inputs
-from worm_model.identification.pipeline import identify
+from worm_model.identification.stages import identify
 from worm_model.parameters import KEYS
 
 TITLE = "how often the 95 % intervals of an identification cover the truth (minutes; WORM_BENCH_CASES=5 for fewer)"

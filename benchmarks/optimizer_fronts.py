@@ -11,13 +11,13 @@ import numpy as np
 
 from benchmarks.report import Row
 from worm_model.parameters import PAPER, ParameterFile
-from worm_optimizer.cache import Cache
-from worm_optimizer.certificate import CertifiedFront, certified_front
-from worm_optimizer.margin import find_cliff, price_of_robustness, scan
-from worm_optimizer.pipeline import make_front
-from worm_optimizer.servo_limits import limits_of, load_driver_file, servo_model
-from worm_optimizer.settings import Settings
-from worm_optimizer.task import MarginTask
+from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.certificate import CertifiedFront, certified_front
+from worm_optimizer.search.front import make_front
+from worm_optimizer.search.margin import find_cliff, price_of_robustness, scan
+from worm_optimizer.search.search_settings import Settings
+from worm_optimizer.search.servo_limits import limits_of, load_driver_file, servo_model
+from worm_optimizer.search.task import MarginTask
 
 TITLE = "certified fronts, the margin scan, a cold start"
 SEEDS = range(1, 11)

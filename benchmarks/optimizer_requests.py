@@ -16,12 +16,12 @@ from tests.harness import Probe, Processes
 from worm_model.parameters import ParameterFile
 from worm_msgs.action import OptimizeGaits
 from worm_msgs.srv import RequestGait
-from worm_optimizer.cache import Cache
-from worm_optimizer.desk import answer, request_of
-from worm_optimizer.pipeline import load_served
-from worm_optimizer.ros_messages import fill_response
-from worm_optimizer.served import ServedFront
-from worm_optimizer.settings import Settings
+from worm_optimizer.nodes.optimizer_messages import fill_response
+from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.desk import answer, request_of
+from worm_optimizer.search.front import load_served
+from worm_optimizer.search.search_settings import Settings
+from worm_optimizer.search.served import ServedFront
 
 TITLE = "latency of request_gait through the middleware (needs the built workspace)"
 REQUESTS = 2000

@@ -16,7 +16,7 @@ from pathlib import Path
 from benchmarks.publish_load import NUMBER_OFFSET, TOPICS
 from benchmarks.report import Row
 from worm_model.bags.opening import open_bag
-from worm_optimizer.bringup.processes import Process, ProcessGroup, executable_command
+from worm_optimizer.operation.processes import Process, ProcessGroup, executable_command
 
 TITLE = "messages recorded and lost at a given rate, processor time, and what a kill -9 costs"
 
@@ -36,7 +36,7 @@ def run() -> list[Row]:
 def _start(
     group: ProcessGroup, bag: Path, rate: float, size: int, seconds: float
 ) -> tuple[Process, Process]:
-    record = executable_command("worm_driver", "record")
+    record = executable_command("worm_model", "record")
     recorder = group.start("recorder", [*record, "--regex", "^/load_", "-o", str(bag), "--json"])
     recorder.wait_for_line("recording to", TIMEOUT)
     arguments = [str(rate), str(size), str(seconds)]

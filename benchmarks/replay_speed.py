@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.report import Row, wall_time
-from worm_model import warm_up
+from worm_model.analysis.replay_metrics import report_replay
+from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_run
-from worm_model.bags.writer import BagWriter
+from worm_model.commands.replay import INPUTS, write_replay
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.replay import INPUTS, write_replay
-from worm_model.replay_metrics import report_replay
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
-from worm_model.simulator import simulate
-from worm_model.twin.replay import replay_run
+from worm_model.simulation import warm_up
+from worm_model.simulation.simulator import simulate
+from worm_model.twin.offline_replay import replay_run
 
 TITLE = "times real time of reading a bag and replaying it into the twin"
 

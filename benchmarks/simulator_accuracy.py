@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.report import Row
 from tests.oracle import Oracle
 from tests.random_cases import random_case
-from worm_model.simulator import evaluate_gait, simulate
+from worm_model.simulation.simulator import evaluate_gait, simulate
 
 TITLE = "agreement with an independent integration (minutes)"
 CASES = int(os.environ.get("WORM_BENCH_CASES", "1000"))

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from benchmarks.report import Row, cpu_time, wall_time
-from worm_model.batch import evaluate_gaits
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.simulator import evaluate_gait, simulate
+from worm_model.simulation.batch import evaluate_gaits
+from worm_model.simulation.simulator import evaluate_gait, simulate
 
 TITLE = "a gait against SciPy with located events, batches, growth of the cost"
 GAITS = [Gait(0.07, 0.2), Gait(0.0755, 0.15, margin=0.0034), Gait(0.09, 0.4), Gait(0.055, 0.0875)]
@@ -144,7 +144,7 @@ def _scaling() -> list[Row]:
     rows: list[Row] = []
     rates: list[float] = []
     for workers in range(1, (os.cpu_count() or 1) + 1):
-        with mock.patch("worm_model.batch.os.cpu_count", return_value=workers):
+        with mock.patch("worm_model.simulation.batch.os.cpu_count", return_value=workers):
             seconds = min(wall_time(lambda: evaluate_gaits(stroke, frequency), 1) for _ in range(5))
         rates.append(stroke.size / seconds)
         value = f"{rates[-1]:,.0f} gaits/s, {rates[-1] / rates[0]:.2f} times one worker"
@@ -187,7 +187,7 @@ def _start_up() -> Row:
         subprocess.run([sys.executable, "-c", *code], check=True, stdout=subprocess.DEVNULL)
 
     evaluate = (
-        "import sys; from worm_model.evaluate_gait import main; "
+        "import sys; from worm_model.commands.evaluate_gait import main; "
         "sys.argv = ['evaluate_gait', '--stroke', '0.07', '--frequency', '0.2']; sys.exit(main())"
     )
     run(evaluate)  # fills the cache

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.report import Row
-from worm_driver.virtual_robot.rehearsal import Run, rehearse, sinusoid
-from worm_driver.virtual_robot.settings import load_settings
+from worm_driver.virtual_robot.offline_run import Run, rehearse, sinusoid
+from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.twin.core import Twin

@@ -16,11 +16,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from benchmarks.report import Row
 from worm_model.gait import Gait
-from worm_model.ros_process import spare_pauses
+from worm_model.nodes.ros_process import spare_pauses
 from worm_msgs.msg import BodyLength, GaitState, TwinState
 from worm_msgs.msg import Gait as GaitMessage
 from worm_msgs.srv import PredictGait
-from worm_optimizer.bringup.processes import ProcessGroup, executable_command, wait_for
+from worm_optimizer.operation.processes import ProcessGroup, executable_command, wait_for
 
 TITLE = "twin node: share of a core and latency with lengths at 1 kHz"
 RATE_HZ = 1000

@@ -12,20 +12,20 @@ from dataclasses import replace
 
 import serial
 
-from worm_driver.dynamixel.servo_bus import BusPort, ServoBus
+from worm_driver.control.driver_settings import DriverSettings
+from worm_driver.control.robot import Robot
+from worm_driver.control.telemetry import Snapshot
 from worm_driver.errors import BusError
-from worm_driver.gaits.gait import Gait
-from worm_driver.gaits.gait_player import Phase
+from worm_driver.gait.gait_limits import Gait
+from worm_driver.gait.gait_player import Phase
 from worm_driver.power.i2c import I2CDevice
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
-from worm_driver.robot import Robot
-from worm_driver.settings import DriverSettings
-from worm_driver.telemetry import Snapshot
-from worm_driver.transmission import Fin, Spool
-from worm_driver.virtual_robot import smbus_frames as frames
-from worm_driver.virtual_robot.faults import make_fault
-from worm_driver.virtual_robot.robot import VirtualRobot
-from worm_driver.virtual_robot.settings import load_settings
+from worm_driver.servos.servo_bus import BusPort, ServoBus
+from worm_driver.servos.transmission import Fin, Spool
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_driver.virtual_robot.wire import smbus_frames as frames
+from worm_driver.virtual_robot.wire.faults import make_fault
 
 BAUD_RATE = 1_000_000
 BYTE_TIME = 10 / BAUD_RATE

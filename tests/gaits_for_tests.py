@@ -4,12 +4,12 @@
 import dataclasses
 from pathlib import Path
 
-from worm_optimizer.cache import Cache
-from worm_optimizer.gait_map import MapSettings
-from worm_optimizer.prediction import Prediction
-from worm_optimizer.search import SearchSettings
-from worm_optimizer.served import ServedFront
-from worm_optimizer.settings import ScanSettings, Settings
+from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.gait_map import MapSettings
+from worm_optimizer.search.nsga2 import SearchSettings
+from worm_optimizer.search.search_settings import ScanSettings, Settings
+from worm_optimizer.search.served import ServedFront
 
 COARSE_MAP = MapSettings(strokes=25, frequencies=9, tolerance=2e-5, followed=1)
 

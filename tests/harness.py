@@ -16,9 +16,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
-from worm_optimizer.bringup.drive import start_nodes
-from worm_optimizer.bringup.processes import Process, ProcessGroup, executable_command
-from worm_optimizer.bringup.system import SystemFile, load_system_file
+from worm_optimizer.operation.demo_run import start_nodes
+from worm_optimizer.operation.processes import Process, ProcessGroup, executable_command
+from worm_optimizer.operation.system import SystemFile, load_system_file
 
 NAMESPACE = "/worm"
 TIMEOUT_S = 30.0  # generous: only a failure waits for so long

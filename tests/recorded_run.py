@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.run_writer import write_run
-from worm_model.bags.writer import BagWriter
 from worm_model.gait import Gait
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
-from worm_model.simulator import simulate
+from worm_model.simulation.simulator import simulate
 
 EPOCH = 1_800_000_000_000_000_000
 REST_S, AFTER_S = 1.5, 0.3  # at rest before the gait, and recorded beyond it

@@ -7,7 +7,7 @@ from worm_model.parameters import Parameters
 from worm_model.run import Run
 from worm_model.twin.by_sample import Replay, replay_samples
 from worm_model.twin.offline.follow import replay_columns
-from worm_model.twin.settings import DEFAULTS, TwinSettings
+from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 
 
 def check_same(run: Run, parameters: Parameters, settings: TwinSettings = DEFAULTS) -> Replay:

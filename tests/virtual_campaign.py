@@ -9,16 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_driver.virtual_robot.rehearsal import Run as Rehearsal
-from worm_driver.virtual_robot.rehearsal import rehearse, sinusoid
-from worm_driver.virtual_robot.settings import RobotSettings, load_settings
+from worm_driver.virtual_robot.offline_run import Run as Rehearsal
+from worm_driver.virtual_robot.offline_run import rehearse, sinusoid
+from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_model.gait import Gait
 from worm_model.identification.given import READING, Given
 from worm_model.identification.inputs import BenchTest, Inputs
-from worm_model.identification.recording import recording_of
+from worm_model.identification.observed_run import recording_of
 from worm_model.parameters import PAPER, Parameters
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
-from worm_model.simulator import simulate
+from worm_model.simulation.simulator import simulate
 
 # Gaits and durations (s) that pass five ridges, those of a usual campaign
 CAMPAIGN = (

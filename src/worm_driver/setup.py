@@ -7,10 +7,9 @@ from setuptools import find_packages, setup
 
 NAME = "worm_driver"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
-    "virtual_robot = worm_driver.virtual_robot.virtual_robot_node:main",
-    "driver_node = worm_driver.driver_node:main",
-    "calibrate = worm_driver.calibrate:main",
-    "record = worm_driver.record_node:main",
+    "virtual_robot = worm_driver.nodes.virtual_robot_node:main",
+    "driver_node = worm_driver.nodes.driver_node:main",
+    "calibrate = worm_driver.commands.calibrate:main",
 ]
 
 setup(

@@ -7,17 +7,18 @@ from setuptools import find_packages, setup
 
 NAME = "worm_model"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
-    "evaluate_gait = worm_model.evaluate_gait:main",
-    "phase_map = worm_model.phase_map:main",
-    "export = worm_model.export:main",
-    "identify = worm_model.identify:main",
-    "import_lab = worm_model.import_lab:main",
-    "recover = worm_model.recover:main",
-    "play = worm_model.play_node:main",
-    "replay = worm_model.replay:main",
-    "twin_node = worm_model.twin_node:main",
-    "health = worm_model.health_command:main",
-    "watch = worm_model.watch_node:main",
+    "evaluate_gait = worm_model.commands.evaluate_gait:main",
+    "phase_map = worm_model.commands.phase_map:main",
+    "export = worm_model.commands.export:main",
+    "identify = worm_model.commands.identify:main",
+    "import_lab = worm_model.commands.import_lab:main",
+    "recover = worm_model.commands.recover:main",
+    "record = worm_model.nodes.record_node:main",
+    "play = worm_model.nodes.play_node:main",
+    "replay = worm_model.commands.replay:main",
+    "twin_node = worm_model.nodes.twin_node:main",
+    "health = worm_model.commands.health:main",
+    "watch = worm_model.nodes.watch_node:main",
 ]
 
 setup(

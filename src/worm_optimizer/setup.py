@@ -7,13 +7,13 @@ from setuptools import find_packages, setup
 
 NAME = "worm_optimizer"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
-    "optimizer_node = worm_optimizer.optimizer_node:main",
-    "optimize = worm_optimizer.optimize:main",
-    "scan_margin = worm_optimizer.scan_margin:main",
-    "request = worm_optimizer.request:main",
-    "demo = worm_optimizer.bringup.demo:main",
-    "report = worm_optimizer.report.command:main",
-    "campaign = worm_optimizer.campaign.command:main",
+    "optimizer_node = worm_optimizer.nodes.optimizer_node:main",
+    "optimize = worm_optimizer.commands.optimize:main",
+    "scan_margin = worm_optimizer.commands.scan_margin:main",
+    "request = worm_optimizer.commands.request:main",
+    "demo = worm_optimizer.commands.demo:main",
+    "report = worm_optimizer.commands.report:main",
+    "campaign = worm_optimizer.commands.campaign:main",
 ]
 
 setup(

@@ -23,7 +23,7 @@ PACKAGES = {
 }
 
 # Libraries that only the files named here may import; the rest of the code does not know them.
-NODES = ["*_node.py", "ros_*.py"]
+NODES = ["*/nodes/*.py"]
 CONFINED = {
     "rclpy": NODES,
     "rcl_interfaces": NODES,
@@ -36,13 +36,13 @@ CONFINED = {
     "visualization_msgs": NODES,
     "geometry_msgs": NODES,
     "builtin_interfaces": NODES,
-    "dynamixel_sdk": ["worm_driver/dynamixel/servo_bus.py"],
+    "dynamixel_sdk": ["worm_driver/servos/servo_bus.py"],
     "smbus2": ["worm_driver/power/i2c.py"],
-    "pymoo": ["worm_optimizer/problem.py", "worm_optimizer/search.py"],
-    "numba": ["worm_model/kernel/*.py"],
-    "mcap": ["worm_driver/recorder.py", "worm_model/bags*.py", "worm_model/bags/*.py"],
-    "mcap_ros2": ["worm_model/bags*.py", "worm_model/bags/*.py"],
-    "rosbags": ["worm_model/bags*.py", "worm_model/bags/*.py"],
+    "pymoo": ["worm_optimizer/search/problem.py", "worm_optimizer/search/nsga2.py"],
+    "numba": ["worm_model/simulation/kernel/*.py"],
+    "mcap": ["worm_model/bags/*.py"],
+    "mcap_ros2": ["worm_model/bags/*.py"],
+    "rosbags": ["worm_model/bags/*.py"],
     "launch": [],
     "launch_ros": [],
     "domain_coordinator": [],
@@ -102,7 +102,7 @@ def test_every_process_with_ros_begins_and_ends_in_one_way():
     callers = {
         name_of(path) for path in SOURCES if "rclpy.init(" in path.read_text(encoding="utf-8")
     }
-    assert callers == {"worm_driver/ros_process.py", "worm_model/ros_process.py"}
+    assert callers == {"worm_driver/nodes/driver_process.py", "worm_model/nodes/ros_process.py"}
 
 
 def test_product_code_knows_nothing_of_the_reference_material():
@@ -170,7 +170,7 @@ def test_every_executable_has_its_main(package: str):
 def test_the_core_runs_without_ros():
     """Importing the simulator must not import a middleware."""
     code = (
-        "import sys, worm_model.parameters, worm_model.gait, worm_model.actuation\n"
+        "import sys, worm_model.parameters, worm_model.gait, worm_model.simulation.actuation\n"
         "sys.exit(any(name.split('.')[0] in {'rclpy', 'worm_msgs'} for name in sys.modules))"
     )
     environment = {"PYTHONPATH": str(ROOT / "src/worm_model"), "PATH": "/usr/bin:/bin"}

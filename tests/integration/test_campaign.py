@@ -7,8 +7,8 @@ import pytest
 from harness import system_file
 
 from worm_model.gait import Gait
-from worm_optimizer.campaign.runs import Robot, run_gaits
-from worm_optimizer.report.command import read_gaits
+from worm_optimizer.commands.report import read_gaits
+from worm_optimizer.operation.campaign_runs import Robot, run_gaits
 from worm_optimizer.report.verdict import agreements, orders
 
 pytestmark = pytest.mark.integration

@@ -15,8 +15,8 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from worm_driver.dynamixel.registers import COMMON
-from worm_driver.dynamixel.servo_bus import ServoBus
+from worm_driver.servos.registers import COMMON
+from worm_driver.servos.servo_bus import ServoBus
 from worm_msgs.action import RunGait
 from worm_msgs.msg import BodyLength, Gait, GaitState, Power, Tracker
 from worm_msgs.srv import InjectFault
@@ -374,7 +374,7 @@ import sys
 import time
 from worm_driver import driver_node
 from worm_driver.errors import BusError
-from worm_driver.robot import Robot
+from worm_driver.control.robot import Robot
 
 activate = Robot.activate
 
@@ -427,7 +427,7 @@ _SABOTAGE = """
 import sys
 import rclpy
 from worm_driver import driver_node
-from worm_driver.gaits.gait_player import Phase
+from worm_driver.gait.gait_player import Phase
 
 class Sabotaged(driver_node.DriverNode):
     def _on_tracker(self, message):

@@ -9,8 +9,8 @@ from sensor_msgs.msg import JointState
 
 from worm_msgs.action import RunGait
 from worm_msgs.msg import Gait, GaitState
-from worm_optimizer.bringup.processes import executable_command
-from worm_optimizer.bringup.system import MODES
+from worm_optimizer.operation.processes import executable_command
+from worm_optimizer.operation.system import MODES
 
 LONG_GAIT = RunGait.Goal(
     gait=Gait(stroke=0.07, frequency=0.4, direction=Gait.FORWARD, margin=0.0), cycles=60

@@ -6,8 +6,8 @@ from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.task import Future
 
-from worm_optimizer.bringup import operator_node
-from worm_optimizer.bringup.operator_node import OperatorError, operator
+from worm_optimizer.nodes import operator_node
+from worm_optimizer.nodes.operator_node import OperatorError, operator
 
 
 class Service:

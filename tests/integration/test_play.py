@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 
 from worm_model.parameters import PAPER
 from worm_model.run import Run
-from worm_model.twin.replay import replay_run
+from worm_model.twin.offline_replay import replay_run
 from worm_msgs.msg import GaitState, Power, Tracker, TwinState
 
 TIMEOUT_S = 40.0

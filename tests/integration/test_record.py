@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_msgs.msg import Gait, GaitState, Power, Tracker
-from worm_optimizer.bringup.processes import executable_command
+from worm_optimizer.operation.processes import executable_command
 
 ACKNOWLEDGED = Duration(seconds=20)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -100,7 +100,7 @@ def test_what_is_lost_is_counted(processes: Processes, probe: Probe, tmp_path: P
     """A subscription that keeps one message loses all but the last of what comes between two looks."""
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
     recorder = processes.start_node(
-        *("worm_driver", "record", "tracker", "-o", str(tmp_path / "bag"), "--depth", "1", "--json")
+        *("worm_model", "record", "tracker", "-o", str(tmp_path / "bag"), "--depth", "1", "--json")
     )
     recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
     publish(positions, range(3000))
@@ -120,7 +120,7 @@ def test_all_topics_and_a_new_publisher_that_offers_less(
 ):
     reliable = probe.node.create_publisher(Tracker, "tracker", 1000)
     recorder = processes.start_executable(
-        *("worm_driver", "record", "--all", "--exclude", "rosout|parameter_events"),
+        *("worm_model", "record", "--all", "--exclude", "rosout|parameter_events"),
         *("--output", str(tmp_path / "bag")),
     )
     recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
@@ -145,7 +145,7 @@ def test_nothing_is_lost_or_doubled_while_it_adapts(
     states = probe.node.create_publisher(Tracker, "tracker", LATCHED)
     states.publish(tracker(0))
     recorder = processes.start_node(
-        *("worm_driver", "record", "tracker", "-o", str(tmp_path / "bag"), "--json")
+        *("worm_model", "record", "tracker", "-o", str(tmp_path / "bag"), "--json")
     )
     recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
     probe.wait_for(lambda: states.get_subscription_count() == 1, "the recorder")
@@ -184,7 +184,7 @@ def test_a_killed_recorder_leaves_a_bag_that_is_recovered(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
-    recorder = processes.start_node("worm_driver", "record", "tracker", "-o", str(tmp_path / "bag"))
+    recorder = processes.start_node("worm_model", "record", "tracker", "-o", str(tmp_path / "bag"))
     recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
     file = tmp_path / "bag" / "bag_0.mcap"
     empty = file.stat().st_size
@@ -206,7 +206,7 @@ def test_a_full_disk_ends_the_recording_and_says_so(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
     """The system refuses to let the file grow, as a full disk does."""
-    command = executable_command("worm_driver", "record")
+    command = executable_command("worm_model", "record")
     limited = ["sh", "-c", 'ulimit -f 100; exec "$@"', "sh", *command]  # 51,200 or 102,400 bytes
     recorder = processes.start(
         "record", [*limited, "/worm/tracker", "--compression", "none", "-o", str(tmp_path / "bag")]
@@ -231,7 +231,7 @@ def test_a_full_disk_ends_the_recording_and_says_so(
 def test_a_bag_is_split_while_it_is_recorded(processes: Processes, probe: Probe, tmp_path: Path):
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
     recorder = processes.start_node(
-        *("worm_driver", "record", "-e", "/tracker$", "-o", str(tmp_path / "bag")),
+        *("worm_model", "record", "-e", "/tracker$", "-o", str(tmp_path / "bag")),
         *("-b", "20000", "--compression", "none"),
     )
     recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
@@ -258,7 +258,7 @@ def test_a_bag_is_split_while_it_is_recorded(processes: Processes, probe: Probe,
     ],
 )
 def test_bad_input_is_refused_in_one_line(processes: Processes, arguments: list[str], words: str):
-    recorder = processes.start_executable("worm_driver", "record", *arguments)
+    recorder = processes.start_executable("worm_model", "record", *arguments)
     assert recorder.wait(TIMEOUT_S) == 2
     assert words in recorder.last_line()
     assert "Traceback" not in recorder.output()

@@ -18,8 +18,8 @@ from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from worm_model import ros_twin  # noqa: E402
 from worm_model.gait import Gait  # noqa: E402
+from worm_model.nodes import twin_messages as ros_twin  # noqa: E402
 from worm_model.parameters import PAPER  # noqa: E402
 from worm_model.twin.core import Twin  # noqa: E402
 from worm_msgs.msg import (  # noqa: E402

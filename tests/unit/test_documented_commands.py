@@ -39,7 +39,7 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
 ELSEWHERE = {
     ("worm_driver", "calibrate"): "tests/unit/worm_driver/test_calibrate.py",
     ("worm_driver", "driver_node"): "tests/integration/test_driver.py",
-    ("worm_driver", "record"): "tests/integration/test_record.py",
+    ("worm_model", "record"): "tests/integration/test_record.py",
     ("worm_driver", "virtual_robot"): "tests/integration/test_virtual_robot.py",
     ("worm_model", "twin_node"): "tests/integration/test_twin_node.py",
     ("worm_model", "watch"): "tests/integration/test_watch.py",
@@ -187,7 +187,7 @@ def test_the_reference_of_the_packages_is_built(tmp_path: Path):
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{tmp_path}/docs/index.html\n"
     for module in (
-        "worm_driver/dynamixel/servo_bus",
+        "worm_driver/servos/servo_bus",
         "worm_optimizer/optimizer_node",
         "worm_model/gait",
     ):

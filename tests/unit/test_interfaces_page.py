@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from worm_model.twin.settings import DEFAULTS
+from worm_model.twin.twin_settings import DEFAULTS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "interfaces.md").read_text(encoding="utf-8")

@@ -28,7 +28,7 @@ from launch_ros.events.lifecycle import ChangeState
 from launch_ros.parameter_descriptions import ParameterValue
 from lifecycle_msgs.msg import Transition
 
-from worm_optimizer.bringup.system import MODES, NodeDescription, SystemFile, load_system_file
+from worm_optimizer.operation.system import MODES, NodeDescription, SystemFile, load_system_file
 
 # A virtual servo may answer late on a busy computer. A real robot is its operator's after one failure.
 VIRTUAL_ATTEMPTS = 6

@@ -9,14 +9,14 @@ from driver_rig import Clock, Rig, SimulatedPort, Wire, settings
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.calibrate import Calibration, calibrate, main
-from worm_driver.calibration import Reading, parameter_text, spool_from
-from worm_driver.dynamixel.servo_bus import ServoBus
+from worm_driver.commands.calibrate import Calibration, calibrate, main
 from worm_driver.errors import ConfigurationError, DriverError
-from worm_driver.transmission import Fin, Spool
-from worm_driver.virtual_robot.faults import make_fault
-from worm_driver.virtual_robot.robot import VirtualRobot
-from worm_driver.virtual_robot.settings import load_settings
+from worm_driver.servos.calibration import Reading, parameter_text, spool_from
+from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.servos.transmission import Fin, Spool
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_driver.virtual_robot.wire.faults import make_fault
 
 
 @given(st.sampled_from([1, -1]), st.floats(0.008, 0.05), st.floats(0.2, 0.4))

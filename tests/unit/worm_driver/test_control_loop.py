@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from worm_driver.control_loop import ControlLoop, PeriodicThread, PowerLoop
+from worm_driver.control.control_loop import ControlLoop, PeriodicThread, PowerLoop
 from worm_driver.errors import DriverError, LimitError, PowerSensorError
 from worm_driver.power.ina219 import PowerSample, SampleStatus
 

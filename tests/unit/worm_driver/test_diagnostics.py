@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import pytest
 
-from worm_driver import diagnostics
-from worm_driver.diagnostics import Level
-from worm_driver.dynamixel.bus_types import BusCounters
-from worm_driver.dynamixel.registers import XM430_W350
+from worm_driver.control import diagnostics
+from worm_driver.control.diagnostics import Level
+from worm_driver.control.telemetry import SILENT, ServoState
+from worm_driver.control.timing import TimingReport
 from worm_driver.errors import PortError
-from worm_driver.gaits.gait_player import Phase, PlayerState
+from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.power.ina219 import SampleStatus
-from worm_driver.servos import Servo
-from worm_driver.telemetry import SILENT, ServoState
-from worm_driver.timing import TimingReport
+from worm_driver.servos.bus_types import BusCounters
+from worm_driver.servos.registers import XM430_W350
+from worm_driver.servos.servo_setup import Servo
 
 SERVO = Servo(1, XM430_W350, 48, 4.8, (9.5, 16.0), 80.0)
 STATE = ServoState(0, 0.1, 0.2, 0.3, 12.0, 30.0, 1.0)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.dynamixel.encoding import from_raw, pack, to_raw, unpack, unpack_from
-from worm_driver.dynamixel.registers import COMMON, XM430_W350
+from worm_driver.servos.encoding import from_raw, pack, to_raw, unpack, unpack_from
+from worm_driver.servos.registers import COMMON, XM430_W350
 
 POSITION = COMMON["present_position"]
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from worm_driver.errors import LimitError
-from worm_driver.gaits.gait import Gait, GaitLimits
+from worm_driver.gait.gait_limits import Gait, GaitLimits
 
 LIMITS = GaitLimits(max_stroke=0.09, max_frequency=0.4, max_cable_speed=0.1)
 GAITS = st.builds(Gait, st.floats(0.01, 0.09), st.floats(0.08, 0.4))

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from worm_driver.gaits.gait import Gait
-from worm_driver.gaits.gait_metrics import RunRecord, distance, figures
-from worm_driver.gaits.gait_player import Ending, Run
+from worm_driver.control.driver_settings import Body
+from worm_driver.gait.gait_limits import Gait
+from worm_driver.gait.gait_metrics import RunRecord, distance, figures
+from worm_driver.gait.gait_player import Ending, Run
 from worm_driver.power.ina219 import PowerSample, SampleStatus
-from worm_driver.settings import Body
 
 FREQUENCY = 0.5
 PERIOD = 2.0

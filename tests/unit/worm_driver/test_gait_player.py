@@ -7,15 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from worm_driver.errors import LimitError
-from worm_driver.gaits import gait_player
-from worm_driver.gaits.gait import Gait
-from worm_driver.gaits.gait_player import (
-    Ending,
-    Observation,
-    Phase,
-    PlayerSettings,
-    PlayerState,
-)
+from worm_driver.gait import gait_player
+from worm_driver.gait.gait_limits import Gait
+from worm_driver.gait.gait_player import Ending, Observation, Phase, PlayerSettings, PlayerState
 
 SETTINGS = PlayerSettings()
 READY = Observation(fins_set=True, idle_samples=100)

@@ -10,19 +10,19 @@ from dataclasses import replace
 import pytest
 from driver_rig import settings
 
-from worm_driver import hardware as hardware_module
-from worm_driver.dynamixel import serial_port
-from worm_driver.dynamixel.servo_bus import BusPort
+from worm_driver.control import hardware as hardware_module
+from worm_driver.control.driver_settings import DriverSettings, PowerSettings
+from worm_driver.control.hardware import Hardware
+from worm_driver.control.supervision import Limits
 from worm_driver.errors import ConfigurationError, DriverError, PortError
-from worm_driver.gaits.gait import Gait
-from worm_driver.gaits.gait_player import Phase
-from worm_driver.hardware import Hardware
-from worm_driver.settings import DriverSettings, PowerSettings
-from worm_driver.supervision import Limits
-from worm_driver.virtual_robot.endpoints import Endpoints
-from worm_driver.virtual_robot.faults import make_fault
-from worm_driver.virtual_robot.robot import VirtualRobot
-from worm_driver.virtual_robot.settings import load_settings
+from worm_driver.gait.gait_limits import Gait
+from worm_driver.gait.gait_player import Phase
+from worm_driver.servos import serial_port
+from worm_driver.servos.servo_bus import BusPort
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_driver.virtual_robot.wire.endpoints import Endpoints
+from worm_driver.virtual_robot.wire.faults import make_fault
 
 PATIENCE = 20.0  # s, only a failure waits for so long
 

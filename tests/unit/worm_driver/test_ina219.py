@@ -16,9 +16,9 @@ from worm_driver.power.ina219 import (
     SampleStatus,
     calibration_for,
 )
-from worm_driver.virtual_robot.faults import make_fault
-from worm_driver.virtual_robot.robot import VirtualRobot
-from worm_driver.virtual_robot.settings import load_settings
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_driver.virtual_robot.wire.faults import make_fault
 
 
 class Chip:

@@ -3,9 +3,9 @@ import itertools
 
 import pytest
 
-from worm_driver.dynamixel.registers import COMMON, MODELS, XL430_W250, hardware_error_text
-from worm_driver.telemetry import STATE_SIZE, STATE_START
-from worm_driver.virtual_robot import control_table
+from worm_driver.control.telemetry import STATE_SIZE, STATE_START
+from worm_driver.servos.registers import COMMON, MODELS, XL430_W250, hardware_error_text
+from worm_driver.virtual_robot.servo import control_table
 
 MODEL_LIST = sorted(MODELS.values(), key=lambda model: model.number)
 

@@ -9,15 +9,20 @@ from dataclasses import replace
 import pytest
 from driver_rig import CABLE, Rig, settings
 
-from worm_driver.dynamixel.registers import COMMON
+from worm_driver.control.supervision import Limits
+from worm_driver.control.telemetry import SILENT
 from worm_driver.errors import BusError, ConfigurationError, HomingError, LimitError
-from worm_driver.gaits.gait_player import Ending, Phase
-from worm_driver.supervision import Limits
-from worm_driver.telemetry import SILENT
-from worm_driver.transmission import Fin, Spool
-from worm_driver.virtual_robot.control_table import XL330_M288, XL430_W250, XM430_W350, ServoModel
-from worm_driver.virtual_robot.robot import VirtualRobot
-from worm_driver.virtual_robot.settings import load_settings
+from worm_driver.gait.gait_player import Ending, Phase
+from worm_driver.servos.registers import COMMON
+from worm_driver.servos.transmission import Fin, Spool
+from worm_driver.virtual_robot.servo.control_table import (
+    XL330_M288,
+    XL430_W250,
+    XM430_W350,
+    ServoModel,
+)
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import load_settings
 
 #: s, in which motion must have stopped after a fault that endangers the robot
 STOP = 0.100

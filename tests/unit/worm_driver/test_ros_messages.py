@@ -8,13 +8,13 @@ pytest.importorskip("worm_msgs", reason="the workspace is not built")
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from worm_driver import ros_messages
-from worm_driver.diagnostics import Level, Report
-from worm_driver.gaits.gait import Gait
-from worm_driver.gaits.gait_player import Phase, PlayerState, Run
+from worm_driver.control.diagnostics import Level, Report
+from worm_driver.control.telemetry import SILENT, ServoState, Snapshot
+from worm_driver.gait.gait_limits import Gait
+from worm_driver.gait.gait_player import Phase, PlayerState, Run
+from worm_driver.nodes import driver_messages as ros_messages
+from worm_driver.nodes.driver_messages import ClockPair
 from worm_driver.power.ina219 import PowerSample, SampleStatus
-from worm_driver.ros_messages import ClockPair
-from worm_driver.telemetry import SILENT, ServoState, Snapshot
 from worm_msgs.msg import BodyLength, GaitState, Power
 
 CLOCKS = ClockPair(1_700_000_000_000_000_000)

@@ -9,7 +9,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
 
-from worm_driver.ros_process import ros_process  # noqa: E402
+from worm_driver.nodes.driver_process import ros_process  # noqa: E402
 
 DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 

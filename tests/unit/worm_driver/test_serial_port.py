@@ -4,7 +4,7 @@ import errno
 import fcntl
 import os
 
-from worm_driver.dynamixel import serial_port
+from worm_driver.servos import serial_port
 
 TIOCGEXCL = 0x80045440
 

@@ -15,10 +15,7 @@ from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from worm_driver.dynamixel.bus_types import Identity
-from worm_driver.dynamixel.encoding import pack
-from worm_driver.dynamixel.registers import COMMON, Register
-from worm_driver.dynamixel.servo_bus import BusPort, ServoBus
+from worm_driver.control.telemetry import STATE_SIZE, STATE_START
 from worm_driver.errors import (
     BusError,
     ConfigurationError,
@@ -27,11 +24,14 @@ from worm_driver.errors import (
     PortError,
     StatusError,
 )
-from worm_driver.telemetry import STATE_SIZE, STATE_START
-from worm_driver.virtual_robot.faults import make_fault
-from worm_driver.virtual_robot.packet import InstructionReader, status_packet
-from worm_driver.virtual_robot.robot import VirtualRobot
-from worm_driver.virtual_robot.settings import load_settings
+from worm_driver.servos.bus_types import Identity
+from worm_driver.servos.encoding import pack
+from worm_driver.servos.registers import COMMON, Register
+from worm_driver.servos.servo_bus import BusPort, ServoBus
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_driver.virtual_robot.wire.faults import make_fault
+from worm_driver.virtual_robot.wire.packet import InstructionReader, status_packet
 
 GOAL = COMMON["goal_position"]
 POSITION = COMMON["present_position"]

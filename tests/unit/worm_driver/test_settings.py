@@ -2,9 +2,9 @@
 import pytest
 from driver_rig import settings
 
+from worm_driver.control.driver_settings import Body, load_body
 from worm_driver.errors import ConfigurationError
-from worm_driver.settings import Body, load_body
-from worm_driver.transmission import Fin, Spool
+from worm_driver.servos.transmission import Fin, Spool
 
 
 def test_without_a_file_the_body_is_the_papers():

@@ -3,8 +3,8 @@ from dynamixel_sdk import Protocol2PacketHandler
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.dynamixel.stuffing import stuff, unstuff
-from worm_driver.virtual_robot.packet import stuff as independent_stuff
+from worm_driver.servos.stuffing import stuff, unstuff
+from worm_driver.virtual_robot.wire.packet import stuff as independent_stuff
 
 #: bodies rich in headers
 BODIES = st.lists(st.sampled_from([0xFF, 0xFD, 0x00, 0x55]), max_size=60).map(bytes)

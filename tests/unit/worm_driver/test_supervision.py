@@ -3,8 +3,8 @@ import math
 
 import pytest
 
-from worm_driver import supervision
-from worm_driver.supervision import Counts, Health, Limits, fault_in_counts, fault_in_health
+from worm_driver.control import supervision
+from worm_driver.control.supervision import Counts, Health, Limits, fault_in_counts, fault_in_health
 
 LIMITS = Limits(max_silence=0.035, max_current=2.0, following_error=0.015)
 

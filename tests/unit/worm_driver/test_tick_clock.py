@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.dynamixel import tick_clock
-from worm_driver.dynamixel.tick_clock import WRAP_S, begin, lag, update
+from worm_driver.servos import tick_clock
+from worm_driver.servos.tick_clock import WRAP_S, begin, lag, update
 
 
 def tick(time: float) -> float:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.timing import DeadlineGrid, PeriodMeter, percentile
+from worm_driver.control.timing import DeadlineGrid, PeriodMeter, percentile
 
 
 @given(st.floats(0.0, 1e6), st.floats(0.0, 100.0))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from worm_driver.errors import ConfigurationError, LimitError
-from worm_driver.transmission import Fin, Spool
+from worm_driver.servos.transmission import Fin, Spool
 
 TICK = 2 * math.pi / 4096 * 0.025
 

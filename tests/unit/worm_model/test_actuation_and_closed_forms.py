@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from worm_model import actuation
-from worm_model.batch import evaluate_gaits
-from worm_model.closed_form import cliff_margin, groove_phase, grooves_per_cycle
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.simulator import evaluate_gait, simulate
+from worm_model.simulation import actuation
+from worm_model.simulation.batch import evaluate_gaits
+from worm_model.simulation.closed_form import cliff_margin, groove_phase, grooves_per_cycle
+from worm_model.simulation.simulator import evaluate_gait, simulate
 
 
 def test_step_and_ramp_of_a_sampled_command_have_their_closed_form() -> None:

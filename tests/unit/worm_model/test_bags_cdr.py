@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from worm_model.bags.bag_errors import BagError
 from worm_model.bags.cdr import decode, encode, parse_types
 from worm_model.bags.definitions import definition_files, installed_types, topic_of
-from worm_model.bags.errors import BagError
 from worm_model.bags.payloads import payloads_of
 from worm_model.bags.run_writer import encode_stamped
 

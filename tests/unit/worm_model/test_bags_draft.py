@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from worm_model.bags import draft
+from worm_model.bags.bag_errors import BagError, ExistsError
 from worm_model.bags.draft import new_folder
-from worm_model.bags.errors import BagError, ExistsError
 
 
 def test_the_folder_is_there_once_it_is_whole(tmp_path: Path):

@@ -25,12 +25,12 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 
 from worm_model.bags import mcap_writer
 from worm_model.bags.bag import AttachedFile, Message, Topic
+from worm_model.bags.bag_errors import UnwritableError
+from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.blocks import block_of
-from worm_model.bags.errors import UnwritableError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.payloads import payloads_of
 from worm_model.bags.recovery import recover
-from worm_model.bags.writer import BagWriter
 
 TYPE = "std_msgs/msg/UInt64"
 NAMES = ("/a", "/b", "/c")

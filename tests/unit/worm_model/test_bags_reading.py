@@ -25,9 +25,9 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from worm_model.bags.bag import Bag, Topic
-from worm_model.bags.errors import BagError
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.opening import open_bag
-from worm_model.bags.writer import BagWriter
 
 TYPE = "std_msgs/msg/UInt64"
 COUNT = 500

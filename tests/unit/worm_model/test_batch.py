@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from random_cases import random_case
 
-from worm_model.batch import CHUNK, evaluate_gaits
 from worm_model.gait import GaitError
 from worm_model.parameters import KEYS, ParameterError
-from worm_model.simulator import evaluate_gait
+from worm_model.simulation.batch import CHUNK, evaluate_gaits
+from worm_model.simulation.simulator import evaluate_gait
 
 
 def test_batch_equals_single_gaits() -> None:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from worm_model import evaluate_gait as command
-from worm_model import phase_map
+from worm_model.commands import evaluate_gait as command
+from worm_model.commands import phase_map
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.simulator import evaluate_gait
+from worm_model.simulation.simulator import evaluate_gait
 
 KEYS = (
     "stroke frequency direction margin speed power cost_of_transport grooves_per_cycle groove_phase"

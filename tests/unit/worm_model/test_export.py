@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from recorded_run import simulated_run, write_bag
 
-from worm_model import export
+from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.blocks import block_of_topics
 from worm_model.bags.cdr import encode
 from worm_model.bags.definitions import installed_types, topic_of
-from worm_model.bags.writer import BagWriter
+from worm_model.commands import export
 
 RUN = simulated_run(cycles=1)
 

@@ -12,11 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recorded_run import EPOCH, simulated_run, write_bag
 
-from worm_driver.virtual_robot.rehearsal import rehearse, sinusoid
-from worm_driver.virtual_robot.settings import load_settings
-from worm_model import health_command
+from worm_driver.virtual_robot.offline_run import rehearse, sinusoid
+from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_model.analysis.drift_figure import draw_health
+from worm_model.commands import health as health_command
 from worm_model.gait import Gait
-from worm_model.health import (
+from worm_model.identification.drift import (
     ADVICE,
     Rule,
     State,
@@ -25,10 +26,9 @@ from worm_model.health import (
     limits_of_bags,
     limits_of_file,
 )
-from worm_model.health_bags import estimate_bag, estimate_bags
-from worm_model.health_figure import draw_health
+from worm_model.identification.drift_estimates import estimate_bag, estimate_bags
 from worm_model.identification.estimate import Estimate
-from worm_model.identification.recording import recording_of
+from worm_model.identification.observed_run import recording_of
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
 

@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 from recorded_run import simulated_run, write_bag
 
-from worm_model import recover
-from worm_model.bags import opening, writer
+from worm_model.bags import bag_writer as writer
+from worm_model.bags import opening
+from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recovery import Recovery
 from worm_model.bags.recovery import recover as recover_bag
-from worm_model.bags.writer import BagWriter
+from worm_model.commands import recover
 
 RUN = simulated_run(cycles=1)
 

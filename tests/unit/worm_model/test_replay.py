@@ -10,12 +10,12 @@ import pytest
 from recorded_run import GAIT, REST_S, simulated_run, write_bag
 from rosbags.highlevel import AnyReader
 
-from worm_model import replay
+from worm_model.analysis.replay_metrics import report_replay
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
+from worm_model.commands import replay
 from worm_model.parameters import PAPER
-from worm_model.replay_metrics import report_replay
-from worm_model.twin.replay import replay_run
+from worm_model.twin.offline_replay import replay_run
 
 CYCLES = 3
 RUN = simulated_run(CYCLES)
@@ -97,8 +97,8 @@ def test_a_replayed_bag_is_replayed_again(bag: Path, tmp_path: Path, monkeypatch
 
 
 def test_two_robots_in_a_bag_are_told_apart(tmp_path: Path, monkeypatch, capsys):
+    from worm_model.bags.bag_writer import BagWriter
     from worm_model.bags.run_writer import write_run
-    from worm_model.bags.writer import BagWriter
 
     with BagWriter(tmp_path / "two") as writer:
         write_run(writer, RUN, "/one")

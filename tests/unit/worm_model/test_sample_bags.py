@@ -11,12 +11,12 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from same_replay import check_same
 
+from worm_model.analysis.replay_metrics import report_replay
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.parameters import PAPER
-from worm_model.replay_metrics import report_replay
 from worm_model.run import POWER_VALID, RUNNING
-from worm_model.twin.replay import replay_run
+from worm_model.twin.offline_replay import replay_run
 
 BAGS = Path(__file__).resolve().parents[3] / "bags"
 NAMES = ("forward", "reverse", "faults", "killed")

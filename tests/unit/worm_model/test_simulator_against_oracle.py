@@ -11,7 +11,7 @@ from random_cases import random_case
 
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.simulator import evaluate_gait, simulate
+from worm_model.simulation.simulator import evaluate_gait, simulate
 
 POSITION_TOLERANCE = 1e-9  # m
 POWER_TOLERANCE = 1e-6  # relative

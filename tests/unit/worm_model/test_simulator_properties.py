@@ -11,16 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_cases import random_case
 
-from worm_model.closed_form import front_groove, groove_phase
 from worm_model.gait import FORWARD, REVERSE, Gait
-from worm_model.kernel import linear
 from worm_model.parameters import PAPER, ParameterError, Parameters
-from worm_model.simulator import (
-    Locomotion,
-    Motions,
-    evaluate_gait,
-    simulate,
-)
+from worm_model.simulation.closed_form import front_groove, groove_phase
+from worm_model.simulation.kernel import linear
+from worm_model.simulation.simulator import Locomotion, Motions, evaluate_gait, simulate
 
 seeds = st.integers(0, 2**32 - 1)
 few = settings(max_examples=40, deadline=None)

@@ -6,8 +6,8 @@ import pytest
 
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.simulator import Locomotion, simulate
-from worm_model.smoothing import HALF_WINDOW, smooth
+from worm_model.simulation.simulator import Locomotion, simulate
+from worm_model.simulation.smoothing import HALF_WINDOW, smooth
 
 
 def test_a_parabola_comes_back_whatever_the_sampling() -> None:

@@ -6,7 +6,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_model.timeline import Timeline
+from worm_model.bags.play_clock import Timeline
 
 TIMES = st.floats(0.0, 1e5)
 RATES = st.floats(0.01, 1e3)

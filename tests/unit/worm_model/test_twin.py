@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
-from worm_model.simulator import evaluate_gait, simulate
+from worm_model.simulation.simulator import evaluate_gait, simulate
 from worm_model.twin.core import Twin, TwinSettings
 from worm_model.twin.hypotheses import PHASES, hypotheses
 from worm_model.twin.records import (

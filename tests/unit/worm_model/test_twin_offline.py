@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 from recorded_run import EPOCH, GAIT, INITIAL_LENGTH, REST_S, simulated_run
 from same_replay import check_same
 
-from worm_model.lab_logs import LabSettings, read_lab_run
+from worm_model.bags.lab_logs import LabSettings, read_lab_run
 from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
 from worm_model.twin.by_sample import replay_samples
 from worm_model.twin.hypotheses import PHASES, hypotheses
 from worm_model.twin.offline.follow import replay_columns
-from worm_model.twin.offline.timeline import Irregular
-from worm_model.twin.replay import replay_run
-from worm_model.twin.settings import TwinSettings
+from worm_model.twin.offline.sample_timeline import Irregular
+from worm_model.twin.offline_replay import replay_run
+from worm_model.twin.twin_settings import TwinSettings
 
 RUN = simulated_run(cycles=3)
 ONSET = EPOCH + round(REST_S * 1e9)

@@ -9,10 +9,10 @@ import pytest
 
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
-from worm_model.simulator import simulate
-from worm_model.twin.actuation import Actuation, engage, respond
+from worm_model.simulation.simulator import simulate
 from worm_model.twin.anchors import Cycle
 from worm_model.twin.core import Twin
+from worm_model.twin.estimated_length import Actuation, engage, respond
 from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.hypotheses import (
     BIAS,
@@ -35,8 +35,8 @@ from worm_model.twin.records import (
     StateRecord,
     TrackerSample,
 )
-from worm_model.twin.report import Level, report
 from worm_model.twin.scene import FREE, HOLDING, YIELDING, Sighting, engagement, scene
+from worm_model.twin.twin_status import Level, report
 
 GAIT = Gait(0.08, 0.2)
 ONSET = 10**18

@@ -11,7 +11,7 @@ import yaml
 
 from worm_model.parameters import PAPER
 from worm_model.twin.records import Activity, Health
-from worm_model.watch import CLEAR, View, render
+from worm_model.twin.watch_view import CLEAR, View, render
 
 ROOT = Path(__file__).resolve().parents[3]
 ANSI = re.compile(r"\033\[\d+m")

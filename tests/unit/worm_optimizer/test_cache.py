@@ -15,8 +15,8 @@ import pytest
 from gaits_for_tests import QUICK, cache_in, made_up_front
 
 from worm_model.parameters import PAPER, ParameterFile
-from worm_optimizer import cache as cache_module
-from worm_optimizer.cache import (
+from worm_optimizer.search import cache as cache_module
+from worm_optimizer.search.cache import (
     Cache,
     default_directory,
     fingerprint,
@@ -24,9 +24,9 @@ from worm_optimizer.cache import (
     scan_key_of,
     sources,
 )
-from worm_optimizer.errors import OptimizerError
-from worm_optimizer.search import SearchSettings
-from worm_optimizer.served import ServedFront
+from worm_optimizer.search.nsga2 import SearchSettings
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.served import ServedFront
 
 FILE = ParameterFile(intervals={"slack": (0.0075, 0.0085)})
 
@@ -109,7 +109,7 @@ def test_names_are_the_same_in_every_process():
 
 def test_the_name_depends_on_all_code_that_results_depend_on(tmp_path, monkeypatch):
     ours = "[m.__file__ for n, m in sys.modules.items() if n.startswith('worm_')]"
-    code = f"import sys, worm_optimizer.pipeline; print({ours})"
+    code = f"import sys, worm_optimizer.search.front; print({ours})"
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {Path(name).resolve() for name in ast.literal_eval(told.stdout)}
     known = {path.resolve() for path in sources()}

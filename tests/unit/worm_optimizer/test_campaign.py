@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from worm_model.parameters import ParameterFile
-from worm_optimizer.bringup.system import load_system_file
-from worm_optimizer.cache import Cache
-from worm_optimizer.campaign import command
-from worm_optimizer.campaign.plan import make_plan, write_promises
-from worm_optimizer.campaign.runs import Robot
-from worm_optimizer.gait_map import MapSettings
-from worm_optimizer.search import SearchSettings
-from worm_optimizer.settings import ScanSettings, Settings
+from worm_optimizer.commands import campaign as command
+from worm_optimizer.operation.campaign_plan import make_plan, write_promises
+from worm_optimizer.operation.campaign_runs import Robot
+from worm_optimizer.operation.system import load_system_file
+from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.gait_map import MapSettings
+from worm_optimizer.search.nsga2 import SearchSettings
+from worm_optimizer.search.search_settings import ScanSettings, Settings
 
 FILE = load_system_file(Path(__file__).parents[3] / "src/worm_optimizer/config/system.yaml")
 

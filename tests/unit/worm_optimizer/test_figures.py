@@ -13,10 +13,11 @@ from recorded_run import GAIT, REST_S, simulated_run
 
 from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, PowerSamples
-from worm_model.simulator import simulate
-from worm_model.twin.replay import replay_run
-from worm_optimizer.bringup.figure import draw_run
-from worm_optimizer.bringup.figures import (
+from worm_model.simulation.simulator import simulate
+from worm_model.twin.offline_replay import replay_run
+from worm_optimizer.operation.demo_figure import draw_run
+from worm_optimizer.operation.demo_table import comparison_table, relative_difference
+from worm_optimizer.operation.gait_figures import (
     Figures,
     RecordingError,
     Window,
@@ -26,7 +27,6 @@ from worm_optimizer.bringup.figures import (
     figures,
     settled_power,
 )
-from worm_optimizer.bringup.report import comparison_table, relative_difference
 
 EPOCH = 1_700_000_000_000_000_000  # ns
 MASS = 0.858

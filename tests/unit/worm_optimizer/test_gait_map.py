@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from gaits_for_tests import COARSE_MAP
 
-from worm_optimizer.errors import OptimizerError
-from worm_optimizer.gait_map import MapSettings, borders_of, build_map
-from worm_optimizer.pareto import hypervolume
-from worm_optimizer.task import Bounds, MarginTask
+from worm_optimizer.search.gait_map import MapSettings, borders_of, build_map
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.pareto import hypervolume
+from worm_optimizer.search.task import Bounds, MarginTask
 
 
 def test_just_below_a_border_the_branch_is_another():

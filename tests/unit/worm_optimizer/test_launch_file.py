@@ -9,7 +9,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from worm_optimizer.bringup.system import NodeDescription, load_system_file
+from worm_optimizer.operation.system import NodeDescription, load_system_file
 
 PACKAGE = Path(__file__).resolve().parents[3] / "src" / "worm_optimizer"
 MADE_UP = {

@@ -6,12 +6,12 @@ import math
 import pytest
 from gaits_for_tests import COARSE_MAP
 
-from worm_model.closed_form import cliff_margin
 from worm_model.parameters import PAPER
-from worm_optimizer.errors import OptimizerError
-from worm_optimizer.margin import MarginPoint, find_cliff, price_of_robustness, scan
-from worm_optimizer.settings import ScanSettings
-from worm_optimizer.task import MarginTask
+from worm_model.simulation.closed_form import cliff_margin
+from worm_optimizer.search.margin import MarginPoint, find_cliff, price_of_robustness, scan
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.search_settings import ScanSettings
+from worm_optimizer.search.task import MarginTask
 
 
 def point(margin: float, cost: float, branch: int, *branches: int) -> MarginPoint:

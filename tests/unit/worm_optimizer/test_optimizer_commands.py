@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from worm_optimizer import optimize, request, scan_margin
+from worm_optimizer.commands import optimize, request, scan_margin
 
 GAIT_KEYS = set(
     "stroke frequency direction margin speed power cost_of_transport grooves_per_cycle groove_phase "

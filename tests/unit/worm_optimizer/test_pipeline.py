@@ -9,11 +9,9 @@ from gaits_for_tests import COARSE_MAP, QUICK, cache_in
 
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER, ParameterFile
-from worm_model.simulator import evaluate_gait
-from worm_optimizer.errors import OptimizerError
-from worm_optimizer.fragility import nominal_gaits, table
-from worm_optimizer.gait_map import build_map
-from worm_optimizer.pipeline import (
+from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.robustness.fragility import nominal_gaits, table
+from worm_optimizer.search.front import (
     load_front,
     load_served,
     make_front,
@@ -21,9 +19,11 @@ from worm_optimizer.pipeline import (
     scanned_price,
     thinned,
 )
-from worm_optimizer.selection import three_gaits
-from worm_optimizer.settings import Robustness
-from worm_optimizer.task import Bounds, MarginTask
+from worm_optimizer.search.gait_map import build_map
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.search_settings import Robustness
+from worm_optimizer.search.selection import three_gaits
+from worm_optimizer.search.task import Bounds, MarginTask
 
 FILE = ParameterFile()
 GIVEN = dataclasses.replace(QUICK, margin=2e-3)

@@ -9,7 +9,7 @@ import textwrap
 
 import pytest
 
-from worm_optimizer.bringup.processes import (
+from worm_optimizer.operation.processes import (
     ProcessError,
     ProcessGroup,
     executable_command,
@@ -100,7 +100,7 @@ def test_waiting_ends_at_the_deadline(tmp_path):
 def test_nothing_outlives_a_killed_parent(tmp_path):
     parent = f"""
         import pathlib, sys, time
-        from worm_optimizer.bringup.processes import ProcessGroup
+        from worm_optimizer.operation.processes import ProcessGroup
         group = ProcessGroup(pathlib.Path({str(tmp_path)!r}))
         process = group.start("one", {python(OBEDIENT)!r})
         process.wait_for_line("ready", 20.0)

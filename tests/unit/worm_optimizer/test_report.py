@@ -18,19 +18,17 @@ from recorded_run import GAIT, simulated_run, write_bag
 from recorded_session import recorded_session
 
 from worm_model.bags.bag import AttachedFile
+from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.run_writer import write_run
-from worm_model.bags.writer import BagWriter
-from worm_model.command_line import InputError
+from worm_model.commands.command_line import InputError
 from worm_model.parameters import PAPER, ParameterFile, format_parameter_file
 from worm_model.run import GaitStates, Run, TrackerSamples
-from worm_model.simulator import evaluate_gait
-from worm_optimizer.cache import Cache
-from worm_optimizer.gait_map import MapSettings
-from worm_optimizer.report import command
+from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.commands import report as command
 from worm_optimizer.report.build import Report, build_report
 from worm_optimizer.report.choice import bags_of, newest_recording
 from worm_optimizer.report.expectation import Band, expect
-from worm_optimizer.report.identification import Identification
+from worm_optimizer.report.identification_part import Identification
 from worm_optimizer.report.optimisation import optimise, why_no_front
 from worm_optimizer.report.parts import joined
 from worm_optimizer.report.reading import read_recorded_gaits
@@ -38,8 +36,10 @@ from worm_optimizer.report.recorded import RecordedGait
 from worm_optimizer.report.run_figures import ridges_passed_at
 from worm_optimizer.report.text import describe
 from worm_optimizer.report.verdict import agreements, orders, percent
-from worm_optimizer.search import SearchSettings
-from worm_optimizer.settings import ScanSettings, Settings
+from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.gait_map import MapSettings
+from worm_optimizer.search.nsga2 import SearchSettings
+from worm_optimizer.search.search_settings import ScanSettings, Settings
 
 CYCLES = 5
 

@@ -7,14 +7,11 @@ from gaits_for_tests import COARSE_MAP
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from worm_model.closed_form import groove_phase
 from worm_model.parameters import PAPER, ParameterFile
-from worm_optimizer.chance import PromiseTask, margins_stood
-from worm_optimizer.errors import OptimizerError
-from worm_optimizer.gait_map import MapSettings, build_map
-from worm_optimizer.robustness import stroke_to_edges, success_probability
-from worm_optimizer.task import MarginTask
-from worm_optimizer.uncertainty import (
+from worm_model.simulation.closed_form import groove_phase
+from worm_optimizer.robustness.chance import PromiseTask, margins_stood
+from worm_optimizer.robustness.success_probability import stroke_to_edges, success_probability
+from worm_optimizer.robustness.uncertainty import (
     DEFAULT_HALF_WIDTHS,
     Scenarios,
     correlated,
@@ -25,6 +22,9 @@ from worm_optimizer.uncertainty import (
     phase_unknown,
     told,
 )
+from worm_optimizer.search.gait_map import MapSettings, build_map
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.task import MarginTask
 
 FILE = ParameterFile()
 PITCH = PAPER.pitch

@@ -12,12 +12,7 @@ pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
-from worm_optimizer.desk import Answer
-from worm_optimizer.errors import OptimizerError
-from worm_optimizer.margin import Cliff, MarginPoint, PriceOfRobustness
-from worm_optimizer.pipeline import Progress
-from worm_optimizer.prediction import Prediction
-from worm_optimizer.ros_messages import (
+from worm_optimizer.nodes.optimizer_messages import (
     direction_of,
     fill_response,
     optimize_feedback,
@@ -27,8 +22,13 @@ from worm_optimizer.ros_messages import (
     scan_result,
     settings_of_goal,
 )
-from worm_optimizer.selection import Objective
-from worm_optimizer.settings import Robustness
+from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search.desk import Answer
+from worm_optimizer.search.front import Progress
+from worm_optimizer.search.margin import Cliff, MarginPoint, PriceOfRobustness
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.search_settings import Robustness
+from worm_optimizer.search.selection import Objective
 
 GAIT_FIELDS = set(Gait.get_fields_and_field_types())
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from gaits_for_tests import COARSE_MAP
 
-from worm_optimizer.certificate import MAP, NSGA2, certified_front
-from worm_optimizer.errors import OptimizerError
-from worm_optimizer.gait_map import MapSettings
-from worm_optimizer.search import SearchSettings, generations
-from worm_optimizer.task import Bounds, MarginTask
+from worm_optimizer.search.certificate import MAP, NSGA2, certified_front
+from worm_optimizer.search.gait_map import MapSettings
+from worm_optimizer.search.nsga2 import SearchSettings, generations
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.task import Bounds, MarginTask
 
 TASK = MarginTask(margin=2e-3)
 SMALL = SearchSettings(population=20, generations=8, seed=3)

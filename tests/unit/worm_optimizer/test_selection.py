@@ -8,9 +8,9 @@ from gaits_for_tests import made_up, made_up_front
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_optimizer.desk import answer, request_of
-from worm_optimizer.errors import OptimizerError
-from worm_optimizer.selection import Objective, Request, select, three_gaits
+from worm_optimizer.search.desk import answer, request_of
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.selection import Objective, Request, select, three_gaits
 
 FRONT = made_up_front().predictions
 

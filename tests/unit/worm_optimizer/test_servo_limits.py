@@ -9,14 +9,14 @@ import pytest
 import yaml
 from gaits_for_tests import COARSE_MAP
 
-from worm_driver.dynamixel import registers
-from worm_driver.virtual_robot import control_table
+from worm_driver.servos import registers
+from worm_driver.virtual_robot.servo import control_table
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_optimizer.errors import OptimizerError
-from worm_optimizer.gait_map import build_map
-from worm_optimizer.limits import NO_LIMITS, ActuatorLimits, peaks
-from worm_optimizer.servo_limits import (
+from worm_optimizer.search.actuator_limits import NO_LIMITS, ActuatorLimits, peaks
+from worm_optimizer.search.gait_map import build_map
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.servo_limits import (
     DRIVER_DEFAULTS,
     limits_of,
     load_driver_file,
@@ -24,7 +24,7 @@ from worm_optimizer.servo_limits import (
     servo_models,
     within,
 )
-from worm_optimizer.task import Bounds, MarginTask
+from worm_optimizer.search.task import Bounds, MarginTask
 
 ROOT = Path(__file__).resolve().parents[3]
 DRIVER_FILE = ROOT / "src" / "worm_driver" / "config" / "driver.yaml"

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from worm_optimizer.bringup.system import (
+from worm_optimizer.operation.system import (
     MODES,
     NodeDescription,
     SystemFileError,

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from worm_model.batch import evaluate_gaits
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
-from worm_optimizer.errors import OptimizerError
-from worm_optimizer.limits import ActuatorLimits, peaks
-from worm_optimizer.task import Bounds, MarginTask, branch_of
+from worm_model.simulation.batch import evaluate_gaits
+from worm_optimizer.search.actuator_limits import ActuatorLimits, peaks
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.task import Bounds, MarginTask, branch_of
 
 
 @pytest.mark.parametrize(

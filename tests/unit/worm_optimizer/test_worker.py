@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import pytest
 
-from worm_optimizer.errors import OptimizerError
-from worm_optimizer.pipeline import Progress, Report
-from worm_optimizer.worker import Outcome, Ticket, WorkQueue
+from worm_optimizer.search.front import Progress, Report
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.worker import Outcome, Ticket, WorkQueue
 
 DEADLINE_S = 60.0
 

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple, Protocol
 
 import yaml
 
+from worm_model.bags.bag_errors import BagError
 from worm_model.bags.blocks import MessageBlock
-from worm_model.bags.errors import BagError
 from worm_model.bags.payloads import Payloads
 
 METADATA_FILE = "metadata.yaml"

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
-from worm_model.bags.errors import BagError
+from worm_model.bags.bag_errors import BagError
 from worm_model.bags.payloads import Bytes, Integers, Payloads, Times, groups, payloads_of
 
 HEADER_BYTES = 4

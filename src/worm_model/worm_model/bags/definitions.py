@@ -18,8 +18,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from worm_model.bags.bag import Topic
+from worm_model.bags.bag_errors import BagError
 from worm_model.bags.cdr import Types, parse_types, without_comments
-from worm_model.bags.errors import BagError
 
 PACKAGE = "worm_msgs"
 SEPARATOR = "=" * 80

@@ -12,8 +12,8 @@ from typing import BinaryIO
 import numpy as np
 from mcap.records import Attachment
 
+from worm_model.bags.bag_errors import BagError
 from worm_model.bags.blocks import MessageBlock, block_of
-from worm_model.bags.errors import BagError
 from worm_model.bags.mcap_contents import MAGIC, Contents, read_contents
 from worm_model.bags.mcap_records import (
     DAMAGE,

@@ -8,8 +8,8 @@ from itertools import groupby
 from operator import itemgetter
 
 from worm_model.bags.bag import AttachedFile, MetadataRecord, Topic
+from worm_model.bags.bag_errors import BagError
 from worm_model.bags.blocks import MessageBlock, merge
-from worm_model.bags.errors import BagError
 from worm_model.bags.mcap_file import McapFile
 from worm_model.bags.payloads import Payloads, join
 

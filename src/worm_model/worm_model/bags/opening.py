@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from worm_model.bags.bag import METADATA_FILE, Bag, read_metadata
-from worm_model.bags.errors import BagError, ExistsError, UnwritableError
+from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
 from worm_model.bags.mcap_file import McapFile
 from worm_model.bags.mcap_storage import McapStorage
 from worm_model.bags.recovery import (

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from worm_model.bags.bag import METADATA_FILE, read_metadata
-from worm_model.bags.errors import BagError
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.bag_writer import ROSBAG2_RECORD, BagWriter
 from worm_model.bags.mcap_contents import read_contents, scan_contents
 from worm_model.bags.mcap_file import McapFile, Reader
 from worm_model.bags.mcap_storage import McapStorage
-from worm_model.bags.writer import ROSBAG2_RECORD, BagWriter
 
 SOURCE = "recovered_from"
 SOURCE_BYTES = "recovered_bytes"

@@ -22,8 +22,8 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import Reader
 
 from worm_model.bags.bag import AttachedFile, MetadataRecord, Topic
+from worm_model.bags.bag_errors import BagError
 from worm_model.bags.blocks import MessageBlock, block_of
-from worm_model.bags.errors import BagError
 from worm_model.bags.payloads import Payloads, join, payloads_of
 
 BATCH = 1000

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.bags.bag import Bag, Topic
+from worm_model.bags.bag_errors import BagError
 from worm_model.bags.cdr import Columns, decode, parse_types
 from worm_model.bags.definitions import installed_types
-from worm_model.bags.errors import BagError
 from worm_model.bags.payloads import Payloads
 from worm_model.bags.worm_topics import find_topic
 from worm_model.run import (

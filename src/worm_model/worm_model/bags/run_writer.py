@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.blocks import block_of_topics
 from worm_model.bags.cdr import encode
 from worm_model.bags.definitions import installed_types, topic_of
-from worm_model.bags.errors import BagError
 from worm_model.bags.payloads import Payloads
 from worm_model.bags.worm_topics import TYPES, offered_qos
-from worm_model.bags.writer import BagWriter
 from worm_model.run import LengthSamples, Run, Stamps
 
 Numbers = Mapping[str, NDArray[Any] | float]

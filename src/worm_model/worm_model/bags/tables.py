@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from worm_model.bags.bag import Bag, Topic
+from worm_model.bags.bag_errors import BagError
 from worm_model.bags.cdr import Columns
-from worm_model.bags.errors import BagError
 from worm_model.bags.payloads import Payloads
 from worm_model.bags.run_reader import decode_topic
 

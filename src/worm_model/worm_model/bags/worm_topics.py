@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from worm_model.bags.bag import Topic
-from worm_model.bags.errors import BagError
+from worm_model.bags.bag_errors import BagError
 
 BODY_LENGTH = "worm_msgs/msg/BodyLength"
 TRACKER = "worm_msgs/msg/Tracker"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.actuation import (
+from worm_model.identification.actuation_fit import (
     CLOCK_SPREAD,
     SHARED,
     ActuationFit,
@@ -17,10 +17,10 @@ from worm_model.identification.actuation import (
     fit_actuation,
     fitted_samples,
 )
-from worm_model.identification.blocks import normal_equations
+from worm_model.identification.block_least_squares import normal_equations
 from worm_model.identification.clocks import clock_deviations, told
 from worm_model.identification.estimate import Estimate, if_told, not_told, quantile
-from worm_model.identification.recording import Recording
+from worm_model.identification.observed_run import Recording
 from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
 from worm_model.parameters import PAPER
 

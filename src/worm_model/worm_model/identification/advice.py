@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.gait import Gait
-from worm_model.identification.actuation import actuation_problem
-from worm_model.identification.blocks import Problem, evaluate, normal_equations
+from worm_model.identification.actuation_fit import actuation_problem
+from worm_model.identification.block_least_squares import Problem, evaluate, normal_equations
 from worm_model.identification.energy import INDEPENDENT, PowerRun, energy_problem
 from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.grooves import groove_problem
 from worm_model.identification.locomotion import RIDGES, Known, traverse_of
 from worm_model.identification.measured_length import measured_length
-from worm_model.identification.pipeline import Identification
-from worm_model.identification.recording import Recording
+from worm_model.identification.observed_run import Recording
+from worm_model.identification.stages import Identification
 from worm_model.parameters import PAPER
-from worm_model.simulator import simulate
+from worm_model.simulation.simulator import simulate
 
 Array = NDArray[np.float64]
 

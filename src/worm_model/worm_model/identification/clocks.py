@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.blocks import Problem, Solution, normal_equations
+from worm_model.identification.block_least_squares import Problem, Solution, normal_equations
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.blocks import Problem, Quantity, Solution, solve, with_fixed
-from worm_model.identification.recording import Recording
-from worm_model.quadrature import accumulated
+from worm_model.identification.block_least_squares import (
+    Problem,
+    Quantity,
+    Solution,
+    solve,
+    with_fixed,
+)
+from worm_model.identification.observed_run import Recording
+from worm_model.simulation.quadrature import accumulated
 
 Array = NDArray[np.float64]
 

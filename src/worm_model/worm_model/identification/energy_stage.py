@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.blocks import evaluate
+from worm_model.identification.block_least_squares import evaluate
 from worm_model.identification.clocks import clock_deviations, told
 from worm_model.identification.energy import (
     CLOCK_SPREAD,

@@ -8,7 +8,7 @@ import hashlib
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1]
-ENTRY = "identify.py"
+ENTRY = "commands/identify.py"
 VERSION = "0.1.0"
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.blocks import (
+from worm_model.identification.block_least_squares import (
     Problem,
     Quantity,
     Solution,
@@ -35,7 +35,7 @@ from worm_model.identification.locomotion import (
     worm_of,
     x1_residuals,
 )
-from worm_model.kernel.dry_friction import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
+from worm_model.simulation.kernel.dry_friction import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ class GrooveFit:
     """``solution`` of a `groove_problem` under a ``scatter``.
 
     ``places`` (k, 3) tells what each deviation after the means is: module, row and column of grooves as
-    `worm_model.kernel.dry_friction` has them.
+    `worm_model.simulation.kernel.dry_friction` has them.
     """
 
     solution: Solution

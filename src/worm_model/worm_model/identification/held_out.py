@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.identification.actuation import ActuationFit, fit_actuation
+from worm_model.identification.actuation_fit import ActuationFit, fit_actuation
 from worm_model.identification.energy import PowerRun, fit_energy
 from worm_model.identification.energy_stage import EnergyResult
 from worm_model.identification.idle import idle_power
 from worm_model.identification.locomotion import Known
 from worm_model.identification.locomotion_stage import PITCH, LocomotionResult, refit
-from worm_model.identification.prediction import Errors, errors, predict
-from worm_model.identification.runs import Run
+from worm_model.identification.run_prediction import Errors, errors, predict
+from worm_model.identification.run_selection import Run
 from worm_model.parameters import PAPER, Parameters
 
 ITERATIONS = 4

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.identification.errors import IdentificationError
 from worm_model.identification.estimate import Estimate, quantile
-from worm_model.identification.recording import Recording
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.observed_run import Recording
 
 SAMPLES = 10
 FEWEST_SAMPLES = 3

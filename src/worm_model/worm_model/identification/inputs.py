@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.bags.lab_logs import LabError, LabSettings, read_columns, read_lab_run
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.identification import bellows, fin
-from worm_model.identification.errors import IdentificationError
-from worm_model.identification.recording import Recording, recording_of
-from worm_model.lab_logs import LabError, LabSettings, read_columns, read_lab_run
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.observed_run import Recording, recording_of
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def read_inputs(
 ) -> Inputs:
     """Bags, and a lab's folders or runs of them; one lab's own bench tests are used unless others are named.
 
-    Raises `IdentificationError`, or `worm_model.bags.errors.BagError`, if something cannot be read.
+    Raises `IdentificationError`, or `worm_model.bags.bag_errors.BagError`, if something cannot be read.
     """
     recordings = tuple(read_recordings(paths))
     _check_names(recordings)

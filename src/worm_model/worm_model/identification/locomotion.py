@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from worm_model.identification.blocks import Problem, Quantity, Solution, solve
-from worm_model.identification.errors import IdentificationError
+from worm_model.identification.block_least_squares import Problem, Quantity, Solution, solve
+from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.measured_length import MeasuredLength
-from worm_model.identification.recording import Recording
+from worm_model.identification.observed_run import Recording
 from worm_model.identification.robust import noise_of
-from worm_model.kernel import dry_friction
 from worm_model.parameters import Parameters
+from worm_model.simulation.kernel import dry_friction
 
 Array = NDArray[np.float64]
 
@@ -142,7 +142,7 @@ def slide(
     front_grooves: Array = ALIKE,
     stride: int = 1,
 ) -> Array | None:
-    """Samples of `worm_model.kernel.dry_friction` at every ``stride``-th time of the length; None on chatter."""
+    """Samples of `simulation.kernel.dry_friction` at every ``stride``-th time of the length; None on chatter."""
     length_changes = traverse.length.length_change
     if stride > 1:
         length_changes = np.ascontiguousarray(length_changes[::stride])

@@ -16,8 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.blocks import Solution, normal_equations, solve, with_fixed
-from worm_model.identification.errors import IdentificationError
+from worm_model.identification.block_least_squares import (
+    Solution,
+    normal_equations,
+    solve,
+    with_fixed,
+)
 from worm_model.identification.estimate import Estimate, follow_profile, if_told, quantile
 from worm_model.identification.grooves import (
     MEANS,
@@ -27,6 +31,7 @@ from worm_model.identification.grooves import (
     held,
     tables_of,
 )
+from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.locomotion import (
     Known,
     Landscape,
@@ -39,8 +44,8 @@ from worm_model.identification.locomotion import (
     with_values,
     worm_of,
 )
-from worm_model.kernel.dry_friction import HOLDING_FORCE, STIFFNESS, THRESHOLD, X1
 from worm_model.parameters import PAPER, Parameters
+from worm_model.simulation.kernel.dry_friction import HOLDING_FORCE, STIFFNESS, THRESHOLD, X1
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -73,7 +78,7 @@ class LocomotionResult:
     """``viscous_friction`` N·s/m, ``switching_threshold`` m and ``pitch`` m with intervals; the rest are diagnostics.
 
     ``dry_friction`` (rear, front) N with ``dry_deviation`` their standard deviations; ``onset`` as in
-    `worm_model.kernel.dry_friction.Worm`; ``initial_length`` (runs,) m; ``residuals`` of each run in m; ``inflation``
+    `simulation.kernel.dry_friction.Worm`; ``initial_length`` (runs,) m; ``residuals`` of each run in m; ``inflation``
     of the variance for what is not white in them; ``correlation`` of (η, p_sw, rear, front dry friction, pitch,
     onset); ``variants``: fits under a fin test that is one standard deviation off, one a direction of its covariance;
     ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``: (η, p_sw) that minimise J_loc as it is

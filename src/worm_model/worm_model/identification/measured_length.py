@@ -3,7 +3,7 @@
 
 A filter that is wide enough to still the camera's noise would round off the corners that the slack makes.
 So only the difference between the measured length and what the run's own actuation fit says is smoothed (a
-parabola through the samples within ± HALF_WINDOW, `worm_model.smoothing`), and the fit is added again: where the
+parabola through the samples within ± HALF_WINDOW, `simulation.smoothing`), and the fit is added again: where the
 model is right nothing is lost, where it is wrong the camera has the last word, at the filter's pace. The rate
 is treated alike. Gaps are bridged by the fit.
 """
@@ -15,10 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.actuation import GRID_STEP, fit_actuation, predicted_length_change
-from worm_model.identification.recording import Recording
+from worm_model.identification.actuation_fit import (
+    GRID_STEP,
+    fit_actuation,
+    predicted_length_change,
+)
+from worm_model.identification.observed_run import Recording
 from worm_model.identification.robust import OUTLIER, scale_of
-from worm_model.smoothing import smooth
+from worm_model.simulation.smoothing import smooth
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.identification.errors import IdentificationError
+from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.locomotion import RIDGES, Traverse
 from worm_model.identification.measured_length import MeasuredLength
-from worm_model.identification.recording import Recording
+from worm_model.identification.observed_run import Recording
 from worm_model.identification.robust import noise_of
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.fingerprint import code_version
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion import SHARED as LOCOMOTION
-from worm_model.identification.pipeline import Identification
+from worm_model.identification.stages import Identification
 from worm_model.parameters import KEYS, ParameterFile
 
 CORRELATED = 0.8  # correlations from here on are named

@@ -28,7 +28,7 @@ from worm_model.twin.records import (
     StateRecord,
     TrackerSample,
 )
-from worm_model.twin.settings import DEFAULTS, TwinSettings
+from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 
 Series = dict[str, NDArray[Any]]
 

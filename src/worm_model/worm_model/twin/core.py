@@ -29,10 +29,10 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TypeGuard
 
-from worm_model.closed_form import front_groove, groove_phase
 from worm_model.parameters import PAPER, Parameters
-from worm_model.simulator import Locomotion, SimulationError
-from worm_model.twin.actuation import Actuation, respond
+from worm_model.simulation.closed_form import front_groove, groove_phase
+from worm_model.simulation.simulator import Locomotion, SimulationError
+from worm_model.twin.estimated_length import Actuation, respond
 from worm_model.twin.observations import close_cycles, compare
 from worm_model.twin.records import (
     NANOSECONDS,
@@ -51,7 +51,7 @@ from worm_model.twin.records import (
     TrackerSample,
 )
 from worm_model.twin.rest import observe_rest
-from worm_model.twin.run import (
+from worm_model.twin.run_start import (
     Run,
     begin_implied_run,
     begin_run,
@@ -60,10 +60,10 @@ from worm_model.twin.run import (
     put_at_rest,
     run_goes_on,
 )
-from worm_model.twin.settings import DEFAULTS, TwinSettings
-from worm_model.twin.state import Observation, Pose, TwinState
 from worm_model.twin.streams import JUMPS, admit
 from worm_model.twin.track import HISTORY_S, Knot, Track, follow, force_at_rate
+from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
+from worm_model.twin.twin_state import Observation, Pose, TwinState
 
 __all__ = ["Twin", "TwinSettings", "TwinState"]
 

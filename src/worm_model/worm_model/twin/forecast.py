@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.actuation import effective_command, length_change_of_command
-from worm_model.closed_form import groove_phase
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
-from worm_model.simulator import (
+from worm_model.simulation.actuation import effective_command, length_change_of_command
+from worm_model.simulation.closed_form import groove_phase
+from worm_model.simulation.simulator import (
     GaitResult,
     Locomotion,
     LocomotionState,
@@ -20,8 +20,8 @@ from worm_model.simulator import (
     evaluate_gait,
 )
 from worm_model.twin.core import Twin
-from worm_model.twin.state import TwinState
 from worm_model.twin.track import power_at_rate
+from worm_model.twin.twin_state import TwinState
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
-from worm_model.simulator import SimulationError, evaluate_gait, simulate
+from worm_model.simulation.simulator import SimulationError, evaluate_gait, simulate
 from worm_model.twin.anchors import Cycle
 
 PHASES = 200  # of a cycle at which both predictions are kept

@@ -30,9 +30,9 @@ from worm_model.twin.residuals import (
     observe,
     record,
 )
-from worm_model.twin.settings import TwinSettings
-from worm_model.twin.state import Observation, Sight, TwinState
 from worm_model.twin.track import HISTORY_S, Knot, positions_at, power_at
+from worm_model.twin.twin_settings import TwinSettings
+from worm_model.twin.twin_state import Observation, Sight, TwinState
 
 TOP_SPEED = 0.15  # m/s; no gait of the paper's box is faster
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
-from worm_model.simulator import SimulationError, evaluate_gait
+from worm_model.simulation.simulator import SimulationError, evaluate_gait
 
 CYCLES = 2
 STEP_M = 0.0005

@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from worm_model.parameters import Parameters
-from worm_model.simulator import Locomotion, LocomotionState, SimulationError
-from worm_model.twin.state import Pose, TwinState
+from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
+from worm_model.twin.twin_state import Pose, TwinState
 
 RELAX_S = 1.0  # in which the body takes its initial length again, and as long to come to rest
 TOLERANCE = 0.3  # of a pitch, that a robot which nobody touched may be off its place

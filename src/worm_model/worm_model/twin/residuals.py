@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from worm_model.twin.records import NANOSECONDS, Health, ResidualRecord
-from worm_model.twin.settings import TwinSettings
+from worm_model.twin.twin_settings import TwinSettings
 
 MEMORY_S = 2.0
 SILENT_S = 5.0

@@ -27,7 +27,7 @@ from worm_model.twin.records import (
     Sample,
     TrackerSample,
 )
-from worm_model.twin.settings import TwinSettings
+from worm_model.twin.twin_settings import TwinSettings
 
 LONGEST_M = 1.0  # no worm is longer; a wrong unit would have the twin count millions of grooves
 FARTHEST_M = 1e5  # no tracker sees farther

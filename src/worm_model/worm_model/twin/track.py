@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.parameters import Parameters
-from worm_model.simulator import Locomotion, LocomotionState, Motions
-from worm_model.smoothing import FEWEST_SAMPLES, smooth
+from worm_model.simulation.simulator import Locomotion, LocomotionState, Motions
+from worm_model.simulation.smoothing import FEWEST_SAMPLES, smooth
 from worm_model.twin.records import NANOSECONDS, LengthSource
 
 Array = NDArray[np.float64]
@@ -112,7 +112,7 @@ def start_track(knot: Knot, motion: LocomotionState, model: Locomotion) -> Track
 def follow(track: Track, knots: Sequence[Knot], model: Locomotion, smoothing_s: float) -> Track:
     """The track after driving samples whose stamps ascend from its own.
 
-    Raises `worm_model.simulator.SimulationError` on chatter.
+    Raises `worm_model.simulation.simulator.SimulationError` on chatter.
     """
     times = [(knot.stamp_ns - track.zero_ns) / NANOSECONDS for knot in knots]
     motion, motions = model.follow(track.motion, times, [knot.length_change for knot in knots])

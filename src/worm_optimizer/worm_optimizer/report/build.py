@@ -10,16 +10,16 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from worm_model.identification.figures import bellows_figure, fin_figure
-from worm_optimizer.certificate import MAP, NSGA2
+from worm_model.identification.identification_figures import bellows_figure, fin_figure
 from worm_optimizer.report import page
 from worm_optimizer.report.front_figures import draw_measured_front, draw_price_of_robustness
-from worm_optimizer.report.identification import Identification
+from worm_optimizer.report.identification_part import Identification
 from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.report.parameter_figures import draw_parameters
 from worm_optimizer.report.recorded import RecordedGait
 from worm_optimizer.report.run_figures import RUN_FIGURES
 from worm_optimizer.report.verdict import orders
+from worm_optimizer.search.certificate import MAP, NSGA2
 
 PAGE = "report.html"
 _SOURCES = {NSGA2: "of NSGA-II", MAP: "of the exhaustive map"}

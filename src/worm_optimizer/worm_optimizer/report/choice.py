@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from worm_model.bags.bag import METADATA_FILE
-from worm_model.bags.errors import BagError
+from worm_model.bags.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
-from worm_model.command_line import InputError
+from worm_model.commands.command_line import InputError
 
 
 def bags_of(path: Path) -> list[Path]:

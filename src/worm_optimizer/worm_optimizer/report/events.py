@@ -14,7 +14,7 @@ from worm_model.bags.cdr import Columns
 from worm_model.bags.run_reader import read_columns
 from worm_model.bags.worm_topics import find_topic
 from worm_model.run import POWER_VALID, Run
-from worm_model.twin.replay import Replay
+from worm_model.twin.offline_replay import Replay
 from worm_optimizer.report.parts import Part
 
 _STATES = ("inactive", "idle", "resting", "running", "stopping", "fault")  # GaitState

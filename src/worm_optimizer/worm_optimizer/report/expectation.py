@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from worm_model.batch import evaluate_gaits
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
-from worm_model.simulator import GaitResult, cost_of_transport, evaluate_gait
-from worm_optimizer.uncertainty import phase_known
+from worm_model.simulation.batch import evaluate_gaits
+from worm_model.simulation.simulator import GaitResult, cost_of_transport, evaluate_gait
+from worm_optimizer.robustness.uncertainty import phase_known
 
 # 95 % half-widths relative to the value, of the parameters that touch the power only, for those without an interval
-# in the parameter file. This project's judgement, as those of `worm_optimizer.uncertainty`. Damping and power factor
+# in the parameter file. This project's judgement, as those of `robustness.uncertainty`. Damping and power factor
 # are drawn independently; a fit knows their product better than either, so that the band of power is rather too wide.
 POWER_HALF_WIDTHS: Mapping[str, float] = {
     "bellows_stiffness": 0.03,

@@ -10,13 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from worm_optimizer.figures import plot_front, plot_price
-from worm_optimizer.margin import PriceOfRobustness
 from worm_optimizer.report.expectation import Band, Bands
+from worm_optimizer.report.front_plots import plot_front, plot_price
 from worm_optimizer.report.recorded import RecordedGait
 from worm_optimizer.report.style import BLACK, PURPLE, new_figure
 from worm_optimizer.report.verdict import title_of
-from worm_optimizer.served import ServedFront
+from worm_optimizer.search.margin import PriceOfRobustness
+from worm_optimizer.search.served import ServedFront
 
 # Hollow and large around small and full: what was measured most often lies within what was expected.
 _EXPECTED: Mapping[str, Any] = {

@@ -7,12 +7,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from worm_optimizer.cache import Cache
-from worm_optimizer.margin import PriceOfRobustness
-from worm_optimizer.pipeline import Report, load_front, make_front, scanned_price
 from worm_optimizer.report.recorded import RecordedGait
-from worm_optimizer.served import ServedFront
-from worm_optimizer.settings import Settings
+from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.front import Report, load_front, make_front, scanned_price
+from worm_optimizer.search.margin import PriceOfRobustness
+from worm_optimizer.search.search_settings import Settings
+from worm_optimizer.search.served import ServedFront
 
 _SAME_MARGIN = 1e-7  # m
 

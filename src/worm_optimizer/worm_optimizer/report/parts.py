@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.run import GaitStates, Run
-from worm_model.twin.replay import Replay, Series
+from worm_model.twin.offline_replay import Replay, Series
 
 _RESTING = 2  # GaitState.RESTING
 _SAME_ONSET_NS = 100_000_000  # the driver tells the onset anew with each cycle

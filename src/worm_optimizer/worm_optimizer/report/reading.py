@@ -15,7 +15,7 @@ import yaml
 from worm_model.bags.bag import Bag
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
-from worm_model.command_line import InputError
+from worm_model.commands.command_line import InputError
 from worm_model.parameters import (
     ParameterError,
     ParameterFile,
@@ -23,7 +23,7 @@ from worm_model.parameters import (
     parse_parameter_file,
 )
 from worm_model.run import Run
-from worm_model.twin.replay import Replay, replay_run
+from worm_model.twin.offline_replay import Replay, replay_run
 from worm_optimizer.report.events import events_of
 from worm_optimizer.report.parts import cut_replay, joined, last_stamp, parts_of
 from worm_optimizer.report.recorded import RecordedGait, recorded_gait

@@ -10,16 +10,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from worm_model.command_line import InputError
+from worm_model.analysis.replay_metrics import ReplayReport, report_replay
+from worm_model.commands.command_line import InputError
 from worm_model.gait import Gait, GaitError
 from worm_model.parameters import (
     ParameterFile,
 )
-from worm_model.replay_metrics import ReplayReport, report_replay
 from worm_model.run import GaitStates, Run
-from worm_model.simulator import cost_of_transport
-from worm_model.twin.replay import Replay
-from worm_optimizer.bringup.figures import (
+from worm_model.simulation.simulator import cost_of_transport
+from worm_model.twin.offline_replay import Replay
+from worm_optimizer.operation.gait_figures import (
     AVERAGED_CYCLES,
     Array,
     RecordingError,

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
-from worm_model.actuation import effective_command, length_change_of_command
 from worm_model.run import LengthSamples, seconds
-from worm_model.simulator import simulate
-from worm_model.twin.replay import Series
-from worm_optimizer.bringup.figures import accumulate, settled_power
+from worm_model.simulation.actuation import effective_command, length_change_of_command
+from worm_model.simulation.simulator import simulate
+from worm_model.twin.offline_replay import Series
+from worm_optimizer.operation.gait_figures import accumulate, settled_power
 from worm_optimizer.report.recorded import RecordedGait
 from worm_optimizer.report.style import (
     CABLE,

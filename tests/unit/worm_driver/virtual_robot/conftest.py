@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from worm_driver.virtual_robot.endpoints import I2C_NAME, SERIAL_NAME, Endpoints
-from worm_driver.virtual_robot.robot import VirtualRobot
-from worm_driver.virtual_robot.settings import RobotSettings, load_settings
-from worm_driver.virtual_robot.tracker import TrackerSample
+from worm_driver.virtual_robot.camera import TrackerSample
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
+from worm_driver.virtual_robot.wire.endpoints import I2C_NAME, SERIAL_NAME, Endpoints
 
 
 @dataclass

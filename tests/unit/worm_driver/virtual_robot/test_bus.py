@@ -5,17 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.virtual_robot import faults
-from worm_driver.virtual_robot.faults import FaultBoard, make_fault
-from worm_driver.virtual_robot.packet import (
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_driver.virtual_robot.wire import faults
+from worm_driver.virtual_robot.wire.faults import FaultBoard, make_fault
+from worm_driver.virtual_robot.wire.packet import (
     ALERT,
     BROADCAST_ID,
     Instruction,
     instruction_packet,
     status_packet,
 )
-from worm_driver.virtual_robot.robot import VirtualRobot
-from worm_driver.virtual_robot.settings import load_settings
 
 CABLE, REAR, FRONT = 1, 11, 12
 PING = instruction_packet(CABLE, Instruction.PING)

@@ -6,8 +6,8 @@ import stat
 
 import pytest
 
-from worm_driver.virtual_robot.endpoints import DirectoryError, Endpoints
-from worm_driver.virtual_robot.robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.wire.endpoints import DirectoryError, Endpoints
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from worm_driver.virtual_robot.faults import (
+from worm_driver.virtual_robot.wire.faults import (
     KINDS,
     Fault,
     FaultBoard,

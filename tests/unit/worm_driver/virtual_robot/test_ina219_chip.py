@@ -5,7 +5,7 @@ from random import Random
 
 import pytest
 
-from worm_driver.virtual_robot.ina219_chip import (
+from worm_driver.virtual_robot.wire.ina219_chip import (
     BUS,
     CALIBRATION,
     CONFIGURATION,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.virtual_robot.packet import (
+from worm_driver.virtual_robot.wire.packet import (
     HEADER,
     Instruction,
     InstructionReader,

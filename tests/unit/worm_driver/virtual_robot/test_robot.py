@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from worm_driver.virtual_robot import faults
-from worm_driver.virtual_robot import smbus_frames as frames
-from worm_driver.virtual_robot.control_table import XL330_M288
-from worm_driver.virtual_robot.faults import FaultBoard, make_fault
-from worm_driver.virtual_robot.ina219_chip import BUS, CALIBRATION, CONFIGURATION, SHUNT
+from worm_driver.virtual_robot.offline_run import rehearse, sinusoid
 from worm_driver.virtual_robot.plant import FORWARD, REVERSE
-from worm_driver.virtual_robot.rehearsal import rehearse, sinusoid
-from worm_driver.virtual_robot.robot import VirtualRobot
-from worm_driver.virtual_robot.servo import Servo
-from worm_driver.virtual_robot.smbus_frames import Request
+from worm_driver.virtual_robot.servo.control_table import XL330_M288
+from worm_driver.virtual_robot.servo.virtual_servo import Servo
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.wire import faults
+from worm_driver.virtual_robot.wire import smbus_frames as frames
+from worm_driver.virtual_robot.wire.faults import FaultBoard, make_fault
+from worm_driver.virtual_robot.wire.ina219_chip import BUS, CALIBRATION, CONFIGURATION, SHUNT
+from worm_driver.virtual_robot.wire.smbus_frames import Request
 
 ADDRESS = 0x40
 

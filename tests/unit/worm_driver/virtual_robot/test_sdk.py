@@ -20,8 +20,8 @@ from dynamixel_sdk import (
     PortHandler,
 )
 
-from worm_driver.virtual_robot import faults
-from worm_driver.virtual_robot.faults import make_fault
+from worm_driver.virtual_robot.wire import faults
+from worm_driver.virtual_robot.wire.faults import make_fault
 
 CABLE, REAR, FRONT = 1, 11, 12
 TORQUE, GOAL, POSITION, BLOCK = 64, 116, 132, 126

@@ -7,21 +7,21 @@ from random import Random
 
 import pytest
 
-from worm_driver.virtual_robot.control_table import (
+from worm_driver.virtual_robot.servo.control_table import (
     EXTENDED_POSITION_MODE,
     MODELS,
     XL330_M288,
     XL430_W250,
     XM430_W350,
 )
-from worm_driver.virtual_robot.measurement import (
+from worm_driver.virtual_robot.servo.measurement import (
     INPUT_VOLTAGE_ERROR,
     OVERHEATING_ERROR,
     OVERLOAD_ERROR,
 )
-from worm_driver.virtual_robot.memory import RegisterError
-from worm_driver.virtual_robot.packet import ALERT, Error
-from worm_driver.virtual_robot.servo import Servo
+from worm_driver.virtual_robot.servo.memory import RegisterError
+from worm_driver.virtual_robot.servo.virtual_servo import Servo
+from worm_driver.virtual_robot.wire.packet import ALERT, Error
 
 STEP = 0.001
 

@@ -4,7 +4,7 @@
 import pytest
 import yaml
 
-from worm_driver.virtual_robot.settings import DEFAULT_FILE, SettingsError, load_settings
+from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, SettingsError, load_settings
 
 
 def write(tmp_path, change):

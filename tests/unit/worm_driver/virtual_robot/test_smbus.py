@@ -9,10 +9,9 @@ import smbus2
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.virtual_robot import faults
-from worm_driver.virtual_robot.faults import make_fault
-from worm_driver.virtual_robot.smbus import SocketSMBus
-from worm_driver.virtual_robot.smbus_frames import (
+from worm_driver.virtual_robot.wire import faults
+from worm_driver.virtual_robot.wire.faults import make_fault
+from worm_driver.virtual_robot.wire.smbus_frames import (
     Answer,
     Request,
     pack_answer,
@@ -20,6 +19,7 @@ from worm_driver.virtual_robot.smbus_frames import (
     take_answer,
     take_request,
 )
+from worm_driver.virtual_robot.wire.virtual_smbus import SocketSMBus
 
 ADDRESS = 0x40
 byte = st.integers(0, 255)

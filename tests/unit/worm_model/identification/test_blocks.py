@@ -4,7 +4,13 @@
 import numpy as np
 import pytest
 
-from worm_model.identification.blocks import Problem, Quantity, normal_equations, solve, with_fixed
+from worm_model.identification.block_least_squares import (
+    Problem,
+    Quantity,
+    normal_equations,
+    solve,
+    with_fixed,
+)
 
 RUNS, SAMPLES = 3, 40
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from virtual_campaign import SHORT
 
-from worm_model.identification.errors import IdentificationError
 from worm_model.identification.estimate import Estimate, not_told
+from worm_model.identification.identification_errors import IdentificationError
 
 ROOT = Path(__file__).resolve().parents[4]
 

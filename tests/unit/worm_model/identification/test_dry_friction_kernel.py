@@ -6,9 +6,9 @@ import pytest
 
 from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_model.identification.locomotion import worm_of
-from worm_model.kernel import dry_friction as kernel
 from worm_model.parameters import PAPER
-from worm_model.simulator import Locomotion, simulate
+from worm_model.simulation.kernel import dry_friction as kernel
+from worm_model.simulation.simulator import Locomotion, simulate
 
 STEP = 0.008  # s, that identification uses
 GAITS = [Gait(0.07, 0.2), Gait(0.06, 0.1), Gait(0.09, 0.4)]

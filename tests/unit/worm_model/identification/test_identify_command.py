@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from virtual_campaign import Instruments, exact_run
 
-from worm_model import identify
+from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.lab_logs import LabSettings
 from worm_model.bags.run_writer import write_run
-from worm_model.bags.writer import BagWriter
+from worm_model.commands import identify
+from worm_model.commands.import_lab import import_lab
 from worm_model.gait import Gait
-from worm_model.identification.errors import IdentificationError
 from worm_model.identification.given import given_by_folder
+from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.inputs import read_inputs, read_recording, read_recordings
-from worm_model.import_lab import import_lab
-from worm_model.lab_logs import LabSettings
 from worm_model.parameters import KEYS, PAPER, load_parameter_file
 
 ROOT = Path(__file__).resolve().parents[4]

@@ -8,17 +8,17 @@ import pytest
 from virtual_campaign import SHORT, virtual_campaign
 
 from worm_model.identification.advice import advise
-from worm_model.identification.errors import IdentificationError
 from worm_model.identification.estimate import Estimate
-from worm_model.identification.figures import energy_figure
 from worm_model.identification.fin import fit_fin
 from worm_model.identification.given import MEASURED
 from worm_model.identification.held_out import run_errors
-from worm_model.identification.pipeline import FIN, bench_warnings, identify
-from worm_model.identification.prediction import predict
-from worm_model.identification.report import text_of
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.identification_figures import energy_figure
+from worm_model.identification.identification_report import text_of
 from worm_model.identification.results import correlations, parameter_file, summary
-from worm_model.identification.runs import prepared, prepared_validation
+from worm_model.identification.run_prediction import predict
+from worm_model.identification.run_selection import prepared, prepared_validation
+from worm_model.identification.stages import FIN, bench_warnings, identify
 from worm_model.parameters import KEYS, PAPER
 
 IDENTIFIED = [key for key in KEYS if key not in MEASURED or key == "pitch"]
@@ -211,7 +211,7 @@ def test_an_odd_fin_test_is_named_where_nothing_fits(campaigns, monkeypatch):
 
     inputs = campaigns[0].inputs
     engages = fit_fin(inputs.fin.x, inputs.fin.y).engages
-    monkeypatch.setattr("worm_model.identification.pipeline.identify_locomotion", fail)
+    monkeypatch.setattr("worm_model.identification.stages.identify_locomotion", fail)
     with pytest.raises(IdentificationError, match=r"nothing fits; fin test: .* softer one"):
         identify(inputs, campaigns[0].given, 0, -engages)
 

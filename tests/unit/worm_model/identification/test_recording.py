@@ -8,12 +8,12 @@ import pytest
 from virtual_campaign import RESTING, RUNNING, Instruments, exact_run
 
 from worm_model.gait import Gait
-from worm_model.identification.errors import IdentificationError
+from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.identification.locomotion import traverse_of
 from worm_model.identification.measured_length import measured_length
+from worm_model.identification.observed_run import recording_of
 from worm_model.identification.quality import follows_command, longest_gap, remarks, usable
-from worm_model.identification.recording import recording_of
 from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, TrackerSamples
 

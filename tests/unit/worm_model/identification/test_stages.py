@@ -9,13 +9,13 @@ from virtual_campaign import Instruments, exact_run
 
 from worm_model.gait import Gait
 from worm_model.identification import locomotion_stage
-from worm_model.identification.actuation import fit_actuation
+from worm_model.identification.actuation_fit import fit_actuation
 from worm_model.identification.actuation_stage import identify_actuation
-from worm_model.identification.blocks import solve
+from worm_model.identification.block_least_squares import solve
 from worm_model.identification.energy import power_run
 from worm_model.identification.energy_stage import identify_energy
-from worm_model.identification.errors import IdentificationError
 from worm_model.identification.grooves import MEANS, fit_grooves
+from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.locomotion import (
     Known,
     find_locomotion,
@@ -28,10 +28,10 @@ from worm_model.identification.locomotion import (
     worm_of,
 )
 from worm_model.identification.measured_length import measured_length
-from worm_model.identification.recording import recording_of
-from worm_model.kernel import dry_friction
+from worm_model.identification.observed_run import recording_of
 from worm_model.parameters import PAPER
-from worm_model.simulator import simulate
+from worm_model.simulation.kernel import dry_friction
+from worm_model.simulation.simulator import simulate
 
 TRUTH = PAPER.replace(
     viscous_friction=95.0,

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.gait import Gait
-from worm_model.twin.offline.timeline import Irregular, Kind, Timeline, resting_spans
+from worm_model.twin.offline.sample_timeline import Irregular, Kind, Timeline, resting_spans
 from worm_model.twin.records import NANOSECONDS
-from worm_model.twin.run import MOVED, PLAYING, SAME_RUN_NS
-from worm_model.twin.settings import TwinSettings
+from worm_model.twin.run_start import MOVED, PLAYING, SAME_RUN_NS
+from worm_model.twin.twin_settings import TwinSettings
 
 
 @dataclass(frozen=True)

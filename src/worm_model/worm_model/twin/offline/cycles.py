@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from worm_model.twin.anchors import WINDOW, Anchors, Cycle, Move, close_anchors
 from worm_model.twin.hypotheses import PHASES, Hypotheses, PowerWatch, close_watch
 from worm_model.twin.observations import CLOSE_S, tells_of_length
-from worm_model.twin.offline.comparison import Observations, Triggers
-from worm_model.twin.offline.timeline import Array, Irregular, Stamps
+from worm_model.twin.offline.instrument_comparison import Observations, Triggers
+from worm_model.twin.offline.sample_timeline import Array, Irregular, Stamps
 from worm_model.twin.records import NANOSECONDS
-from worm_model.twin.state import Run
+from worm_model.twin.twin_state import Run
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Numbered:
 
 
 def number_cycles(run: Run, seen: Observations) -> Numbered:
-    """The cycles of observations of a run that has a gait; see `worm_model.twin.state.Run.cycle_at`."""
+    """The cycles of observations of a run that has a gait; see `worm_model.twin.twin_state.Run.cycle_at`."""
     number, phase = _cycles(run, seen.stamp)
     return Numbered(seen, number, phase)
 

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.kernel.lag import follow_target
-from worm_model.kernel.recording import pick_due
 from worm_model.parameters import Parameters
-from worm_model.smoothing import FEWEST_SAMPLES
-from worm_model.twin.actuation import Actuation
-from worm_model.twin.offline.timeline import Array, Irregular, Mask, Rows, Stamps, only
+from worm_model.simulation.kernel.lag import follow_target
+from worm_model.simulation.kernel.recording_loops import pick_due
+from worm_model.simulation.smoothing import FEWEST_SAMPLES
+from worm_model.twin.estimated_length import Actuation
+from worm_model.twin.offline.sample_timeline import Array, Irregular, Mask, Rows, Stamps, only
 from worm_model.twin.records import NANOSECONDS
-from worm_model.twin.settings import TwinSettings
-from worm_model.twin.state import TwinState
 from worm_model.twin.track import HISTORY_S, WINDOW_SAMPLES
+from worm_model.twin.twin_settings import TwinSettings
+from worm_model.twin.twin_state import TwinState
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Drive:
 
 
 def estimate(commands: Signal, before: Actuation | None, parameters: Parameters) -> Estimates:
-    """What the actuation model makes of the command, as `worm_model.twin.actuation.respond`."""
+    """What the actuation model makes of the command, as `worm_model.twin.estimated_length.respond`."""
     if before is not None:
         # Older ones are of the time before a run that began late.
         heard = commands.stamp >= before.stamp_ns

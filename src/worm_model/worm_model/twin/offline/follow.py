@@ -13,8 +13,8 @@ from worm_model.run import Run
 from worm_model.twin.by_sample import Replay, Series
 from worm_model.twin.core import Twin
 from worm_model.twin.offline.beginnings import Beginning, Stretch, cut
+from worm_model.twin.offline.sample_timeline import Kind, Timeline, read_timeline
 from worm_model.twin.offline.stretch import follow_stretch, samples_in
-from worm_model.twin.offline.timeline import Kind, Timeline, read_timeline
 from worm_model.twin.records import (
     NANOSECONDS,
     CommandedLength,
@@ -25,10 +25,10 @@ from worm_model.twin.records import (
     TrackerSample,
 )
 from worm_model.twin.rest import GUARD_NS, observe_rest
-from worm_model.twin.run import begin_run, put_at_rest
-from worm_model.twin.settings import DEFAULTS, TwinSettings
-from worm_model.twin.state import TwinState
+from worm_model.twin.run_start import begin_run, put_at_rest
 from worm_model.twin.streams import Streams
+from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
+from worm_model.twin.twin_state import TwinState
 
 
 def replay_columns(run: Run, parameters: Parameters, settings: TwinSettings = DEFAULTS) -> Replay:

@@ -7,21 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.kernel.recording import pick_settled
 from worm_model.parameters import Parameters
-from worm_model.quadrature import accumulated
-from worm_model.simulator import Locomotion, LocomotionState
-from worm_model.smoothing import smooth
+from worm_model.simulation.kernel.recording_loops import pick_settled
+from worm_model.simulation.quadrature import accumulated
+from worm_model.simulation.simulator import Locomotion, LocomotionState
+from worm_model.simulation.smoothing import smooth
 from worm_model.twin.offline.drive import Drive
-from worm_model.twin.offline.timeline import Array, Rows
+from worm_model.twin.offline.sample_timeline import Array, Rows
 from worm_model.twin.records import NANOSECONDS
-from worm_model.twin.settings import TwinSettings
 from worm_model.twin.track import (
     SETTLE_STEP_S,
     Row,
     Track,
     power_at_rate,
 )
+from worm_model.twin.twin_settings import TwinSettings
 
 COLUMNS = Row._fields[1:10]  # of x1 to chord_force
 

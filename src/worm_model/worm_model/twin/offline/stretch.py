@@ -14,16 +14,6 @@ from worm_model.twin.by_sample import Replay, Series, series_of
 from worm_model.twin.core import Twin
 from worm_model.twin.hypotheses import hypotheses
 from worm_model.twin.offline.beginnings import Stretch
-from worm_model.twin.offline.comparison import (
-    Observations,
-    Triggers,
-    accept,
-    judge_lengths,
-    measured_energy,
-    predicted_positions,
-    predicted_power,
-    triggers,
-)
 from worm_model.twin.offline.cycles import (
     Finding,
     closings,
@@ -39,17 +29,19 @@ from worm_model.twin.offline.drive import (
     due,
     estimate,
 )
-from worm_model.twin.offline.motion import Motion, follow_lengths
-from worm_model.twin.offline.records import Judged, residual_columns, state_columns
-from worm_model.twin.offline.timeline import (
-    Array,
-    Kind,
-    Mask,
-    Rows,
-    Stamps,
-    Timeline,
-    only,
+from worm_model.twin.offline.instrument_comparison import (
+    Observations,
+    Triggers,
+    accept,
+    judge_lengths,
+    measured_energy,
+    predicted_positions,
+    predicted_power,
+    triggers,
 )
+from worm_model.twin.offline.motion import Motion, follow_lengths
+from worm_model.twin.offline.record_columns import Judged, residual_columns, state_columns
+from worm_model.twin.offline.sample_timeline import Array, Kind, Mask, Rows, Stamps, Timeline, only
 from worm_model.twin.records import (
     NANOSECONDS,
     LengthSource,
@@ -57,10 +49,10 @@ from worm_model.twin.records import (
     Severity,
     StateRecord,
 )
-from worm_model.twin.run import put_at_rest
-from worm_model.twin.settings import TwinSettings
-from worm_model.twin.state import Run, TwinState
+from worm_model.twin.run_start import put_at_rest
 from worm_model.twin.track import Knot, Row, Settled, Track, remembered_ns
+from worm_model.twin.twin_settings import TwinSettings
+from worm_model.twin.twin_state import Run, TwinState
 
 
 @dataclass(frozen=True)

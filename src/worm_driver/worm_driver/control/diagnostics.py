@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the driver says about itself once a second (REP 107), without ROS."""
+
+import enum
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from worm_driver.control.telemetry import SILENT, ServoState
+from worm_driver.control.timing import TimingReport
+from worm_driver.gait.gait_player import Phase, PlayerState
+from worm_driver.power.ina219 import SampleStatus
+from worm_driver.servos.bus_types import BusCounters
+from worm_driver.servos.servo_setup import Servo
+
+#: degC below the servo's own limit from where a warning is given
+_WARM = 10.0
+#: s, p99 of the period error from where a warning is given
+_LATE = 0.002
+
+
+class Level(enum.Enum):
+    """How bad it is."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+@dataclass(frozen=True)
+class Report:
+    """On one part of the driver."""
+
+    name: str
+    level: Level
+    message: str
+    hardware_id: str = ""
+    values: tuple[tuple[str, str], ...] = ()
+
+
+def servo_report(servo: Servo, state: ServoState, *, alert: bool) -> Report:
+    """On one servo."""
+    low, high = servo.voltage_range
+    if state is SILENT:
+        level, message = Level.ERROR, "does not answer"
+    elif alert:
+        level, message = Level.ERROR, "reports a hardware error"
+    elif not low <= state.voltage <= high:
+        level, message = (
+            Level.WARN,
+            f"supply {state.voltage:.1f} V is not {low:.1f} to {high:.1f} V",
+        )
+    elif state.temperature > servo.temperature_limit - _WARM:
+        level, message = (
+            Level.WARN,
+            f"{state.temperature:.0f} degC, it shuts down at {servo.temperature_limit:.0f}",
+        )
+    else:
+        level, message = Level.OK, "ok"
+    return Report(
+        f"driver: servo {servo.number}",
+        level,
+        message,
+        f"{servo.model.name} id {servo.number} firmware {servo.firmware}",
+        (
+            ("position_rad", f"{state.position:.4f}"),
+            ("effort", f"{state.effort:.4f}"),
+            ("voltage_V", f"{state.voltage:.1f}"),
+            ("temperature_degC", f"{state.temperature:.0f}"),
+        ),
+    )
+
+
+def bus_report(
+    port: str, now: BusCounters, before: BusCounters, latency_timer: int | None
+) -> Report:
+    """On the servo bus: what went wrong since the report before."""
+    new = {
+        name: getattr(now, name) - getattr(before, name)
+        for name in ("timeouts", "corrupt", "errors", "stale", "retries")
+    }
+    failures = {name: count for name, count in new.items() if count}
+    if latency_timer is not None and latency_timer > 1:
+        level = Level.WARN
+        message = f"latency timer is {latency_timer} ms: install the udev rule, or write 1 to it"
+    elif failures:
+        level = Level.WARN
+        message = (
+            ", ".join(f"{count} {name}" for name, count in failures.items()) + " in the last second"
+        )
+    else:
+        level, message = Level.OK, "ok"
+    names = ("exchanges", "timeouts", "corrupt", "errors", "stale", "retries")
+    values = tuple((name, str(getattr(now, name))) for name in names)
+    return Report("driver: servo bus", level, message, port, values)
+
+
+def timing_report(timing: TimingReport, period: float) -> Report:
+    """On the 100 Hz loop."""
+    if math.isnan(timing.p99_error):
+        level, message = Level.OK, "starting"
+    elif timing.p99_error > _LATE:
+        level, message = (
+            Level.WARN,
+            f"p99 of the period error is {timing.p99_error * 1e3:.2f} ms: free the machine",
+        )
+    else:
+        level, message = Level.OK, "ok"
+    return Report(
+        "driver: timing",
+        level,
+        message,
+        "",
+        (
+            ("period_s", f"{period:.6f}"),
+            ("mean_period_s", f"{timing.mean_period:.6f}"),
+            ("p99_period_error_s", f"{timing.p99_error:.6f}"),
+            ("max_period_error_s", f"{timing.max_error:.6f}"),
+            ("missed_deadlines", str(timing.missed)),
+            ("cycles", str(timing.cycles)),
+        ),
+    )
+
+
+def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
+    """On the power sensor: the samples of the last second, by status."""
+    total = sum(counts.values())
+    bad = {
+        status: count
+        for status, count in counts.items()
+        if status in (SampleStatus.OVERFLOW, SampleStatus.BUS_ERROR, SampleStatus.SENSOR_RESET)
+        and count
+    }
+    if total == 0:
+        level, message = Level.ERROR, "no samples in the last second"
+    elif bad:
+        worst = SampleStatus.BUS_ERROR in bad and bad[SampleStatus.BUS_ERROR] == total
+        level = Level.ERROR if worst else Level.WARN
+        message = (
+            ", ".join(f"{count} x {status.value}" for status, count in bad.items())
+            + " in the last second"
+        )
+    else:
+        level, message = Level.OK, "ok"
+    values = tuple((status.name.lower(), str(counts.get(status, 0))) for status in SampleStatus)
+    return Report("driver: power sensor", level, message, where, values)
+
+
+def release_report(problems: Sequence[str]) -> Report:
+    """On a release that was not acknowledged by every servo."""
+    message = f"the torque may still be on: {'; '.join(problems)}: switch the supply off before you reach in"
+    return Report("driver: release", Level.ERROR, message)
+
+
+def gait_report(player: PlayerState, *, active: bool, homed: bool) -> Report:
+    """On what is being played."""
+    if active and player.phase is Phase.FAULT:
+        level, message = Level.ERROR, player.message
+    elif not homed:
+        level, message = (
+            Level.WARN,
+            "not homed: bring the robot to its initial length, then call the service home",
+        )
+    else:
+        level, message = Level.OK, player.phase.value if active else "torque is off"
+    return Report(
+        "driver: gait",
+        level,
+        message,
+        "",
+        (("homed", str(homed)), ("length_change_m", f"{player.length_change:.5f}")),
+    )
+
+
+def offline_report(failure: Exception | None) -> Report:
+    """While nothing is open: why, if opening it failed."""
+    level = Level.OK if failure is None else Level.ERROR
+    return Report("driver: gait", level, "not configured" if failure is None else str(failure))

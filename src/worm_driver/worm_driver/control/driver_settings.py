@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything the driver is told about its robot, checked."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import yaml
+
+from worm_driver.control.supervision import Limits
+from worm_driver.errors import ConfigurationError
+from worm_driver.gait.gait_player import PlayerSettings
+from worm_driver.servos.transmission import Fin, Spool
+
+
+@dataclass(frozen=True)
+class Body:
+    """The parameters of the model that the driver needs, by the keys of the parameter file; the paper's values."""
+
+    rear_mass: float = 0.429
+    front_mass: float = 0.429
+    initial_length: float = 0.2952
+
+    @property
+    def mass(self) -> float:
+        """Of the whole robot, kg."""
+        return self.rear_mass + self.front_mass
+
+
+@dataclass(frozen=True)
+class PowerSettings:
+    """Where the INA219 is, and its shunt; SI. An empty bus means that there is no sensor."""
+
+    i2c_bus: str = "1"
+    i2c_address: int = 0x40
+    shunt_resistance: float = 0.1
+    max_current: float = 3.2
+
+
+@dataclass(frozen=True)
+class DriverSettings:
+    """Of one robot; SI.
+
+    Attributes:
+        watchdog: s without packets after which the servos stop by themselves.
+        home_at_start: the robot stands at its initial length when the driver is configured.
+        rate: Hz, of commands and telemetry.
+    """
+
+    port: str
+    spools: tuple[Spool, ...]
+    fins: tuple[Fin, ...] = ()
+    baud_rate: int = 1_000_000
+    watchdog: float = 0.08
+    home_at_start: bool = False
+    rate: float = 100.0
+    max_stroke: float = 0.09
+    max_frequency: float = 0.4
+    max_cable_speed: float = 0.12
+    fin_speed: float = 3.0
+    power: PowerSettings = field(default_factory=PowerSettings)
+    player: PlayerSettings = field(default_factory=PlayerSettings)
+    limits: Limits = field(default_factory=Limits)
+    body: Body = field(default_factory=Body)
+
+    def __post_init__(self) -> None:
+        if not self.spools:
+            raise ConfigurationError("there is no cable servo: set cable_servos.ids")
+        ids = [s.servo for s in self.spools] + [f.servo for f in self.fins]
+        for number in ids:
+            if not 0 <= number <= 252:
+                raise ConfigurationError(f"servo id {number} is not in 0 to 252")
+            if ids.count(number) > 1:
+                raise ConfigurationError(f"servo id {number} is given to two servos")
+
+    @property
+    def period(self) -> float:
+        """Of a cycle, s."""
+        return 1.0 / self.rate
+
+
+def load_body(path: str) -> Body:
+    """The body's parameters from a parameter file; the paper's values for an empty path and for missing keys.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or a value is no positive number.
+    """
+    if not path:
+        return Body()
+    try:
+        content = yaml.safe_load(Path(path).read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigurationError(f"parameter file {path} cannot be read: {error}") from error
+    if not isinstance(content, dict):
+        raise ConfigurationError(f"parameter file {path} holds no keys")
+    values = {name: content[name] for name in Body.__dataclass_fields__ if name in content}
+    for name, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ConfigurationError(f"{name} in {path} is {value!r}, not a number")
+        if not (math.isfinite(value) and value > 0.0):
+            raise ConfigurationError(f"{name} in {path} is {value!r}, it must be positive")
+    return Body(**values)

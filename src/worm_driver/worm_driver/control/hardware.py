@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything that a configured driver holds: the robot in its loop, the power sensor in its own. ROS is unknown."""
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from worm_driver.control import diagnostics
+from worm_driver.control.control_loop import ControlLoop, PowerLoop
+from worm_driver.control.diagnostics import Report
+from worm_driver.control.driver_settings import DriverSettings, PowerSettings
+from worm_driver.control.robot import Robot
+from worm_driver.control.telemetry import Snapshot
+from worm_driver.errors import ConfigurationError, DriverError
+from worm_driver.power import i2c
+from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
+from worm_driver.servos import serial_port
+from worm_driver.servos.bus_types import BusCounters
+from worm_driver.servos.servo_bus import ServoBus
+
+#: per cycle, that an adapter may hold back: the state's and the health register's
+_ANSWERS = 2
+#: s, for which snapshots may pile up before the robot is held
+_UNHEARD = 3.0
+
+
+@dataclass
+class _Seen:
+    """What the last report covered."""
+
+    counters: BusCounters
+    power: Counter[SampleStatus]
+
+
+class Hardware:
+    """Opens and checks everything, and starts the threads.
+
+    Args:
+        settings: of the robot.
+        wake: called from the threads when there is something in ``snapshots`` or ``samples``.
+        tracker_ready: whether the tracker sees the robot, or there is none to wait for.
+
+    Attributes:
+        snapshots: of the cycles, oldest first; whoever takes them out owns them. None is ever dropped.
+        samples: of the power sensor, likewise.
+
+    Raises:
+        DriverError: a device is missing or not what the settings say; everything is closed again.
+    """
+
+    def __init__(
+        self,
+        settings: DriverSettings,
+        wake: Callable[[], None],
+        tracker_ready: Callable[[], bool] = lambda: True,
+    ):
+        self.settings = settings
+        self.snapshots: deque[Snapshot] = deque()
+        self.samples: deque[PowerSample] = deque()
+        self._wake = wake
+        self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
+        sensor = _open_sensor(settings.power)
+        self._power = (
+            None if sensor is None else PowerLoop(sensor, settings.period, self._on_sample)
+        )
+        try:
+            bus = ServoBus.open(settings.port, settings.baud_rate)
+            try:
+                self._check_latency(bus.port.latency)
+                self.robot = Robot(settings, bus, self._valid_samples, tracker_ready)
+            except BaseException:
+                bus.close()
+                raise
+        except BaseException:
+            if sensor is not None:
+                sensor.device.close()
+            raise
+        self._bus = bus
+        self._seen = _Seen(bus.counters, Counter())
+        self.loop = ControlLoop(self.robot, self._on_snapshot)
+        self.loop.start()
+        if self._power is not None:
+            self._power.start()
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """In the order of a snapshot's servos."""
+        return tuple(f"cable_{servo.number}" for servo in self.robot.cables) + tuple(
+            f"fin_{servo.number}" for servo in self.robot.fins
+        )
+
+    @property
+    def release_time(self) -> float:
+        """s, which a release takes at most."""
+        travel = self.settings.max_stroke + 0.02
+        return math.pi / 2 * travel / self.settings.player.return_speed + 1.0
+
+    def description(self) -> list[str]:
+        """What was found, one line each."""
+        lines = [
+            f"servo {servo.number}: {servo.model.name}, firmware {servo.firmware}"
+            for servo in self.robot.servos
+        ]
+        limits = self.robot.limits
+        lines.append(
+            f"gaits to {limits.max_stroke:g} m, {limits.max_frequency:g} Hz, "
+            f"{limits.max_cable_speed:.4f} m/s of cable"
+        )
+        latency = self._bus.port.latency
+        if latency > 1e-3:
+            lines.append(
+                f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, not 1: install the udev rule"
+            )
+        if not self.robot.homed:
+            lines.append("not homed: bring the robot to its initial length, then call home")
+        return lines
+
+    def close(self, reason: str, meanwhile: Callable[[], None] = lambda: None) -> list[str]:
+        """Brings the robot to rest, releases it and closes everything; returns what failed, in words.
+
+        ``meanwhile`` is called every few milliseconds until the robot is released.
+        """
+        self.loop.leave(reason)
+        ended = self.loop.join(self.release_time, meanwhile)
+        if self._power is not None:
+            self._power.end()
+        problems = list(self.loop.release_problems)
+        if not ended:
+            problems.append("the servo bus thread hangs: the servos stop by their bus watchdog")
+        self._bus.close()
+        return problems
+
+    def report(self, latest: Snapshot) -> list[Report]:
+        """On every part; to be called once a second."""
+        robot, seen = self.robot, self._seen
+        counters, power = self._bus.counters, self._power_counts.copy()
+        self._seen = _Seen(counters, power)
+        timer = serial_port.latency_timer_ms(self.settings.port)
+        reports = [
+            diagnostics.gait_report(latest.player, active=latest.active, homed=robot.homed),
+            diagnostics.bus_report(self.settings.port, counters, seen.counters, timer),
+            diagnostics.timing_report(self.loop.report(), self.settings.period),
+        ]
+        if robot.unreleased:
+            reports.append(diagnostics.release_report(robot.unreleased))
+        for servo, state in zip(robot.servos, latest.servos, strict=True):
+            alert = servo.number in latest.alerts
+            reports.append(diagnostics.servo_report(servo, state, alert=alert))
+        if self._power is not None:
+            where = (
+                f"INA219 0x{self.settings.power.i2c_address:02X} on {self.settings.power.i2c_bus}"
+            )
+            reports.append(diagnostics.power_report(power - seen.power, where))
+        return reports
+
+    def _check_latency(self, latency: float) -> None:
+        """Raises ConfigurationError where answers may be held back for so long (s) that no cycle can be kept."""
+        if _ANSWERS * latency >= self.settings.period:
+            raise ConfigurationError(
+                f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, too long for "
+                f"{self.settings.rate:g} Hz: install the udev rule (99-worm.rules), or "
+                f"echo 1 | sudo tee {serial_port.latency_timer_path(self.settings.port)}"
+            )
+
+    def _valid_samples(self) -> int:
+        return 0 if self._power is None else self._power.valid_samples
+
+    def _on_snapshot(self, snapshot: Snapshot) -> None:
+        """In the loop's thread: hands a snapshot over; a robot that nobody listens to any more is held."""
+        self.snapshots.append(snapshot)
+        unheard = snapshot.command_time - self._oldest(snapshot).command_time
+        if snapshot.active and unheard > _UNHEARD:
+            reason = (
+                f"the node has not listened for {unheard:.0f} s: the service stop would not work"
+            )
+            self.robot.fail(snapshot.command_time, reason)
+        self._wake()
+
+    def _oldest(self, newest: Snapshot) -> Snapshot:
+        """The one that waits for longest; the newest where another thread has just taken them all."""
+        try:
+            return self.snapshots[0]
+        except IndexError:
+            return newest
+
+    def _on_sample(self, sample: PowerSample) -> None:
+        self._power_counts[sample.status] += 1
+        self.samples.append(sample)
+
+
+def _open_sensor(settings: PowerSettings) -> INA219 | None:
+    if not settings.i2c_bus:
+        return None
+    calibration = calibration_for(settings.shunt_resistance, settings.max_current)
+    device = i2c.open_device(settings.i2c_bus, settings.i2c_address)
+    sensor = INA219(device, settings.shunt_resistance, calibration)
+    try:
+        sensor.start()
+    except DriverError:
+        device.close()
+        raise
+    return sensor

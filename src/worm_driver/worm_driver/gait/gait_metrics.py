@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of a run, by the paper's protocol: the last three whole cycles, idle power from the first ten samples.
+
+Times are monotonic, in s. A figure that cannot be had is NaN, with a reason in words; none is made up from part of
+the data, as what is missing is seldom missing at random (a sensor overflows where the power is largest).
+"""
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from worm_driver.control.driver_settings import Body
+from worm_driver.gait.gait_player import Run
+from worm_driver.power.ina219 import PowerSample, SampleStatus
+
+STANDARD_GRAVITY = 9.80665
+AVERAGED_CYCLES = 3
+IDLE_SAMPLES = 10
+
+#: s, the farthest that two tracker samples may lie apart to tell a position between them (30 Hz, two lost)
+_TRACKER_GAP = 0.12
+#: s, the longest time for which the tracker may have been blind, and from how far on either side that is bridged
+_LONGEST_BRIDGE = 0.5
+_BRIDGE_SIDE = 0.25
+_LEAST_SIGHTINGS = 4
+#: s, the longest time without a valid power sample within the averaged cycles
+_POWER_GAP = 0.25
+
+
+@dataclass
+class RunRecord:
+    """What is collected while a run goes on.
+
+    Attributes:
+        positions: (time s, x1 m) of the tracker, in order; occluded samples are not in it.
+        power: every sample of the power sensor, in order.
+    """
+
+    positions: list[tuple[float, float]] = field(default_factory=list)
+    power: list[PowerSample] = field(default_factory=list)
+
+    def position_at(self, time: float) -> tuple[float, float]:
+        """x1 (m) at a time, and how long (s) the tracker was blind around it; NaN when that was too long.
+
+        Between two neighbouring samples on the straight line. Where a marker was hidden for a moment, on the cubic
+        through the samples of a quarter second on either side, as x1 bends where a cycle begins.
+        """
+        after = bisect_left(self.positions, (time, -math.inf))
+        if after == len(self.positions):
+            return math.nan, math.inf
+        t1, x1 = self.positions[after]
+        if t1 == time:
+            return x1, 0.0
+        if after == 0:
+            return math.nan, math.inf
+        t0, x0 = self.positions[after - 1]
+        if t1 - t0 <= _TRACKER_GAP:
+            return x0 + (x1 - x0) * (time - t0) / (t1 - t0), 0.0
+        return self._bridged(time, t0, t1), t1 - t0
+
+    def _bridged(self, time: float, last: float, first: float) -> float:
+        sides = (
+            [(t, x) for t, x in self.positions if last - _BRIDGE_SIDE <= t <= last],
+            [(t, x) for t, x in self.positions if first <= t <= first + _BRIDGE_SIDE],
+        )
+        if first - last > _LONGEST_BRIDGE or min(map(len, sides)) < _LEAST_SIGHTINGS:
+            return math.nan
+        times, positions = zip(*(sides[0] + sides[1]), strict=True)
+        return float(np.polyfit(np.subtract(times, time), positions, 3)[-1])
+
+    def latest_power(self) -> float:
+        """W, of the latest valid sample; NaN without one."""
+        for sample in reversed(self.power):
+            if sample.status is SampleStatus.VALID:
+                return sample.power
+        return math.nan
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Measured figures of a run; SI. reasons: why figures are missing or less certain, in words."""
+
+    cycles_completed: int
+    cycles_averaged: int
+    speed: float
+    power: float
+    cost_of_transport: float
+    idle_power: float
+    reasons: tuple[str, ...]
+
+
+def figures(run: Run, record: RunRecord, body: Body) -> Figures:
+    """The figures of a run that has ended."""
+    assert run.end is not None
+    completed = run.cycles_completed(run.end)
+    averaged = min(AVERAGED_CYCLES, completed)
+    idle_power, idle_reason = _idle_power(run, record.power)
+    if run.onset is None or averaged == 0:
+        nan = math.nan
+        return Figures(
+            completed, 0, nan, nan, nan, idle_power, _given("no cycle was completed", idle_reason)
+        )
+    end = run.onset + completed / run.gait.frequency
+    start = end - averaged / run.gait.frequency
+    speed, speed_reason = _speed(run, record, start, end)
+    power, power_reason = _mean_power(record.power, start, end)
+    cost, cost_reason = _cost_of_transport(power, speed, body)
+    reasons = _given(speed_reason, power_reason, cost_reason, idle_reason)
+    return Figures(completed, averaged, speed, power, cost, idle_power, reasons)
+
+
+def distance(run: Run, record: RunRecord) -> float:
+    """Displacement of x1 along the gait's direction since the onset (m); NaN without a tracker."""
+    if run.onset is None or not record.positions:
+        return math.nan
+    return run.gait.direction * (record.positions[-1][1] - record.position_at(run.onset)[0])
+
+
+def _given(*reasons: str) -> tuple[str, ...]:
+    return tuple(reason for reason in reasons if reason)
+
+
+def _speed(run: Run, record: RunRecord, start: float, end: float) -> tuple[float, str]:
+    if not record.positions:
+        return math.nan, "no speed: the topic tracker was silent"
+    (first, first_gap), (last, last_gap) = record.position_at(start), record.position_at(end)
+    blind = max(first_gap, last_gap)
+    if math.isnan(last - first):
+        where = f"the averaged cycles' start or end ({blind:.2f} s)"
+        return math.nan, f"no speed: the tracker did not see the robot at {where}"
+    note = (
+        f"the tracker was blind for {blind:.2f} s where x1 was read, which is bridged"
+        if blind
+        else ""
+    )
+    return run.gait.direction * (last - first) / (end - start), note
+
+
+def _mean_power(samples: Sequence[PowerSample], start: float, end: float) -> tuple[float, str]:
+    """Mean over time: each valid sample stands for the time until the next one."""
+    window = [sample for sample in samples if start <= sample.time <= end]
+    if not window:
+        return math.nan, "no power: there are no samples of the power sensor"
+    overflows = sum(sample.status is SampleStatus.OVERFLOW for sample in window)
+    if overflows:
+        return math.nan, f"no power: {overflows} samples overflowed the sensor's range"
+    valid = [sample for sample in window if sample.status is SampleStatus.VALID]
+    times = [start, *(sample.time for sample in valid[1:]), end]
+    gap = max(after - before for before, after in pairwise(times))
+    if not valid or gap > _POWER_GAP:
+        return math.nan, f"no power: there was no valid sample for {gap:.2f} s"
+    energy = math.fsum(
+        sample.power * (after - before)
+        for sample, (before, after) in zip(valid, pairwise(times), strict=True)
+    )
+    return energy / (end - start), ""
+
+
+def _cost_of_transport(power: float, speed: float, body: Body) -> tuple[float, str]:
+    """COT = P / (m g |v|)."""
+    if math.isnan(power) or math.isnan(speed):
+        return math.nan, ""
+    if speed == 0.0:
+        return math.nan, "no cost of transport: the robot stood still"
+    return power / (body.mass * STANDARD_GRAVITY * abs(speed)), ""
+
+
+def _idle_power(run: Run, samples: Sequence[PowerSample]) -> tuple[float, str]:
+    """Mean of the first ten valid samples at rest (eq:Pidle_est)."""
+    if run.rest_start is None:
+        return math.nan, "no idle power: the rest did not begin"
+    end = math.inf if run.onset is None else run.onset
+    powers = [
+        sample.power
+        for sample in samples
+        if run.rest_start <= sample.time < end and sample.status is SampleStatus.VALID
+    ]
+    if len(powers) < IDLE_SAMPLES:
+        return (
+            math.nan,
+            f"no idle power: {len(powers)} valid samples at rest, {IDLE_SAMPLES} are needed",
+        )
+    return math.fsum(powers[:IDLE_SAMPLES]) / IDLE_SAMPLES, ""

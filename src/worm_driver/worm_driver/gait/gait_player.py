@@ -1,0 +1,317 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the cable and the fins are to do at a time: a pure state machine.
+
+A run goes RETURNING (only if the cable is not at rest) -> FLIPPING (only if the fins are not set) -> RESTING (idle
+power is sampled) -> RUNNING -> IDLE. Cancelling goes through STOPPING to the next point of rest, delta L = 0, where
+every cycle begins and ends. stop and fault hold the cable where it is. Times are monotonic, in s.
+"""
+
+import enum
+import math
+from dataclasses import dataclass, replace
+
+from worm_driver.errors import LimitError
+from worm_driver.gait.gait_limits import Gait
+
+#: m, closer to delta L = 0 than this counts as rest: nothing is to be paid out
+REST_TOLERANCE = 1e-4
+
+
+class Phase(enum.Enum):
+    """What the player is at."""
+
+    IDLE = "idle"
+    RETURNING = "returning to rest"
+    FLIPPING = "setting the fins"
+    RESTING = "resting"
+    RUNNING = "running"
+    STOPPING = "stopping at the next point of rest"
+    HOLDING = "holding"
+    FAULT = "fault"
+
+
+class Ending(enum.Enum):
+    """How a run ended."""
+
+    COMPLETED = "completed"
+    CANCELLED = "cancelled"
+    STOPPED = "stopped"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A gait that was asked for, and how far it came.
+
+    Attributes:
+        number: counts the runs since the start of the driver.
+        rest_start: s, when the rest began; None before it.
+        onset: s, when the first cycle began; None before it.
+        end: s, when the run ended; None before it.
+        stop_cycle: cycle after which the run stops, at most cycles.
+    """
+
+    number: int
+    gait: Gait
+    cycles: int
+    stop_cycle: int
+    rest_start: float | None = None
+    onset: float | None = None
+    end: float | None = None
+    ending: Ending | None = None
+    reason: str = ""
+
+    def cycles_completed(self, now: float) -> int:
+        """Whole cycles played until a time."""
+        if self.onset is None:
+            return 0
+        elapsed = (now if self.end is None else self.end) - self.onset
+        return min(self.stop_cycle, math.floor(elapsed * self.gait.frequency + 1e-9))
+
+    def cycle(self, now: float) -> int:
+        """Number of the cycle that is being played, 1 in the first; 0 before the onset."""
+        if self.onset is None or now < self.onset:
+            return 0
+        return min(self.stop_cycle, math.floor((now - self.onset) * self.gait.frequency + 1e-9) + 1)
+
+
+@dataclass(frozen=True)
+class PlayerState:
+    """The player between two steps.
+
+    Attributes:
+        phase: what it is at.
+        since: s, when the phase began.
+        length_change: m, what the cable is asked for now.
+        ramp_from: m, where a return to rest began.
+        direction: where the fins are set to; 0 before the first run.
+        still_since: s, when the cable and the fins were last asked to move, or seen off their place.
+        run: the current run, or the last one when its ending is set.
+        message: why it holds or has failed.
+    """
+
+    phase: Phase = Phase.IDLE
+    since: float = 0.0
+    length_change: float = 0.0
+    ramp_from: float = 0.0
+    direction: int = 0
+    still_since: float = -math.inf
+    run: Run | None = None
+    message: str = ""
+
+    @property
+    def active_run(self) -> Run | None:
+        """The run that has not ended yet."""
+        return self.run if self.run is not None and self.run.ending is None else None
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What the player needs to know of the robot.
+
+    Attributes:
+        fins_set: the fins have reached where they were sent to.
+        idle_samples: valid power samples since the rest began.
+        tracker_ready: the tracker sees the robot, or there is none to wait for.
+    """
+
+    fins_set: bool
+    idle_samples: int
+    tracker_ready: bool = True
+
+
+@dataclass(frozen=True)
+class PlayerSettings:
+    """Times and speeds of the phases; SI.
+
+    Attributes:
+        rest_duration: s, least rest before a gait.
+        settle_time: s, that the robot gets to come to rest after a motion, before the rest counts.
+        rest_samples: idle power samples that the rest waits for.
+        rest_timeout: s, longest rest: then the gait starts without an idle power, or a tracker.
+        flip_timeout: s, longest time for the fins.
+        return_speed: m/s, peak cable speed on the way back to rest.
+        stall_time: s, a longer gap between two steps while the cable moves is a fault.
+    """
+
+    rest_duration: float = 1.0
+    settle_time: float = 0.5
+    rest_samples: int = 10
+    rest_timeout: float = 3.0
+    flip_timeout: float = 3.0
+    return_speed: float = 0.05
+    stall_time: float = 0.08
+
+
+def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerState:
+    """Begins a run from rest, or from a hold by way of a return to rest.
+
+    Raises:
+        LimitError: a run is going on, or the player is in fault.
+    """
+    run = state.active_run
+    if run is not None:
+        raise LimitError(
+            f"a gait is running already (cycle {run.cycle(now)} of {run.cycles}): cancel it first, or wait"
+        )
+    if state.phase is Phase.FAULT:
+        raise LimitError(
+            f"the driver is in fault ({state.message}): deactivate and activate it once that is mended"
+        )
+    number = 1 if state.run is None else state.run.number + 1
+    state = replace(state, run=Run(number, gait, cycles, cycles), message="")
+    return _enter(state, Phase.RETURNING, now)
+
+
+def cancel(state: PlayerState, now: float) -> PlayerState:
+    """Lets the run end at the next point of rest."""
+    run = state.active_run
+    if run is None or state.phase is Phase.STOPPING:
+        return state
+    if run.onset is not None:
+        run = replace(run, stop_cycle=max(1, run.cycle(now)))
+    run = replace(run, reason="cancelled")
+    if state.phase is Phase.RETURNING or run.onset is not None:
+        return replace(state, phase=Phase.STOPPING, run=run)
+    return _end(replace(state, run=run), now, Ending.CANCELLED, Phase.IDLE)
+
+
+def stop(state: PlayerState, now: float, length_change: float, reason: str) -> PlayerState:
+    """Holds the cable at once at a length change (m)."""
+    if state.phase is Phase.FAULT:
+        return state
+    return _hold(state, now, length_change, Phase.HOLDING, Ending.STOPPED, reason)
+
+
+def fault(state: PlayerState, now: float, length_change: float, reason: str) -> PlayerState:
+    """Holds the cable at once, until the driver is activated anew. The first fault keeps its reason."""
+    if state.phase is Phase.FAULT:
+        return state
+    return _hold(state, now, length_change, Phase.FAULT, Ending.FAILED, reason)
+
+
+def return_to_rest(state: PlayerState, now: float, reason: str) -> PlayerState:
+    """Ends a run and pays the cable out to delta L = 0, from wherever it is."""
+    if state.active_run is not None:
+        state = _end(state, now, Ending.STOPPED, Phase.IDLE, reason)
+    return _enter(replace(state, message=reason), Phase.RETURNING, now)
+
+
+def at_rest(state: PlayerState) -> bool:
+    """Whether nothing moves, and the cable is at delta L = 0."""
+    return state.phase is Phase.IDLE and abs(state.length_change) <= REST_TOLERANCE
+
+
+def step(
+    state: PlayerState, now: float, seen: Observation, settings: PlayerSettings, gap: float
+) -> PlayerState:
+    """The state at a time, ``gap`` s after the step before."""
+    moving = state.phase in (Phase.RUNNING, Phase.STOPPING, Phase.RETURNING)
+    if moving and gap > settings.stall_time:
+        reason = f"the command stream stalled for {gap:.3f} s"
+        return fault(state, now, state.length_change, reason)
+    handler = _STEPS.get(state.phase)
+    if handler is None:
+        return state
+    before, state = state, handler(state, now, seen, settings)
+    if moving or state.direction != before.direction or not seen.fins_set:
+        return replace(state, still_since=now)
+    return state
+
+
+def _returning(
+    state: PlayerState, now: float, seen: Observation, settings: PlayerSettings
+) -> PlayerState:
+    state = _ramp(state, now, settings)
+    if state.length_change != 0.0:
+        return state
+    if state.active_run is None:
+        return _enter(state, Phase.IDLE, now)
+    return _flipping(_enter(state, Phase.FLIPPING, now), now, seen, settings)
+
+
+def _ramp(state: PlayerState, now: float, settings: PlayerSettings) -> PlayerState:
+    """A half cosine from where the return began to rest: no jump of speed, a bounded peak."""
+    duration = math.pi / 2 * abs(state.ramp_from) / settings.return_speed
+    elapsed = now - state.since
+    if abs(state.ramp_from) <= REST_TOLERANCE or elapsed >= duration:
+        return replace(state, length_change=0.0)
+    value = state.ramp_from / 2 * (1.0 + math.cos(math.pi * elapsed / duration))
+    return replace(state, length_change=value)
+
+
+def _flipping(
+    state: PlayerState, now: float, seen: Observation, settings: PlayerSettings
+) -> PlayerState:
+    run = state.run
+    assert run is not None
+    if state.direction != run.gait.direction:
+        return replace(state, direction=run.gait.direction, since=now)
+    if seen.fins_set and now - state.still_since >= settings.settle_time:
+        return _enter(replace(state, run=replace(run, rest_start=now)), Phase.RESTING, now)
+    if not seen.fins_set and now - state.since > settings.flip_timeout:
+        reason = f"the fins did not reach their place within {settings.flip_timeout:g} s"
+        return fault(state, now, state.length_change, reason)
+    return state
+
+
+def _resting(
+    state: PlayerState, now: float, seen: Observation, settings: PlayerSettings
+) -> PlayerState:
+    run = state.run
+    assert run is not None
+    rested = now - state.since
+    enough = rested >= settings.rest_duration and seen.idle_samples >= settings.rest_samples
+    if not (enough and seen.tracker_ready) and rested < settings.rest_timeout:
+        return state
+    return _enter(replace(state, run=replace(run, onset=now)), Phase.RUNNING, now)
+
+
+def _running(
+    state: PlayerState, now: float, _: Observation, settings: PlayerSettings
+) -> PlayerState:
+    run = state.run
+    assert run is not None
+    if run.onset is None:  # cancelled on the way back to rest
+        state = _ramp(state, now, settings)
+        return state if state.length_change else _end(state, now, Ending.CANCELLED, Phase.IDLE)
+    end = run.onset + run.stop_cycle / run.gait.frequency
+    if now >= end:
+        ending = Ending.CANCELLED if state.phase is Phase.STOPPING else Ending.COMPLETED
+        return _end(replace(state, length_change=0.0), end, ending, Phase.IDLE)
+    return replace(state, length_change=run.gait.length_change(now - run.onset))
+
+
+_STEPS = {
+    Phase.RETURNING: _returning,
+    Phase.FLIPPING: _flipping,
+    Phase.RESTING: _resting,
+    Phase.RUNNING: _running,
+    Phase.STOPPING: _running,
+}
+
+
+def _enter(state: PlayerState, phase: Phase, now: float) -> PlayerState:
+    return replace(state, phase=phase, since=now, ramp_from=state.length_change)
+
+
+def _end(
+    state: PlayerState, now: float, ending: Ending, phase: Phase, reason: str = ""
+) -> PlayerState:
+    run = state.active_run
+    if run is not None:
+        run = replace(run, end=now, ending=ending, reason=reason or run.reason)
+        state = replace(state, run=run)
+    return replace(state, phase=phase, since=now)
+
+
+def _hold(
+    state: PlayerState,
+    now: float,
+    length_change: float,
+    phase: Phase,
+    ending: Ending,
+    reason: str,
+) -> PlayerState:
+    state = _end(state, now, ending, phase, reason)
+    return replace(state, length_change=length_change, message=reason)

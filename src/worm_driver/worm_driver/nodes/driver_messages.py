@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver's values as ROS messages; no ROS graph is touched here."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
+from worm_driver.control.diagnostics import Level, Report
+from worm_driver.control.telemetry import Snapshot
+from worm_driver.gait.gait_limits import Gait
+from worm_driver.gait.gait_player import Phase
+from worm_driver.power.ina219 import PowerSample, SampleStatus
+from worm_msgs.msg import BodyLength, GaitState, Power
+from worm_msgs.msg import Gait as GaitMessage
+
+_STATUS = {
+    SampleStatus.VALID: Power.VALID,
+    SampleStatus.OVERFLOW: Power.OVERFLOW,
+    SampleStatus.NOT_READY: Power.NOT_READY,
+    SampleStatus.BUS_ERROR: Power.BUS_ERROR,
+    SampleStatus.SENSOR_RESET: Power.SENSOR_RESET,
+}
+
+_STATE = {
+    Phase.IDLE: GaitState.IDLE,
+    Phase.RETURNING: GaitState.RESTING,
+    Phase.FLIPPING: GaitState.RESTING,
+    Phase.RESTING: GaitState.RESTING,
+    Phase.RUNNING: GaitState.RUNNING,
+    Phase.STOPPING: GaitState.STOPPING,
+    Phase.HOLDING: GaitState.IDLE,
+    Phase.FAULT: GaitState.FAULT,
+}
+
+_LEVEL = {
+    Level.OK: DiagnosticStatus.OK,
+    Level.WARN: DiagnosticStatus.WARN,
+    Level.ERROR: DiagnosticStatus.ERROR,
+}
+
+
+#: s, from where a change between two clocks is a step of one of them
+_CLOCK_STEP = 0.02
+
+
+@dataclass(frozen=True)
+class ClockPair:
+    """The monotonic clock and the ROS clock, read at the same moment: turns times of one into the other's.
+
+    Attributes:
+        offset_ns: ns, ROS time minus monotonic time.
+    """
+
+    offset_ns: int
+
+    def step_since(self, earlier: "ClockPair") -> float:
+        """By how much (s) the ROS clock was set in between; 0 for what two clocks may drift apart."""
+        step = (self.offset_ns - earlier.offset_ns) * 1e-9
+        return step if abs(step) > _CLOCK_STEP else 0.0
+
+    @staticmethod
+    def read(ros_now_ns: Callable[[], int], attempts: int = 3) -> "ClockPair":
+        """Reads both clocks; of several attempts the one that was interrupted least."""
+        readings = []
+        for _ in range(attempts):
+            before = time.monotonic_ns()
+            ros = ros_now_ns()
+            after = time.monotonic_ns()
+            readings.append((after - before, ros - (before + after) // 2))
+        return ClockPair(min(readings)[1])
+
+    def stamp(self, monotonic: float) -> Time:
+        """The ROS stamp of a monotonic time (s)."""
+        seconds, nanoseconds = divmod(round(monotonic * 1e9) + self.offset_ns, 1_000_000_000)
+        return Time(sec=seconds, nanosec=nanoseconds)
+
+    def monotonic(self, stamp: Time) -> float:
+        """The monotonic time (s) of a ROS stamp."""
+        return (stamp.sec * 1_000_000_000 + stamp.nanosec - self.offset_ns) * 1e-9
+
+
+def joint_state(names: Sequence[str], snapshot: Snapshot, clocks: ClockPair) -> JointState:
+    """Positions (rad), velocities (rad/s) and efforts (A or 1) of all servos; NaN for one that was silent."""
+    return JointState(
+        header=Header(stamp=clocks.stamp(snapshot.read_time)),
+        name=list(names),
+        position=[state.position for state in snapshot.servos],
+        velocity=[state.velocity for state in snapshot.servos],
+        effort=[state.effort for state in snapshot.servos],
+    )
+
+
+def body_length(
+    source: int, time_s: float, change: float, initial: float, clocks: ClockPair
+) -> BodyLength:
+    """A body length (m) from its change at a monotonic time."""
+    return BodyLength(
+        header=Header(stamp=clocks.stamp(time_s)),
+        source=source,
+        length=initial + change,
+        length_change=change,
+    )
+
+
+def power(sample: PowerSample, clocks: ClockPair) -> Power:
+    """A power sample."""
+    return Power(
+        header=Header(stamp=clocks.stamp(sample.time)),
+        status=_STATUS[sample.status],
+        bus_voltage=sample.bus_voltage,
+        current=sample.current,
+        power=sample.power,
+    )
+
+
+def gait_from(message: GaitMessage) -> Gait:
+    """A gait, unchecked."""
+    return Gait(message.stroke, message.frequency, message.direction, message.margin)
+
+
+def gait_state(snapshot: Snapshot, clocks: ClockPair) -> GaitState:
+    """What the driver does with gaits, as of a snapshot."""
+    player = snapshot.player
+    run = player.active_run
+    message = GaitState(
+        header=Header(stamp=clocks.stamp(snapshot.command_time)),
+        state=_STATE[player.phase] if snapshot.active else GaitState.INACTIVE,
+        message=player.message,
+    )
+    if run is not None:
+        gait = run.gait
+        message.gait = GaitMessage(
+            stroke=gait.stroke,
+            frequency=gait.frequency,
+            direction=gait.direction,
+            margin=gait.margin,
+        )
+        message.cycle, message.cycles = run.cycle(snapshot.command_time), run.cycles
+        message.message = player.message or run.reason or player.phase.value
+        if run.onset is not None:
+            message.onset = clocks.stamp(run.onset)
+    return message
+
+
+def diagnostics(reports: Sequence[Report], stamp: Time) -> DiagnosticArray:
+    """Reports as the array that goes on /diagnostics."""
+    return DiagnosticArray(
+        header=Header(stamp=stamp),
+        status=[
+            DiagnosticStatus(
+                level=_LEVEL[report.level],
+                name=report.name,
+                message=report.message,
+                hardware_id=report.hardware_id,
+                values=[KeyValue(key=key, value=value) for key, value in report.values],
+            )
+            for report in reports
+        ],
+    )

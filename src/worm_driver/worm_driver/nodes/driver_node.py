@@ -1,0 +1,401 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lifecycle node ``driver``: ROS on one side, the robot's loop on the other, nothing of its own in between.
+
+configure opens and checks everything, activate enables the torque; deactivate, cleanup, shutdown, SIGINT, SIGTERM and
+an escaped exception bring the gait to rest and release the servos.
+"""
+
+import math
+import sys
+import time
+from collections.abc import Callable
+from traceback import format_exception
+from typing import TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
+from rclpy.exceptions import ParameterException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from worm_driver.control.diagnostics import offline_report
+from worm_driver.control.hardware import Hardware
+from worm_driver.control.telemetry import Snapshot
+from worm_driver.errors import ConfigurationError, DriverError, StoppedError
+from worm_driver.nodes import driver_messages, driver_parameters
+from worm_driver.nodes.driver_messages import ClockPair
+from worm_driver.nodes.driver_process import Ending, ros_process, spare_pauses
+from worm_driver.nodes.run_gait_action import RunGaitAction
+from worm_driver.nodes.side_node import SideNode
+from worm_msgs.msg import BodyLength, GaitState, Power, Tracker
+
+T = TypeVar("T")
+
+#: s, how long the interpreter lets a thread run before another may; the default of 5 ms would be half a cycle
+_SWITCH_INTERVAL = 0.0005
+
+#: s, how old the latest tracker sample may be when a gait starts, and how long the first one may take
+_FRESH = 0.2
+_DISCOVERY = 5.0
+
+#: s, in which the servos must have been enabled
+_ACTIVATION = 5.0
+
+_DELIVERY = Duration(seconds=0.5)
+
+#: reliable; deep enough for what piles up while the executor's thread waits for a processor
+_TELEMETRY = QoSProfile(depth=200)
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class DriverNode(LifecycleNode):
+    """See the module."""
+
+    def __init__(self) -> None:
+        super().__init__("driver")
+        driver_parameters.declare(self)
+        self._hardware: Hardware | None = None
+        self._latest: Snapshot | None = None
+        self._shown: tuple[object, ...] | None = None
+        self._failure: Exception | None = None
+        self._clocks: ClockPair | None = None
+        self._born = time.monotonic()
+        self._tracked = -math.inf
+        self._joint_states = self.create_publisher(JointState, "joint_states", _TELEMETRY)
+        self._commanded = self.create_publisher(BodyLength, "body_length/commanded", _TELEMETRY)
+        self._cable = self.create_publisher(BodyLength, "body_length/cable", _TELEMETRY)
+        self._power = self.create_publisher(Power, "power", _TELEMETRY)
+        self._gait_state = self.create_publisher(GaitState, "gait_state", _LATCHED)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._action = RunGaitAction(self, lambda: self._hardware)
+        self.create_subscription(Tracker, "tracker", self._on_tracker, 100)
+        self._side = SideNode(self, "stop")
+        self._side.node.create_service(Trigger, "stop", self._on_stop)
+        self._side.start()
+        self.create_service(Trigger, "home", self._on_home)
+        self.create_service(Trigger, "reboot", self._on_reboot)
+        self._fresh = self.create_guard_condition(self._publish)
+        self.create_timer(1.0, self._publish_diagnostics)
+        self._show_inactive("not configured")
+
+    # --- lifecycle -----------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Opens and checks everything; FAILURE, with the reason in the log and the diagnostics, if it cannot."""
+        try:
+            settings = driver_parameters.settings(self)
+            self._hardware = Hardware(settings, self._wake, self._tracker_ready)
+        except Exception as error:  # noqa: BLE001 (rclpy would drop it without a word)
+            return self._failed("configure", error)
+        self._failure = None
+        for line in self._hardware.description():
+            self.get_logger().info(line)
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Enables the torque."""
+        try:
+            self._activate()
+        except Exception as error:  # noqa: BLE001 (as above)
+            return self._failed("activate", error)
+        self._failure = None
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Brings the gait to rest and releases the servos.
+
+        FAILURE where a stop came on the way: the robot holds. ERROR, which releases and closes everything, where
+        the servo bus thread does not respond.
+        """
+        try:
+            self._release()
+        except StoppedError as error:
+            return self._failed("deactivate", error)
+        except Exception as error:  # noqa: BLE001 (as above)
+            self._failed("deactivate", error)
+            return TransitionCallbackReturn.ERROR
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Closes everything."""
+        self.close("the driver is cleaned up")
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Brings the gait to rest, releases the servos and closes everything."""
+        self.close("the driver shuts down")
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Releases and closes everything, so that the driver can be configured again."""
+        self.close("a transition failed")
+        super().on_error(state)
+        return TransitionCallbackReturn.SUCCESS
+
+    def close(self, reason: str) -> None:
+        """Brings the robot to rest, releases and closes it; needs no ROS, and is harmless when nothing is open."""
+        hardware = self._hardware
+        if hardware is None:
+            return
+        problems = hardware.close(reason, self._publish)
+        self._hardware = self._latest = None
+        for problem in problems:
+            self.get_logger().error(f"on release: {problem}")
+        if self.context.ok():
+            self._publish_all(hardware)
+            self._action.abandon(reason)
+            self._show_inactive(reason)
+            self._deliver()
+
+    def _deliver(self) -> None:
+        """Waits until those who listen have the last words, for they are lost with the node."""
+        for publisher in (self._joint_states, self._cable, self._power, self._gait_state):
+            publisher.wait_for_all_acked(_DELIVERY)
+
+    def let_go(self) -> None:
+        """Cuts a release short: the torque goes at once. Safe in a signal handler."""
+        if self._hardware is not None:
+            self._hardware.loop.let_go()
+
+    def autostart(self) -> None:
+        """Configures and activates, where the parameter asks for it.
+
+        A robot that cannot be activated yet, as it is not homed, stays configured for its operator.
+
+        Raises:
+            DriverError: it cannot be configured.
+        """
+        if not self.get_parameter("autostart").value:
+            return
+        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+            raise self._failure or DriverError("it cannot be configured")
+        self.trigger_activate()
+
+    def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
+        self._failure = error
+        words = str(error) if isinstance(error, DriverError) else "".join(format_exception(error))
+        self.get_logger().error(f"cannot {what}: {words}")
+        return TransitionCallbackReturn.FAILURE
+
+    def _activate(self) -> None:
+        """Raises DriverError; an activation that takes too long is taken back when it ends."""
+        hardware = self._opened()
+        robot = hardware.robot
+        hardware.loop.ask(robot.activate, _ACTIVATION, undo=lambda _: robot.release())
+
+    def _release(self) -> None:
+        """Raises StoppedError, DriverError."""
+        hardware = self._opened()
+        self._do(
+            lambda hardware, now: hardware.robot.begin_release(now, "the driver is deactivated")
+        )
+        end = time.monotonic() + hardware.release_time
+        while not self._do(lambda hardware, _: hardware.robot.released) and time.monotonic() < end:
+            if self._do(lambda hardware, _: hardware.robot.holding):
+                raise StoppedError(
+                    "the service stop was called on the way to rest: the robot holds, with its torque "
+                    "on; deactivate it again to let go"
+                )
+            self._publish()
+        for problem in self._do(lambda hardware, _: hardware.robot.release()):
+            self.get_logger().error(f"on release: {problem}")
+
+    # --- services ------------------------------------------------------------------------------
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """In the thread of its own node."""
+        try:
+            hardware = self._opened()
+            hardware.loop.insist(
+                lambda now: hardware.robot.stop(now, "the service stop was called")
+            )
+        except Exception as error:  # noqa: BLE001 (the next call must find the service alive)
+            response.success, response.message = False, str(error)
+        else:
+            response.success, response.message = True, "stopped, and holding"
+        return response
+
+    def destroy_node(self) -> None:
+        """Also ends the service stop."""
+        self._side.close()
+        super().destroy_node()
+
+    def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(
+            response,
+            lambda hardware, _: hardware.robot.home(),
+            "the present cable length is the initial one",
+        )
+
+    def _on_reboot(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._answer(
+            response,
+            lambda hardware, _: hardware.robot.reboot(),
+            "servos with a hardware error were restarted; home before the next activation",
+        )
+
+    def _answer(
+        self,
+        response: Trigger.Response,
+        action: Callable[[Hardware, float], object],
+        done: str,
+    ) -> Trigger.Response:
+        try:
+            self._do(action)
+            response.success, response.message = True, done
+        except DriverError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _do(self, action: Callable[[Hardware, float], T]) -> T:
+        """Has something done between two cycles. Raises DriverError."""
+        hardware = self._opened()
+        return hardware.loop.ask(lambda now: action(hardware, now))
+
+    def _opened(self) -> Hardware:
+        if self._hardware is None:
+            raise DriverError("the driver is not configured")
+        return self._hardware
+
+    # --- telemetry -----------------------------------------------------------------------------
+
+    def _wake(self) -> None:
+        """From the I/O thread: there is something to publish. Without a ROS context there is nothing to wake."""
+        try:
+            self._fresh.trigger()
+        except RuntimeError:
+            return
+
+    def _publish(self) -> None:
+        if self._hardware is not None and self.context.ok():
+            self._publish_all(self._hardware)
+
+    def _read_clocks(self) -> ClockPair:
+        """Both clocks now; a step of the ROS clock (NTP, a Pi without a clock of its own) is told.
+
+        The robot goes by the monotonic clock: stamps jump with the ROS clock, motion and figures do not.
+        """
+        clocks = ClockPair.read(lambda: self.get_clock().now().nanoseconds)
+        step = 0.0 if self._clocks is None else clocks.step_since(self._clocks)
+        if step:
+            self.get_logger().warning(f"the clock was set by {step:.3f} s: stamps jump by as much")
+        self._clocks = clocks
+        return clocks
+
+    def _publish_all(self, hardware: Hardware) -> None:
+        clocks = self._read_clocks()
+        while hardware.samples:
+            sample = hardware.samples.popleft()
+            self._action.on_power(sample)
+            self._power.publish(driver_messages.power(sample, clocks))
+        while hardware.snapshots:
+            self._publish_snapshot(hardware, hardware.snapshots.popleft(), clocks)
+
+    def _publish_snapshot(self, hardware: Hardware, snapshot: Snapshot, clocks: ClockPair) -> None:
+        self._latest = snapshot
+        initial = hardware.settings.body.initial_length
+        self._joint_states.publish(
+            driver_messages.joint_state(hardware.joint_names, snapshot, clocks)
+        )
+        if not math.isnan(snapshot.commanded):
+            self._commanded.publish(
+                driver_messages.body_length(
+                    BodyLength.COMMANDED, snapshot.command_time, snapshot.commanded, initial, clocks
+                )
+            )
+        if not math.isnan(snapshot.cable):
+            self._cable.publish(
+                driver_messages.body_length(
+                    BodyLength.CABLE, snapshot.read_time, snapshot.cable, initial, clocks
+                )
+            )
+        self._show_gait_state(snapshot, clocks)
+        self._action.on_snapshot(snapshot)
+
+    def _show_gait_state(self, snapshot: Snapshot, clocks: ClockPair) -> None:
+        player = snapshot.player
+        run = player.active_run
+        shown = (
+            snapshot.active,
+            player.phase,
+            player.message,
+            run and (run.number, run.onset, run.cycle(snapshot.command_time)),
+        )
+        if shown != self._shown:
+            self._shown = shown
+            self._gait_state.publish(driver_messages.gait_state(snapshot, clocks))
+
+    def _show_inactive(self, reason: str) -> None:
+        self._shown = None
+        message = GaitState(state=GaitState.INACTIVE, message=reason)
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._gait_state.publish(message)
+
+    def _tracker_ready(self) -> bool:
+        """Whether samples come in, or so long did not that there is no tracker (discovery may take 3 s)."""
+        return time.monotonic() - self._tracked < _FRESH or (
+            math.isinf(self._tracked) and time.monotonic() - self._born > _DISCOVERY
+        )
+
+    def _on_tracker(self, message: Tracker) -> None:
+        self._tracked = time.monotonic()
+        clocks = self._read_clocks()
+        self._action.on_position(clocks.monotonic(message.header.stamp), message.rear_position)
+
+    def _publish_diagnostics(self) -> None:
+        stamp = self.get_clock().now().to_msg()
+        hardware, latest = self._hardware, self._latest
+        if hardware is None or latest is None:
+            reports = [offline_report(self._failure)]
+        else:
+            reports = hardware.report(latest)
+            self._check_loop(hardware)
+        self._diagnostics.publish(driver_messages.diagnostics(reports, stamp))
+
+    def _check_loop(self, hardware: Hardware) -> None:
+        if not hardware.loop.alive:
+            failure = hardware.loop.failure
+            raise DriverError(f"the servo bus thread has ended: {failure!r}") from failure
+
+
+def main(args: list[str] | None = None) -> int:
+    """Runs the driver until SIGINT, SIGTERM or SIGHUP; the servos are released on every way out.
+
+    A first signal brings the robot to rest, a second one lets go at once.
+    """
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    try:
+        with ros_process(args) as ended:
+            _run(ended)
+    except (ConfigurationError, ParameterException) as error:
+        return _say(error, 2)
+    except DriverError as error:
+        return _say(error, 1)
+    return 0
+
+
+def _run(ended: Ending) -> None:
+    node = DriverNode()
+    ended.again = node.let_go
+    try:
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        spare_pauses()
+        node.autostart()
+        while not ended():
+            executor.spin_once(timeout_sec=0.05)
+    finally:
+        node.close("the driver ends")
+        node.destroy_node()
+
+
+def _say(error: Exception, status: int) -> int:
+    print(f"driver: {error}", file=sys.stderr)  # noqa: T201 (the command's own words)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver's ROS parameters: names, descriptions, ranges and defaults in one table, and the settings they make."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from worm_driver.control.driver_settings import DriverSettings, PowerSettings, load_body
+from worm_driver.control.supervision import Limits
+from worm_driver.errors import ConfigurationError
+from worm_driver.gait.gait_player import PlayerSettings
+from worm_driver.servos.transmission import Fin, Spool
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One parameter: its default gives the type; range is None where there is none (texts, flags, arrays)."""
+
+    name: str
+    default: Any
+    description: str
+    range: tuple[float, float] | None = None
+
+    def descriptor(self) -> ParameterDescriptor:
+        descriptor = ParameterDescriptor(name=self.name, description=self.description)
+        if self.range is None:
+            return descriptor
+        low, high = self.range
+        if isinstance(self.default, int):
+            descriptor.integer_range = [
+                IntegerRange(from_value=int(low), to_value=int(high), step=1)
+            ]
+        else:
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)
+            ]
+        return descriptor
+
+
+_ROWS = (
+    _Row("autostart", False, "Configure and activate by itself, without a lifecycle manager."),
+    _Row(
+        "parameter_file", "", "YAML with rear_mass, front_mass, initial_length; empty: the paper's."
+    ),
+    _Row("port", "/dev/worm_bus", "Serial device of the servo bus."),
+    _Row("baud_rate", 1_000_000, "bit/s, as set in the servos.", (9600, 4_000_000)),
+    _Row("rate_Hz", 100.0, "Rate of commands and telemetry.", (10.0, 100.0)),
+    _Row("bus_watchdog_s", 0.08, "Silence after which the servos stop by themselves.", (0.04, 2.0)),
+    _Row(
+        "home_at_start", False, "Take the length at configuring as the initial one, if not homed."
+    ),
+    _Row(
+        "i2c_bus", "1", "Number or device of the I2C bus, socket of a virtual robot; empty: none."
+    ),
+    _Row("i2c_address", 0x40, "Address of the INA219.", (0x40, 0x4F)),
+    _Row("ina219.shunt_resistance_ohm", 0.1, "Resistance of the shunt.", (1e-4, 10.0)),
+    _Row(
+        "ina219.max_current_A", 3.2, "Current above which a sample is an overflow.", (0.01, 100.0)
+    ),
+    _Row("cable_servos.ids", [1], "Ids of the cable servos."),
+    _Row("cable_servos.signs", [1], "1: rising ticks shorten the body; -1: they lengthen it."),
+    _Row("cable_servos.spool_radius_m", [0.025], "Spool radii, to the middle of the cable."),
+    _Row("fin_servos.ids", [11, 12], "Ids of the fin servos, rear to front."),
+    _Row("fin_servos.forward_angle_rad", [2.356, 2.356], "Servo angles for forward gaits."),
+    _Row("fin_servos.reverse_angle_rad", [3.927, 3.927], "Servo angles for reverse gaits."),
+    _Row("fin_servos.speed_rad_s", 3.0, "Speed of a flip.", (0.1, 6.0)),
+    _Row("limits.max_stroke_m", 0.09, "Largest stroke.", (1e-3, 1.0)),
+    _Row("limits.max_frequency_Hz", 0.4, "Highest frequency.", (0.01, 5.0)),
+    _Row("limits.max_cable_speed_m_s", 0.12, "Largest cable speed.", (1e-3, 2.0)),
+    _Row(
+        "limits.max_servo_current_A",
+        2.0,
+        "Of a cable servo; longer than 50 ms is a fault.",
+        (0.05, 5.0),
+    ),
+    _Row(
+        "limits.max_servo_load",
+        0.9,
+        "As max_servo_current_A, for a model without a current sensor (XL430): ratio of its load.",
+        (0.1, 1.0),
+    ),
+    _Row("limits.max_following_error_m", 0.015, "Of the cable; longer is a fault.", (1e-3, 0.2)),
+    _Row(
+        "limits.max_silence_s",
+        0.035,
+        "Time without a servo's state; longer is a fault.",
+        (0.0, 2.0),
+    ),
+    _Row("rest_duration_s", 1.0, "Least rest before a gait.", (0.1, 60.0)),
+    _Row("return_speed_m_s", 0.05, "Peak cable speed on the way back to rest.", (1e-3, 0.5)),
+)
+
+
+def declare(node: Node) -> None:
+    """Declares every parameter. A wrong type or range in the overrides raises rclpy's exceptions."""
+    for row in _ROWS:
+        node.declare_parameter(row.name, row.default, row.descriptor())
+
+
+def settings(node: Node) -> DriverSettings:
+    """The settings that the node's parameters make. Raises ConfigurationError."""
+
+    def value(name: str) -> Any:
+        return node.get_parameter(name).value
+
+    return DriverSettings(
+        port=value("port"),
+        baud_rate=value("baud_rate"),
+        watchdog=value("bus_watchdog_s"),
+        home_at_start=value("home_at_start"),
+        rate=value("rate_Hz"),
+        spools=tuple(
+            Spool(*row)
+            for row in _rows(
+                node, "cable_servos.ids", "cable_servos.signs", "cable_servos.spool_radius_m"
+            )
+        ),
+        fins=tuple(
+            Fin(*row)
+            for row in _rows(
+                node,
+                "fin_servos.ids",
+                "fin_servos.forward_angle_rad",
+                "fin_servos.reverse_angle_rad",
+            )
+        ),
+        max_stroke=value("limits.max_stroke_m"),
+        max_frequency=value("limits.max_frequency_Hz"),
+        max_cable_speed=value("limits.max_cable_speed_m_s"),
+        fin_speed=value("fin_servos.speed_rad_s"),
+        power=PowerSettings(
+            value("i2c_bus"),
+            value("i2c_address"),
+            value("ina219.shunt_resistance_ohm"),
+            value("ina219.max_current_A"),
+        ),
+        player=PlayerSettings(
+            rest_duration=value("rest_duration_s"),
+            rest_samples=10 if value("i2c_bus") else 0,
+            return_speed=value("return_speed_m_s"),
+            rest_timeout=value("rest_duration_s") + 2.0,
+            stall_time=value("bus_watchdog_s"),
+        ),
+        limits=Limits(
+            max_current=value("limits.max_servo_current_A"),
+            max_load=value("limits.max_servo_load"),
+            following_error=value("limits.max_following_error_m"),
+            max_silence=value("limits.max_silence_s"),
+        ),
+        body=load_body(value("parameter_file")),
+    )
+
+
+def _rows(node: Node, *names: str) -> list[tuple[Any, ...]]:
+    """Arrays of one length, as rows."""
+    columns = [_array(node, name) for name in names]
+    if len({len(column) for column in columns}) != 1:
+        lengths = ", ".join(f"{n} has {len(c)}" for n, c in zip(names, columns, strict=True))
+        raise ConfigurationError(f"these parameters need one entry per servo: {lengths}")
+    return list(zip(*columns, strict=True))
+
+
+def _array(node: Node, name: str) -> list[Any]:
+    """An array, also an empty one, which rcl reads as a parameter without a value."""
+    return list(node.get_parameter_or(name, Parameter(name)).value or [])

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The action run_gait: goals in, feedback and measured figures out.
+
+A goal that cannot be played is accepted and aborted at once, since a rejection has no room for the reason.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.node import Node
+from rclpy.task import Future
+
+from worm_driver.control.hardware import Hardware
+from worm_driver.control.telemetry import Snapshot
+from worm_driver.errors import DriverError
+from worm_driver.gait.gait_limits import Gait
+from worm_driver.gait.gait_metrics import Figures, RunRecord, distance, figures
+from worm_driver.gait.gait_player import Ending, Phase, Run
+from worm_driver.nodes.driver_messages import gait_from
+from worm_driver.power.ina219 import PowerSample
+from worm_msgs.action import RunGait
+
+#: s between two feedback messages
+_FEEDBACK_PERIOD = 0.2
+#: s after a run's end from which samples of the tracker are wanted, and for which they are waited for
+_TRACKER_AFTERWARDS = 0.3
+_TRACKER_PATIENCE = 1.0
+
+
+@dataclass
+class _Current:
+    """The run that is being played, and the goal that asked for it."""
+
+    goal: ServerGoalHandle
+    number: int
+    done: Future
+    record: RunRecord
+    next_feedback: float = -math.inf
+    ended: Run | None = None
+
+
+class RunGaitAction:
+    """Serves run_gait on a node; everything happens in the node's executor thread.
+
+    Args:
+        node: that serves.
+        hardware: gives what is open, or None while nothing is.
+    """
+
+    def __init__(self, node: Node, hardware: Callable[[], Hardware | None]):
+        self._node = node
+        self._hardware = hardware
+        # The last one is being played, those before it still wait for the tracker.
+        self._runs: list[_Current] = []
+        self._server = ActionServer(
+            node,
+            RunGait,
+            "run_gait",
+            self._execute,
+            cancel_callback=self._on_cancel,
+        )
+
+    def on_position(self, time_s: float, rear_position: float) -> None:
+        """Takes a tracker sample (s monotonic, m) into the run's record."""
+        if math.isfinite(rear_position):
+            for current in self._runs:
+                current.record.positions.append((time_s, rear_position))
+
+    def on_power(self, sample: PowerSample) -> None:
+        """Takes a power sample into the run's record."""
+        for current in self._runs:
+            current.record.power.append(sample)
+
+    def on_snapshot(self, snapshot: Snapshot) -> None:
+        """Gives feedback, and ends the goal when its run has ended."""
+        run = snapshot.player.run
+        for current in self._runs:
+            if run is not None and run.number == current.number and run.ending is None:
+                self._give_feedback(current, run, snapshot)
+            elif run is not None and run.number == current.number:
+                current.ended = run
+            if current.ended is not None and not current.done.done():
+                self._end_when_seen(current, current.ended, snapshot.command_time)
+
+    def abandon(self, reason: str) -> None:
+        """Ends the goals of runs that nothing plays any more."""
+        for current in self._runs:
+            if not current.done.done():
+                current.done.set_result(current.ended or reason)
+
+    def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        hardware = self._hardware()
+        if hardware is not None and self._runs and self._runs[-1].goal == goal:
+            hardware.loop.submit(hardware.robot.cancel)
+        return CancelResponse.ACCEPT
+
+    async def _execute(self, goal: ServerGoalHandle) -> RunGait.Result:
+        gait, cycles = gait_from(goal.request.gait), goal.request.cycles
+        try:
+            current = self._begin(goal, gait, cycles)
+        except DriverError as error:
+            self._node.get_logger().warning(f"gait refused: {error}")
+            goal.abort()
+            return _no_result(str(error))
+        outcome = await current.done
+        self._runs.remove(current)
+        return self._finish(current, outcome)
+
+    def _begin(self, goal: ServerGoalHandle, gait: Gait, cycles: int) -> _Current:
+        hardware = self._hardware()
+        if hardware is None:
+            raise DriverError("the driver is not configured: configure and activate it first")
+        number = hardware.loop.ask(
+            lambda now: hardware.robot.start(now, gait, cycles), undo=hardware.robot.cancel
+        )
+        current = _Current(goal, number, Future(), RunRecord())
+        self._runs.append(current)
+        if goal.is_cancel_requested:  # faster than this callback
+            hardware.loop.submit(hardware.robot.cancel)
+        return current
+
+    def _finish(self, current: _Current, outcome: Run | str) -> RunGait.Result:
+        goal = current.goal
+        if isinstance(outcome, str):
+            goal.abort()
+            return _no_result(outcome)
+        hardware = self._hardware()
+        body = hardware.settings.body if hardware is not None else None
+        if body is None:
+            goal.abort()
+            return _no_result("the driver was cleaned up during the run")
+        result = _result(outcome, figures(outcome, current.record, body))
+        if outcome.ending is Ending.COMPLETED:
+            goal.succeed()
+        elif outcome.ending is Ending.CANCELLED and goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        self._node.get_logger().info(f"run {outcome.number}: {result.message}")
+        return result
+
+    def _give_feedback(self, current: _Current, run: Run, snapshot: Snapshot) -> None:
+        now = snapshot.command_time
+        if now < current.next_feedback:
+            return
+        current.next_feedback = now + _FEEDBACK_PERIOD
+        record = current.record
+        current.goal.publish_feedback(
+            RunGait.Feedback(
+                cycle=run.cycle(now),
+                elapsed=_elapsed(run, snapshot),
+                distance=distance(run, record),
+                power=record.latest_power(),
+            )
+        )
+
+    @staticmethod
+    def _end_when_seen(current: _Current, run: Run, now: float) -> None:
+        """Ends a goal once the tracker has reported beyond the run's end, or has had its time."""
+        assert run.end is not None
+        positions = current.record.positions
+        seen = not positions or positions[-1][0] >= run.end + _TRACKER_AFTERWARDS
+        if seen or now > run.end + _TRACKER_PATIENCE:
+            current.done.set_result(run)
+
+
+def _elapsed(run: Run, snapshot: Snapshot) -> float:
+    """Time (s) since the onset; until then minus the time that has been rested."""
+    if run.onset is not None:
+        return snapshot.command_time - run.onset
+    resting = snapshot.player.phase is Phase.RESTING
+    return -(snapshot.command_time - snapshot.player.since) if resting else -0.0
+
+
+def _result(run: Run, found: Figures) -> RunGait.Result:
+    endings = {
+        Ending.COMPLETED: f"completed {found.cycles_completed} cycles",
+        Ending.CANCELLED: f"cancelled, at rest after {found.cycles_completed} cycles",
+        Ending.STOPPED: f"stopped: {run.reason}",
+        Ending.FAILED: f"fault: {run.reason}",
+        None: "unfinished",
+    }
+    return RunGait.Result(
+        success=run.ending is Ending.COMPLETED,
+        message="; ".join((endings[run.ending], *found.reasons)),
+        cycles_completed=found.cycles_completed,
+        cycles_averaged=found.cycles_averaged,
+        speed=found.speed,
+        power=found.power,
+        cost_of_transport=found.cost_of_transport,
+        idle_power=found.idle_power,
+    )
+
+
+def _no_result(message: str) -> RunGait.Result:
+    nan = math.nan
+    return RunGait.Result(
+        message=message, speed=nan, power=nan, cost_of_transport=nan, idle_power=nan
+    )

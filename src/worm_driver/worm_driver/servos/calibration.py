@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a calibration computes and writes: spools from ruler readings, and the driver's parameter file."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import yaml
+
+from worm_driver.errors import ConfigurationError
+from worm_driver.servos.registers import TICKS_PER_TURN
+from worm_driver.servos.transmission import Fin, Spool
+
+#: m, by which ruler readings may scatter about a straight line
+_SCATTER = 1.5e-3
+#: m, least change of length that a radius is computed from
+_LEAST_CHANGE = 5e-3
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A servo position (ticks) and the body length (m) that a ruler shows there."""
+
+    ticks: int
+    length: float
+
+
+def spool_from(servo: int, readings: Sequence[Reading]) -> tuple[Spool, float]:
+    """The spool that fits the readings best, and the largest deviation (m) from it.
+
+    The length is a straight line over the position; its slope is the radius, its fall the sign.
+
+    Raises:
+        ConfigurationError: too few readings, too little motion, or readings that fit no straight line.
+    """
+    if len({reading.ticks for reading in readings}) < 2:
+        raise ConfigurationError(f"cable servo {servo}: two positions at least are needed")
+    angles = [reading.ticks * 2 * math.pi / TICKS_PER_TURN for reading in readings]
+    lengths = [reading.length for reading in readings]
+    if max(lengths) - min(lengths) < _LEAST_CHANGE:
+        raise ConfigurationError(
+            f"cable servo {servo}: the body changed by less than {_LEAST_CHANGE * 1e3:g} mm: is the "
+            "cable attached and taut?"
+        )
+    mean_angle, mean_length = math.fsum(angles) / len(angles), math.fsum(lengths) / len(lengths)
+    spread = math.fsum((angle - mean_angle) ** 2 for angle in angles)
+    slope = (
+        math.fsum(
+            (a - mean_angle) * (x - mean_length) for a, x in zip(angles, lengths, strict=True)
+        )
+        / spread
+    )
+    worst = max(
+        abs(x - mean_length - slope * (a - mean_angle))
+        for a, x in zip(angles, lengths, strict=True)
+    )
+    if worst > _SCATTER:
+        raise ConfigurationError(
+            f"cable servo {servo}: a reading is {worst * 1e3:.1f} mm off the straight line through the "
+            "others: start where the cable is taut, and read again"
+        )
+    return Spool(servo, -1 if slope > 0 else 1, round(abs(slope), 5)), worst
+
+
+def parameter_text(port: str, baud_rate: int, spools: Sequence[Spool], fins: Sequence[Fin]) -> str:
+    """The driver's parameter file for what was found; all else stays at its default."""
+    parameters: dict[str, object] = {
+        "port": port,
+        "baud_rate": baud_rate,
+        "cable_servos": {
+            "ids": [spool.servo for spool in spools],
+            "signs": [spool.sign for spool in spools],
+            "spool_radius_m": [spool.radius for spool in spools],
+        },
+        "fin_servos": {
+            "ids": [fin.servo for fin in fins],
+            "forward_angle_rad": [round(fin.forward_angle, 4) for fin in fins],
+            "reverse_angle_rad": [round(fin.reverse_angle, 4) for fin in fins],
+        },
+    }
+    body = yaml.safe_dump(
+        {"/**/driver": {"ros__parameters": parameters}}, sort_keys=False, default_flow_style=None
+    )
+    return f"# Written by `worm_driver calibrate`; every other parameter keeps its default.\n{body}"

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A camera above the pipe: positions of both modules, with noise, occlusions and latency."""
+
+import math
+from dataclasses import dataclass
+from random import Random
+
+from worm_driver.virtual_robot.virtual_settings import TrackerSettings
+
+
+@dataclass(frozen=True)
+class TrackerSample:
+    """Positions (m) at the time of exposure (s), NaN where a marker is hidden.
+
+    available: s, when the camera hands the sample out.
+    """
+
+    time: float
+    rear_position: float
+    front_position: float
+    available: float
+
+    @property
+    def length(self) -> float:
+        """Distance (m) between the modules; NaN where a marker is hidden."""
+        return self.front_position - self.rear_position
+
+
+class Tracker:
+    """Exposes at a fixed rate. Zero is where the rear module starts."""
+
+    def __init__(self, settings: TrackerSettings, random: Random) -> None:
+        self._settings = settings
+        self._random = random
+        self._exposures = 0
+        self._hidden_until = [0.0, 0.0]
+        self.next_exposure = 0.0
+
+    def expose(self, time: float, rear: float, front: float) -> TrackerSample:
+        """A sample of the true positions (m) at a time (s)."""
+        self._exposures += 1
+        self.next_exposure = self._exposures / self._settings.rate
+        seen = [self._see(marker, time, true) for marker, true in enumerate((rear, front))]
+        return TrackerSample(time, seen[0], seen[1], time + self._settings.latency)
+
+    def _see(self, marker: int, time: float, true: float) -> float:
+        # Both are drawn each time, so that an occlusion does not shift the noise after it.
+        starts = self._random.random() < self._settings.occlusion_rate / self._settings.rate
+        noise = self._random.gauss(0.0, self._settings.noise)
+        if starts and time >= self._hidden_until[marker]:
+            self._hidden_until[marker] = time + self._settings.occlusion
+        return math.nan if time < self._hidden_until[marker] else true + noise

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From registers to what they ask of the motor."""
+
+import math
+
+from worm_driver.virtual_robot.servo import motor
+from worm_driver.virtual_robot.servo.control_table import (
+    CURRENT_MODE,
+    CURRENT_POSITION_MODE,
+    PULSES_PER_TURN,
+    PWM_MODE,
+    VELOCITY_MODE,
+    ServoModel,
+)
+from worm_driver.virtual_robot.servo.memory import RegisterMemory
+from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorCommand
+
+REVERSE_DRIVE = 0x01
+TIME_BASED_PROFILE = 0x04
+TORQUE_ON_BY_GOAL = 0x08
+
+SPEED_UNIT = 0.229 / 60 * PULSES_PER_TURN  # pulses/s
+FULL_PWM = 885
+
+_ACCELERATION_UNIT = 214.577 / 3600 * PULSES_PER_TURN  # pulses/s^2
+
+
+def direction_of(memory: RegisterMemory) -> int:
+    """1, or -1 in reverse mode."""
+    return -1 if memory["drive_mode"] & REVERSE_DRIVE else 1
+
+
+def motor_command(
+    memory: RegisterMemory, model: ServoModel, voltage: float, goal: float, planned: float
+) -> MotorCommand:
+    """The command.
+
+    voltage: V at the servo. goal: pulses of the shaft that the goal position means. planned: pulses
+    where the profile stands, from which a time-based profile starts.
+    """
+    full_speed = _full_speed(model, voltage)
+    speed = _speed_goal(memory, full_speed)
+    kind = motor.POSITION if speed is None else motor.VELOCITY
+    acceleration, velocity = _profile(memory, abs(goal - planned))
+    return MotorCommand(
+        kind if memory["torque_enable"] else motor.LIMP,
+        goal if speed is None else speed,
+        acceleration,
+        velocity,
+        full_speed * abs(memory["goal_pwm"]) / FULL_PWM,
+        _torque_limit(memory, model),
+    )
+
+
+def _full_speed(model: ServoModel, voltage: float) -> float:
+    """pulses/s that the motor reaches at a voltage (V)."""
+    return model.no_load_speed * voltage / model.nominal_voltage * PULSES_PER_RADIAN
+
+
+def _speed_goal(memory: RegisterMemory, full_speed: float) -> float | None:
+    """pulses/s that the operating mode asks for; None in the modes that go to a position.
+
+    A motor that the Bus Watchdog has stopped holds its position in all modes.
+    """
+    if memory["bus_watchdog"] < 0:
+        return None
+    direction = direction_of(memory)
+    mode = memory["operating_mode"]
+    if mode == VELOCITY_MODE:
+        return direction * memory["goal_velocity"] * SPEED_UNIT
+    if mode == PWM_MODE:
+        return direction * memory["goal_pwm"] / FULL_PWM * full_speed
+    if mode == CURRENT_MODE:
+        current = memory["goal_current"]
+        return direction * math.copysign(full_speed, current) if current else 0.0
+    return None
+
+
+def _torque_limit(memory: RegisterMemory, model: ServoModel) -> float:
+    """N*m that the current goal allows."""
+    if memory["operating_mode"] not in (CURRENT_MODE, CURRENT_POSITION_MODE):
+        return math.inf
+    return abs(memory["goal_current"]) * model.current_unit * model.torque_constant
+
+
+def _profile(memory: RegisterMemory, distance: float) -> tuple[float, float]:
+    """Acceleration (pulses/s^2) and velocity (pulses/s) of the profile; 0 in a register: none."""
+    velocity, acceleration = memory["profile_velocity"], memory["profile_acceleration"]
+    if memory["drive_mode"] & TIME_BASED_PROFILE:  # duration and ramp in ms
+        if velocity == 0:
+            return math.inf, math.inf
+        ramp = min(acceleration, velocity / 2) * 1e-3
+        speed = distance / (velocity * 1e-3 - ramp)
+        return (speed / ramp if ramp > 0 else math.inf), speed
+    return acceleration * _ACCELERATION_UNIT or math.inf, velocity * SPEED_UNIT or math.inf

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a servo measures of itself and its surroundings, and when it protects itself."""
+
+import math
+from dataclasses import dataclass
+
+from worm_driver.virtual_robot.servo import motor
+from worm_driver.virtual_robot.servo.control_table import ServoModel
+from worm_driver.virtual_robot.servo.drive import FULL_PWM, SPEED_UNIT, direction_of
+from worm_driver.virtual_robot.servo.encoder import Encoder
+from worm_driver.virtual_robot.servo.memory import RegisterMemory
+from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorCommand, MotorState
+
+INPUT_VOLTAGE_ERROR = 1 << 0
+OVERHEATING_ERROR = 1 << 2
+OVERLOAD_ERROR = 1 << 5
+
+_IN_POSITION = 20  # pulses
+_BLOCKED_ERROR = 0.2  # rad of following error at which a blocked motor takes its full current
+_OVERLOAD_LEVEL = 0.9  # of the strongest torque
+_OVERLOAD_TIME = 1.0  # s
+_HEATING_TIME = 300.0  # s
+_IDLE_HEAT = 5.0  # degC
+_STALL_HEAT = 20.0  # degC
+
+
+@dataclass
+class Surroundings:
+    """What acts on a servo from outside, set by its owner before a step.
+
+    load: N*m on the shaft, positive when it turns it backward. voltage: V. ambient: degC.
+    blocked: the shaft cannot turn.
+    """
+
+    load: float = 0.0
+    voltage: float = 12.0
+    ambient: float = 25.0
+    blocked: bool = False
+
+
+@dataclass(frozen=True)
+class Wear:
+    """What builds up over time. heat: degC above the ambient; overload: s that it has lasted."""
+
+    heat: float = _IDLE_HEAT
+    overload: float = 0.0
+
+
+def strongest_torque(memory: RegisterMemory, model: ServoModel) -> float:
+    """N*m that the motor gives at most."""
+    if "current_limit" not in memory:
+        return model.stall_torque
+    limit = memory["current_limit"] * model.current_unit * model.torque_constant
+    return min(limit, model.stall_torque)
+
+
+def motor_torque(
+    command: MotorCommand, state: MotorState, around: Surroundings, strongest: float
+) -> float:
+    """N*m, positive when the motor pushes forward: against the load, or against what blocks it."""
+    if command.kind == motor.LIMP:
+        return 0.0
+    if not around.blocked:
+        return around.load
+    if command.kind == motor.VELOCITY:
+        return math.copysign(strongest, command.goal) if command.goal else 0.0
+    error = (command.goal - state.position) / PULSES_PER_RADIAN
+    return min(max(error / _BLOCKED_ERROR, -1.0), 1.0) * strongest
+
+
+def supervise(
+    wear: Wear,
+    torque: float,
+    memory: RegisterMemory,
+    model: ServoModel,
+    around: Surroundings,
+    duration: float,
+) -> tuple[Wear, int]:
+    """Wear after a duration (s) with a torque (N*m), and the error bits that it brings."""
+    heating = _IDLE_HEAT + _STALL_HEAT * (torque / model.stall_torque) ** 2
+    heat = wear.heat + (heating - wear.heat) * min(duration / _HEATING_TIME, 1.0)
+    overloaded = abs(torque) >= _OVERLOAD_LEVEL * strongest_torque(memory, model)
+    wear = Wear(heat, wear.overload + duration if overloaded else 0.0)
+    bits = 0
+    voltage = voltage_raw(around)
+    if not memory["min_voltage_limit"] <= voltage <= memory["max_voltage_limit"]:
+        bits |= INPUT_VOLTAGE_ERROR
+    if around.ambient + heat > memory["temperature_limit"]:
+        bits |= OVERHEATING_ERROR
+    if wear.overload >= _OVERLOAD_TIME:
+        bits |= OVERLOAD_ERROR
+    return wear, bits
+
+
+def voltage_raw(around: Surroundings) -> int:
+    """The supply in the register's 0.1 V."""
+    return max(round(around.voltage * 10), 0)
+
+
+def motion_registers(
+    memory: RegisterMemory, encoder: Encoder, state: MotorState, command: MotorCommand
+) -> dict[str, int]:
+    """The registers that tell of the motion."""
+    direction = encoder.direction
+    velocity = direction * round(state.velocity / SPEED_UNIT)
+    return {
+        "present_velocity": velocity,
+        "present_position": encoder.raw(state.position),
+        "velocity_trajectory": direction * round(state.trajectory_velocity / SPEED_UNIT),
+        "position_trajectory": encoder.raw(state.trajectory_position),
+        "moving": int(abs(velocity) > memory["moving_threshold"]),
+        "moving_status": _moving_status(state, command),
+    }
+
+
+def torque_registers(
+    memory: RegisterMemory, model: ServoModel, torque: float, noise: float
+) -> dict[str, int]:
+    """The registers that tell of a torque (N*m); noise: counts of current or load."""
+    signed = direction_of(memory) * torque
+    share = signed / model.stall_torque
+    registers = {"present_pwm": round(min(max(share, -1.0), 1.0) * FULL_PWM)}
+    if "present_current" in memory:
+        counts = signed / model.torque_constant / model.current_unit + noise
+        registers["present_current"] = round(min(max(counts, -32767), 32767))
+    else:
+        registers["present_load"] = round(min(max(share * 1000 + noise, -1000), 1000))
+    return registers
+
+
+def _moving_status(state: MotorState, command: MotorCommand) -> int:
+    if command.kind != motor.POSITION:
+        return 0
+    arrived = abs(command.goal - state.position) <= _IN_POSITION
+    ongoing = state.trajectory_position != command.goal
+    profile = 0x30 if command.velocity != math.inf else 0
+    return int(arrived) | int(ongoing) << 1 | profile

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The register memory of one virtual servo: raw values by name, bytes by address, write rules."""
+
+from collections.abc import Iterable, Mapping
+
+from worm_driver.virtual_robot.servo.control_table import (
+    CURRENT_POSITION_MODE,
+    EEPROM_END,
+    EXTENDED_POSITION_MODE,
+    EXTENDED_RANGE,
+    GOALS,
+    POSITION_MODE,
+    TABLE_END,
+    Register,
+    ServoModel,
+)
+from worm_driver.virtual_robot.wire.packet import Error
+
+_LIMITED_BY = {
+    "goal_pwm": "pwm_limit",
+    "goal_current": "current_limit",
+    "goal_velocity": "velocity_limit",
+}
+
+
+class RegisterError(Exception):
+    """An access that a servo refuses; number is what its status packet says."""
+
+    def __init__(self, number: Error) -> None:
+        super().__init__(number.name)
+        self.number = number
+
+
+class RegisterMemory:
+    """The control table of a servo with its present contents."""
+
+    def __init__(self, model: ServoModel, settings: Mapping[str, int]) -> None:
+        """settings: EEPROM values, raw, that differ from the factory's."""
+        self._rows = model.registers
+        self._modes = model.modes
+        self._by_address = {row.address: row for row in self._rows.values()}
+        self._bytes = bytearray(TABLE_END)
+        self.set_to_factory(keep=())
+        for name, value in settings.items():
+            self[name] = value
+
+    def __getitem__(self, name: str) -> int:
+        row = self._rows[name]
+        return row.decode(self._bytes[row.address : row.address + row.size])
+
+    def __setitem__(self, name: str, value: int) -> None:
+        row = self._rows[name]
+        self._bytes[row.address : row.address + row.size] = row.encode(value)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._rows
+
+    def set_to_factory(self, keep: Iterable[str]) -> None:
+        """All registers back to the factory's values, but for those to keep."""
+        kept = {name: self[name] for name in keep}
+        for row in self._rows.values():
+            self[row.name] = row.initial
+        for name, value in kept.items():
+            self[name] = value
+
+    def power_up(self) -> None:
+        """RAM as it is after power-up; EEPROM stays."""
+        for row in self._rows.values():
+            if row.address >= EEPROM_END:
+                self[row.name] = row.initial
+        self.reset_goals()
+
+    def reset_mode_dependents(self) -> None:
+        """What a change of the operating mode sets back: gains, profile, goals."""
+        for name, row in self._rows.items():
+            if name.endswith("_gain") or name.startswith("profile_"):
+                self[name] = row.initial
+        self.reset_goals()
+
+    def reset_goals(self) -> None:
+        """Goal PWM and goal current to their limits, goal velocity to zero."""
+        self["goal_pwm"] = self["pwm_limit"]
+        if "goal_current" in self:
+            self["goal_current"] = self["current_limit"]
+        self["goal_velocity"] = 0
+
+    def read(self, address: int, length: int) -> bytes:
+        """Bytes of a range; gaps between registers read as 0."""
+        if address + length > TABLE_END:
+            raise RegisterError(Error.ACCESS)
+        return bytes(self._bytes[address : address + length])
+
+    def check_write(self, address: int, data: bytes) -> list[tuple[Register, int]]:
+        """The registers that a write sets, with their new raw values; nothing is written yet."""
+        changes = []
+        while data:
+            row = self._by_address.get(address)
+            if row is None or not row.writable:
+                raise RegisterError(Error.ACCESS)
+            if len(data) < row.size:
+                raise RegisterError(Error.DATA_LENGTH)
+            value = row.decode(data[: row.size])
+            self._check_value(row, value)
+            changes.append((row, value))
+            address, data = address + row.size, data[row.size :]
+        if not changes:
+            raise RegisterError(Error.DATA_LENGTH)
+        return changes
+
+    def _check_value(self, row: Register, value: int) -> None:
+        if row.address < EEPROM_END and self["torque_enable"]:
+            raise RegisterError(Error.ACCESS)
+        if row.name in GOALS and self["bus_watchdog"] < 0:
+            raise RegisterError(Error.DATA_RANGE)
+        if row.name == "bus_watchdog":
+            allowed = value == 0 or (self["bus_watchdog"] >= 0 and value > 0)
+        elif row.name == "operating_mode":
+            allowed = value in self._modes
+        elif row.name in _LIMITED_BY:
+            if abs(value) > self[_LIMITED_BY[row.name]]:
+                raise RegisterError(Error.DATA_LIMIT)
+            allowed = True
+        elif row.name == "goal_position":
+            self._check_goal_position(value)
+            allowed = True
+        else:
+            allowed = row.low <= value <= row.high
+        if not allowed:
+            raise RegisterError(Error.DATA_RANGE)
+
+    def _check_goal_position(self, value: int) -> None:
+        mode = self["operating_mode"]
+        if mode == POSITION_MODE:
+            if not self["min_position_limit"] <= value <= self["max_position_limit"]:
+                raise RegisterError(Error.DATA_LIMIT)
+        elif (
+            mode in (EXTENDED_POSITION_MODE, CURRENT_POSITION_MODE) and abs(value) > EXTENDED_RANGE
+        ):
+            raise RegisterError(Error.DATA_RANGE)

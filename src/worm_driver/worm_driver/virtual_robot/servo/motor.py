@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motion of a servo's shaft: profile, position loop, speed limit, stall, back-driving.
+
+Positions in pulses of the shaft (4096 a turn, never folded), speeds in pulses/s, torques in N*m.
+"""
+
+import math
+from typing import NamedTuple
+
+from worm_driver.virtual_robot.servo.control_table import PULSES_PER_TURN, ServoModel
+
+PULSES_PER_RADIAN = PULSES_PER_TURN / (2 * math.pi)
+
+_POSITION_LOOP_TIME = 0.020  # s, error over speed of the position loop
+_VELOCITY_LOOP_TIME = 0.006  # s, lag of the speed behind what the position loop asks for
+_BREAKAWAY = 0.1  # of the stall torque: gear friction that a load must overcome to turn the shaft
+_BACKDRIVE_SPEED = 2.0  # rad/s at a load of the stall torque beyond the breakaway
+_STILL = 1e-3  # pulses and pulses/s below which a motor at its goal is left alone
+
+LIMP = 0
+POSITION = 1
+VELOCITY = 2
+BLOCKED = 3
+
+
+class MotorState(NamedTuple):
+    """Shaft and trajectory (what the profile asks for at this moment)."""
+
+    position: float
+    velocity: float = 0.0
+    trajectory_position: float = 0.0
+    trajectory_velocity: float = 0.0
+
+
+class MotorCommand(NamedTuple):
+    """What the registers ask of the motor.
+
+    kind: LIMP (torque off), POSITION or VELOCITY. goal: pulses, or pulses/s for VELOCITY.
+    acceleration (pulses/s^2) and velocity (pulses/s) of the profile, inf: none. speed_limit:
+    pulses/s, what the supply and the PWM goal allow. torque_limit: N*m, what the current goal
+    allows; inf: the motor's own.
+    """
+
+    kind: int
+    goal: float
+    acceleration: float
+    velocity: float
+    speed_limit: float
+    torque_limit: float
+
+
+def at_rest(position: float) -> MotorState:
+    """A motor that stands still."""
+    return MotorState(position, 0.0, position, 0.0)
+
+
+def step(
+    state: MotorState, command: MotorCommand, load: float, model: ServoModel, step_s: float
+) -> MotorState:
+    """The state a step (s) later; load (N*m) is positive when it turns the shaft backward."""
+    kind, goal = command.kind, command.goal
+    if kind == POSITION and load_is_held(load, command, model):
+        if (
+            abs(goal - state.position) < _STILL
+            and abs(state.velocity) < _STILL
+            and state.trajectory_position == goal
+        ):
+            return state
+        position, velocity = _profile(state, command, step_s)
+        wanted = velocity + (position - state.position) / _POSITION_LOOP_TIME
+        return _turn(state, wanted, position, velocity, command.speed_limit, step_s)
+    if kind == VELOCITY and load_is_held(load, command, model):
+        velocity = _approach(state.trajectory_velocity, goal, command.acceleration * step_s)
+        return _turn(state, velocity, state.position, velocity, command.speed_limit, step_s)
+    if kind == BLOCKED:
+        position, velocity = _profile(state, command, step_s)
+        return MotorState(state.position, 0.0, position, velocity)
+    motor_torque = 0.0 if kind == LIMP else command.torque_limit
+    velocity = backdrive_velocity(load, motor_torque, model)
+    position = state.position + velocity * step_s
+    return MotorState(position, velocity, position, 0.0)
+
+
+def load_is_held(load: float, command: MotorCommand, model: ServoModel) -> bool:
+    """Whether motor and gear friction together stand the load."""
+    return abs(load) <= command.torque_limit + _BREAKAWAY * model.stall_torque
+
+
+def backdrive_velocity(load: float, motor_torque: float, model: ServoModel) -> float:
+    """Speed (pulses/s) at which a load (N*m) turns a shaft that is held with a torque (N*m)."""
+    excess = abs(load) - motor_torque - _BREAKAWAY * model.stall_torque
+    if excess <= 0:
+        return 0.0
+    speed = _BACKDRIVE_SPEED * excess / model.stall_torque * PULSES_PER_RADIAN
+    return -math.copysign(speed, load)
+
+
+def _profile(state: MotorState, command: MotorCommand, step_s: float) -> tuple[float, float]:
+    """Position and velocity of the trapezoidal profile a step later."""
+    distance = command.goal - state.trajectory_position
+    if command.velocity == math.inf and command.acceleration == math.inf:
+        return command.goal, 0.0
+    braking = command.velocity
+    if command.acceleration != math.inf:
+        braking = min(braking, math.sqrt(2 * command.acceleration * abs(distance)))
+    velocity = _approach(
+        state.trajectory_velocity,
+        math.copysign(braking, distance),
+        command.acceleration * step_s,
+    )
+    if abs(distance) <= abs(velocity) * step_s:
+        return command.goal, 0.0
+    return state.trajectory_position + velocity * step_s, velocity
+
+
+def _approach(value: float, target: float, most: float) -> float:
+    return min(max(target, value - most), value + most)
+
+
+def _turn(
+    state: MotorState,
+    wanted: float,
+    trajectory_position: float,
+    trajectory_velocity: float,
+    speed_limit: float,
+    step_s: float,
+) -> MotorState:
+    wanted = min(max(wanted, -speed_limit), speed_limit)
+    velocity = state.velocity + (wanted - state.velocity) * step_s / _VELOCITY_LOOP_TIME
+    return MotorState(
+        state.position + velocity * step_s, velocity, trajectory_position, trajectory_velocity
+    )

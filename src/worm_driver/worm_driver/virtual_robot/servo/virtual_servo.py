@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One virtual servo: its life, the instructions it obeys, its shaft.
+
+Times are seconds of the virtual robot's clock and never go back. What the e-manual leaves open is
+decided here as follows: the Bus Watchdog is fed only by packets that name this servo or that are
+broadcast writes; after it fired the shaft holds where it stopped until a new goal is written;
+torque cannot be enabled after a shutdown (Result Fail), nor a factory reset be done with torque on.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from random import Random
+
+from worm_driver.virtual_robot.servo import motor
+from worm_driver.virtual_robot.servo.control_table import GOALS, POSITION_MODE, Register, ServoModel
+from worm_driver.virtual_robot.servo.drive import TORQUE_ON_BY_GOAL, direction_of, motor_command
+from worm_driver.virtual_robot.servo.encoder import Encoder, turns_of
+from worm_driver.virtual_robot.servo.measurement import (
+    Surroundings,
+    Wear,
+    motion_registers,
+    motor_torque,
+    strongest_torque,
+    supervise,
+    torque_registers,
+    voltage_raw,
+)
+from worm_driver.virtual_robot.servo.memory import RegisterError, RegisterMemory
+from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorState
+from worm_driver.virtual_robot.wire.packet import ALERT, Error
+
+_WATCHDOG_UNIT = 0.020  # s
+_TICK_WRAP = 32768  # ms
+_CLEAR_KEY = b"\x01\x44\x58\x4c\x22"
+_CLEAR_FIRMWARE = 42
+_FACTORY_RESET_KEEPS: Mapping[int, tuple[str, ...]] = {
+    0xFF: (),
+    0x01: ("id",),
+    0x02: ("id", "baud_rate"),
+}
+
+
+@dataclass
+class Servo:
+    """State of one servo. settings: EEPROM values, raw; start: pulses of the shaft, unfolded."""
+
+    model: ServoModel
+    settings: Mapping[str, int]
+    start: float
+    boot_time: float
+    random: Random
+    surroundings: Surroundings = field(default_factory=Surroundings)
+
+    def __post_init__(self) -> None:
+        self.memory = RegisterMemory(self.model, self.settings)
+        self.motor: MotorState = motor.at_rest(self.start)
+        self._time = 0.0
+        self._silent_until = 0.0
+        self._wear = Wear()
+        self._power_up()
+
+    # --- life ---------------------------------------------------------------------------------
+
+    def reboot(self, time: float) -> None:
+        """Power-up or Reboot: RAM is lost, torque is off, the position is folded to one turn."""
+        self._silent_until = time + self.boot_time
+        self._time = time
+        self._power_up()
+
+    def _power_up(self) -> None:
+        self.memory.power_up()
+        self._booted_at = self._time
+        self._shut_down = False
+        self._wear = Wear(self._wear.heat)
+        self._fed_at = self._time
+        self._registered: tuple[int, bytes] | None = None
+        self._fold()
+        self._hold()
+
+    def answers(self, time: float) -> bool:
+        """Whether the servo listens (it does not while it boots)."""
+        return time >= self._silent_until
+
+    @property
+    def servo_id(self) -> int:
+        """Its id on the bus."""
+        return self.memory["id"]
+
+    @property
+    def shaft_angle(self) -> float:
+        """rad, unfolded."""
+        return self.motor.position / PULSES_PER_RADIAN
+
+    @property
+    def return_delay(self) -> float:
+        """Time (s) between an instruction and its status."""
+        return self.memory["return_delay_time"] * 2e-6
+
+    def alert(self) -> int:
+        """The alert bit of the error byte."""
+        return ALERT if self.memory["hardware_error_status"] else 0
+
+    def feed_watchdog(self, time: float) -> None:
+        """An instruction packet for this servo was seen."""
+        self._fed_at = time
+
+    # --- instructions -------------------------------------------------------------------------
+
+    def read(self, address: int, length: int) -> bytes:
+        """Register bytes, the measured ones fresh. Raises RegisterError."""
+        self._measure()
+        return self.memory.read(address, length)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Sets registers, all or none. Raises RegisterError."""
+        changes = self.memory.check_write(address, data)
+        turns_on = any(row.name == "torque_enable" and value for row, value in changes)
+        if turns_on and self._shut_down:
+            raise RegisterError(Error.RESULT_FAIL)
+        for row, value in changes:
+            self._apply(row, value)
+        self._update_command()
+
+    def register_write(self, address: int, data: bytes) -> None:
+        """Keeps a write for action(). Raises RegisterError."""
+        self.memory.check_write(address, data)
+        self._registered = (address, data)
+        self.memory["registered_instruction"] = 1
+
+    def action(self) -> None:
+        """Does the registered write. Raises RegisterError."""
+        if self._registered is None:
+            raise RegisterError(Error.INSTRUCTION)
+        (address, data), self._registered = self._registered, None
+        self.memory["registered_instruction"] = 0
+        self.write(address, data)
+
+    def clear_turns(self, parameters: bytes) -> None:
+        """The Clear instruction: folds the position to one turn. Raises RegisterError."""
+        if parameters != _CLEAR_KEY:
+            raise RegisterError(Error.DATA_RANGE)
+        if self.memory["firmware_version"] < _CLEAR_FIRMWARE:
+            raise RegisterError(Error.INSTRUCTION)
+        self._measure()
+        if self.memory["moving"]:
+            raise RegisterError(Error.RESULT_FAIL)
+        self._fold()
+        self._hold()
+
+    def factory_reset(self, parameters: bytes, time: float) -> None:
+        """The Factory Reset instruction, then a reboot. Raises RegisterError."""
+        if len(parameters) != 1 or parameters[0] not in _FACTORY_RESET_KEEPS:
+            raise RegisterError(Error.DATA_RANGE)
+        if self.memory["torque_enable"]:
+            raise RegisterError(Error.RESULT_FAIL)
+        self.memory.set_to_factory(_FACTORY_RESET_KEEPS[parameters[0]])
+        self.reboot(time)
+
+    def _apply(self, row: Register, value: int) -> None:
+        """Sets one register and does what follows from it."""
+        self._wake_by_goal(row.name)
+        self.memory[row.name] = value
+        if row.name == "operating_mode":
+            self.memory.reset_mode_dependents()
+            self._fold_in_position_mode()
+        elif row.name == "torque_enable":
+            self._switch_torque(value)
+        elif row.name == "bus_watchdog":
+            self._fed_at = self._time
+        elif row.name == "goal_position":
+            self._goal = self._encoder.shaft(value)
+
+    def _switch_torque(self, value: int) -> None:
+        self._fed_at = self._time
+        if value:
+            self._fold_in_position_mode()
+            self._hold()
+
+    def _wake_by_goal(self, name: str) -> None:
+        """A goal turns torque on by itself in one of the drive modes."""
+        asleep = not self.memory["torque_enable"] and not self._shut_down
+        if name in GOALS and asleep and self.memory["drive_mode"] & TORQUE_ON_BY_GOAL:
+            self.memory["torque_enable"] = 1
+            self._switch_torque(1)
+
+    # --- position -----------------------------------------------------------------------------
+
+    @property
+    def _encoder(self) -> Encoder:
+        return Encoder(direction_of(self.memory), self._folded_turns, self.memory["homing_offset"])
+
+    def _fold(self) -> None:
+        """Present Position loses its whole turns."""
+        self._folded_turns = turns_of(self.motor.position, direction_of(self.memory))
+
+    def _fold_in_position_mode(self) -> None:
+        if self.memory["operating_mode"] == POSITION_MODE:
+            self._fold()
+
+    def _hold(self) -> None:
+        """The goal is where the shaft is."""
+        self.motor = motor.at_rest(self.motor.position)
+        self._goal = self.motor.position
+        self.memory["goal_position"] = self._encoder.raw(self._goal)
+        self._update_command()
+
+    # --- motion -------------------------------------------------------------------------------
+
+    def step(self, time: float, step_s: float) -> None:
+        """Moves the shaft to a time, a step (s) after the last one."""
+        self._time = time
+        if time - self._fed_at > self._watchdog_time:
+            self._stop_by_watchdog()
+        around = self.surroundings
+        command = self._command
+        if around.blocked:
+            command = command._replace(kind=motor.BLOCKED)
+        self.motor = motor.step(self.motor, command, around.load, self.model, step_s)
+
+    def _stop_by_watchdog(self) -> None:
+        for name in ("profile_velocity", "profile_acceleration", "goal_velocity"):
+            self.memory[name] = 0
+        self.memory["bus_watchdog"] = -1
+        goal = self.memory["goal_position"]
+        self._hold()
+        self.memory["goal_position"] = goal  # the register is read-only now
+
+    def _update_command(self) -> None:
+        """Puts what the registers ask for into numbers, so that a step needs no register."""
+        watchdog = self.memory["bus_watchdog"]
+        armed = watchdog > 0 and self.memory["torque_enable"]
+        self._watchdog_time = watchdog * _WATCHDOG_UNIT if armed else math.inf
+        planned = self.motor.trajectory_position
+        voltage = self.surroundings.voltage
+        self._command = motor_command(self.memory, self.model, voltage, self._goal, planned)
+
+    # --- measurements and protections ---------------------------------------------------------
+
+    def supervise(self, duration: float) -> None:
+        """Temperature and protections over the duration (s) since the last call."""
+        self._wear, bits = supervise(
+            self._wear, self._torque(), self.memory, self.model, self.surroundings, duration
+        )
+        if bits:
+            self.raise_alert(bits)
+
+    def raise_alert(self, bits: int) -> None:
+        """Sets bits of Hardware Error Status, and shuts down if the Shutdown mask says so."""
+        self.memory["hardware_error_status"] |= bits
+        if bits & self.memory["shutdown"]:
+            self.memory["torque_enable"] = 0
+            self._shut_down = True
+            self._update_command()
+
+    def _torque(self) -> float:
+        strongest = strongest_torque(self.memory, self.model)
+        return motor_torque(self._command, self.motor, self.surroundings, strongest)
+
+    def _measure(self) -> None:
+        """Puts the measured values into their registers."""
+        memory, around = self.memory, self.surroundings
+        noise = self.random.gauss(0.0, 1.0) if memory["torque_enable"] else 0.0
+        registers = {
+            **motion_registers(memory, self._encoder, self.motor, self._command),
+            **torque_registers(memory, self.model, self._torque(), noise),
+            "realtime_tick": int((self._time - self._booted_at) * 1000) % _TICK_WRAP,
+            "present_input_voltage": voltage_raw(around),
+            "present_temperature": min(round(around.ambient + self._wear.heat), 255),
+        }
+        for name, value in registers.items():
+            memory[name] = value

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole virtual robot on a clock of its own: servos, worm, power sensor, camera, faults.
+
+Time is an argument: the process passes wall-clock time, a test or a rehearsal any other. With the
+same settings and the same bytes at the same times everything repeats exactly.
+"""
+
+from collections import deque
+from random import Random
+
+from worm_driver.virtual_robot.camera import Tracker, TrackerSample
+from worm_driver.virtual_robot.plant import FORWARD, LOOSE, REVERSE, Plant, make_grooves
+from worm_driver.virtual_robot.servo.control_table import (
+    BAUD_RATES,
+    EXTENDED_POSITION_MODE,
+    POSITION_MODE,
+)
+from worm_driver.virtual_robot.servo.measurement import OVERLOAD_ERROR
+from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN
+from worm_driver.virtual_robot.servo.virtual_servo import Servo
+from worm_driver.virtual_robot.virtual_settings import (
+    CableServoSettings,
+    FinServoSettings,
+    LineSettings,
+    RobotSettings,
+    perturbed,
+)
+from worm_driver.virtual_robot.wire import faults
+from worm_driver.virtual_robot.wire.faults import FaultBoard
+from worm_driver.virtual_robot.wire.i2c_line import I2cLine
+from worm_driver.virtual_robot.wire.ina219_chip import AdcNoise, Ina219
+from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
+from worm_driver.virtual_robot.wire.virtual_bus import ServoBus, Transmission
+
+_HOUSEKEEPING = 0.005  # s between looks at faults
+_SUPERVISION = 0.050  # s between the servos' looks at their protections
+_TOO_HOT = 100.0  # degC that the fault of that name adds
+
+
+class VirtualRobot:
+    """A robot that starts at time 0 (s), at rest, with torque off."""
+
+    def __init__(self, settings: RobotSettings, board: FaultBoard | None = None) -> None:
+        self.settings = settings
+        self.board = FaultBoard() if board is None else board
+        self.plant = _make_plant(settings)
+        self.state = self.plant.at_rest()
+        self._cable = [
+            (item, self._make_servo(item, EXTENDED_POSITION_MODE)) for item in settings.cable_servos
+        ]
+        self._fins = [(item, self._make_servo(item, POSITION_MODE)) for item in settings.fin_servos]
+        self.servos = tuple(servo for _, servo in [*self._cable, *self._fins])
+        self._bus = ServoBus(self.servos, self.board, self._random("fuzz"))
+        sensor = settings.power_sensor
+        self.chip = Ina219(AdcNoise(sensor.shunt_noise, sensor.bus_noise), self._random("sensor"))
+        self._i2c = I2cLine(self.chip, sensor.address, self.board)
+        self._tracker = Tracker(settings.tracker, self._random("tracker"))
+        self._ripple = self._random("ripple")
+        self._samples: deque[TrackerSample] = deque()
+        self._vanished: set[int] = set()
+        self.laws = (LOOSE, LOOSE)
+        self._fin_positions: list[float] = []
+        self._extra_current = 0.0
+        self._steps = 0
+        self._next_housekeeping = 0.0
+        self._next_supervision = 0.0
+        self.bus_voltage = settings.supply.voltage
+        self._set_laws()
+
+    def _random(self, purpose: str) -> Random:
+        return Random(f"{self.settings.seed} {self.settings.recording} {purpose}")
+
+    def _make_servo(self, item: CableServoSettings | FinServoSettings, mode: int) -> Servo:
+        return Servo(
+            item.model,
+            _eeprom(item.id, self.settings.line, mode),
+            item.start_angle * PULSES_PER_RADIAN,
+            self.settings.line.boot_time,
+            self._random(f"servo {item.id}"),
+        )
+
+    # --- what the outside does ------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Time (s) of the last step, 0 at the start."""
+        return self._steps * self.settings.step
+
+    def advance(self, time: float) -> None:
+        """Lets everything happen until a time (s)."""
+        last = int(time / self.settings.step + 1e-9)
+        while self._steps < last:
+            self._step()
+
+    def receive(self, data: bytes, time: float, baud_rate: int | None = None) -> list[Transmission]:
+        """What the servos answer to bytes sent at a time (s) with a rate (bit/s; None: theirs)."""
+        self.advance(time)
+        return self._bus.feed(data, time, baud_rate)
+
+    def transact(self, request: Request, time: float) -> Answer:
+        """What the power sensor's line answers to a transaction at a time (s)."""
+        self.advance(time)
+        return self._i2c.transact(request, time)
+
+    def take_samples(self, time: float) -> list[TrackerSample]:
+        """The camera's samples that have become available by a time (s)."""
+        taken = []
+        while self._samples and self._samples[0].available <= time:
+            taken.append(self._samples.popleft())
+        return taken
+
+    # --- one step -------------------------------------------------------------------------------
+
+    def _step(self) -> None:
+        step_s = self.settings.step
+        self._steps += 1
+        time = self._steps * step_s
+        pull = max(self.state.cable_force, 0.0) / len(self._cable)
+        for item, servo in self._cable:
+            servo.surroundings.load = item.sign * pull * item.spool_radius
+        for servo in self.servos:
+            servo.step(time, step_s)
+        self._set_laws()
+        self.state = self.plant.step(self.state, self.cable_change, self.laws)
+        self._measure_power(time)
+        if time >= self._tracker.next_exposure:
+            self._samples.append(self._tracker.expose(time, *self.plant.positions(self.state)))
+        if time >= self._next_housekeeping:
+            self._keep_house(time)
+
+    @property
+    def cable_change(self) -> float:
+        """Cable (m) that the servos have paid out since the start; wound in is negative."""
+        wound = sum(
+            item.sign * (servo.shaft_angle - item.start_angle) * item.spool_radius
+            for item, servo in self._cable
+        )
+        return -wound / len(self._cable)
+
+    def _set_laws(self) -> None:
+        positions = [servo.motor.position for _, servo in self._fins]
+        if positions != self._fin_positions:
+            self._fin_positions = positions
+            self.laws = (self._law("rear"), self._law("front"))
+
+    def _law(self, module: str) -> int:
+        """The direction that all fins of a module agree on."""
+        found = {self._fin_law(item, servo) for item, servo in self._fins if item.module == module}
+        return found.pop() if len(found) == 1 else LOOSE
+
+    def _fin_law(self, item: FinServoSettings, servo: Servo) -> int:
+        tolerance = self.settings.fin_tolerance
+        if abs(servo.shaft_angle - item.forward_angle) <= tolerance:
+            return FORWARD
+        return REVERSE if abs(servo.shaft_angle - item.reverse_angle) <= tolerance else LOOSE
+
+    def _measure_power(self, time: float) -> None:
+        supply = self.settings.supply
+        power = self.plant.electrical_power(self.state)
+        power = max(power + self._ripple.gauss(0.0, supply.power_noise), 0.0)
+        current = power / self.bus_voltage + self._extra_current
+        # The voltage follows the current a step later, which settles within a few steps.
+        self.bus_voltage = max(supply.voltage - supply.resistance * current, 0.5 * supply.voltage)
+        shunt = current * self.settings.power_sensor.shunt
+        self.chip.advance(time, shunt, self.bus_voltage)
+
+    # --- faults and protections -----------------------------------------------------------------
+
+    def _keep_house(self, time: float) -> None:
+        self._next_housekeeping = time + _HOUSEKEEPING
+        for servo in self.servos:
+            self._surround(servo, time)
+        if time >= self._next_supervision:
+            self._next_supervision = time + _SUPERVISION
+            for servo in self.servos:
+                servo.supervise(_SUPERVISION)
+        self._disturb_sensor(time)
+        self.board.forget_past(time)
+
+    def _surround(self, servo: Servo, time: float) -> None:
+        board, around, servo_id = self.board, servo.surroundings, servo.servo_id
+        low = board.active(faults.INPUT_VOLTAGE, time, servo_id)
+        around.voltage = self.bus_voltage if low is None else low.value
+        hot = board.active(faults.OVERHEATING, time, servo_id)
+        around.ambient = 25.0 if hot is None else 25.0 + _TOO_HOT
+        around.blocked = board.active(faults.STALLED, time, servo_id) is not None
+        if board.active(faults.OVERLOAD, time, servo_id):
+            servo.raise_alert(OVERLOAD_ERROR)
+        if board.active(faults.VANISHED, time, servo_id):
+            if servo_id not in self._vanished:
+                self._vanished.add(servo_id)
+                servo.reboot(time)  # without supply the torque is off at once
+        elif servo_id in self._vanished:
+            self._vanished.remove(servo_id)
+            servo.reboot(time)
+
+    def _disturb_sensor(self, time: float) -> None:
+        overflow = self.board.active(faults.INA219_OVERFLOW, time)
+        surge = overflow or self.board.active(faults.INA219_SATURATION, time)
+        self._extra_current = 0.0 if surge is None else surge.value
+        self.chip.force_overflow(forced=overflow is not None)
+        if self.board.take(faults.INA219_RESET, time):
+            self.chip.power_on()
+
+
+def _make_plant(settings: RobotSettings) -> Plant:
+    seed = settings.seed
+    body = settings.body
+    if settings.parameter_spread > 0:
+        body = perturbed(body, settings.parameter_spread, Random(f"{seed} body"))
+    rear, front = (make_grooves(body, settings.effects, 2 * seed + i) for i in range(2))
+    return Plant(body, settings.effects, rear, front, settings.step)
+
+
+def _eeprom(servo_id: int, line: LineSettings, mode: int) -> dict[str, int]:
+    """EEPROM values, raw, as a lab sets its servos up."""
+    return {
+        "id": servo_id,
+        "baud_rate": BAUD_RATES.index(line.baud_rate),
+        "return_delay_time": round(line.return_delay / 2e-6),
+        "operating_mode": mode,
+    }

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The I2C line with one INA219 on it: transactions in, bytes or an error number out."""
+
+import errno
+
+from worm_driver.virtual_robot.wire import faults
+from worm_driver.virtual_robot.wire import smbus_frames as frames
+from worm_driver.virtual_robot.wire.faults import FaultBoard
+from worm_driver.virtual_robot.wire.ina219_chip import Ina219
+from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
+
+_RELEASED = 0xFF  # what a line reads that no device pulls down
+
+
+class I2cLine:
+    """Answers transactions to the chip's address; nobody acknowledges any other."""
+
+    def __init__(self, chip: Ina219, address: int, board: FaultBoard) -> None:
+        self._chip = chip
+        self._address = address
+        self._board = board
+        self._pointer = 0
+
+    def transact(self, request: Request, time: float) -> Answer:
+        """Carries a transaction out at a time (s)."""
+        if hang := self._board.take(faults.I2C_TIMEOUT, time):
+            return Answer(errno.ETIMEDOUT, delay=hang.value)
+        if request.address != self._address or self._board.take(faults.I2C_NACK, time):
+            return Answer(errno.EREMOTEIO)
+        if request.operation in (frames.READ, frames.WRITE):
+            self._pointer = request.register
+        if request.operation == frames.WRITE:
+            # The chip takes a register's two bytes, most significant first, and no other number.
+            if len(request.data) == 2:
+                self._chip.write(self._pointer, int.from_bytes(request.data, "big"))
+            return Answer(0)
+        if request.operation == frames.PROBE:
+            return Answer(0)
+        value = self._chip.read(self._pointer).to_bytes(2, "big")
+        padded = value + bytes([_RELEASED]) * max(request.length - 2, 0)
+        return Answer(0, padded[: request.length])

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The servo bus: instruction packets in, status packets out, with the faults of the wire."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from random import Random
+
+from worm_driver.virtual_robot.servo.control_table import BAUD_RATES
+from worm_driver.virtual_robot.servo.memory import RegisterError
+from worm_driver.virtual_robot.servo.virtual_servo import Servo
+from worm_driver.virtual_robot.wire import faults
+from worm_driver.virtual_robot.wire.faults import FaultBoard
+from worm_driver.virtual_robot.wire.packet import (
+    ALERT,
+    BROADCAST_ID,
+    Error,
+    Instruction,
+    InstructionReader,
+    Packet,
+    fast_status_packet,
+    status_packet,
+)
+
+_ALLOWED_GAP = 0.050  # s; 1.5 ms on the wire, but the scheduler decides when a pty is read
+
+
+@dataclass(frozen=True)
+class Transmission:
+    """Bytes to put on the wire at a time (s)."""
+
+    time: float
+    data: bytes
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """What a servo has to say: its id when it was asked, the whole error byte, data, delay (s)."""
+
+    servo_id: int
+    delay: float
+    error: int
+    data: bytes = b""
+
+
+def _answer_of(servo: Servo, number: int = Error.NONE, data: bytes = b"") -> _Answer:
+    return _Answer(servo.servo_id, servo.return_delay, number | servo.alert(), data)
+
+
+class ServoBus:
+    """Servos on one line. Not one byte more or less than real ones would send."""
+
+    def __init__(self, servos: Sequence[Servo], board: FaultBoard, random: Random) -> None:
+        """random: what a fuzzed packet looks like."""
+        self._servos = servos
+        self._board = board
+        self._random = random
+        self._reader = InstructionReader(_ALLOWED_GAP)
+        self._last_sent = 0.0
+
+    def feed(self, data: bytes, time: float, baud_rate: int | None = None) -> list[Transmission]:
+        """The answers to bytes received at a time (s) with a rate (bit/s), None: the right one."""
+        answers: list[Transmission] = []
+        for packet in self._reader.feed(data, time):
+            for answer in self._answer(packet, time, baud_rate):
+                # Bytes do not overtake each other: what follows a late packet is late too.
+                self._last_sent = max(answer.time, self._last_sent)
+                answers.append(Transmission(self._last_sent, answer.data))
+        return answers
+
+    def _answer(self, packet: Packet, time: float, baud_rate: int | None) -> list[Transmission]:
+        listening = [
+            servo
+            for servo in self._servos
+            if servo.answers(time)
+            and not self._board.active(faults.VANISHED, time, servo.servo_id)
+            and baud_rate in (None, BAUD_RATES[servo.memory["baud_rate"]])
+        ]
+        if not packet.intact:
+            found = [
+                _answer_of(servo, Error.CRC)
+                for servo in listening
+                if servo.servo_id == packet.servo_id
+            ]
+            return self._send_each(found, time)
+        match packet.instruction:
+            case Instruction.SYNC_READ | Instruction.BULK_READ:
+                return self._send_each(_group_read(packet, listening, time)[0], time)
+            case Instruction.FAST_SYNC_READ | Instruction.FAST_BULK_READ:
+                return self._send_fast(*_group_read(packet, listening, time), time)
+            case Instruction.SYNC_WRITE | Instruction.BULK_WRITE:
+                _group_write(packet, listening, time)
+                return []
+        return self._send_each(_obey(packet, listening, time), time)
+
+    def _send_each(self, answers: Sequence[_Answer], time: float) -> list[Transmission]:
+        sent: list[Transmission] = []
+        due = time
+        for answer in answers:
+            due += answer.delay
+            sent += self._spoil(answer, due)
+        return sent
+
+    def _send_fast(
+        self, answers: Sequence[_Answer], asked: list[int], time: float
+    ) -> list[Transmission]:
+        parts = []
+        for answer in answers:
+            if self._board.take(faults.NO_ANSWER, time, answer.servo_id):
+                break  # the next servo waits for the one before it
+            parts.append((answer.error, answer.servo_id, answer.data))
+        if not parts:
+            return []
+        return [Transmission(time + answers[0].delay, fast_status_packet(parts, asked))]
+
+    def _spoil(self, answer: _Answer, due: float) -> list[Transmission]:
+        """A status packet, or what the faults of the wire leave of it."""
+
+        def take(name: str) -> faults.Fault | None:
+            return self._board.take(name, due, answer.servo_id)
+
+        if take(faults.NO_ANSWER):
+            return []
+        if fault := take(faults.ERROR_NUMBER):
+            answer = replace(answer, error=int(fault.value) | answer.error & ALERT, data=b"")
+        data = status_packet(answer.servo_id, answer.error, answer.data)
+        if take(faults.CORRUPTED_CRC):
+            data = data[:-1] + bytes([data[-1] ^ 0x5A])
+        if take(faults.TRUNCATED):
+            data = data[: len(data) // 2]
+        if take(faults.DUPLICATED):
+            data += data
+        if take(faults.FUZZED):
+            data = _fuzz(data, self._random)
+        if fault := take(faults.LATE):
+            due += fault.value
+        return [Transmission(due, data)]
+
+
+def _fuzz(data: bytes, random: Random) -> bytes:
+    """The data with up to three bytes changed, some lost and some added."""
+    fuzzed = bytearray(data)
+    for _ in range(random.randint(0, 3)):
+        fuzzed[random.randrange(len(fuzzed))] = random.randrange(256)
+    start = random.randrange(len(fuzzed))
+    if random.random() < 0.5:
+        del fuzzed[start : start + random.randint(1, 4)]
+    if random.random() < 0.5:
+        fuzzed[start:start] = random.randbytes(random.randint(1, 12))
+    return bytes(fuzzed)
+
+
+def _obey(packet: Packet, listening: Sequence[Servo], time: float) -> list[_Answer]:
+    """Does an instruction for one servo or for all; the answers in the order of ids."""
+    broadcast = packet.servo_id == BROADCAST_ID
+    meant = [servo for servo in listening if broadcast or servo.servo_id == packet.servo_id]
+    answers = []
+    for servo in sorted(meant, key=lambda servo: servo.servo_id):
+        level = servo.memory["status_return_level"]
+        answer = _do(servo, packet, time)
+        is_ping = packet.instruction == Instruction.PING
+        is_read = packet.instruction == Instruction.READ
+        if is_ping or (not broadcast and (level == 2 or (level == 1 and is_read))):
+            answers.append(answer)
+    return answers
+
+
+def _do(servo: Servo, packet: Packet, time: float) -> _Answer:
+    servo.feed_watchdog(time)
+    before = _answer_of(servo)  # the answer carries the id and the delay from before the change
+    try:
+        data = _execute(servo, packet, time)
+    except RegisterError as error:
+        return replace(before, error=error.number | servo.alert())
+    if packet.instruction in (Instruction.REBOOT, Instruction.FACTORY_RESET):
+        return before
+    return replace(before, error=servo.alert(), data=data)
+
+
+def _execute(servo: Servo, packet: Packet, time: float) -> bytes:
+    parameters = packet.parameters
+    match packet.instruction:
+        case Instruction.PING:
+            return servo.read(0, 2) + servo.read(6, 1)
+        case Instruction.READ:
+            return servo.read(*_range(parameters, exactly=True))
+        case Instruction.WRITE:
+            servo.write(_address(parameters), parameters[2:])
+        case Instruction.REG_WRITE:
+            servo.register_write(_address(parameters), parameters[2:])
+        case Instruction.ACTION:
+            servo.action()
+        case Instruction.CLEAR:
+            servo.clear_turns(parameters)
+        case Instruction.FACTORY_RESET:
+            servo.factory_reset(parameters, time)
+        case Instruction.REBOOT:
+            servo.reboot(time)
+        case _:
+            raise RegisterError(Error.INSTRUCTION)
+    return b""
+
+
+def _address(parameters: bytes) -> int:
+    if len(parameters) < 3:
+        raise RegisterError(Error.DATA_LENGTH)
+    return int.from_bytes(parameters[:2], "little")
+
+
+def _range(parameters: bytes, *, exactly: bool) -> tuple[int, int]:
+    """Address and length at the start of the parameters."""
+    if len(parameters) < 4 or (exactly and len(parameters) != 4):
+        raise RegisterError(Error.DATA_LENGTH)
+    return int.from_bytes(parameters[:2], "little"), int.from_bytes(parameters[2:4], "little")
+
+
+def _group_read(
+    packet: Packet, listening: Sequence[Servo], time: float
+) -> tuple[list[_Answer], list[int]]:
+    """The answers of the servos that listen, and the data lengths asked of all."""
+    by_id = {servo.servo_id: servo for servo in listening}
+    answers, asked = [], []
+    for servo_id, address, length in _requests(packet):
+        asked.append(length)
+        servo = by_id.get(servo_id)
+        if servo is None or servo.memory["status_return_level"] == 0:
+            continue
+        servo.feed_watchdog(time)
+        try:
+            answers.append(_answer_of(servo, data=servo.read(address, length)))
+        except RegisterError as error:
+            answers.append(_answer_of(servo, error.number))
+    return answers, asked
+
+
+def _requests(packet: Packet) -> list[tuple[int, int, int]]:
+    """(id, address, length) of a sync or bulk read; nothing if it is malformed."""
+    parameters = packet.parameters
+    if packet.instruction in (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ):
+        if len(parameters) < 5:
+            return []
+        address, length = _range(parameters, exactly=False)
+        return [(servo_id, address, length) for servo_id in parameters[4:]]
+    items = [parameters[i : i + 5] for i in range(0, len(parameters), 5)]
+    if any(len(item) != 5 for item in items):
+        return []
+    return [(item[0], *_range(item[1:], exactly=True)) for item in items]
+
+
+def _group_write(packet: Packet, listening: Sequence[Servo], time: float) -> None:
+    """Writes to each servo named; nobody answers, so that a refused write stays unseen."""
+    by_id = {servo.servo_id: servo for servo in listening}
+    for servo_id, address, data in _writes(packet):
+        servo = by_id.get(servo_id)
+        if servo is None:
+            continue
+        servo.feed_watchdog(time)
+        try:
+            servo.write(address, data)
+        except RegisterError:
+            continue
+
+
+def _writes(packet: Packet) -> list[tuple[int, int, bytes]]:
+    """(id, address, data) of a sync or bulk write; nothing if it is malformed."""
+    parameters = packet.parameters
+    if packet.instruction == Instruction.SYNC_WRITE:
+        if len(parameters) < 4:
+            return []
+        address, length = _range(parameters, exactly=False)
+        items = [parameters[i : i + length + 1] for i in range(4, len(parameters), length + 1)]
+        return [(item[0], address, item[1:]) for item in items if len(item) == length + 1]
+    found = []
+    while len(parameters) >= 5:
+        address, length = _range(parameters[1:], exactly=False)
+        found.append((parameters[0], address, parameters[5 : 5 + length]))
+        parameters = parameters[5 + length :]
+    return found

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A thread that writes a bag, so that a slow disk never holds up the reception of messages."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from worm_model.bags.bag_metadata import RecordedTopic
+from worm_model.bags.recorder import BagRecorder
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A received message: raw CDR, and when it was received and sent (ns since the epoch)."""
+
+    topic: RecordedTopic
+    data: bytes
+    log_time: int
+    publish_time: int
+
+
+@dataclass(frozen=True)
+class Note:
+    """A metadata record to write between messages."""
+
+    name: str
+    values: Mapping[str, str]
+
+
+@dataclass
+class Tally:
+    """A number of messages and the size of their payload, bytes."""
+
+    messages: int = 0
+    bytes: int = 0
+
+    def add(self, batch: Sequence[Sample | Note]) -> None:
+        """Count the messages of a batch."""
+        for item in batch:
+            if isinstance(item, Sample):
+                self.messages += 1
+                self.bytes += len(item.data)
+
+
+class RecordingThread:
+    """Writes what it is offered, synchronises in time, and closes the bag at the end.
+
+    Args:
+        recorder: the bag; the thread owns it from now on.
+        sync_s: longest time between synchronisations, s.
+        backlog_bytes: payload that may wait for the disk; what comes on top is dropped and counted.
+
+    Attributes:
+        dropped: messages that were offered and are not in the bag; after an error also those that had not been
+            synchronised, of which a recovery may still find some.
+        error: what ended the writing before its time.
+    """
+
+    def __init__(self, recorder: BagRecorder, sync_s: float, backlog_bytes: int) -> None:
+        self._recorder = recorder
+        self._sync_s = sync_s
+        self._backlog_limit = backlog_bytes
+        self._backlog = 0
+        self._accounting = threading.Lock()
+        self._unsynchronised: list[Sequence[Sample | Note]] = []
+        self._queue: queue.SimpleQueue[Sequence[Sample | Note] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="bag writer")
+        self.dropped = Tally()
+        self.error: Exception | None = None
+        self._thread.start()
+
+    def offer(self, batch: Sequence[Sample]) -> None:
+        """Hand over messages to be written; never waits."""
+        size = sum(len(sample.data) for sample in batch)
+        with self._accounting:
+            if self.error is not None or self._backlog + size > self._backlog_limit:
+                self.dropped.add(batch)
+                return
+            self._backlog += size
+            self._queue.put(batch)
+
+    def note(self, note: Note) -> None:
+        """Hand over a metadata record."""
+        self._queue.put([note])
+
+    def close(self) -> None:
+        """Write what is left, close the bag, and wait for it; `error` then tells whether all went well."""
+        self._queue.put(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self._write_all()
+            self._recorder.close()
+        except Exception as error:  # noqa: BLE001 - whatever it is, the recording is over, and says so
+            self._recorder.abandon()
+            with self._accounting:  # from now on, `offer` drops
+                self.error = error
+                for batch in [*self._unsynchronised, *self._waiting()]:
+                    self.dropped.add(batch)
+
+    def _write_all(self) -> None:
+        due = time.monotonic() + self._sync_s
+        while True:
+            try:
+                batch = self._queue.get(timeout=max(due - time.monotonic(), 0.0))
+            except queue.Empty:
+                batch = ()
+            if batch is None:
+                return
+            self._write(batch)
+            if time.monotonic() >= due:
+                self._recorder.sync()
+                self._unsynchronised.clear()
+                due = time.monotonic() + self._sync_s
+
+    def _write(self, batch: Sequence[Sample | Note]) -> None:
+        size = 0
+        self._unsynchronised.append(batch)
+        for item in batch:
+            if isinstance(item, Note):
+                self._recorder.add_metadata(item.name, item.values)
+            else:
+                self._recorder.write(item.topic, item.data, item.log_time, item.publish_time)
+                size += len(item.data)
+        with self._accounting:
+            self._backlog -= size
+
+    def _waiting(self) -> Iterator[Sequence[Sample | Note]]:
+        """What nobody will write any more."""
+        while not self._queue.empty():
+            yield self._queue.get() or ()

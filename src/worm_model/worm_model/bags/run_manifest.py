@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bag says of its run beside the messages: parameters, seed, versions, notes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from worm_model.bags.recorder import Attachment, Manifest
+
+RUN_RECORD = "worm_run"
+GAIT_RECORD = "worm_gait"
+PARAMETER_ATTACHMENT = "parameters.yaml"
+VERSIONED = (
+    "worm_driver",
+    "worm_model",
+    "worm_optimizer",
+    "worm_msgs",
+    "rclpy",
+    "mcap",
+    "dynamixel-sdk",
+    "numpy",
+)
+
+
+class ManifestError(ValueError):
+    """A note or a parameter file cannot be used."""
+
+
+def run_manifest(
+    parameter_file: Path | None,
+    seed: int | None,
+    notes: Sequence[str],
+    command: Sequence[str],
+    now_ns: int,
+) -> Manifest:
+    """The manifest of a run that begins now.
+
+    Args:
+        parameter_file: kept whole and hashed; None: the run has none, the paper's values hold.
+        seed: of the run's random numbers; None: it has none.
+        notes: further entries as ``key=value``.
+        command: the command line that records.
+        now_ns: the time, ns since the epoch.
+
+    Raises:
+        ManifestError: a note is not ``key=value``, or the parameter file cannot be read.
+    """
+    attachments: tuple[Attachment, ...] = ()
+    record = {
+        "recorded_at": datetime.fromtimestamp(now_ns / 1e9, tz=timezone.utc).isoformat(
+            timespec="seconds"
+        ),
+        "command": " ".join([Path(command[0]).name, *command[1:]]),
+        "host": platform.node(),
+        "seed": "" if seed is None else str(seed),
+        "parameter_file": "",
+        "parameter_sha256": "",
+        **_versions(),
+        **_notes(notes),
+    }
+    if parameter_file is not None:
+        data = _read(parameter_file)
+        attachments = (Attachment(PARAMETER_ATTACHMENT, "application/yaml", data),)
+        record["parameter_file"] = str(parameter_file)
+        record["parameter_sha256"] = hashlib.sha256(data).hexdigest()
+    return Manifest({RUN_RECORD: record}, attachments)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ManifestError(f"cannot read the parameter file {path}: {error.strerror}") from None
+
+
+def _notes(notes: Sequence[str]) -> Mapping[str, str]:
+    found = {}
+    for note in notes:
+        key, separator, value = note.partition("=")
+        if not key or not separator:
+            raise ManifestError(f"a note is written KEY=VALUE, not {note!r}")
+        found[f"note.{key}"] = value
+    return found
+
+
+def _versions() -> Mapping[str, str]:
+    found = {
+        "version.python": platform.python_version(),
+        "version.ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
+    }
+    for package in VERSIONED:
+        try:
+            found[f"version.{package}"] = version(package)
+        except PackageNotFoundError:
+            continue  # not installed as a Python distribution: nothing to say
+    return found

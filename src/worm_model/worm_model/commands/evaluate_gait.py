@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: the figures of a gait, or of a table of gaits."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    Progress,
+    add_parameters,
+    new_file,
+    number,
+    print_json,
+    run_command,
+)
+from worm_model.gait import FORWARD, REVERSE, Gait
+from worm_model.parameters import Parameters, load_parameters
+from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
+from worm_model.simulation.simulator import GaitResult, evaluate_gait
+
+
+def gait_json(result: GaitResult) -> dict[str, float]:
+    """A gait as the machine-readable output has it."""
+    return {
+        "stroke": result.gait.stroke,
+        "frequency": result.gait.frequency,
+        "direction": result.gait.direction,
+        "margin": result.gait.margin,
+        "speed": result.speed,
+        "power": result.power,
+        "cost_of_transport": result.cost_of_transport,
+        "grooves_per_cycle": result.grooves_per_cycle,
+        "groove_phase": result.groove_phase,
+        "switches": result.switches,
+    }
+
+
+def describe(result: GaitResult) -> str:
+    """A gait for people; the groove phase always stands beside the speed, which holds for it alone."""
+    gait = result.gait
+    way = "forward" if gait.direction == FORWARD else "reverse"
+    return "\n".join(
+        [
+            f"gait               {gait.stroke * 1e3:.2f} mm at {gait.frequency:.4f} Hz, {way}, "
+            f"margin {gait.margin * 1e3:.2f} mm",
+            f"speed              {result.speed * 1e3:.4f} mm/s at a groove phase of "
+            f"{result.groove_phase * 1e3:+.2f} mm",
+            f"power              {result.power:.4f} W",
+            f"cost of transport  {result.cost_of_transport:.2f}",
+            f"grooves per cycle  {result.grooves_per_cycle:.3f} "
+            f"({result.switches} switches of an anchor in five cycles)",
+        ]
+    )
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="evaluate_gait",
+        description="Speed, power and cost of transport of a gait: five cycles from the start, the "
+        "last three averaged.",
+    )
+    parser.add_argument("--stroke", type=number, metavar="M", help="contraction stroke in m")
+    parser.add_argument("--frequency", type=number, metavar="HZ", help="frequency in Hz")
+    parser.add_argument(
+        "--margin", type=number, default=0.0, metavar="M", help="robustness margin in m (default 0)"
+    )
+    parser.add_argument(
+        "--direction", type=int, default=FORWARD, choices=(FORWARD, REVERSE), help="default 1"
+    )
+    parser.add_argument("--gaits", metavar="IN.csv", help="evaluate a table of gaits instead")
+    parser.add_argument("--output", metavar="OUT.csv", help="where the table's figures go")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_parameters(parser)
+    return parser
+
+
+def _evaluate_table(options: argparse.Namespace, parameters: Parameters) -> None:
+    if options.output is None:
+        raise InputError("--gaits needs --output, the file that the figures go to")
+    output = new_file(options.output)
+    overrides, table = evaluate_table(read_gaits(options.gaits), parameters, Progress("gaits"))
+    write_table(output, table, overrides, parameters)
+    if options.json:
+        print_json({"output": str(output), "gaits": int(table.speed.size)})
+    else:
+        sys.stdout.write(f"{table.speed.size} gaits written to {output}\n")
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    parameters = load_parameters(options.parameters)
+    if options.gaits is not None:
+        _evaluate_table(options, parameters)
+        return
+    if options.stroke is None or options.frequency is None:
+        raise InputError("give --stroke and --frequency, or --gaits IN.csv --output OUT.csv")
+    gait = Gait(options.stroke, options.frequency, options.direction, options.margin)
+    result = evaluate_gait(gait, parameters)
+    if options.json:
+        print_json(gait_json(result))
+    else:
+        sys.stdout.write(describe(result) + "\n")
+
+
+def main() -> int:
+    """Entry point of the executable evaluate_gait."""
+    return run_command(_parser(), _evaluate)

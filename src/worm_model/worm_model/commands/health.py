@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: parameters that walk away from bag to bag, with control limits."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from worm_model.analysis.drift_figure import draw_health
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    Progress,
+    add_parameters,
+    new_file,
+    print_json,
+    run_command,
+)
+from worm_model.identification.drift import ADVICE, FEWEST_BAGS, Chart, State, chart_of
+from worm_model.identification.drift_estimates import BagEstimates, LeftOut, estimate_bags
+from worm_model.identification.estimate import Estimate
+from worm_model.parameters import UNITS, load_parameter_file
+
+FIGURES = (".png", ".pdf", ".svg")
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="health",
+        description="Estimates friction, switching threshold, gain, slack and idle power from each bag "
+        "alone and tells which of them drift over the bags, since when, and what to look at.",
+    )
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="one run each, any order")
+    parser.add_argument("--figure", metavar="FILE", help="control charts (.png, .pdf or .svg)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_parameters(parser)
+    return parser
+
+
+def _health(options: argparse.Namespace) -> None:
+    known = load_parameter_file(options.parameters)
+    figure = _figure_file(options.figure) if options.figure else None
+    bags, left_out = estimate_bags(options.bags, known.parameters, Progress("health"))
+    if not bags:
+        more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
+        raise InputError(
+            f"no bag can be used: {_named(left_out[0])}{more}; give bags of one gait each, from rest"
+        )
+    charts = [chart_of(key, [bag.estimates[key] for bag in bags], known) for key in ADVICE]
+    if figure is not None:
+        draw_health([bag.name for bag in bags], charts, figure)
+    if options.json:
+        print_json(health_json(bags, left_out, charts))
+    else:
+        sys.stdout.write(describe(bags, left_out, charts) + "\n")
+
+
+def _figure_file(path: str) -> Path:
+    target = new_file(path)
+    if target.suffix.lower() not in FIGURES:
+        raise InputError(f"{path}: give a name that ends in {', '.join(FIGURES)}")
+    return target
+
+
+def health_json(
+    bags: Sequence[BagEstimates], left_out: Sequence[LeftOut], charts: Sequence[Chart]
+) -> dict[str, Any]:
+    """The JSON object of the command line, SI units."""
+    return {
+        "healthy": all(chart.state is State.WITHIN for chart in charts),
+        "parameters": {chart.key: _chart_json(chart, bags) for chart in charts},
+        "bags": [
+            {
+                "bag": bag.name,
+                "start": bag.date,
+                "stroke": bag.gait.stroke,
+                "frequency": bag.gait.frequency,
+                "direction": bag.gait.direction,
+                "estimates": {key: _estimate_json(e) for key, e in bag.estimates.items()},
+                "remarks": bag.remarks,
+            }
+            for bag in bags
+        ],
+        "left_out": [{"bag": bag.name, "reason": bag.reason} for bag in left_out],
+        "remarks": _remarks(bags, charts),
+    }
+
+
+def _chart_json(chart: Chart, bags: Sequence[BagEstimates]) -> dict[str, Any]:
+    limits = chart.limits
+    return {
+        "verdict": chart.state.value,
+        "began": None if chart.began is None else bags[chart.began].name,
+        "direction": chart.direction,
+        "lower_limit": limits.low if limits else None,
+        "centre": limits.centre if limits else None,
+        "upper_limit": limits.high if limits else None,
+        "limits_from": limits.source if limits else None,
+        "signals": [
+            {
+                "rule": signal.rule.value,
+                "first": bags[signal.first].name,
+                "last": bags[signal.last].name,
+                "direction": signal.direction,
+            }
+            for signal in chart.signals
+        ],
+        "advice": chart.advice or None,
+    }
+
+
+def _estimate_json(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "value": estimate.value,
+        "low": estimate.low,
+        "high": estimate.high,
+        "identifiable": estimate.identifiable,
+    }
+
+
+def describe(
+    bags: Sequence[BagEstimates], left_out: Sequence[LeftOut], charts: Sequence[Chart]
+) -> str:
+    """The verdicts for people."""
+    used = "1 bag" if len(bags) == 1 else f"{len(bags)} bags"
+    lines = [f"{used}, {bags[0].name} ({bags[0].date}) to {bags[-1].name} ({bags[-1].date})"]
+    for chart in charts:
+        lines += _lines(chart, bags)
+    lines += [f"{bag.name}: {remark}" for bag in bags for remark in _without_name(bag)]
+    lines += _remarks(bags, charts)
+    lines += [f"left out: {_named(bag)}" for bag in left_out]
+    return "\n".join(lines)
+
+
+def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
+    unit = "" if UNITS[chart.key] == "1" else f" {UNITS[chart.key]}"
+    head = f"{chart.key}: {chart.state.value}"
+    if chart.began is not None:
+        head += f" since {bags[chart.began].name}"
+    known = chart.value[np.isfinite(chart.value)]
+    lines = [f"{head}; " + (f"last {known[-1]:.4g}{unit}" if known.size else "no bag tells it")]
+    if chart.limits is not None:
+        lines.append(
+            f"  limits {chart.limits.low:.4g} to {chart.limits.high:.4g}{unit} from {chart.limits.source}"
+        )
+    for signal in chart.signals:
+        where = "up" if signal.direction > 0 else "down"
+        first, last = chart.value[signal.first], chart.value[signal.last]
+        lines.append(
+            f"  {where}, {signal.rule.value}: {bags[signal.first].name} ({first:.4g}{unit}) to "
+            f"{bags[signal.last].name} ({last:.4g}{unit})"
+        )
+    if chart.advice:
+        lines.append(f"  {chart.advice}; then identify the robot anew")
+    return lines
+
+
+def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]:
+    """What limits the verdicts as a whole."""
+    found = []
+    few = [chart.key for chart in charts if chart.state is State.TOO_FEW]
+    if few:
+        found.append(
+            f"too few bags for limits of {', '.join(few)}: give at least {FEWEST_BAGS}, or a parameter file with "
+            "their intervals (worm_model identify writes one)"
+        )
+    if len({bag.gait for bag in bags}) > 1:
+        found.append(
+            "the bags hold different gaits: what the model leaves out differs between gaits, and may look like drift"
+        )
+    return found
+
+
+def _without_name(bag: BagEstimates) -> list[str]:
+    return [remark.removeprefix(f"{bag.name}: ") for remark in bag.remarks]
+
+
+def _named(bag: LeftOut) -> str:
+    """The reason with the bag's name once."""
+    return bag.reason if bag.name in bag.reason else f"{bag.name}: {bag.reason}"
+
+
+def main() -> int:
+    """Entry point of the executable health."""
+    return run_command(_parser(), _health)

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: from bags, or a lab's folder, to a parameter file with intervals."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    Progress,
+    add_parameters,
+    new_file,
+    print_json,
+    run_command,
+)
+from worm_model.identification.advice import Advice, advise
+from worm_model.identification.given import Given, given_by_file, given_by_folder
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.identification_report import (
+    error_table,
+    parameter_table,
+    write_report,
+)
+from worm_model.identification.inputs import Inputs, read_inputs, read_recordings
+from worm_model.identification.results import parameter_file, summary
+from worm_model.identification.stages import Identification, identify
+from worm_model.parameters import ParameterFile, load_parameter_file, write_parameter_file
+
+SIDES = {"positive": 1, "negative": -1}
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="identify",
+        description="Identifies the worm's parameters from recorded runs, each from rest over five ridges.",
+        epilog="Masses, pitch and unstressed length come from --parameters, else from the README.md of a "
+        "lab's folder, else from the paper.",
+    )
+    parser.add_argument(
+        "runs",
+        type=Path,
+        nargs="+",
+        metavar="BAG",
+        help="bags, one run each, or a lab's folder of runs, or some runs of it",
+    )
+    parser.add_argument("--bellows", type=Path, metavar="CSV", help="compression_m, force_N")
+    parser.add_argument("--fin", type=Path, metavar="CSV", help="displacement_m, force_N")
+    parser.add_argument(
+        "--fin-engages",
+        choices=sorted(SIDES),
+        help="sign of displacement in which the tested fin engages; default: its stiffer side",
+    )
+    parser.add_argument(
+        "--validation",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="BAG",
+        help="runs to check it against, none of them fitted",
+    )
+    parser.add_argument("--output", metavar="FILE", help="the parameter file, which must not exist")
+    parser.add_argument(
+        "--report", metavar="DIR", help="folder for the report, which must not exist"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of the bootstrap (default 0)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_parameters(parser)
+    return parser
+
+
+class _Reporter:
+    """One progress line for each stage."""
+
+    def __init__(self) -> None:
+        self._stage, self._line = "", Progress("")
+
+    def __call__(self, stage: str, done: float) -> None:
+        if stage != self._stage:
+            self._stage, self._line = stage, Progress(stage)
+        self._line(done)
+
+
+def _given(options: argparse.Namespace, inputs: Inputs) -> Given:
+    if options.parameters:
+        return given_by_file(load_parameter_file(options.parameters), Path(options.parameters).name)
+    if inputs.folder is not None:
+        return given_by_folder(inputs.folder)
+    return given_by_file(ParameterFile(), "the paper")
+
+
+def _print(result: Identification, advice: Advice, *, as_json: bool) -> None:
+    for warning in result.warnings:
+        sys.stderr.write(f"{warning}\n")
+    if as_json:
+        print_json(summary(result) | {"advice": advice.text})
+    else:
+        parts = [
+            parameter_table(result.estimates),
+            "Held out, in brackets the paper's table:\n"
+            + error_table(result.held_out, result.paper),
+        ]
+        if result.validation:
+            parts.append("Validation runs:\n" + error_table(result.validation, {}))
+        parts.append(f"What next: {advice.text}.")
+        sys.stdout.write("\n\n".join(parts) + "\n")
+
+
+def _run(options: argparse.Namespace) -> None:
+    output = new_file(options.output) if options.output else None
+    report = new_file(options.report) if options.report else None
+    if options.seed < 0:
+        raise InputError("--seed must not be negative")
+    reporter = _Reporter()
+    try:
+        inputs = read_inputs(options.runs, options.bellows, options.fin)
+        result = identify(
+            inputs,
+            _given(options, inputs),
+            options.seed,
+            SIDES.get(options.fin_engages, 0),
+            read_recordings(options.validation),
+            reporter,
+        )
+        advice = advise(result)
+    except IdentificationError as error:
+        raise InputError(str(error)) from None
+    if output is not None:
+        write_parameter_file(output, parameter_file(result, inputs))
+    if report is not None:
+        write_report(result, advice, report, lambda done: reporter("report", done))
+    _print(result, advice, as_json=options.json)
+
+
+def main() -> int:
+    """Entry point of the executable identify."""
+    return run_command(_parser(), _run)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: a lab's CSV files become a bag with the topics that the driver and the tracker publish."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.lab_logs import LabError, LabRun, LabSettings, read_lab_run
+from worm_model.bags.run_writer import write_run
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    add_parameters,
+    new_file,
+    number,
+    print_json,
+    run_command,
+)
+from worm_model.parameters import Parameters, load_parameters
+
+EPOCH_S = 1767225600  # 2026-01-01 00:00 UTC: the logs carry no date, and a stamp of 0 means "unknown" in ROS
+
+
+def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str) -> LabRun:
+    """Make a bag of a run's folder; the same files give the same bytes.
+
+    Raises:
+        LabError: the folder cannot be used.
+        BagError: the bag cannot be written.
+    """
+    lab = read_lab_run(folder, settings)
+    with BagWriter(output) as writer:
+        writer.add_metadata("worm_run", _manifest(folder, lab, settings))
+        if lab.gait is not None:
+            writer.add_metadata("worm_gait", _gait(lab, settings))
+        write_run(writer, lab.run, namespace)
+    return lab
+
+
+def _manifest(folder: Path, lab: LabRun, settings: LabSettings) -> dict[str, str]:
+    return {
+        "imported_from": folder.resolve().name,
+        "initial_length": repr(lab.initial_length),
+        "spool_radius": repr(settings.spool_radius),
+        **{f"sha256.{name}": checksum for name, checksum in lab.checksums.items()},
+    }
+
+
+def _gait(lab: LabRun, settings: LabSettings) -> dict[str, str]:
+    gait = lab.gait
+    assert gait is not None
+    return {
+        "stroke": repr(gait.stroke),
+        "frequency": repr(gait.frequency),
+        "direction": str(gait.direction),
+        "margin": repr(gait.margin),
+        "onset_ns": str(settings.epoch + round(settings.onset * 1e9)),
+    }
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="import_lab",
+        description="Makes a bag of a lab's run: camera.csv, power.csv and servo.csv in FOLDER, the gait in "
+        "runs.json in it or beside it.",
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="the run's folder")
+    parser.add_argument(
+        "--output", required=True, metavar="BAG", help="the bag, which must not exist"
+    )
+    parser.add_argument(
+        "--onset", type=number, default=2.0, metavar="S", help="start of the gait in s (default 2)"
+    )
+    parser.add_argument(
+        "--spool-radius",
+        type=number,
+        default=0.012,
+        metavar="M",
+        help="of the cable servo in m (default 0.012)",
+    )
+    parser.add_argument(
+        "--initial-length",
+        type=number,
+        metavar="M",
+        help="in m; default: what the camera sees at rest",
+    )
+    parser.add_argument(
+        "--epoch",
+        type=number,
+        default=EPOCH_S,
+        metavar="S",
+        help="UTC of t = 0 in s (default: 2026-01-01)",
+    )
+    parser.add_argument("--namespace", default="/worm", help="of the topics (default /worm)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_parameters(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> None:
+    parameters = load_parameters(options.parameters) if options.parameters else Parameters()
+    if options.epoch < 0 or options.spool_radius <= 0:
+        raise InputError("--epoch must not be negative, and --spool-radius must be positive")
+    settings = LabSettings(
+        epoch=round(options.epoch * 1e9),
+        onset=options.onset,
+        spool_radius=options.spool_radius,
+        initial_length=options.initial_length,
+        fallback_length=parameters.initial_length,
+    )
+    output = new_file(options.output)
+    try:
+        lab = import_lab(options.folder, output, settings, options.namespace)
+    except LabError as error:
+        raise InputError(str(error)) from None
+    counts = {
+        "commanded": len(lab.run.commanded.stamp),
+        "tracker": len(lab.run.tracker.stamp),
+        "occluded": int((lab.run.tracker.rear_position != lab.run.tracker.rear_position).sum()),
+        "power": len(lab.run.power.stamp),
+    }
+    if options.json:
+        print_json({"bag": str(output), "initial_length": lab.initial_length, **counts})
+    else:
+        found = ", ".join(f"{count} {name}" for name, count in counts.items())
+        sys.stdout.write(f"{output}: {found}; initial length {lab.initial_length:.4f} m\n")
+
+
+def main() -> int:
+    """Entry point of the executable import_lab."""
+    return run_command(_parser(), _run)

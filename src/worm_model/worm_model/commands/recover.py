@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: makes a whole bag of one that was not closed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from worm_model.bags.recovery import recover
+from worm_model.commands.command_line import Parser, new_file, print_json, run_command
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="recover",
+        description="Writes all that is whole of a bag to a new one, metadata.yaml included. The old "
+        "one is left as it is.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="bag directory, or an MCAP file")
+    parser.add_argument("--output", metavar="BAG2", help="the new bag (default: BAG_recovered)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    return parser
+
+
+def _recover(options: argparse.Namespace) -> None:
+    report = recover(options.bag, new_file(options.output) if options.output else None)
+    if options.json:
+        print_json(
+            {
+                "bag": str(report.bag),
+                "messages": report.messages,
+                "lost_bytes": report.lost_bytes,
+                "damaged_chunks": report.damaged_chunks,
+                "unreadable": report.unreadable,
+            }
+        )
+    else:
+        sys.stdout.write(f"{report}\n")
+
+
+def main() -> int:
+    """Entry point of the executable recover."""
+    return run_command(_parser(), _recover)

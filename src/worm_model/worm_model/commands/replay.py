@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: a bag through the twin, offline, as fast as it goes."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from worm_model.analysis.replay_metrics import CycleReport, ReplayReport, report_replay
+from worm_model.bags.bag import Bag
+from worm_model.bags.bag_writer import ROSBAG2_RECORD, BagWriter
+from worm_model.bags.blocks import block_of_topics, merge_into
+from worm_model.bags.definitions import parse_ahead, topic_of
+from worm_model.bags.opening import open_bag
+from worm_model.bags.payloads import Payloads
+from worm_model.bags.run_reader import namespace_of, read_run
+from worm_model.bags.run_writer import encode_stamped
+from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic, offered_qos
+from worm_model.commands.command_line import (
+    Parser,
+    add_parameters,
+    new_file,
+    print_json,
+    run_command,
+)
+from worm_model.parameters import Parameters, load_parameters
+from worm_model.run import Run
+from worm_model.simulation import warm_up
+from worm_model.twin.offline_replay import Replay, Series, replay_run
+
+INPUTS = ("gait_state", "body_length/commanded", "body_length/measured", "tracker", "power")
+ESTIMATED = 2  # BodyLength.ESTIMATED
+
+
+def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str) -> None:
+    """Write a bag with the original's messages and the twin's beside them; the same replay gives the same bytes.
+
+    What a live twin had published into the original bag is left out: the twin's topics are this replay's.
+
+    Raises:
+        BagError: the output exists or cannot be written.
+    """
+    live = {find_topic(bag.topics.values(), name, namespace) for name in TWIN_TOPICS}
+    kept = [topic for topic in bag.topics.values() if topic not in live]
+    own = {
+        name: topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
+        for name in TWIN_TOPICS
+    }
+    with BagWriter(output) as writer:
+        for attached in bag.attachments():
+            writer.add_attachment(attached)
+        for record in bag.records:
+            if record.name != ROSBAG2_RECORD:
+                writer.add_metadata(record.name, dict(record.values))
+        for topic in [*kept, *own.values()]:
+            writer.add_topic(topic)
+        twins = block_of_topics({own[name].name: _messages(name, replay) for name in TWIN_TOPICS})
+        for block in merge_into(bag.blocks([topic.name for topic in kept]), twins):
+            writer.write_block(block)
+
+
+def _messages(name: str, replay: Replay) -> Payloads:
+    """Messages of one of the twin's topics; their stamp is taken for the time of reception."""
+    series: Series = {
+        "twin/state": replay.states,
+        "twin/residuals": replay.residuals,
+        "body_length/estimated": replay.lengths,
+    }[name]
+    numbers: dict[str, Any] = {key: v for key, v in series.items() if key != "stamp_ns"}
+    texts = {}
+    if name == "twin/residuals":
+        texts["message"] = replay.messages
+    if name == "body_length/estimated":
+        numbers["source"] = ESTIMATED
+    return encode_stamped(TYPES[name], series["stamp_ns"], numbers, texts)
+
+
+def report_json(report: ReplayReport, duration: float, elapsed: float) -> dict[str, Any]:
+    """The report as the machine-readable output has it."""
+    return {
+        **asdict(report.residuals),
+        "energy_error": report.energy_error,
+        "cycles": [_cycle_json(cycle) for cycle in report.cycles],
+        "duration": duration,
+        "real_time_factor": duration / elapsed,
+    }
+
+
+def _cycle_json(cycle: CycleReport) -> dict[str, Any]:
+    return {
+        "start": cycle.start,
+        "grooves": cycle.grooves,
+        "measured_grooves": cycle.measured_grooves,
+        "complete": cycle.complete,
+        **asdict(cycle.residuals),
+    }
+
+
+def describe(report: ReplayReport, duration: float, elapsed: float) -> str:
+    """The report for people."""
+    total = report.residuals
+    lines = [
+        f"x1      {1e3 * total.x1_rmse:8.3f} mm rms, {1e3 * total.x1_residual:+.3f} mm mean",
+        f"length  {1e3 * total.length_rmse:8.3f} mm rms, {1e3 * total.length_residual:+.3f} mm mean",
+        f"power   {total.power_rmse:8.3f} W  rms, {total.power_residual:+.3f} W  mean",
+        f"energy  {100 * report.energy_error:+8.2f} % of what was measured",
+    ]
+    if report.cycles:
+        lines.append("cycle  start s  grooves (measured)  x1 mm   length mm  power W  (rms)")
+    for number, cycle in enumerate(report.cycles, 1):
+        part = cycle.residuals
+        lines.append(
+            f"{number:5}  {cycle.start:7.2f}  {cycle.grooves:7.0f} ({cycle.measured_grooves:8.2f})  "
+            f"{1e3 * part.x1_rmse:6.2f}  {1e3 * part.length_rmse:9.2f}  {part.power_rmse:7.2f}"
+            f"{'' if cycle.complete else '  (cut off)'}"
+        )
+    lines.append(f"{duration:.1f} s in {elapsed:.3f} s: {duration / elapsed:.0f} times real time")
+    return "\n".join(lines)
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="replay",
+        description="Lets the twin follow a bag and reports how far it is from what was measured.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG")
+    parser.add_argument(
+        "--output", metavar="BAG2", help="a new bag with the twin's topics beside the original ones"
+    )
+    parser.add_argument("--namespace", default="", help="of the robot; default: the one in the bag")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_parameters(parser)
+    return parser
+
+
+def _replay(options: argparse.Namespace) -> None:
+    parameters = load_parameters(options.parameters)
+    output = new_file(options.output) if options.output else None
+    warm_up.main()  # neither compiling nor parsing definitions is replaying
+    parse_ahead(TYPES[name] for name in (*INPUTS, *TWIN_TOPICS))
+    begin = time.perf_counter()
+    with open_bag(options.bag, _notify) as bag:
+        run = read_run(bag, options.namespace, INPUTS)
+        followed = _follow(run, parameters, bag, output, options.namespace)
+        duration = (bag.end - bag.start) * 1e-9
+    report = report_replay(run, followed, parameters.pitch)
+    elapsed = time.perf_counter() - begin
+    if options.json:
+        print_json(report_json(report, duration, elapsed))
+    else:
+        sys.stdout.write(describe(report, duration, elapsed) + "\n")
+
+
+def _follow(
+    run: Run, parameters: Parameters, bag: Bag, output: Path | None, namespace: str
+) -> Replay:
+    replay = replay_run(run, parameters)
+    for notice in replay.notices:
+        _notify(notice.text)
+    if output is not None:
+        write_replay(bag, output, replay, namespace or namespace_of(bag))
+    return replay
+
+
+def _notify(line: str) -> None:
+    sys.stderr.write(f"replay: {line}\n")
+
+
+def main() -> int:
+    """Entry point of the executable replay."""
+    return run_command(_parser(), _replay)

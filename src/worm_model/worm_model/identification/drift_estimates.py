@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each bag alone says of the parameters that may drift, by the stages of the identification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.opening import open_bag
+from worm_model.gait import Gait, GaitError
+from worm_model.identification.actuation_stage import identify_actuation
+from worm_model.identification.estimate import Estimate
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.idle import idle_power, idle_power_of
+from worm_model.identification.inputs import read_recording
+from worm_model.identification.locomotion import Known, traverse_of
+from worm_model.identification.locomotion_stage import identify_locomotion
+from worm_model.identification.measured_length import measured_length
+from worm_model.identification.observed_run import Recording
+from worm_model.identification.quality import LONGEST_GAP, remarks, usable
+from worm_model.parameters import Parameters
+
+SEED = 0  # of the resampled cycles: the same bags give the same intervals
+
+
+@dataclass(frozen=True)
+class BagEstimates:
+    """Of one bag: ``start`` in ns since the epoch, its ``gait``, ``estimates`` by key, and ``remarks`` in words."""
+
+    name: str
+    start: int
+    gait: Gait
+    estimates: Mapping[str, Estimate]
+    remarks: tuple[str, ...]
+
+    @property
+    def date(self) -> str:
+        """Start in UTC to the second."""
+        moment = datetime.fromtimestamp(self.start * 1e-9, timezone.utc)
+        return moment.isoformat(timespec="seconds")
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A bag that tells nothing, and the ``reason``."""
+
+    name: str
+    reason: str
+
+
+def estimate_bags(
+    paths: Sequence[Path],
+    parameters: Parameters,
+    progress: Callable[[float], None] = lambda _done: None,
+) -> tuple[tuple[BagEstimates, ...], tuple[LeftOut, ...]]:
+    """(bags by rising start, those that could not be used). What is not sought is given by ``parameters``."""
+    found: dict[int, BagEstimates] = {}
+    left_out = []
+    for done, path in enumerate(paths):
+        progress(done / len(paths))
+        try:
+            with open_bag(path) as bag:
+                start = bag.start
+            if start in found:
+                raise IdentificationError(f"the same run as {found[start].name}")
+            found[start] = estimate_bag(read_recording(path), start, parameters)
+        except (BagError, GaitError, IdentificationError) as error:
+            left_out.append(LeftOut(path.name, str(error)))
+    progress(1.0)
+    return tuple(found[start] for start in sorted(found)), tuple(left_out)
+
+
+def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> BagEstimates:
+    """The estimates of one recording that starts at ``start`` (ns since the epoch).
+
+    Raises `IdentificationError` if the camera missed much of it, the body did not follow its command, or nothing
+    explains its motion.
+    """
+    _check_seen(recording)
+    length = measured_length(recording)
+    usable([recording], [length])
+    traverse = traverse_of(recording, length, parameters.pitch)
+    given = parameters.replace(initial_length=length.initial_length)
+    locomotion = identify_locomotion([traverse], Known(given, 0.0))
+    actuation = identify_actuation([recording], np.random.default_rng(SEED))
+    estimates = {
+        "viscous_friction": locomotion.viscous_friction,
+        "switching_threshold": locomotion.switching_threshold,
+        "gain": actuation.gain,
+        "slack": actuation.slack,
+        "idle_power": _idle_power(recording),
+    }
+    said = tuple(remarks(recording, length, traverse))
+    return BagEstimates(recording.name, start, recording.gait, estimates, said)
+
+
+def _check_seen(recording: Recording) -> None:
+    """One run has no other to make up for what its camera did not see."""
+    time = recording.camera_time
+    seen = time[np.isfinite(recording.length) & (time > 0.0) & (time < recording.end)]
+    gap = float(np.diff(np.concatenate([[0.0], seen, [recording.end]])).max())
+    if gap > LONGEST_GAP:
+        raise IdentificationError(
+            f"{recording.name}: a marker is hidden for {gap:.1f} s of the gait, {LONGEST_GAP:g} s at most are allowed; "
+            "record it anew in sight of the camera"
+        )
+
+
+def _idle_power(recording: Recording) -> Estimate:
+    """Not identifiable in a bag whose power was not recorded at rest; the bag's other estimates stay."""
+    idle = idle_power_of(recording)
+    if not np.isfinite(idle.value):
+        return Estimate(np.nan, np.nan, np.nan, False, idle.warning)
+    return idle_power([idle])

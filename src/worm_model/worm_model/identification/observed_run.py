@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One run as identification sees it: what was commanded and what the instruments saw, from the gait's onset on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from worm_model.gait import Gait
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.run import POWER_VALID, RUNNING, GaitStates, Run, Stamps, seconds
+
+Array = NDArray[np.float64]
+
+RESTING, STOPPING = 2, 4  # GaitState
+SAME_ONSET = 100_000_000  # ns: the driver tells the onset anew with each cycle, through two clocks
+LONGEST_REST = (
+    3_000_000_000  # ns before the onset, of a recording that does not say when the rest began
+)
+FEWEST_SAMPLES = 20  # of an instrument
+MOST_MISFIT = 1e-3  # m, between the commanded lengths and the gait they are said to be
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A run. Times in s from the onset by the stamps of each instrument, whose clocks may be ms apart.
+
+    ``camera_time``, ``x1``, ``x2`` (n,): m, NaN where a marker is hidden, x1 counted from its rest.
+    ``command_time``, ``command`` (m,): s and m, u_cmd from the onset on, first (0, 0).
+    ``cable_time``, ``cable`` (k,): s and m, what the servo encoder says, empty where it was not recorded.
+    ``power_time``, ``power`` (p,): s and W. ``sources``: SHA-256 by file. ``date``: UTC of the first stamp.
+    """
+
+    name: str
+    gait: Gait
+    camera_time: Array
+    x1: Array
+    x2: Array
+    command_time: Array
+    command: Array
+    power_time: Array
+    power: Array
+    cable_time: Array = field(default_factory=lambda: np.empty(0))
+    cable: Array = field(default_factory=lambda: np.empty(0))
+    sources: Mapping[str, str] = field(default_factory=dict)
+    date: str = ""
+
+    @property
+    def length(self) -> Array:
+        """Measured body length x2 − x1 in m, NaN where a marker is hidden."""
+        return self.x2 - self.x1
+
+    @property
+    def at_rest(self) -> NDArray[np.bool_]:
+        """Which camera samples were taken before the onset, both markers seen."""
+        return (self.camera_time < 0.0) & np.isfinite(self.length)
+
+    @property
+    def end(self) -> float:
+        """The last moment, in s, that camera and command both cover."""
+        return float(min(self.camera_time[-1], self.command_time[-1]))
+
+    def with_cable_as_command(self) -> Recording:
+        """The same run, the encoder's cable length in the place of the command.
+
+        Raises `IdentificationError` if the encoder was not recorded.
+        """
+        if not self.cable.size:
+            raise IdentificationError(
+                f"{self.name}: no body_length/cable: the encoder was not recorded"
+            )
+        return replace(self, command_time=self.cable_time, command=self.cable)
+
+
+def recording_of(
+    run: Run, name: str, sources: Mapping[str, str] | None = None, date: str = ""
+) -> Recording:
+    """The recording of a run that holds one gait.
+
+    Raises `IdentificationError` if a topic is missing or too short, or if it does not hold one gait from rest.
+    """
+    _check_topics(run, name)
+    gait, onset = _gait(run.gait_state, name)
+    first, last = _span(run.gait_state, onset)
+
+    def within(stamp: Stamps) -> NDArray[np.bool_]:
+        return (stamp >= first) & (stamp <= last)
+
+    commanded, seen = within(run.commanded.stamp), within(run.tracker.stamp)
+    turned = within(run.cable.stamp)
+    powered = within(run.power.stamp) & (run.power.status == POWER_VALID)
+    command_time = seconds(run.commanded.stamp[commanded], onset)
+    command = run.commanded.length_change[commanded]
+    shift = _onset_shift(command_time, command, gait, name)
+    recording = Recording(
+        name=name,
+        gait=gait,
+        camera_time=seconds(run.tracker.stamp[seen], onset) - shift,
+        x1=run.tracker.rear_position[seen],
+        x2=run.tracker.front_position[seen],
+        command_time=command_time - shift,
+        command=command,
+        power_time=seconds(run.power.stamp[powered], onset) - shift,
+        power=run.power.power[powered],
+        cable_time=seconds(run.cable.stamp[turned], onset) - shift,
+        cable=run.cable.length_change[turned],
+        sources=dict(sources or {}),
+        date=date,
+    )
+    _check_sizes(recording)
+    return _counted_from_rest(_from_onset(recording))
+
+
+def _check_topics(run: Run, name: str) -> None:
+    topics = {
+        "tracker": run.tracker.stamp,
+        "body_length/commanded": run.commanded.stamp,
+        "power": run.power.stamp,
+        "gait_state": run.gait_state.stamp,
+    }
+    for topic, stamp in topics.items():
+        if not stamp.size:
+            raise IdentificationError(f"{name}: has no {topic}: record that topic too")
+
+
+def _check_sizes(recording: Recording) -> None:
+    sizes = {
+        "tracker": recording.camera_time.size,
+        "body_length/commanded": recording.command_time.size,
+        "power": recording.power_time.size,
+    }
+    for topic, size in sizes.items():
+        if size < FEWEST_SAMPLES:
+            raise IdentificationError(
+                f"{recording.name}: only {size} samples of {topic} from the rest before the gait to its end, "
+                f"{FEWEST_SAMPLES} are needed"
+            )
+
+
+def _gait(states: GaitStates, name: str) -> tuple[Gait, int]:
+    """The one gait that was played, and its onset (ns since the epoch)."""
+    played = states.played
+    onsets = np.unique(states.onset[played])
+    count = int(np.sum(np.diff(onsets) > SAME_ONSET)) + 1 if onsets.size else 0
+    if count != 1:
+        what = f"{count} gaits" if count else "no gait"
+        raise IdentificationError(f"{name}: holds {what}; give one run a recording, from rest")
+    row = int(np.flatnonzero(played)[0])
+    gait = Gait(float(states.stroke[row]), float(states.frequency[row]), int(states.direction[row]))
+    return gait, int(states.onset[row])
+
+
+def _span(states: GaitStates, onset: int) -> tuple[int, int]:
+    """Stamps between which the recording counts: from the rest before the gait to the gait's end."""
+    rests = states.stamp[(states.state == RESTING) & (states.stamp <= onset)]
+    first = int(rests[-1]) if rests.size else onset - LONGEST_REST
+    over = ~np.isin(states.state, (RUNNING, STOPPING)) & (states.stamp > onset)
+    ends = states.stamp[over]
+    return first, int(ends[0]) if ends.size else np.iinfo(np.int64).max
+
+
+def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
+    """By how many s the commanded lengths begin later than the onset that was announced."""
+
+    def misfit(shift: Array) -> Array:
+        phase = 2.0 * np.pi * gait.frequency * np.maximum(time - shift[0], 0.0)
+        return 1e3 * (command + 0.5 * gait.stroke * (1.0 - np.cos(phase)))
+
+    played = time < time[-1] - 0.25 * gait.period  # a run's last moments may be its stop
+    fit = least_squares(
+        lambda shift: misfit(shift)[played], [0.0], x_scale=[0.01], loss="soft_l1", diff_step=1e-3
+    )
+    worst = float(np.median(np.abs(misfit(fit.x)[played]))) * 1e-3
+    if worst > MOST_MISFIT or abs(fit.x[0]) > 0.25 * gait.period:
+        raise IdentificationError(
+            f"{name}: the commanded lengths are not the gait of {gait.stroke:g} m at "
+            f"{gait.frequency:g} Hz that it is said to be; correct the gait"
+        )
+    return float(fit.x[0])
+
+
+def _from_onset(recording: Recording) -> Recording:
+    """Commands before the onset are rest; the onset itself becomes their first sample."""
+    after = recording.command_time > 0.0
+    cable_after = recording.cable_time > 0.0
+    cable = recording.cable[cable_after]
+    return replace(
+        recording,
+        command_time=np.concatenate([[0.0], recording.command_time[after]]),
+        command=np.concatenate([[0.0], recording.command[after]]),
+        cable_time=np.concatenate([[0.0], recording.cable_time[cable_after]])
+        if cable.size
+        else cable,
+        cable=np.concatenate([[0.0], cable]) if cable.size else cable,
+    )
+
+
+def _counted_from_rest(recording: Recording) -> Recording:
+    """The camera's zero becomes the rear module's rest."""
+    rest = recording.x1[recording.at_rest]
+    if rest.size < 10:
+        raise IdentificationError(
+            f"{recording.name}: only {rest.size} camera samples show both markers before the gait starts; "
+            f"let the robot rest for 2 s in sight of the camera"
+        )
+    zero = float(np.median(rest[np.abs(rest - np.median(rest)) < 5e-3]))
+    kept = rest[np.abs(rest - zero) < 2e-3]
+    zero = float(kept.mean())
+    return replace(recording, x1=recording.x1 - zero, x2=recording.x2 - zero)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a parameter set predicts of a run, and its errors: the exact model that the nodes use, no nuisance but L0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.identification.actuation_fit import predicted_length_change
+from worm_model.identification.locomotion import Traverse
+from worm_model.identification.observed_run import Recording
+from worm_model.identification.quality import power_missing
+from worm_model.parameters import Parameters
+from worm_model.simulation.quadrature import accumulated
+from worm_model.simulation.simulator import Locomotion
+from worm_model.simulation.smoothing import Smoothed
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What is expected along a run.
+
+    At ``time`` (n,) s of the camera: ``x1`` m under the measured length, ``power`` W and ``energy`` J since the onset;
+    ``length_change`` (samples,) m from the command, at the camera's samples.
+    """
+
+    time: Array
+    x1: Array
+    power: Array
+    energy: Array
+    length_change: Array
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Root mean squares of x1 (m), ΔL (m) and power (W); ``energy_error`` relative at the end of the five ridges.
+
+    Power and energy are NaN where the power sensor did not see the run, energy also where it saw but a part.
+    """
+
+    x1_rmse: float
+    length_rmse: float
+    power_rmse: float
+    energy_error: float
+
+
+def predict(
+    recording: Recording, traverse: Traverse, parameters: Parameters, clock_offset: float = 0.0
+) -> Prediction:
+    """The prediction with the run's own initial length.
+
+    ``clock_offset`` s is by how much the camera's clock is behind the servo's, as far as that is known beforehand.
+    """
+    length = traverse.length
+    values = parameters.replace(initial_length=length.initial_length)
+    time, change, rate = length.time, length.length_change, length.rate
+    model = Locomotion(values, traverse.direction)
+    breaks, coefficients = Smoothed(time, change, rate).cubic()
+    _, motions = model.follow_polynomial(model.start(float(time[0])), breaks, coefficients, breaks)
+    actuation = np.array([values.slack, values.gain, values.time_constant])
+    return Prediction(
+        time=time,
+        x1=motions.x1,
+        power=motions.power,
+        energy=accumulated(time, motions.power),
+        length_change=predicted_length_change(
+            recording, actuation, recording.camera_time, clock_offset
+        ),
+    )
+
+
+def errors(recording: Recording, traverse: Traverse, prediction: Prediction) -> Errors:
+    """What is left between prediction and measurement over the five ridges."""
+    x1 = traverse.x1 - np.interp(traverse.time, prediction.time, prediction.x1)
+    seen = (recording.camera_time >= 0.0) & (recording.camera_time <= traverse.end)
+    change = recording.length - traverse.length.initial_length - prediction.length_change
+    time, power = measured_power(recording, traverse)
+    return Errors(
+        x1_rmse=_rms(x1),
+        length_rmse=_rms(change[seen & ~traverse.length.outliers]),
+        power_rmse=_rms(power - np.interp(time, prediction.time, prediction.power)),
+        energy_error=np.nan
+        if power_missing(recording, traverse)
+        else _energy_error(time, power, prediction),
+    )
+
+
+def _energy_error(time: Array, power: Array, prediction: Prediction) -> float:
+    ends = np.interp(time[[0, -1]], prediction.time, prediction.energy)
+    return float(ends[1] - ends[0]) / float(accumulated(time, power)[-1]) - 1.0
+
+
+def measured_power(recording: Recording, traverse: Traverse) -> tuple[Array, Array]:
+    """(times in s, W) of the power samples over the five ridges."""
+    time = recording.power_time
+    seen = (time >= max(0.0, traverse.length.time[0])) & (time <= traverse.end)
+    return time[seen], recording.power[seen]
+
+
+def _rms(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")

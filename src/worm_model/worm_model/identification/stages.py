@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All stages in the order of the paper's Section V, and what is left over when they are held against each run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.identification.actuation_stage import ActuationResult, identify_actuation
+from worm_model.identification.bellows import BellowsFit, fit_bellows
+from worm_model.identification.energy import PowerRun, power_run
+from worm_model.identification.energy_stage import EnergyResult, identify_energy
+from worm_model.identification.estimate import Estimate, not_told, quantile
+from worm_model.identification.fin import FinFit, fit_fin
+from worm_model.identification.forces import Forces, forces_of
+from worm_model.identification.given import Given
+from worm_model.identification.held_out import leave_one_out, run_errors
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.idle import idle_power
+from worm_model.identification.inputs import Inputs
+from worm_model.identification.locomotion import Known
+from worm_model.identification.locomotion_stage import (
+    FinKnowledge,
+    LocomotionResult,
+    identify_locomotion,
+)
+from worm_model.identification.observed_run import Recording
+from worm_model.identification.run_prediction import Errors
+from worm_model.identification.run_selection import (
+    Run,
+    fitted_runs,
+    initial_length,
+    prepared_validation,
+)
+from worm_model.parameters import KEYS, Parameters
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+FIN = ("clearance", "engaged_stiffness", "disengaged_stiffness")
+NO_FIN = "x1 tells but its ratio to the fins' stiffness, fitted under the given one; add a fin test"
+UNDER_GIVEN_FINS = "fitted under the given fins; add a fin test"
+NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
+NO_FRICTION = "η is not told, and c_b and α_P depend on it"
+SOFT_FIN = (
+    "fin test: the side that --fin-engages names is the softer one ({engaged:.0f} against {disengaged:.0f} N/m): a fin "
+    "that anchors is stiffer; is it the other sign?"
+)
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Everything that came out.
+
+    ``estimates`` of all keys and the ``parameters`` that they make; the results of the stages; ``held_out``: errors
+    of each run under what the others say (empty with one run); ``paper``: under the paper's table; ``validation``: of
+    further runs under ``parameters``; ``warnings`` in words. ``power_runs`` are those of the runs whose power was seen.
+    """
+
+    estimates: Mapping[str, Estimate]
+    parameters: Parameters
+    given: Given
+    runs: tuple[Run, ...]
+    bellows: BellowsFit | None
+    fin: FinFit | None
+    locomotion: LocomotionResult
+    actuation: ActuationResult
+    energy: EnergyResult
+    power_runs: tuple[PowerRun, ...]
+    held_out: Mapping[str, Errors]
+    paper: Mapping[str, Errors]
+    validation: Mapping[str, Errors]
+    warnings: tuple[str, ...]
+    seed: int
+
+    def power_clock(self, name: str) -> tuple[float, float]:
+        """(offset in s, its standard deviation) of a run's power sensor behind the camera; NaN where not told."""
+        for run, offset, deviation in zip(
+            self.power_runs,
+            self.energy.fit.clock_offset,
+            self.energy.clock_deviation,
+            strict=True,
+        ):
+            if run.name == name:
+                return float(offset), float(deviation)
+        return float("nan"), float("nan")
+
+
+def identify(
+    inputs: Inputs,
+    given: Given,
+    seed: int = 0,
+    fin_engages: int = 0,
+    validation: Sequence[Recording] = (),
+    progress: Progress = lambda _stage, _done: None,
+) -> Identification:
+    """All parameters from recordings and bench tests; the same inputs and ``seed`` give the same numbers.
+
+    Raises `worm_model.identification.identification_errors.IdentificationError` if the data do not suffice.
+    """
+    random = np.random.default_rng(seed)
+    estimates = {key: given.estimate(key) for key in KEYS}
+    bellows = fit_bellows(inputs.bellows.x, inputs.bellows.y) if inputs.bellows else None
+    fin = fit_fin(inputs.fin.x, inputs.fin.y, fin_engages) if inputs.fin else None
+    estimates |= _bench_estimates(bellows, fin)
+    runs, warnings = fitted_runs(inputs.recordings, given.parameters.pitch)
+    checked, seen = prepared_validation(validation, inputs.recordings, given.parameters.pitch)
+    estimates["initial_length"] = initial_length(runs)
+    estimates["idle_power"] = idle_power([run.idle for run in runs])
+    pitch_deviation = estimates["pitch"].spread / quantile(np.inf)
+    known = Known(_with_values(given.parameters, estimates), pitch_deviation)
+    locomotion = _locomotion(runs, known, _fin_knowledge(estimates, fin), fin, progress)
+    estimates |= _locomotion_estimates(locomotion, estimates, fin)
+    progress("actuation", 0.0)
+    actuation = identify_actuation([run.recording for run in runs], random)
+    estimates |= _actuation_estimates(actuation)
+    progress("energy", 0.0)
+    energy, power_runs = _energy(runs, known.parameters, estimates, locomotion, given, random)
+    estimates |= {
+        "bellows_damping": energy.bellows_damping,
+        "power_factor": energy.power_factor,
+    }
+    parameters = _with_values(known.parameters, estimates)
+    progress("held out", 0.0)
+    left_out = leave_one_out(runs, known, parameters, locomotion, actuation.fit, power_runs, energy)
+    offset = float(actuation.fit.clock_offset.mean())
+    result = Identification(
+        estimates=estimates,
+        parameters=parameters,
+        given=given,
+        runs=tuple(runs),
+        bellows=bellows,
+        fin=fin,
+        locomotion=locomotion,
+        actuation=actuation,
+        energy=energy,
+        power_runs=tuple(power_runs),
+        held_out=left_out.held_out,
+        paper=left_out.paper,
+        validation={run.name: run_errors(run, parameters, offset) for run in checked},
+        warnings=(*inputs.remarks, *bench_warnings(fin), *warnings, *seen),
+        seed=seed,
+    )
+    progress("done", 1.0)
+    return result
+
+
+def _locomotion(
+    runs: Sequence[Run],
+    known: Known,
+    fins: FinKnowledge | None,
+    fin: FinFit | None,
+    progress: Progress,
+) -> LocomotionResult:
+    """Stage 4; where it finds nothing, an odd bench test may be the reason."""
+    traverses = [run.traverse for run in runs]
+    try:
+        return identify_locomotion(
+            traverses, known, fins, lambda done: progress("locomotion", done)
+        )
+    except IdentificationError as error:
+        raise IdentificationError("; ".join([str(error), *bench_warnings(fin)])) from None
+
+
+def _energy(
+    runs: Sequence[Run],
+    parameters: Parameters,
+    estimates: Mapping[str, Estimate],
+    locomotion: LocomotionResult,
+    given: Given,
+    random: np.random.Generator,
+) -> tuple[EnergyResult, list[PowerRun]]:
+    """Stage 7, on the forces that stage 4 left, of the runs whose power was seen."""
+    powered = [index for index, run in enumerate(runs) if run.powered]
+    stiffness = estimates["bellows_stiffness"]
+    forces = forces_of([run.traverse for run in runs], parameters, locomotion, stiffness, given).of(
+        powered
+    )
+    power_runs = _power_runs(
+        [runs[index] for index in powered], forces, estimates["idle_power"].value
+    )
+    hindrance = "" if locomotion.viscous_friction.identifiable else NO_FRICTION
+    result = identify_energy(
+        power_runs,
+        [runs[index].recording.gait.frequency for index in powered],
+        forces.draw,
+        given.parameters.bellows_damping,
+        random,
+        hindrance if stiffness.identifiable else NO_BELLOWS,
+    )
+    return result, power_runs
+
+
+def bench_warnings(fin: FinFit | None) -> list[str]:
+    """What is odd about the bench tests, in words."""
+    if fin is None or fin.engaged_stiffness.value >= fin.disengaged_stiffness.value:
+        return []
+    return [
+        SOFT_FIN.format(
+            engaged=fin.engaged_stiffness.value, disengaged=fin.disengaged_stiffness.value
+        )
+    ]
+
+
+def _bench_estimates(bellows: BellowsFit | None, fin: FinFit | None) -> dict[str, Estimate]:
+    found = {}
+    if bellows is not None:
+        found["bellows_stiffness"] = bellows.stiffness
+    if fin is not None:
+        found["clearance"] = fin.clearance
+        found["engaged_stiffness"] = fin.engaged_stiffness
+        found["disengaged_stiffness"] = fin.disengaged_stiffness
+    return found
+
+
+def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> FinKnowledge | None:
+    """By the fin test, else by the bounds that were given, None if there are none."""
+    if fin is not None:
+        return FinKnowledge(fin.values, fin.covariance)
+    given = [estimates[key] for key in FIN]
+    if not all(estimate.identifiable for estimate in given):
+        return None
+    deviation = np.array([estimate.spread / quantile(np.inf) for estimate in given])
+    return FinKnowledge(np.array([e.value for e in given]), np.diag(deviation**2))
+
+
+def _locomotion_estimates(
+    locomotion: LocomotionResult, estimates: Mapping[str, Estimate], fin: FinFit | None
+) -> dict[str, Estimate]:
+    """Without a fin test x1 tells but the ratio of η to the fins' stiffness. The pitch is told better than given."""
+    friction, threshold = locomotion.viscous_friction, locomotion.switching_threshold
+    if _fin_knowledge(estimates, fin) is None:
+        friction = not_told(friction.value, NO_FIN)
+        threshold = not_told(threshold.value, UNDER_GIVEN_FINS)
+    given = estimates["pitch"]
+    note = f"from x1 over the ridges; {given.value * 1e3:.2f} ± {given.spread * 1e3:.2f} mm {given.note}"
+    pitch = locomotion.pitch
+    return {
+        "viscous_friction": friction,
+        "switching_threshold": threshold,
+        "pitch": Estimate(pitch.value, pitch.low, pitch.high, pitch.identifiable, note),
+    }
+
+
+def _actuation_estimates(actuation: ActuationResult) -> dict[str, Estimate]:
+    return {
+        "slack": actuation.slack,
+        "gain": actuation.gain,
+        "time_constant": actuation.time_constant,
+    }
+
+
+def _with_values(parameters: Parameters, estimates: Mapping[str, Estimate]) -> Parameters:
+    return parameters.replace(**{key: estimate.value for key, estimate in estimates.items()})
+
+
+def _power_runs(runs: Sequence[Run], forces: Forces, idle: float) -> list[PowerRun]:
+    """With each run's own idle power where it has one."""
+    return [
+        power_run(
+            run.recording,
+            run.length.time,
+            run.length.rate,
+            force,
+            run.traverse.end,
+            run.idle.value if np.isfinite(run.idle.value) else idle,
+        )
+        for run, force in zip(runs, forces.best, strict=True)
+    ]

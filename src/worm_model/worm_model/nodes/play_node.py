@@ -1,0 +1,364 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``worm_model play``: publishes a bag with its timing, and the bag's time on /clock."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import re
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import yaml
+from builtin_interfaces.msg import Time
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.utilities import remove_ros_args
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from worm_model.bags.bag import Bag, Message, Topic
+from worm_model.bags.opening import open_bag
+from worm_model.bags.play_clock import Timeline
+from worm_model.commands.command_line import InputError, Parser, number, run_command
+from worm_model.nodes.keyboard import keys_of_terminal, pressed
+from worm_model.nodes.ros_process import ros_process
+
+LONGEST_WAIT_S = 0.005  # between two looks at services and keys
+MATCHING_S = 3.0  # that a subscriber which cannot be connected is waited for
+ACKNOWLEDGED_S = 2.0  # that the last messages have to reach their subscribers
+VOLATILE_DEPTH = 1000  # of samples that may wait for a slow subscriber
+LATCHED_DEPTH = 10
+HELP = "space: pause and resume, s or right arrow: one message, q: quit"
+
+
+def message_class(type_name: str) -> Any:
+    """Python class of ``package/msg/Type``; None if its package is not installed."""
+    package, _, kind = type_name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), kind)
+    except (ImportError, AttributeError, ValueError):
+        return None
+
+
+def _offered(topic: Topic) -> Any:
+    """What a topic's first publisher offered; empty where the bag does not tell."""
+    try:
+        profiles = yaml.safe_load(dict(topic.metadata).get("offered_qos_profiles", ""))
+    except yaml.YAMLError:
+        return {}
+    first = profiles[0] if isinstance(profiles, list) and profiles else {}
+    return first if isinstance(first, dict) else {}
+
+
+def is_latched(topic: Topic) -> bool:
+    """Whether a topic was published for those who come later, too."""
+    return _offered(topic).get("durability") in ("transient_local", 1)  # a number before version 9
+
+
+def play_qos(topic: Topic) -> QoSProfile:
+    """Quality of service to play a topic with: as its first publisher offered it.
+
+    Where the bag does not tell, it is reliable and latched, which serves every subscriber.
+    """
+    offered = _offered(topic)
+    latched = is_latched(topic) or not offered
+    best_effort = offered.get("reliability") in ("best_effort", 2)
+    return QoSProfile(
+        depth=LATCHED_DEPTH if is_latched(topic) else VOLATILE_DEPTH,
+        reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+class PlayNode(Node):
+    """Plays a bag.
+
+    Args:
+        bag: an open bag.
+        options: of the command line.
+    """
+
+    def __init__(self, bag: Bag, options: argparse.Namespace) -> None:
+        super().__init__("player")
+        self._bag = bag
+        self._options = options
+        self._first_ns = bag.start + round(options.start * 1e9)
+        self._publishers_by_topic = self._advertise()
+        self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
+        self._clock_due = 0.0
+        self._pending: Message | None = None
+        self._messages: Iterator[Message] = iter(())
+        self._timeline = Timeline(self._first_ns, time.monotonic(), options.rate, paused=True)
+        self._begun = False
+        self._subscribers: dict[str, tuple[int, int]] = {}
+        self._changed = time.monotonic()  # when subscribers came or went
+        self._wanted = not options.paused
+        self.finished = False
+        self.published = 0
+        self.create_service(Trigger, "~/pause", self._serve_pause)
+        self.create_service(Trigger, "~/resume", self._serve_resume)
+        self.create_service(Trigger, "~/step", self._serve_step)
+
+    # --- what is published ------------------------------------------------------------------------
+
+    def _advertise(self) -> dict[str, Publisher]:
+        publishers = {}
+        for topic in self._selected():
+            kind = message_class(topic.type_name) if topic.encoding == "cdr" else None
+            if kind is None:
+                text = f"{topic.name} is not played: {topic.type_name} is not installed"
+                self.get_logger().warning(text)
+                continue
+            publishers[topic.name] = self.create_publisher(kind, topic.name, play_qos(topic))
+        if not publishers:
+            raise InputError(f"{self._bag.path} has none of the topics that were asked for")
+        return publishers
+
+    def _selected(self) -> Iterable[Topic]:
+        wanted, exclude = self._options.topic, self._options.exclude
+        unknown = sorted(set(wanted) - self._bag.topics.keys())
+        if unknown:
+            raise InputError(f"{self._bag.path} has no topic {unknown[0]}")
+        for topic in self._bag.topics.values():
+            chosen = topic.name in wanted if wanted else True
+            left_out = bool(exclude) and re.search(exclude, topic.name)
+            if chosen and not left_out and topic.name != "/clock":
+                yield topic
+
+    def begin(self) -> None:
+        """Go to the start: latched messages from before it are published, the clock stands there."""
+        self._begun = True
+        self._messages = self._bag.messages(self._publishers_by_topic)
+        self._pending = None
+        latched: dict[str, Message] = {}
+        for message in self._messages:
+            if message.log_time >= self._first_ns:
+                self._pending = message
+                break
+            latched[message.topic] = message
+        for topic, message in latched.items():
+            if is_latched(self._bag.topics[topic]):
+                self._publish(message)
+        self._timeline = self._timeline.jump(self._first_ns, time.monotonic())
+        self._publish_clock(self._first_ns)
+
+    def advance(self) -> float:
+        """Publish what is due; returns the wall time (monotonic, s) of what comes next."""
+        if not self._begun:
+            self.begin()
+        wall = time.monotonic()
+        if self._timeline.paused and self._is_heard(wall) and self._wanted:
+            self._timeline = self._timeline.resume(wall)
+        now_ns = self._timeline.at(wall)
+        while not self._timeline.paused and self._pending and self._pending.log_time <= now_ns:
+            self._publish_next()
+        if self._pending is None and not self._timeline.paused:
+            self._end()
+        self._tell_time(wall)
+        due = min(wall + LONGEST_WAIT_S, self._clock_due if self._options.clock else wall + 1.0)
+        if self._pending is not None:
+            due = min(due, self._timeline.wall_at(self._pending.log_time))
+        return due
+
+    def _is_heard(self, wall: float) -> bool:
+        """Whether all subscribers that there are get what is published, and none has come for a while.
+
+        Both sides of a connection learn of it at different times, and discovery tells of subscribers one by one.
+        """
+        counts = {
+            topic: (publisher.get_subscription_count(), self.count_subscribers(topic))
+            for topic, publisher in self._publishers_by_topic.items()
+        }
+        if counts != self._subscribers:
+            self._subscribers, self._changed = counts, wall
+        connected = all(reached >= known for reached, known in counts.values())
+        patience = self._options.delay + (0.0 if connected else MATCHING_S)
+        return wall >= self._changed + patience
+
+    def _publish_next(self) -> None:
+        assert self._pending is not None
+        self._publish(self._pending)
+        self._pending = next(self._messages, None)
+
+    def _publish(self, message: Message) -> None:
+        self._publishers_by_topic[message.topic].publish(message.data)
+        self.published += 1
+
+    def _tell_time(self, wall: float) -> None:
+        if self._options.clock and wall >= self._clock_due:
+            self._clock_due = wall + 1.0 / self._options.clock
+            self._publish_clock(self._timeline.at(wall))
+
+    def _publish_clock(self, now_ns: int) -> None:
+        if self._options.clock:
+            stamp = Time(sec=now_ns // 10**9, nanosec=now_ns % 10**9)
+            self._clock_publisher.publish(Clock(clock=stamp))
+
+    def _end(self) -> None:
+        if self._options.loop:
+            self.begin()
+        else:
+            self.finished = True
+
+    def drain(self) -> None:
+        """Wait until reliable subscribers have all that was published."""
+        deadline = Duration(seconds=ACKNOWLEDGED_S)
+        for publisher in self._publishers_by_topic.values():
+            publisher.wait_for_all_acked(deadline)
+
+    # --- pause and step ---------------------------------------------------------------------------
+
+    def pause(self) -> None:
+        """The bag's time stands."""
+        self._wanted = False
+        self._timeline = self._timeline.pause(time.monotonic())
+
+    def resume(self) -> None:
+        """The bag's time goes on as soon as all subscribers are connected."""
+        self._wanted = True
+
+    def step(self) -> str:
+        """Pause, and publish the next message once it is heard; returns its topic, empty at the end."""
+        if not self._begun:
+            self.begin()
+        self.pause()
+        while not self._is_heard(time.monotonic()):
+            time.sleep(LONGEST_WAIT_S)
+        if self._pending is None:
+            return ""
+        topic, log_time = self._pending.topic, self._pending.log_time
+        self._timeline = self._timeline.jump(max(log_time, self._timeline.bag_ns), time.monotonic())
+        self._publish_next()
+        self._publish_clock(self._timeline.bag_ns)
+        return topic
+
+    def press(self, keys: str) -> None:
+        """Act on keys: see HELP."""
+        if " " in keys:
+            if self._wanted:
+                self.pause()
+            else:
+                self.resume()
+        if "s" in keys or "\x1b[C" in keys:
+            self.step()
+        if "q" in keys:
+            self.finished = True
+
+    def _serve_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.pause()
+        response.success, response.message = True, "paused"
+        return response
+
+    def _serve_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.resume()
+        response.success, response.message = True, "playing"
+        return response
+
+    def _serve_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        topic = self.step()
+        response.success = bool(topic)
+        response.message = topic or "the bag is at its end"
+        return response
+
+
+def _positive(text: str) -> float:
+    value = number(text)
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _not_negative(text: str) -> float:
+    value = number(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is below 0")
+    return value
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="play",
+        description="Publishes a bag with its timing and its time on /clock, for nodes with use_sim_time. "
+        f"Services ~/pause, ~/resume, ~/step; on a terminal {HELP}.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG")
+    parser.add_argument("-r", "--rate", type=_positive, default=1.0, help="default 1")
+    parser.add_argument("-l", "--loop", action="store_true", help="begin anew at the end")
+    parser.add_argument(
+        "--start", type=_not_negative, default=0.0, metavar="S", help="from this time on, in s"
+    )
+    parser.add_argument("--paused", action="store_true", help="begin paused")
+    parser.add_argument(
+        "--delay",
+        type=_not_negative,
+        default=1.0,
+        metavar="S",
+        help="without a new subscriber, before the first message (default 1 s)",
+    )
+    parser.add_argument(
+        "--clock",
+        type=_not_negative,
+        default=100.0,
+        metavar="HZ",
+        help="rate of /clock, 0: none (default 100)",
+    )
+    parser.add_argument(
+        "--topic", action="append", default=[], help="only this one; may be repeated"
+    )
+    parser.add_argument("-x", "--exclude", default="", metavar="REGEX", help="topics left out")
+    return parser
+
+
+def _play(ended: Callable[[], bool], options: argparse.Namespace) -> None:
+    try:
+        re.compile(options.exclude)
+    except re.error as error:
+        raise InputError(
+            f"--exclude {options.exclude!r} is not a regular expression: {error}"
+        ) from None
+    with open_bag(options.bag, _notify) as bag:
+        length = (bag.end - bag.start) * 1e-9
+        if not bag.message_count:
+            raise InputError(f"{options.bag} holds no messages")
+        if options.start > length:
+            raise InputError(
+                f"--start {options.start:g} is behind the end: the bag is {length:.2f} s long"
+            )
+        node = PlayNode(bag, options)
+        node.get_logger().info(f"playing {bag.path}: {bag.message_count} messages, {length:.1f} s")
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        try:
+            with keys_of_terminal():
+                _spin(node, executor, ended)
+        finally:
+            sys.stderr.write(f"play: {node.published} messages published\n")
+            executor.shutdown()
+            node.destroy_node()
+
+
+def _spin(node: PlayNode, executor: SingleThreadedExecutor, ended: Callable[[], bool]) -> None:
+    while not (node.finished or ended()):
+        due = node.advance()
+        executor.spin_once(timeout_sec=0.0)
+        node.press(pressed())
+        time.sleep(max(due - time.monotonic(), 0.0))
+    node.drain()
+
+
+def _notify(line: str) -> None:
+    sys.stderr.write(f"play: {line}\n")
+
+
+def main() -> int:
+    """Entry point of the executable play."""
+    with ros_process() as ended:
+        return run_command(_parser(), partial(_play, ended), remove_ros_args(sys.argv)[1:])

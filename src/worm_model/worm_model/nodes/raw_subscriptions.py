@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Raw subscriptions to any topics, for recording.
+
+The subscriptions are polled, not spun: an executor spends some 0.2 ms of Python a message, a look at a subscription
+that takes all that is waiting a hundredth of it, and the stamps come from the middleware, so that polling costs no
+accuracy. A node that is not spun answers no services, so it offers none.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+
+from worm_model.bags.bag_metadata import RecordedTopic
+from worm_model.bags.message_definitions import DefinitionError, bag_schema, installed_definition
+from worm_model.bags.message_loss import LossCounter
+from worm_model.bags.recording_thread import Note, Sample
+from worm_model.bags.run_manifest import GAIT_RECORD
+from worm_model.bags.topic_selection import TopicSelection
+from worm_model.nodes.recording_qos import describe, subscription_qos
+
+GAIT_STATE = "worm_msgs/msg/GaitState"
+
+OVERLAP_LOOKS = (
+    50  # with both subscriptions: publishers learn of the second one later than it does of them
+)
+
+_Identity = tuple[int, int]
+
+
+class _RawSubscription:
+    """A subscription that is looked at instead of called back.
+
+    When a publisher comes that offers less, a second subscription that it can serve is made beside the first, which
+    stays until the second is connected to all: nothing is lost in between, and what both receive is taken once.
+    """
+
+    def __init__(self, node: Node, topic: RecordedTopic, message: type, depth: int) -> None:
+        self.topic = topic
+        self.loss = LossCounter(lambda: node.count_publishers(topic.name))
+        self._node = node
+        self._message = message
+        self._depth = depth
+        self._recent: deque[_Identity] = deque(maxlen=depth)
+        self._old: Subscription | None = None
+        self._connected_looks = 0
+        self.qos, self._subscription = self._subscribe()
+
+    def _subscribe(self) -> tuple[QoSProfile, Subscription]:
+        publishers = self._node.get_publishers_info_by_topic(self.topic.name)
+        qos = subscription_qos([info.qos_profile for info in publishers], self._depth)
+        subscription = self._node.create_subscription(
+            self._message, self.topic.name, lambda _: None, qos, raw=True
+        )
+        return qos, subscription
+
+    def take(self) -> list[Sample]:
+        """All that is waiting."""
+        if self._old is None:
+            return [self._sample(*taken) for taken in self._waiting(self._subscription)]
+        known = set(self._recent)
+        samples = []
+        for subscription in (self._old, self._subscription):
+            for data, info in self._waiting(subscription):
+                if _identity(info) not in known:
+                    known.add(_identity(info))
+                    samples.append(self._sample(data, info))
+        self._connected_looks += self._is_connected()
+        if self._connected_looks > OVERLAP_LOOKS:
+            self._node.destroy_subscription(self._old)
+            self._node.get_logger().info(f"{self.topic.name}: the old subscription is given up")
+            self._old = None
+        return samples
+
+    def _waiting(self, subscription: Subscription) -> Iterator[tuple[bytes, dict[str, int]]]:
+        handle = subscription.handle
+        with handle:
+            while (taken := handle.take_message(self._message, True)) is not None:
+                yield taken
+
+    def _sample(self, data: bytes, info: dict[str, int]) -> Sample:
+        self.loss.observe(info["publication_sequence_number"])
+        self._recent.append(_identity(info))
+        return Sample(self.topic, data, info["received_timestamp"], info["source_timestamp"])
+
+    def _is_connected(self) -> bool:
+        publishers = self._node.count_publishers(self.topic.name)
+        return self._subscription.get_publisher_count() >= publishers
+
+    def hears_all(self) -> bool:
+        """Whether every publisher that there is now can serve this subscription."""
+        return all(
+            qos_check_compatible(info.qos_profile, self.qos)[0] != QoSCompatibility.ERROR
+            for info in self._node.get_publishers_info_by_topic(self.topic.name)
+        )
+
+    def resubscribe(self) -> None:
+        """Adapt to the publishers that there are now."""
+        if self._old is not None:
+            self._node.destroy_subscription(self._subscription)  # the old one has what was received
+        else:
+            self._old = self._subscription
+        self._connected_looks = 0
+        self.qos, self._subscription = self._subscribe()
+
+
+def _identity(info: dict[str, int]) -> _Identity:
+    """What tells a message of a topic from another: the publisher's number and time of sending."""
+    return info["publication_sequence_number"], info["source_timestamp"]
+
+
+class RecordNode(Node):
+    """Subscribes to the selected topics as they appear.
+
+    Args:
+        selection: which ones; names relative to the node's namespace are resolved.
+        depth: messages of a topic that may wait between two looks.
+    """
+
+    def __init__(self, selection: TopicSelection, depth: int) -> None:
+        super().__init__(
+            "recorder",
+            start_parameter_services=False,  # nobody would answer: the node is not spun
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+        names = frozenset(self.resolve_topic_name(name) for name in selection.names)
+        self._selection = replace(selection, names=names)
+        self._depth = depth
+        self._subscriptions_by_name: dict[str, _RawSubscription] = {}
+        self._refused: set[str] = set()
+        self._gait: dict[str, str] = {}
+
+    @property
+    def lost(self) -> int:
+        """Messages that publishers sent and that did not arrive."""
+        return sum(subscription.loss.lost for subscription in self._subscriptions_by_name.values())
+
+    @property
+    def missing(self) -> list[str]:
+        """Topics that were named and have not been seen."""
+        return sorted(self._selection.names - self._subscriptions_by_name.keys())
+
+    @property
+    def topic_count(self) -> int:
+        """Topics subscribed to."""
+        return len(self._subscriptions_by_name)
+
+    def discover(self) -> None:
+        """Subscribe to what is new, adapt to new publishers of what is not."""
+        for subscription in self._subscriptions_by_name.values():
+            if not subscription.hears_all():
+                subscription.resubscribe()
+                self.get_logger().warning(
+                    f"{subscription.topic.name}: a new publisher offers less; adapted to it"
+                )
+        for name, types in self.get_topic_names_and_types():
+            new = name not in self._subscriptions_by_name and name not in self._refused
+            if new and self._selection.takes(name) and self.count_publishers(name):
+                self._subscribe(name, types)
+
+    def _subscribe(self, name: str, types: Sequence[str]) -> None:
+        try:
+            if len(types) != 1:
+                raise DefinitionError(f"it has several types: {', '.join(types)}")
+            schema = bag_schema(types[0], installed_definition)
+            message = message_class(types[0])
+        except DefinitionError as error:
+            self._refused.add(name)
+            self.get_logger().error(f"{name} is not recorded: {error}")
+            return
+        publishers = self.get_publishers_info_by_topic(name)
+        type_hash = str(publishers[0].topic_type_hash) if publishers else ""
+        topic = RecordedTopic(name, types[0], schema, type_hash, describe(publishers))
+        self._subscriptions_by_name[name] = _RawSubscription(self, topic, message, self._depth)
+        self.get_logger().info(f"recording {name} ({types[0]})")
+
+    def take(self) -> list[Sample]:
+        """All messages that are waiting, of all topics."""
+        return [
+            sample
+            for subscription in self._subscriptions_by_name.values()
+            for sample in subscription.take()
+        ]
+
+    def new_gait(self, samples: Sequence[Sample]) -> Note | None:
+        """The gait that has begun according to the messages, if one has."""
+        for sample in samples:
+            if sample.topic.type_name == GAIT_STATE:
+                gait = _describe_gait(deserialize_message(sample.data, message_class(GAIT_STATE)))
+                if gait and gait != self._gait:
+                    self._gait = gait
+                    return Note(GAIT_RECORD, gait)
+        return None
+
+
+def message_class(type_name: str) -> type:
+    """Python class of ``package/msg/Type``.
+
+    Raises:
+        DefinitionError: its package is not installed.
+    """
+    package, _, kind = type_name.split("/")
+    try:
+        found: type = getattr(importlib.import_module(f"{package}.msg"), kind)
+    except (ImportError, AttributeError):
+        raise DefinitionError(
+            f"{type_name} is not installed; source the workspace that has it"
+        ) from None
+    return found
+
+
+def _describe_gait(state: Any) -> dict[str, str]:
+    """A running gait as text; empty when none runs."""
+    if state.state != state.RUNNING or state.gait.stroke <= 0.0:
+        return {}
+    return {
+        "stroke": repr(state.gait.stroke),
+        "frequency": repr(state.gait.frequency),
+        "direction": str(state.gait.direction),
+        "margin": repr(state.gait.margin),
+        "cycles": str(state.cycles),
+        "onset_ns": str(state.onset.sec * 10**9 + state.onset.nanosec),
+    }

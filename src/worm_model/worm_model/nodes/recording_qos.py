@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quality of service of a recording: adapted to the publishers, and described as rosbag2 does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from worm_model.bags.bag_metadata import qos_profile
+
+
+def subscription_qos(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:
+    """The strictest quality of service that every publisher can serve.
+
+    A best-effort publisher does not connect to a reliable subscription, nor a volatile one to a transient-local
+    subscription; without latching asked for, a latched message would be missed.
+
+    Args:
+        offered: of the publishers there are.
+        depth: messages kept between two looks at the subscription.
+    """
+    reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
+    latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def describe(publishers: Sequence[TopicEndpointInfo]) -> tuple[Mapping[str, Any], ...]:
+    """The offered profiles of a topic's publishers, each different one once, for metadata.yaml."""
+    profiles: list[Mapping[str, Any]] = []
+    for publisher in publishers:
+        qos = publisher.qos_profile
+        profile = qos_profile(
+            history=qos.history.short_key,
+            depth=qos.depth,
+            reliability=qos.reliability.short_key,
+            durability=qos.durability.short_key,
+            liveliness=qos.liveliness.short_key,
+            times=(
+                qos.deadline.nanoseconds,
+                qos.lifespan.nanoseconds,
+                qos.liveliness_lease_duration.nanoseconds,
+            ),
+        )
+        if profile not in profiles:
+            profiles.append(profile)
+    return tuple(profiles)

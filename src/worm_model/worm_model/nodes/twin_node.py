@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The digital twin as a ROS node: takes samples, lets the core step, publishes.
+
+Its subscriptions are looked at every ``POLL_S`` instead of being called back by the executor, which takes some
+0.2 ms of Python a message; all else (parameters, services, timers) is a SingleThreadedExecutor's.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from visualization_msgs.msg import MarkerArray
+
+from worm_model.gait import GaitError
+from worm_model.nodes import twin_messages
+from worm_model.nodes.ros_process import ros_process, spare_pauses
+from worm_model.nodes.scene_markers import marker_array
+from worm_model.parameters import ParameterError, load_parameters
+from worm_model.simulation import warm_up
+from worm_model.twin.core import Twin
+from worm_model.twin.forecast import ForecastError, forecast
+from worm_model.twin.records import Notice, Output, Sample, Severity, StateRecord, TrackerSample
+from worm_model.twin.scene import LOST_S, Sighting, scene
+from worm_model.twin.twin_status import Level, report
+from worm_msgs.msg import BodyLength, TwinResiduals, TwinState
+from worm_msgs.srv import PredictGait
+
+PARAMETER_FILE = "parameter_file"
+POLL_S = 0.002
+POLLS_PER_SPIN = 5  # how often the executor gets its turn
+MARKER_PERIOD_S = 0.1
+BURST = 200  # of records that one poll may yield, after a stall of the machine
+DEPTH = 1000  # of samples that may wait, for every topic
+
+_LATCHED = QoSProfile(
+    depth=10,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+_LEVELS = {
+    Level.OK: DiagnosticStatus.OK,
+    Level.WARN: DiagnosticStatus.WARN,
+    Level.ERROR: DiagnosticStatus.ERROR,
+}
+
+
+class _Polled(CallbackGroup):
+    """Of subscriptions that the executor leaves alone."""
+
+    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
+        """Never: they are looked at."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
+        """Never."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing began."""
+
+
+class TwinNode(Node):
+    """Listens to the topics of `twin_messages.INPUTS`; raises `ParameterError` on a bad parameter file."""
+
+    def __init__(self) -> None:
+        super().__init__("twin")
+        text = "the model's parameters (YAML); empty: the paper's"
+        self.declare_parameter(PARAMETER_FILE, "", ParameterDescriptor(description=text))
+        twin_messages.declare_settings(self)
+        self._twin = self._make_twin()
+        self._state = self._twin.start()
+        group = _Polled()
+        self._inputs = [
+            self._subscribe(topic, kind, convert, group)
+            for topic, (kind, convert) in twin_messages.INPUTS.items()
+        ]
+        self._states = self.create_publisher(TwinState, "twin/state", BURST)
+        self._residuals = self.create_publisher(TwinResiduals, "twin/residuals", BURST)
+        self._lengths = self.create_publisher(BodyLength, "body_length/estimated", BURST)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
+        self._markers = self.create_publisher(MarkerArray, "twin/markers", 10)
+        self._shown: StateRecord | None = None
+        self._heard = self._moved = time.monotonic()  # when the last input and the last state came
+        self._sighting = Sighting()
+        self.create_service(PredictGait, "predict_gait", self._predict)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        self.create_timer(MARKER_PERIOD_S, self._publish_markers, clock=steady)
+
+    def poll(self) -> None:
+        """Takes all that has come, in the order of its stamps, and publishes what it yields."""
+        samples = [sample for take in self._inputs for sample in take()]
+        if not samples:
+            return
+        self._heard = time.monotonic()
+        samples.sort(key=lambda sample: sample.stamp_ns)
+        self._state, output = self._twin.step(self._state, samples)
+        self._publish(output)
+        if output.states:
+            self._shown, self._moved = output.states[-1], self._heard
+        for sample in samples:
+            if isinstance(sample, TrackerSample):
+                self._sighting = Sighting(
+                    sample.rear_position, sample.front_position, sample.stamp_ns
+                )
+
+    def _subscribe(
+        self, topic: str, kind: type, convert: Callable[[Any], Sample], group: CallbackGroup
+    ) -> Callable[[], list[Sample]]:
+        qos = _LATCHED if topic == "gait_state" else DEPTH
+        subscription = self.create_subscription(
+            kind, topic, lambda _: None, qos, callback_group=group
+        )
+
+        def take() -> list[Sample]:
+            samples = []
+            handle = subscription.handle
+            with handle:
+                while (taken := handle.take_message(kind, False)) is not None:
+                    samples.append(convert(taken[0]))
+            return samples
+
+        return take
+
+    def _publish(self, output: Output) -> None:
+        for length in output.lengths:
+            self._lengths.publish(twin_messages.length_message(length))
+        for state in output.states:
+            self._states.publish(twin_messages.state_message(state))
+        for residuals in output.residuals:
+            self._residuals.publish(twin_messages.residuals_message(residuals))
+        for notice in output.notices:
+            self._log(notice)
+
+    def _log(self, notice: Notice) -> None:
+        # one call each: rclpy raises where one line logs with different severities
+        if notice.severity is Severity.ERROR:
+            self.get_logger().error(notice.text)
+        elif notice.severity is Severity.WARNING:
+            self.get_logger().warning(notice.text)
+        else:
+            self.get_logger().info(notice.text)
+
+    # --- parameters -----------------------------------------------------------------------------
+
+    def _make_twin(self) -> Twin:
+        parameters = load_parameters(self.get_parameter(PARAMETER_FILE).value)
+        return Twin(parameters, twin_messages.settings_of(self))
+
+    def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == PARAMETER_FILE:
+                try:
+                    load_parameters(parameter.value)
+                except ParameterError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_parameters(self, _: Sequence[Parameter]) -> None:
+        """The state stays: the twin goes on with the new values from its next sample on."""
+        self._twin = self._make_twin()
+
+    # --- what if, and what is seen -------------------------------------------------------------------
+
+    def _predict(
+        self, request: PredictGait.Request, response: PredictGait.Response
+    ) -> PredictGait.Response:
+        try:
+            gait = twin_messages.gait_of(request.gait)
+            found = forecast(self._twin, self._state, gait, request.horizon)
+        except (GaitError, ForecastError) as error:
+            response.success, response.message = False, str(error)
+            return response
+        return twin_messages.fill_forecast(response, found)
+
+    def _publish_markers(self) -> None:
+        # Of a twin that does not move on, the markers end with their lifetime.
+        silent = time.monotonic() - self._moved > LOST_S
+        if self._shown is None or silent or not self._markers.get_subscription_count():
+            return
+        parameters = self._twin.effective_parameters(self._state)
+        shapes = scene(self._shown, self._sighting, parameters, self._state.run.direction)
+        stamp = twin_messages.time_message(self._shown.stamp_ns)
+        self._markers.publish(marker_array(shapes, stamp))
+
+    # --- diagnostics ------------------------------------------------------------------------------
+
+    def _publish_diagnostics(self) -> None:
+        found = report(self._state, time.monotonic() - self._heard)
+        status = DiagnosticStatus(
+            level=_LEVELS[found.level],
+            name="twin: model",
+            message=found.message,
+            values=[KeyValue(key=key, value=value) for key, value in found.values],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def _spin(node: TwinNode, ended: Callable[[], bool]) -> None:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    polls = 0
+    while not ended():
+        node.poll()
+        polls += 1
+        if polls % POLLS_PER_SPIN == 0:
+            executor.spin_once(timeout_sec=0.0)
+        time.sleep(POLL_S)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the twin until SIGINT or SIGTERM; returns the exit status."""
+    warm_up.main()  # nothing may compile between two samples
+    with ros_process(arguments) as ended:
+        try:
+            node = TwinNode()
+        except ParameterError as error:
+            sys.stderr.write(f"twin: {error}\n")
+            return 2
+        spare_pauses()
+        try:
+            _spin(node, ended)
+        finally:
+            node.destroy_node()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``worm_model watch``: the live terminal view as a ROS node that only listens."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import time
+from dataclasses import replace
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.utilities import remove_ros_args
+
+from worm_model.nodes.ros_process import ros_process, spin
+from worm_model.nodes.twin_messages import gait_sample
+from worm_model.parameters import ParameterError, load_parameters
+from worm_model.twin.records import Health, LengthSource
+from worm_model.twin.watch_view import CLEAR, View, render
+from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
+
+PERIOD_S = 0.2
+NEWEST = QoSProfile(depth=1)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class WatchNode(Node):
+    """Keeps the newest of every topic and draws it a few times a second."""
+
+    def __init__(self, pitch: float) -> None:
+        super().__init__("watch")
+        self._pitch = pitch
+        self.view = View()
+        self._heard: dict[str, float] = {}
+        self.create_subscription(TwinState, "twin/state", self._on_state, NEWEST)
+        self.create_subscription(TwinResiduals, "twin/residuals", self._on_residuals, 100)
+        self.create_subscription(Tracker, "tracker", self._on_tracker, NEWEST)
+        self.create_subscription(Power, "power", self._on_power, NEWEST)
+        self.create_subscription(GaitState, "gait_state", self._on_gait, LATCHED)
+        self.create_subscription(BodyLength, "body_length/commanded", self._on_command, NEWEST)
+        self.create_timer(PERIOD_S, self._draw, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def seen(self) -> View:
+        """The view as of now, without what is stale."""
+        now = time.monotonic()
+        return self.view.aged({name: now - heard for name, heard in self._heard.items()})
+
+    def _note(self, source: str) -> None:
+        self._heard[source] = time.monotonic()
+
+    def _on_command(self, _: Any) -> None:
+        self._note("driver")
+
+    def _on_state(self, message: Any) -> None:
+        self._note("twin")
+        self.view = replace(
+            self.view,
+            source=LengthSource(message.length_source),
+            twin=(message.rear_position, message.front_position),
+            rear_anchor=message.rear_anchor,
+            grooves=(message.rear_groove, message.front_groove),
+            length=message.length,
+            initial_length=message.initial_length,
+            groove_phase=message.groove_phase,
+            cable_force=message.cable_force,
+            power=(message.power, self.view.power[1]),
+            energy=(message.energy, self.view.energy[1]),
+        )
+
+    def _on_residuals(self, message: Any) -> None:
+        energy = self.view.energy
+        if message.energy == message.energy:
+            energy = (energy[0], message.energy)
+        health = Health(message.health)
+        self.view = replace(self.view, health=health, message=message.message, energy=energy)
+
+    def _on_tracker(self, message: Any) -> None:
+        self._note("tracker")
+        self.view = replace(self.view, robot=(message.rear_position, message.front_position))
+
+    def _on_power(self, message: Any) -> None:
+        self._note("power")
+        self.view = replace(self.view, power=(self.view.power[0], message.power))
+
+    def _on_gait(self, message: Any) -> None:
+        sample = gait_sample(message)
+        gait = ""
+        if sample.gait is not None:
+            way = "forward" if sample.gait.direction > 0 else "reverse"
+            gait = f"{1e3 * sample.gait.stroke:.1f} mm at {sample.gait.frequency:.3f} Hz {way}"
+        self.view = replace(
+            self.view,
+            activity=sample.activity,
+            gait=gait,
+            cycle=message.cycle,
+            cycles=message.cycles,
+        )
+
+    def _draw(self) -> None:
+        width = min(shutil.get_terminal_size().columns, 120)
+        sys.stdout.write(CLEAR + "\n".join(render(self.seen(), self._pitch, width)) + "\n")
+        sys.stdout.flush()
+
+
+def main() -> int:
+    """Draws until Ctrl-C; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="watch", description="Robot and twin, live, as text.")
+    parser.add_argument("--parameters", default="", metavar="FILE", help="default: the paper's")
+    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    try:
+        pitch = load_parameters(options.parameters).pitch
+    except ParameterError as error:
+        sys.stderr.write(f"watch: {error}\n")
+        return 2
+    with ros_process() as ended:
+        node = WatchNode(pitch)
+        try:
+            spin(node, ended)
+        finally:
+            node.destroy_node()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

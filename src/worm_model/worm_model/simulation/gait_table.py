@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of gaits as CSV: one row a gait, its parameters overridden by further columns."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.commands.command_line import InputError
+from worm_model.parameters import KEYS, Parameters
+from worm_model.simulation.batch import GaitTable, evaluate_gaits
+
+REQUIRED = ("stroke_m", "frequency_Hz")
+OPTIONAL = ("margin_m", "L0_m", "direction")
+RESULTS = ("speed_m_s", "power_W", "grooves_per_cycle", "switches_5_cycles")
+
+Columns = dict[str, NDArray[np.float64]]
+
+
+def read_gaits(path: str | Path) -> Columns:
+    """Columns of a table of gaits.
+
+    Raises `InputError` naming the line and column of what is missing, unknown or not a number.
+    """
+    try:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            header = [name.strip() for name in reader.fieldnames or []]
+            _check_header(path, header)
+            rows = [list(row.values()) for row in reader]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except (UnicodeDecodeError, csv.Error):
+        raise InputError(f"{path}: is not a CSV table") from None
+    if not rows:
+        raise InputError(f"{path}: holds no gait; it needs a line below its header")
+    columns: Columns = {name: np.empty(len(rows)) for name in header}
+    for line, row in enumerate(rows, start=2):
+        if len(row) != len(header):
+            raise InputError(f"{path}, line {line}: {len(row)} values for {len(header)} columns")
+        for name, text in zip(header, row, strict=True):
+            columns[name][line - 2] = _number(path, line, name, text)
+    return columns
+
+
+def _check_header(path: str | Path, header: list[str]) -> None:
+    missing = [name for name in REQUIRED if name not in header]
+    if missing:
+        raise InputError(f"{path}: no column {missing[0]}; needed: {', '.join(REQUIRED)}")
+    for name in header:
+        if name not in (*REQUIRED, *OPTIONAL, *RESULTS, *KEYS):
+            raise InputError(
+                f"{path}: unknown column {name!r}; known: {', '.join((*REQUIRED, *OPTIONAL))} "
+                "and the keys of a parameter file"
+            )
+    if len(set(header)) != len(header) or {"L0_m", "initial_length"} <= set(header):
+        raise InputError(f"{path}: a column appears twice (L0_m is initial_length)")
+
+
+def _number(path: str | Path, line: int, name: str, text: str | None) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{path}, line {line}, column {name}: {text!r} is not a finite number")
+    return value
+
+
+def evaluate_table(
+    columns: Columns, parameters: Parameters, progress: Callable[[float], None] | None = None
+) -> tuple[Columns, GaitTable]:
+    """(the overridden parameters, the figures) of every row; raises as `batch.evaluate_gaits` does."""
+    overrides = {key: columns[key] for key in KEYS if key in columns}
+    if "L0_m" in columns:
+        overrides["initial_length"] = columns["L0_m"]
+    table = evaluate_gaits(
+        columns["stroke_m"],
+        columns["frequency_Hz"],
+        columns.get("margin_m", np.zeros(1)),
+        columns.get("direction", np.ones(1)),
+        parameters,
+        overrides,
+        progress=progress,
+    )
+    return overrides, table
+
+
+def write_table(path: Path, table: GaitTable, overrides: Columns, parameters: Parameters) -> None:
+    """Writes the table: the gait, its figures, then a column for every further parameter overridden."""
+    rows = table.speed.size
+    length = np.broadcast_to(overrides.get("initial_length", parameters.initial_length), (rows,))
+    further = {key: values for key, values in overrides.items() if key != "initial_length"}
+    columns = {
+        "stroke_m": (table.stroke, ".6f"),
+        "frequency_Hz": (table.frequency, ".6f"),
+        "margin_m": (table.margin, ".6f"),
+        "L0_m": (length, ".6f"),
+        "direction": (table.direction, ".0f"),
+        "speed_m_s": (table.speed, ".12e"),
+        "power_W": (table.power, ".9e"),
+        "grooves_per_cycle": (table.grooves_per_cycle, ".6f"),
+        "switches_5_cycles": (table.switches, "d"),
+        "groove_phase_m": (table.groove_phase, ".9f"),
+        **{key: (values, ".9g") for key, values in further.items()},
+    }
+    with path.open("x", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for k in range(rows):
+            writer.writerow([format(values[k], form) for values, form in columns.values()])

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The first zero of several gaps, found without stepping past any.
+
+A guard watches a gap that is positive until its event. Its value, its rate and bounds on its second
+derivative enclose it between two parabolas for the time ahead. The lower one tells how long the gap
+surely stays open; where the upper one reaches zero, the event surely happens, and only once in between,
+so that Newton's method may locate it. A gap that touches zero within rounding, and opens again or stays, triggers
+nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from worm_model.simulation.kernel.compiled import compiled, inlined
+from worm_model.simulation.kernel.linear import (
+    Basis,
+    Coefficients,
+    Roots,
+    Wave,
+    basis_at,
+    derivative,
+    value,
+)
+
+NOTHING, REAR_HIGH, REAR_LOW, FRONT_HIGH, FRONT_LOW, FORCE_SIGN, RATE_SIGN, END = range(8)
+
+SHORTEST_STEP = 1e-10  # s, keeps a gap that opens from zero moving
+TOUCH = 1e-13  # m (N, m/s of a sign): a fin at rest at its border, moved by rounding alone, does not pass it
+SIMULTANEOUS = 1e-11  # s, events closer than this are one moment: the guard named first comes first
+MOST_NEWTON_STEPS = 50
+NEVER = 1e300  # s; infinity has no meaning here, see `worm_model.simulation.kernel.compiled`
+
+
+class Followed(NamedTuple):
+    """A quantity over a mode, its derivatives, and the amplitude of its acceleration's wave."""
+
+    position: Coefficients
+    rate: Coefficients
+    acceleration: Coefficients
+    amplitude: float
+
+
+class Reading(NamedTuple):
+    """A followed quantity now: value, rate, and bounds of its second derivative for the time left."""
+
+    position: float
+    rate: float
+    least: float
+    most: float
+
+
+class Horizon(NamedTuple):
+    """What is known of the time ahead.
+
+    Nothing happens before ``earliest``; at ``time`` at the latest the event ``stop`` has happened, or,
+    if that is NOTHING or END, the look-out ends there.
+    """
+
+    earliest: float
+    time: float
+    stop: int
+
+
+@inlined
+def follow(position: Coefficients, roots: Roots, wave: Wave) -> Followed:
+    """Prepares a quantity to be followed over a mode."""
+    rate = derivative(position, roots, wave)
+    acceleration = derivative(rate, roots, wave)
+    amplitude = math.sqrt(acceleration.cos**2 + acceleration.sin**2)
+    return Followed(position, rate, acceleration, amplitude)
+
+
+@compiled
+def _coarse_swing(c: Coefficients, s: float, end: float, roots: Roots, mass: float) -> float:
+    """Bound on the h1, h2 and R terms over [s, end] for joined roots or a resonance; rarely used."""
+    if not roots.joined:
+        swing = abs(c.h1) * math.exp(roots.r1 * s) + abs(c.h2) * math.exp(roots.r2 * s)
+    elif roots.discriminant < 0.0:
+        longest = min(end, 1.0 / math.sqrt(-roots.discriminant))
+        swing = (abs(c.h1) + abs(c.h2) * longest) * math.exp(-roots.gamma * s)
+    else:
+        swing = (abs(c.h1) + abs(c.h2) * end) * math.exp(roots.r1 * s)
+    return swing + abs(c.res) * 0.5 * end * end / mass
+
+
+@inlined
+def read(
+    f: Followed, b: Basis, s: float, left: float, roots: Roots, wave: Wave, coarse: bool
+) -> Reading:
+    """Reads a followed quantity at the moment of the basis, with bounds for the ``left`` seconds on."""
+    c = f.acceleration
+    if wave.q != 0.0:
+        decaying = c.exp * b.exp
+        least = c.one + min(decaying, 0.0) - f.amplitude
+        most = c.one + max(decaying, 0.0) + f.amplitude
+    else:
+        end = b.t1 + left  # the acceleration of a cubic is linear
+        here, there = c.one + c.t1 * b.t1, c.one + c.t1 * end
+        least, most = min(here, there), max(here, there)
+    if coarse:
+        swing = _coarse_swing(c, s, s + left, roots, wave.mass)
+        least, most = least - swing, most + swing
+    else:
+        slow, fast = c.h1 * b.h1, c.h2 * b.h2
+        least += min(slow, 0.0) + min(fast, 0.0)
+        most += max(slow, 0.0) + max(fast, 0.0)
+    return Reading(value(f.position, b), value(f.rate, b), least, most)
+
+
+@inlined
+def below(r: Reading, border: float) -> Reading:
+    """The gap between a quantity and a border above it."""
+    return Reading(border - r.position, -r.rate, -r.most, -r.least)
+
+
+@inlined
+def above(r: Reading, border: float) -> Reading:
+    """The gap between a quantity and a border below it."""
+    return Reading(r.position - border, r.rate, r.least, r.most)
+
+
+@compiled
+def _enclosure(gap: float, rate: float, least: float, most: float) -> tuple[float, float]:
+    """(earliest, latest) zero of a gap; the latest is NEVER where a zero is not certain."""
+    discriminant = rate * rate - 2.0 * least * gap
+    if rate >= 0.0:
+        return ((rate + math.sqrt(discriminant)) / -least if least < 0.0 else NEVER), NEVER
+    earliest = 2.0 * gap / (math.sqrt(discriminant) - rate)
+    discriminant = rate * rate - 2.0 * most * gap
+    if discriminant <= 0.0:
+        return earliest, NEVER
+    return earliest, 2.0 * gap / (math.sqrt(discriminant) - rate)
+
+
+@inlined
+def narrow(ahead: Horizon, gap: Reading, stop: int) -> Horizon:
+    """The horizon once a further guard has been consulted."""
+    h, least = ahead.time, min(gap.least, 0.0)
+    if gap.position + h * (gap.rate + 0.5 * least * h) >= -TOUCH:
+        return ahead
+    earliest, latest = _enclosure(max(gap.position, 0.0), gap.rate, least, max(gap.most, 0.0))
+    if earliest > h:
+        return ahead
+    if ahead.stop == NOTHING or ahead.stop == END:
+        if latest <= h:
+            return Horizon(earliest, latest, stop)
+        return Horizon(earliest, earliest, NOTHING)
+    if latest < ahead.earliest:
+        return Horizon(earliest, latest, stop)
+    if max(latest, h) - min(earliest, ahead.earliest) < SIMULTANEOUS:
+        return ahead
+    first = min(earliest, ahead.earliest)
+    return Horizon(first, first, NOTHING)
+
+
+@inlined
+def locate(
+    f: Followed,
+    border: float,
+    tolerance: float,
+    s: float,
+    b: Basis,
+    ahead: Horizon,
+    offset: float,
+    roots: Roots,
+    wave: Wave,
+    resonant: bool,
+) -> tuple[float, Basis]:
+    """(time s in the mode, basis) at which the quantity meets the border, the one zero in the enclosure.
+
+    ``s`` and ``b`` are the present moment. Halley's method, from where a parabola would meet the border.
+    """
+    low, high = s + ahead.earliest, s + ahead.time
+    gap, rate, bend = value(f.position, b) - border, value(f.rate, b), value(f.acceleration, b)
+    reach = math.sqrt(max(rate * rate - 2.0 * bend * gap, 0.0))
+    reach += abs(rate)
+    step = 2.0 * abs(gap) / reach if reach > 0.0 else 0.0
+    at = min(max(s + step, low), high)
+    for _ in range(MOST_NEWTON_STEPS):
+        b = basis_at(offset + at, at, roots, wave, resonant)
+        gap, rate = value(f.position, b) - border, value(f.rate, b)
+        if abs(gap) <= tolerance or rate == 0.0:
+            break
+        step = gap / rate
+        bend = 0.5 * step * value(f.acceleration, b) / rate
+        at = min(max(at - step * (1.0 + bend), low), high)
+    return at, b

@@ -1,0 +1,384 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Marching through the modes of one segment of the length signal, from event to event.
+
+The written rules: an event happens at the end of a half-open interval (t0, t1], when a fin that moves
+outward reaches its border; of two events at one moment the rear fin's (A1) comes first, the front fin's
+follows in a mode of no duration. A fin that touches a border without passing it triggers nothing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from worm_model.simulation.kernel.compiled import compiled, inlined
+from worm_model.simulation.kernel.guard import (
+    END,
+    FORCE_SIGN,
+    FRONT_HIGH,
+    FRONT_LOW,
+    NOTHING,
+    RATE_SIGN,
+    REAR_HIGH,
+    REAR_LOW,
+    SHORTEST_STEP,
+    Followed,
+    Horizon,
+    above,
+    below,
+    follow,
+    locate,
+    narrow,
+    read,
+)
+from worm_model.simulation.kernel.linear import (
+    Basis,
+    Coefficients,
+    Wave,
+    basis_at,
+    basis_at_start,
+    derivative,
+    roots_of,
+    value,
+)
+from worm_model.simulation.kernel.mode import (
+    ABOVE,
+    BELOW,
+    CLEAR,
+    Constants,
+    Mode,
+    Motion,
+    cable_force,
+    enter_mode,
+    fin_stiffness,
+    region_of,
+)
+from worm_model.simulation.kernel.work import cable_work
+
+POSITION_TOLERANCE = 1e-14  # m, to which a border is located
+SIGN_TOLERANCE = 1e-9  # N, m/s: signs matter only through an integrand that vanishes with them
+TIME_ROUNDING = 1e-14  # relative: a sample at the end of a run belongs to it
+MOST_STEPS = 20_000  # in a segment; beyond it the march reports chatter
+
+# Columns of a row of samples
+(
+    TIME,
+    X1,
+    X2,
+    V1,
+    V2,
+    LENGTH_CHANGE,
+    LENGTH_RATE,
+    FORCE,
+    REAR_FORCE,
+    FRONT_FORCE,
+    WORK,
+    REAR_GROOVE,
+    FRONT_GROOVE,
+) = range(13)
+SAMPLE_COLUMNS = 13
+# Columns of a row of events: the guard's number tells the fin and the direction
+EVENT_TIME, EVENT_GUARD, EVENT_SWITCHED = range(3)
+EVENT_COLUMNS = 3
+# Entries of the ledger
+WORK_DONE, SWITCHES, STEPS, SAMPLED, EVENTS, CHATTER = range(6)
+LEDGER_SIZE = 6
+
+
+class Segment(NamedTuple):
+    """A piece of the length signal: its start on the run's clock, its duration, ΔL and its functions."""
+
+    start: float
+    duration: float
+    length_change: Coefficients
+    wave: Wave
+
+
+class Stage(NamedTuple):
+    """Everything about a mode that is followed; ``offset`` is the mode's start in its segment."""
+
+    offset: float
+    mode: Mode
+    rear: Followed
+    front: Followed
+    force: Followed
+    length_rate: Followed
+    rear_low: float
+    rear_high: float
+    front_low: float
+    front_high: float
+
+
+class Bill(NamedTuple):
+    """Whether cable work is being billed (F_c·L̇ < 0), and the antiderivative where that began."""
+
+    force_side: float
+    rate_side: float
+    active: bool
+    mark: float
+
+
+@inlined
+def _borders(region: int, c: Constants) -> tuple[float, float]:
+    """Displacements at which a fin leaves its region."""
+    if region == CLEAR:
+        return -c.half_clearance, c.half_clearance
+    if region == BELOW:
+        return -c.threshold, -c.half_clearance
+    return c.half_clearance, c.threshold
+
+
+@inlined
+def _open_stage(motion: Motion, segment: Segment, offset: float, b: Basis, c: Constants) -> Stage:
+    wave = segment.wave
+    mode = enter_mode(motion, segment.length_change, wave, c, b)
+    rear_low, rear_high = _borders(motion.rear_region, c)
+    front_low, front_high = _borders(motion.front_region, c)
+    return Stage(
+        offset,
+        mode,
+        follow(mode.rear, mode.roots, wave),
+        follow(mode.front, mode.roots, wave),
+        follow(cable_force(mode, motion.rear_region, wave, c), mode.roots, wave),
+        follow(derivative(segment.length_change, mode.roots, wave), mode.roots, wave),
+        rear_low,
+        rear_high,
+        front_low,
+        front_high,
+    )
+
+
+@inlined
+def _look_ahead(stage: Stage, bill: Bill, b: Basis, s: float, left: float, wave: Wave) -> Horizon:
+    """What comes next within the ``left`` seconds of the segment; see `Horizon`."""
+    roots = stage.mode.roots
+    coarse = roots.joined or stage.mode.resonant
+    ahead = Horizon(left, left, END)
+    rear = read(stage.rear, b, s, left, roots, wave, coarse)
+    ahead = narrow(ahead, below(rear, stage.rear_high), REAR_HIGH)
+    ahead = narrow(ahead, above(rear, stage.rear_low), REAR_LOW)
+    front = read(stage.front, b, s, left, roots, wave, coarse)
+    ahead = narrow(ahead, below(front, stage.front_high), FRONT_HIGH)
+    ahead = narrow(ahead, above(front, stage.front_low), FRONT_LOW)
+    if wave.q != 0.0:
+        force = read(stage.force, b, s, left, roots, wave, coarse)
+        gap = above(force, 0.0) if bill.force_side > 0.0 else below(force, 0.0)
+        ahead = narrow(ahead, gap, FORCE_SIGN)
+    if wave.omega != 0.0:  # while it only decays, the length rate keeps its sign
+        rate = read(stage.length_rate, b, s, left, roots, wave, coarse)
+        gap = above(rate, 0.0) if bill.rate_side > 0.0 else below(rate, 0.0)
+        ahead = narrow(ahead, gap, RATE_SIGN)
+    return ahead
+
+
+@inlined
+def _go(stage: Stage, ahead: Horizon, s: float, b: Basis, wave: Wave) -> tuple[float, Basis]:
+    """(time in the mode, basis) of the next stop."""
+    mode, offset = stage.mode, stage.offset
+    if ahead.stop == NOTHING or ahead.stop == END:
+        s += max(ahead.time, SHORTEST_STEP) if ahead.stop == NOTHING else ahead.time
+        return s, basis_at(offset + s, s, mode.roots, wave, mode.resonant)
+    followed, border, tolerance = stage.rear, stage.rear_high, POSITION_TOLERANCE
+    if ahead.stop == REAR_LOW:
+        border = stage.rear_low
+    elif ahead.stop == FRONT_HIGH:
+        followed, border = stage.front, stage.front_high
+    elif ahead.stop == FRONT_LOW:
+        followed, border = stage.front, stage.front_low
+    elif ahead.stop == FORCE_SIGN:
+        followed, border, tolerance = stage.force, 0.0, SIGN_TOLERANCE
+    elif ahead.stop == RATE_SIGN:
+        followed, border, tolerance = stage.length_rate, 0.0, SIGN_TOLERANCE
+    return locate(followed, border, tolerance, s, b, ahead, offset, mode.roots, wave, mode.resonant)
+
+
+@inlined
+def _side(quantity: Followed, b: Basis) -> float:
+    """Sign of a quantity from here on: of its value, or of its rate where the value vanishes."""
+    here = value(quantity.position, b)
+    if abs(here) <= SIGN_TOLERANCE:
+        here = value(quantity.rate, b)
+    return -1.0 if here < 0.0 else 1.0
+
+
+@inlined
+def _antiderivative(stage: Stage, b: Basis, wave: Wave) -> float:
+    return cable_work(
+        stage.mode.length_change,
+        stage.length_rate.position,
+        stage.force.position,
+        b,
+        wave,
+        stage.mode.roots,
+    )
+
+
+@inlined
+def _open_bill(force_side: float, rate_side: float, stage: Stage, b: Basis, wave: Wave) -> Bill:
+    active = wave.q != 0.0 and force_side * rate_side < 0.0
+    mark = _antiderivative(stage, b, wave) if active else 0.0
+    return Bill(force_side, rate_side, active, mark)
+
+
+@inlined
+def _crossed(motion: Motion, stop: int, y: float, y_rate: float, c: Constants) -> Motion:
+    """Motion once a fin has left its region: in the neighbouring one, or a groove on (eq:A1_switch)."""
+    front = stop in (FRONT_HIGH, FRONT_LOW)
+    direction = 1 if stop in (REAR_HIGH, FRONT_HIGH) else -1
+    region = motion.front_region if front else motion.rear_region
+    groove = motion.front_groove if front else motion.rear_groove
+    if region == CLEAR:
+        region = ABOVE if direction > 0 else BELOW
+    elif (region == ABOVE) == (direction > 0):
+        groove += direction
+        region = region_of(direction * (c.threshold - c.pitch), c.half_clearance)
+    elif c.half_clearance > 0.0:
+        region = CLEAR
+    else:  # straight from one bar to the other: a region of no width could be entered for ever
+        region = ABOVE if direction > 0 else BELOW
+    if front:
+        return Motion(y, y_rate, motion.rear_groove, groove, motion.rear_region, region)
+    return Motion(y, y_rate, groove, motion.front_groove, region, motion.front_region)
+
+
+@compiled
+def _write_sample(
+    row: np.ndarray, stage: Stage, motion: Motion, b: Basis, wave: Wave, c: Constants
+) -> None:
+    """Fills a row of samples but for its time and work."""
+    mode = stage.mode
+    length_change, length_rate = value(mode.length_change, b), value(stage.length_rate.position, b)
+    rear, front = value(mode.rear, b), value(mode.front, b)
+    x1_rate = value(derivative(mode.y, mode.roots, wave), b) - c.mu * length_rate
+    row[X1] = rear + motion.rear_groove * c.pitch
+    row[X2] = front + motion.front_groove * c.pitch
+    row[V1] = x1_rate
+    row[V2] = x1_rate + length_rate
+    row[LENGTH_CHANGE] = length_change
+    row[LENGTH_RATE] = length_rate
+    row[FORCE] = value(stage.force.position, b)
+    row[REAR_FORCE] = fin_stiffness(motion.rear_region, c) * (
+        rear - (motion.rear_region - 1.0) * c.half_clearance
+    )
+    row[FRONT_FORCE] = fin_stiffness(motion.front_region, c) * (
+        front - (motion.front_region - 1.0) * c.half_clearance
+    )
+    row[REAR_GROOVE] = motion.rear_groove
+    row[FRONT_GROOVE] = motion.front_groove
+
+
+@compiled
+def _write_samples(
+    until: float,
+    stage: Stage,
+    bill: Bill,
+    segment: Segment,
+    motion: Motion,
+    c: Constants,
+    ledger: np.ndarray,
+    samples: np.ndarray,
+) -> None:
+    """Fills the rows whose times lie no later than ``until`` seconds into the mode."""
+    start = segment.start + stage.offset
+    end = (start + until) * (1.0 + TIME_ROUNDING)
+    at = int(ledger[SAMPLED])
+    while at < samples.shape[0] and samples[at, TIME] <= end:
+        s = min(max(samples[at, TIME] - start, 0.0), until)
+        b = basis_at(stage.offset + s, s, stage.mode.roots, segment.wave, stage.mode.resonant)
+        _write_sample(samples[at], stage, motion, b, segment.wave, c)
+        samples[at, WORK] = ledger[WORK_DONE]
+        if bill.active:
+            samples[at, WORK] += bill.mark - _antiderivative(stage, b, segment.wave)
+        at += 1
+    ledger[SAMPLED] = at
+
+
+@compiled
+def _write_event(
+    time: float, stop: int, switched: bool, ledger: np.ndarray, events: np.ndarray
+) -> None:
+    at = int(ledger[EVENTS])
+    if at < events.shape[0]:
+        events[at, EVENT_TIME] = time
+        events[at, EVENT_GUARD] = stop
+        events[at, EVENT_SWITCHED] = 1.0 if switched else 0.0
+    ledger[EVENTS] = at + 1
+    ledger[SWITCHES] += 1.0 if switched else 0.0
+
+
+@inlined
+def _follow_mode(
+    stage: Stage,
+    b: Basis,
+    segment: Segment,
+    motion: Motion,
+    c: Constants,
+    ledger: np.ndarray,
+    samples: np.ndarray,
+) -> tuple[float, int, Basis]:
+    """Follows a mode to its end: (its duration, what ends it, the basis there); NOTHING if it gives up."""
+    wave = segment.wave
+    bill = _open_bill(_side(stage.force, b), _side(stage.length_rate, b), stage, b, wave)
+    s = 0.0
+    while True:
+        ledger[STEPS] += 1.0
+        ahead = _look_ahead(stage, bill, b, s, segment.duration - stage.offset - s, wave)
+        s, b = _go(stage, ahead, s, b, wave)
+        if ahead.stop == NOTHING and ledger[STEPS] <= MOST_STEPS:
+            continue
+        if ledger[SAMPLED] < samples.shape[0]:
+            _write_samples(s, stage, bill, segment, motion, c, ledger, samples)
+        if bill.active:
+            ledger[WORK_DONE] += bill.mark - _antiderivative(stage, b, wave)
+        if ledger[STEPS] > MOST_STEPS and ahead.stop != END:
+            return s, NOTHING, b
+        if ahead.stop == FORCE_SIGN:
+            bill = _open_bill(-bill.force_side, bill.rate_side, stage, b, wave)
+        elif ahead.stop == RATE_SIGN:
+            bill = _open_bill(bill.force_side, -bill.rate_side, stage, b, wave)
+        else:
+            return s, ahead.stop, b
+
+
+@inlined
+def march(
+    segment: Segment,
+    motion: Motion,
+    c: Constants,
+    ledger: np.ndarray,
+    samples: np.ndarray,
+    events: np.ndarray,
+) -> Motion:
+    """Advances the motion to the end of a segment.
+
+    ``ledger`` (LEDGER_SIZE,) accumulates the positive cable work in J (of a gait's length; a sampled
+    length has no usable rate), groove switches, steps, and the numbers of rows used of ``samples``
+    (n, SAMPLE_COLUMNS; their TIME column, ascending, is given) and of ``events`` (m, EVENT_COLUMNS;
+    what exceeds m is only counted). Returns the motion at the end; the entry CHATTER of the ledger
+    becomes 1 if the march gave up.
+    """
+    ledger[STEPS] = 0.0
+    b = basis_at(0.0, 0.0, roots_of(c.mass, c.friction, 0.0), segment.wave, False)
+    offset = 0.0
+    while True:
+        stage = _open_stage(motion, segment, offset, b, c)
+        b = basis_at_start(b, stage.mode.roots)
+        duration, stop, b = _follow_mode(stage, b, segment, motion, c, ledger, samples)
+        offset += duration
+        y = value(stage.mode.y, b)
+        y_rate = value(derivative(stage.mode.y, stage.mode.roots, segment.wave), b)
+        if stop in (END, NOTHING):
+            ledger[CHATTER] = 1.0 if stop == NOTHING else ledger[CHATTER]
+            return Motion(
+                y,
+                y_rate,
+                motion.rear_groove,
+                motion.front_groove,
+                motion.rear_region,
+                motion.front_region,
+            )
+        grooves = motion.rear_groove + motion.front_groove
+        motion = _crossed(motion, stop, y, y_rate, c)
+        switched = motion.rear_groove + motion.front_groove != grooves
+        _write_event(segment.start + offset, stop, switched, ledger, events)

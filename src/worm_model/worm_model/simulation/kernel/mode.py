@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One mode: the fins keep their regions, so every quantity has a closed form until the next event.
+
+The state is that of the pseudo-position y = x1 + μ·ΔL with μ = M2 / (M1 + M2), in which the reduced
+dynamics (eq:continuous_model) need no second derivative of the length:
+
+    M·ÿ + 2η·ẏ = (2μ − 1)·η·L̇ − f(x1 − A1) − f(x2 − A2)
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from worm_model.simulation.kernel.compiled import inlined
+from worm_model.simulation.kernel.linear import (
+    Basis,
+    Coefficients,
+    Roots,
+    Wave,
+    combine,
+    derivative,
+    is_resonant,
+    roots_of,
+    shifted,
+    value,
+)
+
+BELOW, CLEAR, ABOVE = 0, 1, 2  # the region of a fin: which bar touches the ridge, or none
+
+
+class Constants(NamedTuple):
+    """Parameters as the kernel uses them; stiffnesses by region, so that they carry the direction."""
+
+    mass: float
+    mu: float
+    friction: float
+    stiffness_below: float
+    stiffness_above: float
+    half_clearance: float
+    threshold: float
+    pitch: float
+    initial_length: float
+    rear_mass: float
+    bellows_stiffness: float
+    bellows_damping: float
+    unstressed_length: float
+
+
+class Motion(NamedTuple):
+    """State between events: y and ẏ, the anchors as lattice indices, the fins' regions."""
+
+    y: float
+    rate: float
+    rear_groove: int
+    front_groove: int
+    rear_region: int
+    front_region: int
+
+
+class Mode(NamedTuple):
+    """Closed form of a mode: y, ΔL, both fin displacements, and what its functions depend on."""
+
+    y: Coefficients
+    length_change: Coefficients
+    rear: Coefficients
+    front: Coefficients
+    roots: Roots
+    resonant: bool
+
+
+@inlined
+def region_of(displacement: float, half_clearance: float) -> int:
+    """Region of a fin displacement x − A; the borders belong to the clearance (eq:fin_force_piecewise)."""
+    if displacement > half_clearance:
+        return ABOVE
+    return BELOW if displacement < -half_clearance else CLEAR
+
+
+@inlined
+def fin_stiffness(region: int, c: Constants) -> float:
+    """Stiffness of a fin in its region, N/m."""
+    if region == CLEAR:
+        return 0.0
+    return c.stiffness_below if region == BELOW else c.stiffness_above
+
+
+@inlined
+def fin_force(displacement: Coefficients, region: int, c: Constants) -> Coefficients:
+    """Force f of a fin that stays in its region (eq:fin_force_piecewise)."""
+    k = fin_stiffness(region, c)
+    touched = shifted(displacement, -(region - 1.0) * c.half_clearance)
+    return combine(k, touched, 0.0, touched)
+
+
+@inlined
+def _polynomial_response(
+    g: Coefficients, k: float, friction: float, mass: float
+) -> tuple[float, float, float, float]:
+    """Polynomial that answers the forcing's polynomial part, constant term first."""
+    if k > 0.0:
+        p3 = g.t3 / k
+        p2 = (g.t2 - 6.0 * friction * p3) / k
+        p1 = (g.t1 - 4.0 * friction * p2 - 6.0 * mass * p3) / k
+        return (g.one - 2.0 * friction * p1 - 2.0 * mass * p2) / k, p1, p2, p3
+    # Both fins in clearance: the forcing is the length rate alone, at most quadratic.
+    p3 = g.t2 / (6.0 * friction)
+    p2 = (g.t1 - 6.0 * mass * p3) / (4.0 * friction)
+    return 0.0, (g.one - 2.0 * mass * p2) / (2.0 * friction), p2, p3
+
+
+@inlined
+def _particular(
+    g: Coefficients, k: float, c: Constants, wave: Wave, resonant: bool, start: Basis
+) -> Coefficients:
+    """A response to the forcing g; its resonant part starts from rest with the mode."""
+    p0, p1, p2, p3 = _polynomial_response(g, k, c.friction, c.mass)
+    in_phase = k - c.mass * wave.omega * wave.omega
+    in_quadrature = 2.0 * c.friction * wave.omega
+    cos, sin, exp, res = 0.0, 0.0, 0.0, 0.0
+    if wave.omega != 0.0:
+        norm = in_phase * in_phase + in_quadrature * in_quadrature
+        cos = (g.cos * in_phase - g.sin * in_quadrature) / norm
+        sin = (g.sin * in_phase + g.cos * in_quadrature) / norm
+    if wave.q != 0.0:
+        if resonant:
+            res = g.exp * start.exp
+        else:
+            exp = g.exp / (c.mass * wave.q * wave.q + 2.0 * c.friction * wave.q + k)
+    return Coefficients(p0, p1, p2, p3, cos, sin, exp, 0.0, 0.0, res)
+
+
+@inlined
+def _free(y: float, rate: float, roots: Roots) -> tuple[float, float]:
+    """Coefficients of h1, h2 for a free response that starts at y with ẏ = rate."""
+    if roots.joined:
+        return y, rate + roots.gamma * y
+    gap = roots.r1 - roots.r2
+    return (rate - roots.r2 * y) / gap, (roots.r1 * y - rate) / gap
+
+
+@inlined
+def enter_mode(
+    motion: Motion, length_change: Coefficients, wave: Wave, c: Constants, start: Basis
+) -> Mode:
+    """The mode that begins with ``motion``; of the basis ``start`` only the part of the segment counts."""
+    rear_k = fin_stiffness(motion.rear_region, c)
+    front_k = fin_stiffness(motion.front_region, c)
+    rear_anchor = motion.rear_groove * c.pitch
+    front_anchor = motion.front_groove * c.pitch
+    k = rear_k + front_k
+    roots = roots_of(c.mass, c.friction, k)
+    resonant = wave.q != 0.0 and is_resonant(roots, wave.q)
+    length_rate = derivative(length_change, roots, wave)
+    forcing = combine(
+        (2.0 * c.mu - 1.0) * c.friction,
+        length_rate,
+        rear_k * c.mu - front_k * (1.0 - c.mu),
+        length_change,
+    )
+    rear_rest = rear_anchor + (motion.rear_region - 1.0) * c.half_clearance
+    front_rest = front_anchor + (motion.front_region - 1.0) * c.half_clearance - c.initial_length
+    forcing = shifted(forcing, rear_k * rear_rest + front_k * front_rest)
+    p = _particular(forcing, k, c, wave, resonant, start)
+    p_rate = derivative(p, roots, wave)
+    # Of the particular response only the part of the segment counts: its resonant part starts from rest.
+    moment = Basis(start.t1, start.cos, start.sin, start.exp, 0.0, 0.0, 0.0)
+    y0, rate0 = value(p, moment), value(p_rate, moment)
+    h1, h2 = _free(motion.y - y0, motion.rate - rate0, roots)
+    y = Coefficients(p.one, p.t1, p.t2, p.t3, p.cos, p.sin, p.exp, h1, h2, p.res)
+    rear = shifted(combine(1.0, y, -c.mu, length_change), -rear_anchor)
+    front = shifted(combine(1.0, y, 1.0 - c.mu, length_change), c.initial_length - front_anchor)
+    return Mode(y, length_change, rear, front, roots, resonant)
+
+
+@inlined
+def cable_force(mode: Mode, rear_region: int, wave: Wave, c: Constants) -> Coefficients:
+    """F_c over the mode (eq:Fc)."""
+    length_rate = derivative(mode.length_change, mode.roots, wave)
+    x1 = combine(1.0, mode.y, -c.mu, mode.length_change)
+    x1_rate = derivative(x1, mode.roots, wave)
+    x1_acceleration = derivative(x1_rate, mode.roots, wave)
+    inertial = combine(c.rear_mass, x1_acceleration, c.friction, x1_rate)
+    body = combine(-c.bellows_stiffness, mode.length_change, -c.bellows_damping, length_rate)
+    body = shifted(body, c.bellows_stiffness * (c.unstressed_length - c.initial_length))
+    held = combine(1.0, inertial, 1.0, body)
+    return combine(1.0, held, 1.0, fin_force(mode.rear, rear_region, c))

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Antiderivative of F_c·L̇ over a mode, in closed form (the work of eq:power_model)."""
+
+from __future__ import annotations
+
+from worm_model.simulation.kernel.compiled import inlined
+from worm_model.simulation.kernel.linear import Basis, Coefficients, Roots, Wave
+
+
+@inlined
+def _wave_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave) -> float:
+    """∫ of the wave terms of the rate r times those of the force f."""
+    w, q = wave.omega, wave.q
+    exponential = r.exp * f.exp * b.exp * b.exp / (2.0 * q)
+    if w == 0.0:
+        return exponential
+    squares = 0.5 * (r.cos * f.cos + r.sin * f.sin) * b.t1
+    double = 0.5 * (r.cos * f.cos - r.sin * f.sin) * b.sin * b.cos
+    double += 0.5 * (r.cos * f.sin + r.sin * f.cos) * b.sin * b.sin
+    decaying_cos = r.cos * f.exp + r.exp * f.cos
+    decaying_sin = r.sin * f.exp + r.exp * f.sin
+    mixed = decaying_cos * (q * b.cos + w * b.sin) + decaying_sin * (q * b.sin - w * b.cos)
+    return squares + double / w + mixed * b.exp / (q * q + w * w) + exponential
+
+
+@inlined
+def _separated_products(
+    r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
+) -> float:
+    """∫ of the wave terms of the rate times f.h1·e^(r1·s) + f.h2·e^(r2·s)."""
+    w = wave.omega
+    total = 0.0
+    for root, response in ((roots.r1, f.h1 * b.h1), (roots.r2, f.h2 * b.h2)):
+        turning = 0.0
+        if w != 0.0:
+            cos = (r.cos * root - r.sin * w) * b.cos
+            sin = (r.cos * w + r.sin * root) * b.sin
+            turning = (cos + sin) / (root * root + w * w)
+        total += response * (turning + r.exp * b.exp / (wave.q + root))
+    return total
+
+
+@inlined
+def _rotated(z: complex, factor: complex, h1: float, h2: float, b: Basis, roots: Roots) -> float:
+    """Re ∫ factor·(h1 term + h2 term) where d factor/dt = z·factor, for joined roots."""
+    p = z - roots.gamma
+    det = p * p - roots.discriminant
+    a1 = (p * h1 - h2) / det
+    a2 = (p * h2 - roots.discriminant * h1) / det
+    return (factor * (a1 * b.h1 + a2 * b.h2)).real
+
+
+@inlined
+def _joined_products(r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots) -> float:
+    """∫ of the wave terms of the rate times f.h1·h1 + f.h2·h2, for joined roots."""
+    turning = (r.cos - 1j * r.sin) * (b.cos + 1j * b.sin)
+    decaying = complex(r.exp * b.exp, 0.0)
+    return _rotated(complex(0.0, wave.omega), turning, f.h1, f.h2, b, roots) + _rotated(
+        complex(wave.q, 0.0), decaying, f.h1, f.h2, b, roots
+    )
+
+
+@inlined
+def _resonant_products(
+    r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
+) -> float:
+    """∫ of the wave terms of the rate times f.res·R, by parts: R' = q·R + S/M, S free from rest."""
+    turning = (r.cos - 1j * r.sin) * (b.cos + 1j * b.sin)
+    decaying = r.exp * b.exp
+    z = complex(0.0, wave.omega) + wave.q
+    total = (turning / z).real * b.res + decaying * b.res / (2.0 * wave.q)
+    # −(1/M)·∫ e^(zσ)·S / (z + q): the same integral as of the free response, its rate divided by z + q.
+    turned = (r.cos - 1j * r.sin) / z
+    scaled = Coefficients(
+        0.0, 0.0, 0.0, 0.0, turned.real, -turned.imag, r.exp / (2.0 * wave.q), 0.0, 0.0, 0.0
+    )
+    if roots.joined:
+        free = Coefficients(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+        return f.res * (total - _joined_products(scaled, free, b, wave, roots) / wave.mass)
+    gap = roots.r1 - roots.r2
+    free = Coefficients(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0 / gap, -1.0 / gap, 0.0)
+    return f.res * (total - _separated_products(scaled, free, b, wave, roots) / wave.mass)
+
+
+@inlined
+def cable_work(
+    length_change: Coefficients,
+    rate: Coefficients,
+    force: Coefficients,
+    b: Basis,
+    wave: Wave,
+    roots: Roots,
+) -> float:
+    """∫ F_c·L̇ dt up to the moment of the basis, J, but for a constant; for a gait's length only.
+
+    ``length_change`` and ``rate`` are the wave's ΔL and its derivative, ``force`` is F_c.
+    """
+    steady = force.one * (
+        length_change.cos * b.cos + length_change.sin * b.sin + length_change.exp * b.exp
+    )
+    total = steady + _wave_products(rate, force, b, wave)
+    if roots.joined:
+        total += _joined_products(rate, force, b, wave, roots)
+    else:
+        total += _separated_products(rate, force, b, wave, roots)
+    if force.res != 0.0:
+        total += _resonant_products(rate, force, b, wave, roots)
+    return total

@@ -1,0 +1,368 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The hybrid simulator: a gait, or any length signal, in; what the worm does, out.
+
+It is exact: between events everything has a closed form and events are located, so there is no step
+size. `evaluate_gait` gives the figures of a gait, `simulate` its trajectory, `Locomotion` and `advance`
+follow a measured or estimated length. Batches are in `worm_model.simulation.batch`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from worm_model.gait import FORWARD, Gait
+from worm_model.parameters import PAPER, STANDARD_GRAVITY, Parameters
+from worm_model.simulation.closed_form import front_groove, groove_phase
+from worm_model.simulation.kernel import guard, march
+from worm_model.simulation.kernel import whole_run as run
+from worm_model.simulation.kernel.mode import Constants, Motion
+
+Array = NDArray[np.float64]
+
+CYCLES = 5  # run from the start
+AVERAGED = 3  # the last ones
+
+_NO_ROWS = np.empty((0, march.SAMPLE_COLUMNS))
+
+
+class SimulationError(RuntimeError):
+    """The simulator gave up: a fin switches to and fro without end (chatter)."""
+
+
+@dataclass(frozen=True)
+class GaitResult:
+    """Figures of a gait over its averaged cycles.
+
+    ``speed`` m/s along the gait's direction; ``power`` W, mean source power; ``cost_of_transport`` 1, infinite
+    for a gait that does not advance; ``grooves_per_cycle`` 1, advance in pitches; ``min_grooves`` 1, the
+    same of the poorest averaged cycle; ``groove_phase`` m; ``switches`` in all cycles from the start.
+    """
+
+    gait: Gait
+    speed: float
+    power: float
+    cost_of_transport: float
+    grooves_per_cycle: float
+    min_grooves: float
+    groove_phase: float
+    switches: int
+
+
+def cost_of_transport(speed: ArrayLike, power: ArrayLike, mass: ArrayLike) -> Array:
+    """P̄ / (m·g·v̄), elementwise; infinite where the speed is not positive."""
+    speed_array, power_array = np.asarray(speed, dtype=float), np.asarray(power, dtype=float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cost = power_array / (np.asarray(mass) * STANDARD_GRAVITY * speed_array)
+    return np.where(speed_array > 0.0, cost, math.inf)
+
+
+def parameter_row(parameters: Parameters) -> Array:
+    """The values in the order of `worm_model.parameters.KEYS`, shape (17,), as the kernel takes them."""
+    return np.array(list(parameters.as_dict().values()))
+
+
+def check_cycles(cycles: int, averaged: int) -> None:
+    """Raises ValueError unless 1 ≤ averaged ≤ cycles."""
+    if not 1 <= averaged <= cycles:
+        raise ValueError(f"{averaged} of {cycles} cycles cannot be averaged")
+
+
+def evaluate_gait(
+    gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES, averaged: int = AVERAGED
+) -> GaitResult:
+    """Speed, power and grooves of a gait over the last ``averaged`` of ``cycles`` from the start.
+
+    Raises ValueError for an impossible number of cycles and `SimulationError` on chatter.
+    """
+    check_cycles(cycles, averaged)
+    result = np.empty(run.RESULT_COLUMNS)
+    run.evaluate(
+        gait.stroke,
+        gait.frequency,
+        float(gait.direction),
+        gait.margin,
+        parameter_row(parameters),
+        cycles,
+        averaged,
+        result,
+    )
+    if result[run.RUN_CHATTER]:
+        raise SimulationError(f"{gait}: the anchors switch to and fro without end")
+    advance, power = float(result[run.MEAN_ADVANCE]), float(result[run.MEAN_POWER])
+    speed = advance * gait.frequency
+    return GaitResult(
+        gait=gait,
+        speed=speed,
+        power=power,
+        cost_of_transport=float(cost_of_transport(speed, power, parameters.mass)),
+        grooves_per_cycle=advance / parameters.pitch,
+        min_grooves=float(result[run.LEAST_ADVANCE]) / parameters.pitch,
+        groove_phase=groove_phase(parameters),
+        switches=int(result[run.RUN_SWITCHES]),
+    )
+
+
+@dataclass(frozen=True)
+class Event:
+    """A fin leaves its region at ``time`` s.
+
+    ``fin`` is 1 (rear) or 2 (front), ``direction`` +1 or −1 along x; ``switched`` if its anchor moved by
+    a pitch, else the fin met or left a ridge.
+    """
+
+    time: float
+    fin: int
+    direction: int
+    switched: bool
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Dense output at ``time`` (n,): every field has shape (n,), SI units.
+
+    ``cable_force`` F_c (eq:Fc), ``rear_force`` F_1 and ``front_force`` F_2 in N; anchors A1, A2 in m and as
+    grooves of the lattice; ``energy`` in J since the start. At an event the values are those before it.
+    """
+
+    time: Array
+    x1: Array
+    x2: Array
+    v1: Array
+    v2: Array
+    length: Array
+    length_rate: Array
+    cable_force: Array
+    rear_force: Array
+    front_force: Array
+    rear_anchor: Array
+    front_anchor: Array
+    rear_groove: NDArray[np.int64]
+    front_groove: NDArray[np.int64]
+    power: Array
+    energy: Array
+
+
+def _motions(samples: Array, parameters: Parameters, energy: Array | None = None) -> Motions:
+    """Names the columns of the kernel's samples; without ``energy`` it is that of the cable work."""
+    time, force, rate = (samples[:, k] for k in (march.TIME, march.FORCE, march.LENGTH_RATE))
+    power = parameters.idle_power + parameters.power_factor * np.maximum(-force * rate, 0.0)
+    if energy is None:
+        energy = parameters.idle_power * time + parameters.power_factor * samples[:, march.WORK]
+    rear, front = (samples[:, k].astype(np.int64) for k in (march.REAR_GROOVE, march.FRONT_GROOVE))
+    return Motions(
+        time=time,
+        x1=samples[:, march.X1],
+        x2=samples[:, march.X2],
+        v1=samples[:, march.V1],
+        v2=samples[:, march.V2],
+        length=parameters.initial_length + samples[:, march.LENGTH_CHANGE],
+        length_rate=rate,
+        cable_force=force,
+        rear_force=samples[:, march.REAR_FORCE],
+        front_force=samples[:, march.FRONT_FORCE],
+        rear_anchor=np.multiply(rear, parameters.pitch, dtype=np.float64),
+        front_anchor=np.multiply(front, parameters.pitch, dtype=np.float64),
+        rear_groove=rear,
+        front_groove=front,
+        power=power,
+        energy=energy,
+    )
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What the worm does under a gait, from the start over a number of cycles.
+
+    It holds no samples: `at` computes them, exactly, for the times asked for.
+    """
+
+    gait: Gait
+    parameters: Parameters
+    cycles: int
+
+    @property
+    def duration(self) -> float:
+        """Length of the run in s."""
+        return self.cycles / self.gait.frequency
+
+    def at(self, times: ArrayLike) -> Motions:
+        """Dense output at ``times`` (n,) in s, ascending, within the run; raises ValueError otherwise."""
+        time = _ascending(times, 0.0, self.duration)
+        samples = np.empty((time.size, march.SAMPLE_COLUMNS))
+        samples[:, march.TIME] = time
+        self._run(samples, _NO_ROWS)
+        return _motions(samples, self.parameters)
+
+    def events(self) -> list[Event]:
+        """Every event in its order."""
+        rows = np.empty((int(self._run(_NO_ROWS, _NO_ROWS)[march.EVENTS]), march.EVENT_COLUMNS))
+        self._run(_NO_ROWS, rows)
+        return _events(rows)
+
+    def _run(self, samples: Array, events: Array) -> Array:
+        ledger = np.zeros(march.LEDGER_SIZE)
+        run.run_gait(
+            self.gait.stroke,
+            self.gait.frequency,
+            float(self.gait.direction),
+            self.gait.margin,
+            parameter_row(self.parameters),
+            self.cycles,
+            np.empty((self.cycles + 1, 2)),
+            ledger,
+            samples,
+            events,
+        )
+        if ledger[march.CHATTER]:
+            raise SimulationError(f"{self.gait}: the anchors switch to and fro without end")
+        return ledger
+
+
+def _ascending(times: ArrayLike, first: float, last: float) -> Array:
+    time = np.atleast_1d(np.asarray(times, dtype=float))
+    rounding = 1e-9 * (1.0 + abs(last))
+    inside = time.size == 0 or (time[0] >= first - rounding and time[-1] <= last + rounding)
+    if time.ndim != 1 or not inside or np.any(np.diff(time) < 0.0):
+        raise ValueError(f"times must ascend within {first:g} to {last:g} s")
+    return np.clip(time, first, last)
+
+
+def _events(rows: Array) -> list[Event]:
+    fins = {guard.REAR_HIGH: (1, 1), guard.REAR_LOW: (1, -1)}
+    fins |= {guard.FRONT_HIGH: (2, 1), guard.FRONT_LOW: (2, -1)}
+    return [Event(float(time), *fins[int(stop)], bool(switched)) for time, stop, switched in rows]
+
+
+def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -> Trajectory:
+    """The trajectory of a gait from the start: x1 = 0, v1 = 0, ΔL = 0, anchors on the lattice."""
+    check_cycles(cycles, cycles)
+    return Trajectory(gait, parameters, cycles)
+
+
+@dataclass(frozen=True)
+class LocomotionState:
+    """State of the worm under a length that is given from outside.
+
+    ``time`` s; ``length_change`` ΔL in m; ``y`` = x1 + μ·ΔL in m and its rate in m/s, in which the dynamics
+    need no derivative of the length; grooves and regions of both fins; ``switches`` so far.
+    """
+
+    time: float
+    length_change: float
+    y: float
+    y_rate: float
+    rear_groove: int
+    front_groove: int
+    rear_region: int
+    front_region: int
+    switches: int = 0
+
+
+@dataclass(frozen=True)
+class Locomotion:
+    """The locomotion model (eq:continuous_model to eq:A2_switch) of a robot that moves in a direction."""
+
+    parameters: Parameters = PAPER
+    direction: int = FORWARD
+    margin: float = 0.0
+
+    def start(
+        self,
+        time: float = 0.0,
+        length_change: float = 0.0,
+        x1: float = 0.0,
+        front: int | None = None,
+    ) -> LocomotionState:
+        """At rest, ΔL in m, x1 in m from the rear anchor at 0; the front anchor in ``front``, else nearest to L0."""
+        c = self._constants()
+        groove = front_groove(self.parameters) if front is None else front
+        x2 = x1 + self.parameters.initial_length + length_change
+        return LocomotionState(
+            time=time,
+            length_change=length_change,
+            y=x1 + c.mu * length_change,
+            y_rate=0.0,
+            rear_groove=0,
+            front_groove=groove,
+            rear_region=run.region_of(x1, c.half_clearance),
+            front_region=run.region_of(x2 - groove * c.pitch, c.half_clearance),
+        )
+
+    def x1(self, state: LocomotionState) -> float:
+        """Position of the rear module in m."""
+        return state.y - self._constants().mu * state.length_change
+
+    def x2(self, state: LocomotionState) -> float:
+        """Position of the front module in m."""
+        return self.x1(state) + self.parameters.initial_length + state.length_change
+
+    def advance(self, state: LocomotionState, time: float, length_change: float) -> LocomotionState:
+        """The state at a later ``time`` in s, ΔL moving in a straight line to ``length_change`` in m."""
+        return self.follow(state, [time], [length_change])[0]
+
+    def follow(
+        self, state: LocomotionState, times: ArrayLike, length_changes: ArrayLike
+    ) -> tuple[LocomotionState, Motions]:
+        """(state at the end, dense output at every sample) under samples of ΔL joined by straight lines.
+
+        ``times`` (n,) in s, ascending from the state's; ``length_changes`` (n,) in m. Power and energy of
+        the output use the slopes of those lines; for noisy samples see `worm_model.simulation.smoothing`.
+        """
+        time = np.atleast_1d(np.asarray(times, dtype=float))
+        values = np.concatenate([[state.length_change], np.atleast_1d(length_changes)])
+        breaks = np.concatenate([[state.time], time])
+        step = np.diff(breaks)
+        slope = np.divide(np.diff(values), step, out=np.zeros_like(step), where=step > 0.0)
+        coefficients = np.zeros((4, time.size))
+        coefficients[0], coefficients[1] = values[:-1], slope
+        return self.follow_polynomial(state, breaks, coefficients, time)
+
+    def follow_polynomial(
+        self, state: LocomotionState, breaks: ArrayLike, coefficients: ArrayLike, times: ArrayLike
+    ) -> tuple[LocomotionState, Motions]:
+        """(state at the last break, dense output at ``times``) under a piecewise cubic ΔL.
+
+        ``breaks`` (n + 1,) in s from the state's time on; ``coefficients`` (4, n) in m, m/s, …, constant
+        term first, of the time since each break; ``times`` (m,) in s, ascending within the breaks.
+        """
+        knots = np.ascontiguousarray(breaks, dtype=float)
+        forms = np.ascontiguousarray(coefficients, dtype=float)
+        if not (np.all(np.isfinite(knots)) and np.all(np.isfinite(forms))):
+            raise ValueError("times and lengths must be finite: leave out what was not seen")
+        samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
+        samples[:, march.TIME] = _ascending(times, knots[0], knots[-1])
+        ledger = np.zeros(march.LEDGER_SIZE)
+        before = Motion(
+            state.y,
+            state.y_rate,
+            state.rear_groove,
+            state.front_groove,
+            state.rear_region,
+            state.front_region,
+        )
+        after = run.run_sampled(knots, forms, before, self._constants(), ledger, samples, _NO_ROWS)
+        if ledger[march.CHATTER]:
+            raise SimulationError(f"at {state.time:g} s: the anchors switch to and fro without end")
+        last = knots[-1] - knots[-2] if knots.size > 1 else 0.0
+        final = LocomotionState(
+            float(knots[-1]),
+            float(np.polynomial.polynomial.polyval(last, forms[:, -1])),
+            *(after.y, after.rate),
+            *(after.rear_groove, after.front_groove, after.rear_region, after.front_region),
+            state.switches + int(ledger[march.SWITCHES]),
+        )
+        return final, _motions(samples, self.parameters)
+
+    def _constants(self) -> Constants:
+        return _constants_of(self.parameters, self.direction, self.margin)
+
+
+@lru_cache(maxsize=16)
+def _constants_of(parameters: Parameters, direction: int, margin: float) -> Constants:
+    """Of a few robots: a twin asks for them a hundred times a second."""
+    return run.constants_of(parameter_row(parameters), float(direction), margin)

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiles the kernel into its cache, so that nothing compiles later: ``python -m worm_model.simulation.warm_up``."""
+
+import numpy as np
+
+from worm_model.gait import FORWARD, Gait
+from worm_model.identification.locomotion import ALIKE, worm_of
+from worm_model.parameters import PAPER
+from worm_model.run import (
+    RUNNING,
+    GaitStates,
+    LengthSamples,
+    PowerSamples,
+    Run,
+    TrackerSamples,
+)
+from worm_model.simulation.actuation import length_change_of_command
+from worm_model.simulation.batch import evaluate_gaits
+from worm_model.simulation.kernel import dry_friction
+from worm_model.simulation.simulator import Locomotion, evaluate_gait, simulate
+from worm_model.twin.offline.follow import replay_columns
+
+
+def main() -> None:
+    """Calls every entry of the kernel once."""
+    gait = Gait(0.07, 0.2)
+    evaluate_gait(gait)
+    evaluate_gaits([0.07, 0.08], 0.2)
+    trajectory = simulate(gait, cycles=1)
+    trajectory.at([0.0])
+    trajectory.events()
+    model = Locomotion()
+    model.follow(model.start(), [0.1, 0.2], [-0.001, -0.002])
+    length_change_of_command([0.0, 0.1], [0.0, -0.01], PAPER)
+    samples = np.empty((2, dry_friction.SAMPLE_COLUMNS))
+    replay_columns(_recording(gait), PAPER)
+    dry_friction.slide(0.01, np.zeros(2), worm_of(PAPER, FORWARD), ALIKE, ALIKE, samples)
+
+
+def _recording(gait: Gait) -> Run:
+    """Half a second of a gait."""
+    stamp = 10**9 + 10**7 * np.arange(50)
+    command = np.array([gait.command(time) for time in (stamp - 10**9) * 1e-9])
+    length = PAPER.initial_length + command
+    told, one = np.array([10**9]), np.ones(1)
+    return Run(
+        origin=10**9,
+        commanded=LengthSamples(stamp, length, command),
+        measured=LengthSamples(stamp, length, command),
+        tracker=TrackerSamples(stamp, 0.0 * length, length),
+        power=PowerSamples(stamp, 0 * stamp, 12.0 * one, 0.1 * one, 0.0 * length),
+        gait_state=GaitStates(
+            stamp=told,
+            state=np.array([RUNNING]),
+            stroke=gait.stroke * one,
+            frequency=gait.frequency * one,
+            direction=np.array([FORWARD]),
+            margin=0.0 * one,
+            onset=told,
+        ),
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: the validation campaign, on the virtual robot or on a real one."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import get_package_share_directory
+
+from worm_model.commands.command_line import (
+    FAILED,
+    InputError,
+    Parser,
+    add_parameters,
+    number,
+    print_json,
+)
+from worm_model.gait import FORWARD, REVERSE
+from worm_model.parameters import load_parameter_file
+from worm_optimizer.commands import arguments
+from worm_optimizer.commands.report import read_gaits, report_json
+from worm_optimizer.operation.campaign_plan import make_plan, write_promises
+from worm_optimizer.operation.campaign_runs import Robot, run_gaits
+from worm_optimizer.operation.processes import termination_as_interrupt
+from worm_optimizer.operation.session import FAILURES, Narrator, work_folder
+from worm_optimizer.operation.system import SystemFileError, load_system_file
+from worm_optimizer.report.build import Report, build_report
+from worm_optimizer.report.identification_part import add_identification, identification_of
+from worm_optimizer.report.recorded import RecordedGait
+from worm_optimizer.report.text import describe
+from worm_optimizer.search.cache import Cache, default_directory
+from worm_optimizer.search.search_settings import Settings
+
+_MODES = ("virtual", "robot")
+
+
+def main() -> int:
+    """Entry point of the executable campaign."""
+    return arguments.run(_parser(), _campaign)
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="campaign",
+        description="Runs the minimum-power, cruising and maximum-speed gaits of the robust front, five cycles each, "
+        "on the virtual robot or on a real one, records each, and compares what was measured with what was predicted.",
+    )
+    add = parser.add_argument
+    add("--mode", choices=_MODES, default=_MODES[0], help="which robot (default: virtual)")
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a setting of system.yaml, such as port=/dev/ttyUSB0 or seed=2; may be repeated",
+    )
+    add(
+        "--output",
+        type=Path,
+        metavar="FOLDER",
+        help="a new folder for bags and report (default: bags/campaign_TIME)",
+    )
+    add("--margin", type=number, metavar="M", help="robustness margin in m (default: at the cliff)")
+    add("--direction", type=int, default=FORWARD, choices=(FORWARD, REVERSE), help="default 1")
+    add("--json", action="store_true", help="print one JSON object")
+    add_identification(parser)
+    add_parameters(parser)
+    return parser
+
+
+def _campaign(options: argparse.Namespace) -> int:
+    content = load_parameter_file(options.parameters)
+    identification = identification_of(options)
+    robot = _robot(options)
+    default = Path("bags") / time.strftime("campaign_%Y_%m_%d-%H_%M_%S")
+    folder = (options.output or default).resolve()
+    if folder.exists():
+        raise InputError(f"{folder}: exists already; give another name with --output")
+    say = Narrator("campaign")
+    settings, cache = Settings(margin=options.margin), Cache.at(default_directory())
+    shown = arguments.shown_progress("front")
+    plan = make_plan(content, settings, options.direction, cache, shown)
+    folder.mkdir(parents=True)
+    write_promises(plan, folder)
+    try:
+        with termination_as_interrupt(), work_folder("campaign") as work:
+            gaits = {name: prediction.gait for name, prediction in plan.gaits.items()}
+            run_gaits(robot.in_folder(work), gaits, folder, work / "logs", say)
+    except FAILURES as error:
+        print(f"campaign: {error}", file=sys.stderr)  # noqa: T201
+        return FAILED
+    say("comparing")
+    recorded = read_gaits([folder / name for name in plan.gaits], options.parameters)
+    title = f"Validation campaign ({options.mode} robot)"
+    report = Report(title, recorded, plan.optimisation, identification=identification)
+    _print(options, recorded, folder, build_report(report, folder / "report"))
+    return 0
+
+
+def _robot(options: argparse.Namespace) -> Robot:
+    """The robot that is asked for; raises InputError if there is no such setting."""
+    settings = (
+        {"parameter_file": str(Path(options.parameters).resolve())} if options.parameters else {}
+    )
+    for text in options.set:
+        name, separator, value = text.partition("=")
+        if not (name and separator):
+            raise InputError(f"--set {text}: write NAME=VALUE")
+        settings[name] = value
+    share = Path(get_package_share_directory("worm_optimizer"))
+    try:
+        robot = Robot(load_system_file(share / "config" / "system.yaml"), options.mode, settings)
+        robot.system()
+    except SystemFileError as error:
+        raise InputError(str(error)) from None
+    return robot
+
+
+def _print(
+    options: argparse.Namespace, gaits: Sequence[RecordedGait], folder: Path, page: Path
+) -> None:
+    if options.json:
+        content: dict[str, Any] = {"folder": str(folder), "page": str(page), **report_json(gaits)}
+        print_json(content)
+        return
+    arguments.say(f"{describe(gaits)}\n\nrecordings  {folder}\nreport      {page}")

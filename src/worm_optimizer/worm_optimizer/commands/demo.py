@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``worm_optimizer demo``: the main job, end to end, on a virtual robot.
+
+Brings the node graph of system.yaml up, each node a process; requests a gait, runs five cycles of
+it, records them, stops the robot, replays the recording into the twin, and compares what was
+measured with what was predicted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.commands.command_line import (
+    FAILED,
+    InputError,
+    Parser,
+    add_parameters,
+    print_json,
+    run_command,
+)
+from worm_model.parameters import Parameters, load_parameters
+from worm_model.twin.offline_replay import replay_run
+from worm_optimizer.operation.demo_comparison import Comparison, compare
+from worm_optimizer.operation.demo_figure import draw_run
+from worm_optimizer.operation.demo_run import Say, drive
+from worm_optimizer.operation.demo_table import comparison_table
+from worm_optimizer.operation.processes import termination_as_interrupt
+from worm_optimizer.operation.session import FAILURES, Narrator, work_folder
+from worm_optimizer.operation.system import load_system_file
+from worm_optimizer.robustness.prediction import Prediction
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the demo; exit status 0, 2 for bad input, 1 if any stage fails."""
+    return run_command(_parser(), _demo, arguments)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(prog="demo", description="The main job, end to end, on a virtual robot.")
+    add_parameters(parser)
+    parser.add_argument(
+        "--bags",
+        type=Path,
+        default=Path("bags"),
+        metavar="FOLDER",
+        help="where the recording and its figure go (default: bags)",
+    )
+    parser.add_argument(
+        "--plant",
+        default="",
+        metavar="FILE",
+        help="what is true of the virtual robot (default: its own file)",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of the robot's scatter and noise")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    return parser
+
+
+def _demo(options: argparse.Namespace) -> int:
+    parameters = load_parameters(options.parameters)
+    bag = _new_bag(options.bags)
+    say = Narrator("demo")
+    try:
+        with termination_as_interrupt():
+            prediction = _drive(options, bag, say)
+            say("replaying the recording into the twin")
+            comparison, figure = _look_back(bag, prediction, parameters)
+    except FAILURES as error:
+        print(f"demo: {error}", file=sys.stderr)  # noqa: T201
+        return FAILED
+    _print(options, prediction, comparison, bag, figure)
+    return 0
+
+
+def _new_bag(folder: Path) -> Path:
+    """A path in the folder that no recording has yet."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--bags {folder}: {error.strerror}") from None
+    return folder.resolve() / time.strftime("demo_%Y_%m_%d-%H_%M_%S")
+
+
+def _drive(options: argparse.Namespace, bag: Path, say: Say) -> Prediction:
+    share = Path(get_package_share_directory("worm_optimizer"))
+    with work_folder("demo") as folder:
+        system = load_system_file(share / "config" / "system.yaml").system(
+            "virtual",
+            directory=str(folder),
+            bag=str(bag),
+            parameter_file=_absolute(options.parameters),
+            plant=_absolute(options.plant),
+            seed=str(options.seed),
+        )
+        return drive(system, folder / "logs", say)
+
+
+def _absolute(path: str) -> str:
+    return str(Path(path).resolve()) if path else ""
+
+
+def _look_back(
+    bag: Path, prediction: Prediction, parameters: Parameters
+) -> tuple[Comparison, Path]:
+    """Replay a recording into the twin, compare, and draw the figure beside the bag."""
+    with open_bag(bag) as content:
+        run = read_run(content)
+    replay = replay_run(run, parameters)
+    comparison = compare(run, replay, prediction, parameters)
+    figure = bag.with_suffix(".png")
+    draw_run(figure, _title(prediction), run, replay, comparison.window)
+    return comparison, figure
+
+
+def _title(prediction: Prediction) -> str:
+    gait = prediction.gait
+    return (
+        f"stroke {1e3 * gait.stroke:.1f} mm, frequency {gait.frequency:.3f} Hz, "
+        f"robust by {1e3 * gait.margin:.1f} mm"
+    )
+
+
+def _print(
+    options: argparse.Namespace,
+    prediction: Prediction,
+    comparison: Comparison,
+    bag: Path,
+    figure: Path,
+) -> None:
+    if options.json:
+        print_json(
+            {
+                "gait": asdict(prediction),
+                **asdict(comparison),
+                "bag": str(bag),
+                "figure": str(figure),
+            }
+        )
+        return
+    phase = 1e3 * prediction.groove_phase
+    predictions = {
+        "twin, driven by the recording": comparison.twin,
+        "optimizer, before the run": comparison.predicted,
+        f"the same with {1e3 * prediction.margin:.1f} mm margin": comparison.robust,
+    }
+    print(  # noqa: T201
+        f"Last 3 of 5 cycles, {_title(prediction)}; predictions for a groove phase of "
+        f"{phase:.1f} mm:\n\n{comparison_table(comparison.measured, predictions)}\n\n"
+        f"recording  {bag}\nfigure     {figure}"
+    )

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: the price of robustness and its cliff."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from worm_model.commands.command_line import Parser, print_json
+from worm_model.parameters import load_parameter_file
+from worm_optimizer.commands import arguments
+from worm_optimizer.report.front_plots import draw_price
+from worm_optimizer.search.front import scanned_price
+from worm_optimizer.search.margin import CLIFF_RULE, PriceOfRobustness
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="scan_margin",
+        description="The lowest cost of transport over the robustness margin, each from an exhaustive "
+        f"map of the gaits, and its cliff. {CLIFF_RULE.capitalize()}.",
+    )
+    arguments.add_common(parser)
+    return parser
+
+
+def price_json(price: PriceOfRobustness) -> dict[str, Any]:
+    """A scan as the machine-readable output has it."""
+    cliff = price.cliff
+    return {
+        "margins": [point.margin for point in price.points],
+        "cost_of_transport": [point.cost_of_transport for point in price.points],
+        "optimal_branch": [point.branch for point in price.points],
+        "branches": [list(point.branches) for point in price.points],
+        "max_speed": [point.max_speed for point in price.points],
+        "min_power": [point.min_power for point in price.points],
+        "cliff_margin": cliff.margin if cliff else None,
+        "cliff_rise": cliff.rise if cliff else None,
+        "lost_branch": cliff.lost_branch if cliff else None,
+        "closed_form_cliff_margin": price.closed_form_cliff_margin,
+        "groove_phase": price.groove_phase,
+        "rule": CLIFF_RULE,
+    }
+
+
+def describe(price: PriceOfRobustness) -> str:
+    """A scan for people."""
+    rows = price.points[:: max(1, len(price.points) // 16)]
+    lines = [f"{'margin (mm)':>11}  {'lowest COT':>10}  {'at S (mm)':>9}  {'f (Hz)':>7}  branches"]
+    for point in rows:
+        branches = ", ".join(map(str, point.branches)) or "none moves"
+        lines.append(
+            f"{1e3 * point.margin:11.2f}  {point.cost_of_transport:10.2f}  {1e3 * point.stroke:9.2f}"
+            f"  {point.frequency:7.4f}  {branches}"
+        )
+    lines.append(f"groove phase {1e3 * price.groove_phase:+.2f} mm")
+    lines.append(
+        f"cliff        {1e3 * price.cliff.margin:.2f} mm: beyond it the branch with "
+        f"{price.cliff.lost_branch} grooves a cycle is lost, the cost rises {price.cliff.rise:.2f} times"
+        if price.cliff
+        else "cliff        none among these margins"
+    )
+    lines.append(f"closed form  {1e3 * price.closed_form_cliff_margin:.2f} mm, in the slow limit")
+    lines.append(f"rule         {CLIFF_RULE}")
+    return "\n".join(lines)
+
+
+def _scan(options: argparse.Namespace) -> None:
+    content = load_parameter_file(options.parameters)
+    settings = arguments.common_settings(options)
+    cache, figure = arguments.cache_of(options), arguments.figure_file(options)
+    report = arguments.shown_progress("margins")
+    price = scanned_price(content, settings, options.direction, cache, report)
+    if figure is not None:
+        draw_price(price, figure)
+    if options.json:
+        print_json(price_json(price))
+    else:
+        arguments.say(describe(price))
+
+
+def main() -> int:
+    """Entry point of the executable scan_margin."""
+    return arguments.run(_parser(), _scan)

@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The optimizer as a ROS node: answers requests from the current fronts, computes new ones on request."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+
+from worm_model.gait import FORWARD, REVERSE
+from worm_model.nodes.ros_process import ros_process, spin
+from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
+from worm_msgs.action import OptimizeGaits, ScanMargin
+from worm_msgs.srv import RequestGait
+from worm_optimizer.nodes import (
+    optimizer_messages,
+    optimizer_parameters,
+)
+from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.desk import Answer, answer, request_of
+from worm_optimizer.search.front import (
+    Progress,
+    both_ways,
+    is_symmetric,
+    load_served,
+    remember_served,
+)
+from worm_optimizer.search.jobs import FrontJob, Job, ScanJob
+from worm_optimizer.search.margin import PriceOfRobustness
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.served import ServedFront
+from worm_optimizer.search.worker import Outcome, Ticket, WorkQueue
+
+_POLL_PERIOD = 0.02  # s, how late feedback may be; a request waits for no poll
+_NAMES = {FORWARD: "forward", REVERSE: "reverse"}
+_COMPUTED = "the front is being computed, {:.0f} % done ({}): ask again soon"
+
+
+class OptimizerNode(Node):
+    """Serves request_gait, optimize_gaits and scan_margin; the work is a worker process's.
+
+    Raises `ParameterError`, `OptimizerError` or OSError on parameters that cannot work.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("optimizer")
+        optimizer_parameters.declare(self)
+        self._settings = optimizer_parameters.settings_of(self)
+        self._cache = Cache.at(optimizer_parameters.cache_directory(self))
+        self._queue = WorkQueue()
+        self._preparing: list[Ticket] = []
+        self._goals: dict[bytes, Ticket] = {}
+        self._poll_timer = self.create_timer(_POLL_PERIOD, self._poll)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(1.0, self._publish_diagnostics)
+        self._prepare(
+            load_parameter_file(self.get_parameter(optimizer_parameters.PARAMETER_FILE).value)
+        )
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
+        self.create_service(RequestGait, "request_gait", self._request_gait)
+        self._serve_action(OptimizeGaits, "optimize_gaits", self._optimize)
+        self._serve_action(ScanMargin, "scan_margin", self._scan)
+
+    def close(self) -> None:
+        """Ends the worker process."""
+        self._queue.close()
+
+    # --- the fronts of this parameter file -----------------------------------------------------
+
+    def _prepare(self, content: ParameterFile) -> None:
+        """Loads the fronts of a parameter file, or has them computed."""
+        for ticket in self._preparing:
+            self._queue.cancel(ticket)
+        self._content = content
+        self._preparing = []
+        self._fronts: dict[int, ServedFront] = {}
+        self._absences = dict.fromkeys(_NAMES, _COMPUTED.format(0.0, "starting"))
+        self._load_fronts()
+        missing = set(_NAMES) - set(self._fronts)
+        if is_symmetric(content.parameters):
+            missing &= {FORWARD}  # the reverse front comes with it
+        for direction in sorted(missing, reverse=True):
+            job = FrontJob(content, self._settings, direction, self._cache)
+            progressed = partial(self._note_progress, direction)
+            ticket = Ticket(job, progressed, partial(self._note_end, direction))
+            self._preparing.append(ticket)
+            self._submit(ticket)
+
+    def _load_fronts(self) -> None:
+        for direction in set(_NAMES) - set(self._fronts):
+            front = load_served(self._content, self._settings, direction, self._cache)
+            if front is not None:
+                self._serve_front(front)
+
+    def _note_progress(self, direction: int, progress: Progress) -> None:
+        self._note_absence(direction, _COMPUTED.format(100.0 * progress.fraction, progress.doing))
+
+    def _note_end(self, direction: int, outcome: Outcome) -> None:
+        if isinstance(outcome.result, ServedFront):
+            for front in both_ways(outcome.result, self._content.parameters):
+                self._serve_front(front)
+        if outcome.failure:
+            self._note_absence(direction, f"there is no front: {outcome.failure}")
+            self.get_logger().error(f"{_NAMES[direction]}: {self._absences[direction]}")
+
+    def _note_absence(self, direction: int, reason: str) -> None:
+        symmetric = is_symmetric(self._content.parameters)
+        self._absences |= dict.fromkeys(_NAMES if symmetric else [direction], reason)
+
+    def _serve_front(self, front: ServedFront) -> None:
+        self._fronts[front.direction] = front
+        self.get_logger().info(
+            f"{_NAMES[front.direction]}: {len(front.predictions)} gaits at a margin of "
+            f"{1e3 * front.margin:.2f} mm ({front.reason}), hypervolume "
+            f"{100.0 * front.hypervolume_share:.2f} % of the true front's, serving {front.source}"
+        )
+
+    def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == optimizer_parameters.PARAMETER_FILE:
+                try:
+                    load_parameter_file(parameter.value)
+                except ParameterError as error:
+                    return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_parameters(self, parameters: Sequence[Parameter]) -> None:
+        for parameter in parameters:
+            if parameter.name == optimizer_parameters.PARAMETER_FILE:
+                self._prepare(load_parameter_file(parameter.value))
+
+    # --- requests ----------------------------------------------------------------------------------
+
+    def _request_gait(
+        self, request: RequestGait.Request, response: RequestGait.Response
+    ) -> RequestGait.Response:
+        try:
+            wanted = request_of(request.objective, request.speed, request.power)
+        except OptimizerError as error:
+            return optimizer_messages.fill_response(response, Answer(False, str(error)))
+        absence = self._absences.get(request.direction, "")
+        told = answer(self._fronts, absence, request.direction, wanted)
+        return optimizer_messages.fill_response(response, told)
+
+    # --- actions --------------------------------------------------------------------------------
+
+    def _serve_action(
+        self, kind: Any, name: str, execute: Callable[[ServerGoalHandle], Any]
+    ) -> None:
+        ActionServer(self, kind, name, execute, cancel_callback=self._cancel)
+
+    async def _optimize(self, goal: ServerGoalHandle) -> OptimizeGaits.Result:
+        content = self._content
+        try:
+            settings = optimizer_messages.settings_of_goal(self._settings, goal.request)
+            direction = optimizer_messages.direction_of(goal.request.direction)
+        except OptimizerError as error:
+            goal.abort()
+            return OptimizeGaits.Result(message=str(error))
+        job = FrontJob(content, settings, direction, self._cache)
+        outcome = await self._run(goal, job, optimizer_messages.optimize_feedback)
+        front = outcome.result
+        if not isinstance(front, ServedFront):
+            return OptimizeGaits.Result(message=outcome.failure)
+        if content is self._content:  # else the parameter file has changed under way
+            self._serve_from_now_on(front)
+        return optimizer_messages.optimize_result(front)
+
+    def _serve_from_now_on(self, front: ServedFront) -> None:
+        """Serves a front, and keeps it for the next start if it can be kept."""
+        for each in both_ways(front, self._content.parameters):
+            self._serve_front(each)
+            try:
+                remember_served(self._content, self._settings, each, self._cache)
+            except OSError as error:
+                self.get_logger().error(
+                    f"{_NAMES[each.direction]}: served until this node ends, but not kept: {error}"
+                )
+
+    async def _scan(self, goal: ServerGoalHandle) -> ScanMargin.Result:
+        try:
+            settings = optimizer_messages.scan_of_goal(self._settings, goal.request)
+            direction = optimizer_messages.direction_of(goal.request.direction)
+        except OptimizerError as error:
+            goal.abort()
+            return ScanMargin.Result(message=str(error))
+        job = ScanJob(self._content, settings, direction, self._cache)
+        outcome = await self._run(goal, job, optimizer_messages.scan_feedback)
+        if not isinstance(outcome.result, PriceOfRobustness):
+            return ScanMargin.Result(message=outcome.failure)
+        return optimizer_messages.scan_result(outcome.result)
+
+    async def _run(
+        self, goal: ServerGoalHandle, job: Job, feedback: Callable[[Progress], Any]
+    ) -> Outcome:
+        """Runs a goal's job and puts the goal into its final state."""
+        ended = Future()
+        ticket = Ticket(
+            job, lambda progress: goal.publish_feedback(feedback(progress)), ended.set_result
+        )
+        name = bytes(goal.goal_id.uuid)
+        self._goals[name] = ticket
+        self._submit(ticket)
+        if goal.is_cancel_requested:  # it came before there was anything to cancel
+            self._queue.cancel(ticket)
+        outcome: Outcome = await ended
+        del self._goals[name]
+        if outcome.cancelled:
+            goal.canceled()
+            return Outcome(failure="cancelled", cancelled=True)
+        if outcome.failure:
+            goal.abort()
+        else:
+            goal.succeed()
+        return outcome
+
+    def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        ticket = self._goals.get(bytes(goal.goal_id.uuid))
+        if ticket is not None:
+            self._queue.cancel(ticket)
+        return CancelResponse.ACCEPT
+
+    # --- the worker and the node's health -----------------------------------------------------
+
+    def _submit(self, ticket: Ticket) -> None:
+        self._queue.submit(ticket)
+        self._poll_timer.reset()
+
+    def _poll(self) -> None:
+        self._queue.poll()
+        if not self._queue.busy:
+            self._poll_timer.cancel()
+
+    def _publish_diagnostics(self) -> None:
+        array = DiagnosticArray()
+        array.header.stamp = self.get_clock().now().to_msg()
+        array.status = [self._status_of(direction) for direction in (FORWARD, REVERSE)]
+        self._diagnostics.publish(array)
+
+    def _status_of(self, direction: int) -> DiagnosticStatus:
+        status = DiagnosticStatus(name=f"optimizer: {_NAMES[direction]} front")
+        front = self._fronts.get(direction)
+        if front is None:
+            failed = self._absences[direction].startswith("there is no front")
+            status.level = DiagnosticStatus.ERROR if failed else DiagnosticStatus.WARN
+            status.message = self._absences[direction]
+            return status
+        status.level = DiagnosticStatus.OK
+        status.message = f"{len(front.predictions)} gaits served"
+        status.values = [
+            KeyValue(key="margin [m]", value=f"{front.margin:.6f}"),
+            KeyValue(key="hypervolume share [1]", value=f"{front.hypervolume_share:.5f}"),
+            KeyValue(key="served", value=front.source),
+        ]
+        return status
+
+
+def main() -> int:
+    """Runs the node until it is told to stop; 2 if its parameters cannot work."""
+    with ros_process() as ended:
+        try:
+            node = OptimizerNode()
+        except (OptimizerError, ParameterError, OSError) as error:
+            print(f"optimizer_node: {error}", file=sys.stderr)  # noqa: T201 - before there is a node to log
+            return 2
+        try:
+            spin(node, ended)
+        finally:
+            node.close()
+            node.destroy_node()
+    return 0

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a campaign is going to run, and what is promised of it before anything moves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from worm_model.parameters import ParameterFile
+from worm_optimizer.report.optimisation import Optimisation
+from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.front import Report, load_front, make_front, scanned_price
+from worm_optimizer.search.search_settings import Settings
+from worm_optimizer.search.selection import three_gaits
+
+PROMISES = "promised.json"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """``gaits`` by name in the order of the runs, and the front that they come from."""
+
+    gaits: Mapping[str, Prediction]
+    optimisation: Optimisation
+
+
+def make_plan(
+    content: ParameterFile, settings: Settings, direction: int, cache: Cache, report: Report
+) -> Plan:
+    """Minimum-power, cruising and maximum-speed gaits of the front that the settings make, from the cache if there.
+
+    Raises `OptimizerError` if no gait moves.
+    """
+    price = scanned_price(content, settings, direction, cache, report)
+    front = load_front(content, settings, direction, cache)
+    if front is None:
+        front = make_front(content, settings, direction, cache, report)
+    return Plan(three_gaits(front.predictions), Optimisation(front, price))
+
+
+def write_promises(plan: Plan, folder: Path) -> Path:
+    """Writes down what is predicted, so that nobody can say that it was known afterwards."""
+    path = folder / PROMISES
+    with path.open("x", encoding="utf-8") as file:
+        json.dump({name: asdict(gait) for name, gait in plan.gaits.items()}, file, indent=2)
+    return path

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenarios: draws of the parameters within their uncertainty, with the groove phase known or not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_model.parameters import ParameterFile, Parameters
+from worm_model.simulation.closed_form import front_groove, groove_phase
+from worm_optimizer.search.task import Array
+
+# 95 % half-widths relative to the value, of the parameters that decide the motion, for those without an
+# interval in the parameter file. They are this project's judgement, not the paper's: what careful
+# weighing, a caliper, a force gauge and a camera give. The others touch the power only.
+DEFAULT_HALF_WIDTHS: Mapping[str, float] = {
+    "rear_mass": 0.01,
+    "front_mass": 0.01,
+    "pitch": 0.005,
+    "viscous_friction": 0.20,
+    "engaged_stiffness": 0.10,
+    "disengaged_stiffness": 0.10,
+    "switching_threshold": 0.03,
+    "clearance": 0.05,
+    "time_constant": 0.10,
+    "gain": 0.02,
+    "slack": 0.05,
+}
+
+_PHASES = 64  # of every_phase
+_NORMAL_95 = 1.959963984540054  # standard deviations within which a normal variable lies in 95 %
+_MOST_DEVIATIONS = 4.0  # draws are cut there, so that none leaves the admissible range
+
+
+@dataclass(frozen=True)
+class Scenarios:
+    """Equally likely parameter sets: ``overrides`` maps parameter keys to arrays of shape (n,)."""
+
+    overrides: Mapping[str, Array]
+
+    def __len__(self) -> int:
+        return len(self.overrides["initial_length"])
+
+
+def half_widths(content: ParameterFile) -> dict[str, tuple[float, float]]:
+    """95 % reach below and above each value, by key: the file's intervals, else the stated defaults.
+
+    What differs from run to run is added to either.
+    """
+    return {key: _reach(content, key, width) for key, width in DEFAULT_HALF_WIDTHS.items()}
+
+
+def _reach(content: ParameterFile, key: str, width: float) -> tuple[float, float]:
+    """95 % reach of one value, ``width`` relative to it without an interval."""
+    value = content.parameters.as_dict()[key]
+    low, high = content.intervals.get(key, (value * (1.0 - width), value * (1.0 + width)))
+    scatter = _NORMAL_95 * content.run_to_run.get(key, 0.0)
+    return math.hypot(max(value - low, 0.0), scatter), math.hypot(max(high - value, 0.0), scatter)
+
+
+def told(content: ParameterFile) -> str:
+    """Where the uncertainty of a parameter file comes from, in words."""
+    reach = max(_reach(content, "initial_length", 0.0))
+    phase = f"; φ known to ±{1e3 * reach:.2f} mm in the next run" if reach > 0.0 else ""
+    return _told_of_parameters(content) + phase
+
+
+def _told_of_parameters(content: ParameterFile) -> str:
+    own = [key for key in DEFAULT_HALF_WIDTHS if key in content.intervals]
+    if len(own) == len(DEFAULT_HALF_WIDTHS):
+        return "the parameter file's 95 % intervals"
+    others = ", ".join(
+        f"{key} ±{100.0 * width:g} %"
+        for key, width in DEFAULT_HALF_WIDTHS.items()
+        if key not in content.intervals
+    )
+    mine = f"the parameter file's 95 % intervals of {', '.join(own)}; " if own else ""
+    return f"{mine}assumed at 95 %: {others}"
+
+
+def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
+    """Draws of the parameters at the file's groove phase φ, to within its initial_length's reach.
+
+    The reach is that of the next run: the interval of the mean, and what differs from run to run.
+    The phase is held and not the length: φ = L0 − n·d, so that seventeen times a pitch's error would
+    otherwise pass for a phase. Deviations are normal, with a width of its own on either side.
+    """
+    overrides = _draws(content, samples, seed)
+    below, above = _reach(content, "initial_length", 0.0)
+    deviate = _deviates(samples, seed, stream=1) / _NORMAL_95
+    trim = np.where(deviate > 0.0, deviate * above, deviate * below)
+    phase = groove_phase(content.parameters) + trim
+    return Scenarios({**overrides, **_at_phase(content.parameters, overrides["pitch"], phase)})
+
+
+def phase_unknown(content: ParameterFile, samples: int, seed: int) -> Scenarios:
+    """The same draws with the groove phase uniform over a pitch."""
+    overrides = _draws(content, samples, seed)
+    turn = np.random.default_rng([seed, 2]).uniform(-0.5, 0.5, samples)
+    phase = turn * overrides["pitch"]
+    return Scenarios({**overrides, **_at_phase(content.parameters, overrides["pitch"], phase)})
+
+
+def every_phase(parameters: Parameters) -> Scenarios:
+    """The parameters as they are at groove phases evenly over a pitch; see `phase_guard`."""
+    turn = (np.arange(_PHASES) + 0.5) / _PHASES - 0.5
+    pitch = np.full(_PHASES, parameters.pitch)
+    return Scenarios(_at_phase(parameters, pitch, turn * parameters.pitch))
+
+
+def phase_guard(parameters: Parameters) -> float:
+    """The margin in m with which what holds at the phases of `every_phase` holds at those between.
+
+    In the slow limit a gait gains what its travel from threshold to threshold c allows, and a phase
+    between two of them costs as much as a c that is longer by their spacing (see
+    `worm_model.simulation.closed_form.switching_travel`).
+    """
+    spacing = parameters.pitch / _PHASES
+    return spacing / (1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness)
+
+
+def _at_phase(parameters: Parameters, pitch: Array, phase: Array) -> dict[str, Array]:
+    """The initial length at a phase; one a pitch on is the same, so the nearest groove serves all."""
+    wrapped = phase - pitch * np.round(phase / pitch)
+    return {"initial_length": front_groove(parameters) * pitch + wrapped}
+
+
+def _deviates(samples: int, seed: int, stream: int) -> Array:
+    """Standard normal deviates, cut at `_MOST_DEVIATIONS`."""
+    normal = np.random.default_rng([seed, stream]).standard_normal(samples)
+    return np.clip(normal, -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+
+
+def correlated(
+    deviates: Mapping[str, Array], correlations: Mapping[tuple[str, str], float]
+) -> dict[str, Array]:
+    """Independent standard normal deviates by key, of shape (n,), mixed such that pairs correlate.
+
+    Correlations of other keys are passed over. Those that exclude each other, as rounded ones may, are
+    replaced by nearby ones that do not.
+    """
+    keys = list(deviates)
+    matrix = np.eye(len(keys))
+    for (a, b), correlation in correlations.items():
+        if a in deviates and b in deviates:
+            i, j = keys.index(a), keys.index(b)
+            matrix[i, j] = matrix[j, i] = correlation
+    values, vectors = np.linalg.eigh(matrix)
+    root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    root /= np.linalg.norm(root, axis=1, keepdims=True)
+    return dict(zip(keys, root @ np.array(list(deviates.values())), strict=True))
+
+
+def _draws(content: ParameterFile, samples: int, seed: int) -> dict[str, Array]:
+    values = content.parameters.as_dict()
+    reach = half_widths(content)
+    independent = {
+        key: _deviates(samples, seed, stream) for stream, key in enumerate(reach, start=10)
+    }
+    deviates = correlated(independent, content.correlations)
+    draws = {}
+    for key, (below, above) in reach.items():
+        deviate = np.clip(deviates[key], -_MOST_DEVIATIONS, _MOST_DEVIATIONS) / _NORMAL_95
+        drawn = values[key] + np.where(deviate > 0.0, deviate * above, deviate * below)
+        draws[key] = np.maximum(drawn, 0.1 * values[key])
+    # What `Parameters` demands of every set: a fin that switches must stay where it lands.
+    least = np.maximum(0.5 * draws["pitch"], 0.5 * draws["clearance"]) * 1.001
+    draws["switching_threshold"] = np.maximum(draws["switching_threshold"], least)
+    return draws

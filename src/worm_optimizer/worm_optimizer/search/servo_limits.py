@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits on gaits from the driver's parameter file and its servo models.
+
+The file is data, in the format of ROS 2 parameters; config/servo_models.yaml holds what the motors of
+each model can do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from worm_optimizer.search.actuator_limits import ActuatorLimits
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.task import Bounds
+
+_MODELS_FILE = Path(__file__).parents[1] / "config" / "servo_models.yaml"
+_SHUNT_RANGE = 0.32  # V over the shunt of an INA219 at its widest (TI SBOS448, PGA = /8)
+_RPM = 2.0 * math.pi / 60.0  # rad/s
+
+# The driver's defaults for what its file leaves out.
+DRIVER_DEFAULTS: Mapping[str, Any] = {
+    "i2c_bus": "1",
+    "ina219.shunt_resistance_ohm": 0.1,
+    "ina219.max_current_A": 3.2,
+    "cable_servos.spool_radius_m": [0.025],
+    "limits.max_stroke_m": 0.09,
+    "limits.max_frequency_Hz": 0.4,
+    "limits.max_cable_speed_m_s": 0.12,
+    "limits.max_servo_current_A": 2.0,
+    "limits.max_servo_load": 0.9,
+}
+
+
+@dataclass(frozen=True)
+class ServoModel:
+    """A servo's motor: speeds in rad/s, torque in N·m and current in A, at ``voltage`` V."""
+
+    voltage: float
+    no_load_speed: float
+    stall_torque: float
+    stall_current: float
+    velocity_limit: float
+    measures_current: bool
+
+    def torque(self, max_current: float, max_load: float, voltage: float) -> float:
+        """The greatest torque in N·m at a supply voltage in V, with a current of ``max_current`` A at most.
+
+        A model that measures no current has at most the share ``max_load`` of its stall torque instead.
+        """
+        stall = self.stall_torque * voltage / self.voltage
+        if not self.measures_current:
+            return stall * max_load
+        return min(stall, self.stall_torque / self.stall_current * max_current)
+
+
+@dataclass(frozen=True)
+class DrivenBy:
+    """What the driver's file says of the limits of a robot; SI.
+
+    ``spool_radii`` of the cable servos, which pull side by side; ``sensor_current`` in A is the range of
+    the power sensor, infinite without one.
+    """
+
+    spool_radii: tuple[float, ...]
+    max_stroke: float
+    max_frequency: float
+    max_cable_speed: float
+    max_servo_current: float
+    max_servo_load: float
+    sensor_current: float
+
+
+def servo_models() -> dict[str, ServoModel]:
+    """The servo models that are known, by name."""
+    content = yaml.safe_load(_MODELS_FILE.read_text(encoding="utf-8"))
+    return {
+        name: ServoModel(
+            voltage=row["voltage_v"],
+            no_load_speed=row["no_load_speed_rpm"] * _RPM,
+            stall_torque=row["stall_torque_n_m"],
+            stall_current=row["stall_current_a"],
+            velocity_limit=row["velocity_limit_rpm"] * _RPM,
+            measures_current=row["measures_current"],
+        )
+        for name, row in content.items()
+    }
+
+
+def servo_model(name: str) -> ServoModel | None:
+    """The model of a name, None for an empty one; raises `OptimizerError` naming those that there are."""
+    if not name:
+        return None
+    models = servo_models()
+    plain = name.removesuffix("-T").removesuffix("-R")  # the bus that it is made for
+    if plain not in models:
+        raise OptimizerError(f"servo model: {name!r} is none of {', '.join(models)}")
+    return models[plain]
+
+
+def load_driver_file(path: str | Path) -> DrivenBy:
+    """Reads the driver's parameter file; raises `OptimizerError` whose message starts with the path."""
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise OptimizerError(f"{path}: cannot be read: {error}".splitlines()[0]) from None
+    given = _parameters_of_driver(content)
+    if not given:
+        raise OptimizerError(f"{path}: holds no ros__parameters of a node named driver")
+    values = {**DRIVER_DEFAULTS, **given}
+    radii = values["cable_servos.spool_radius_m"]
+    if not isinstance(radii, list) or not radii:
+        raise OptimizerError(
+            f"{path}: cable_servos.spool_radius_m: expected a list such as [0.025]"
+        )
+
+    def positive(name: str, value: Any = None) -> float:
+        number = values[name] if value is None else value
+        if isinstance(number, bool) or not isinstance(number, int | float) or not number > 0.0:
+            raise OptimizerError(f"{path}: {name}: {number!r} is not a positive number")
+        return float(number)
+
+    sensor = min(
+        positive("ina219.max_current_A"), _SHUNT_RANGE / positive("ina219.shunt_resistance_ohm")
+    )
+    return DrivenBy(
+        spool_radii=tuple(positive("cable_servos.spool_radius_m", radius) for radius in radii),
+        max_stroke=positive("limits.max_stroke_m"),
+        max_frequency=positive("limits.max_frequency_Hz"),
+        max_cable_speed=positive("limits.max_cable_speed_m_s"),
+        max_servo_current=positive("limits.max_servo_current_A"),
+        max_servo_load=positive("limits.max_servo_load"),
+        sensor_current=sensor if values["i2c_bus"] else math.inf,
+    )
+
+
+def limits_of(driver: DrivenBy, model: ServoModel | None, voltage: float | None) -> ActuatorLimits:
+    """The limits that a driver and its cable servos set.
+
+    Without a model only the driver's own limit of the cable speed, and of the power if the supply
+    ``voltage`` in V is given; None: the model's nominal one. Cables side by side share the force equally.
+    """
+    volts = voltage or (model.voltage if model else math.inf)
+    power = driver.sensor_current * volts
+    if model is None:
+        return ActuatorLimits(driver.max_cable_speed, electrical_power=power)
+    slimmest, widest = min(driver.spool_radii), max(driver.spool_radii)
+    ratio, cables = volts / model.voltage, len(driver.spool_radii)
+    no_load = model.no_load_speed * ratio
+    torque = model.torque(driver.max_servo_current, driver.max_servo_load, volts)
+    return ActuatorLimits(
+        cable_speed=min(
+            driver.max_cable_speed, slimmest * model.velocity_limit, slimmest * no_load
+        ),
+        cable_force=cables * torque / widest,
+        electrical_power=power,
+        stall_force=cables * model.stall_torque * ratio / widest,
+        no_load_speed=slimmest * no_load,
+    )
+
+
+def within(
+    bounds: Bounds, limits: ActuatorLimits, file: str, model: str, voltage: float | None
+) -> tuple[Bounds, ActuatorLimits]:
+    """A box and limits, tightened to what the driver of ``file`` and its servo model take.
+
+    An empty ``file`` changes nothing. Raises `OptimizerError` if the file or the model is none, if
+    nothing is left of the box, or on a model or a supply ``voltage`` in V without a file.
+    """
+    known = servo_model(model)
+    if voltage is not None and not 0.0 < voltage < math.inf:
+        raise OptimizerError(f"supply voltage: {voltage} V: give a positive number")
+    if not file:
+        if model or voltage is not None:
+            raise OptimizerError(
+                "servo model and supply voltage say nothing without the driver's parameter file, "
+                "which holds the spool radii: give that too"
+            )
+        return bounds, limits
+    driver = load_driver_file(file)
+    box = dataclasses.replace(
+        bounds,
+        stroke_high=min(bounds.stroke_high, driver.max_stroke),
+        frequency_high=min(bounds.frequency_high, driver.max_frequency),
+    )
+    return box, limits.tightened(limits_of(driver, known, voltage))
+
+
+def _parameters_of_driver(content: Any) -> dict[str, Any]:
+    """Parameters of the nodes that a ROS 2 parameter file calls driver, or of all; dotted names."""
+    given: dict[str, Any] = {}
+    for name, node in content.items() if isinstance(content, Mapping) else ():
+        if str(name).split("/")[-1] in ("driver", "**") and isinstance(node, Mapping):
+            given |= dict(_flat(node.get("ros__parameters") or {}))
+    return given
+
+
+def _flat(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in content.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
