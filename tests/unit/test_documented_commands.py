@@ -188,11 +188,13 @@ def test_the_reference_of_the_packages_is_built(tmp_path: Path):
     assert done.stdout == f"{tmp_path}/docs/index.html\n"
     for module in (
         "worm_driver/servos/servo_bus",
-        "worm_optimizer/optimizer_node",
+        "worm_optimizer/nodes/optimizer_node",
         "worm_model/gait",
     ):
         assert (tmp_path / "docs" / f"{module}.html").exists()
-    page = (tmp_path / "docs" / "worm_model" / "simulator.html").read_text(encoding="utf-8")
+    page = (tmp_path / "docs" / "worm_model" / "simulation" / "simulator.html").read_text(
+        encoding="utf-8"
+    )
     assert "The hybrid simulator" in page
     assert 'id="evaluate_gait"' in page
 

@@ -85,10 +85,15 @@ def test_each_phase_has_its_state(phase, state):
 def test_the_state_tells_gait_cycle_and_onset():
     player = PlayerState(phase=Phase.RUNNING, run=RUN)
     message = ros_messages.gait_state(snapshot(player), CLOCKS)
-    assert (message.gait.stroke, message.cycle, message.cycles) == (0.07, 2, 5)
+    assert (message.gait.stroke, message.run, message.cycle, message.cycles) == (
+        0.07,
+        RUN.number,
+        2,
+        5,
+    )
     assert message.onset.sec == 1_700_000_002
     inactive = ros_messages.gait_state(snapshot(PlayerState(), active=False), CLOCKS)
-    assert (inactive.state, inactive.gait.stroke) == (GaitState.INACTIVE, 0.0)
+    assert (inactive.state, inactive.run, inactive.gait.stroke) == (GaitState.INACTIVE, 0, 0.0)
 
 
 def test_the_level_of_a_diagnostic_is_a_byte():

@@ -130,6 +130,7 @@ def gait_state(snapshot: Snapshot, clocks: ClockPair) -> GaitState:
     message = GaitState(
         header=Header(stamp=clocks.stamp(snapshot.command_time)),
         state=_STATE[player.phase] if snapshot.active else GaitState.INACTIVE,
+        run=0 if player.run is None else player.run.number,
         message=player.message,
     )
     if run is not None:

@@ -11,9 +11,9 @@ from worm_model.identification.fingerprint import (
 
 def test_what_identification_imports_is_in_it_and_nothing_else():
     files = {str(file.relative_to(PACKAGE)) for file in imported_files(PACKAGE, ENTRY)}
-    assert {"identify.py", "identification/grooves.py", "kernel/dry_friction.py"} <= files
-    assert {"simulator.py", "smoothing.py", "bags/run_reader.py", "lab_logs.py"} <= files
-    assert not {"twin.py", "twin_node.py", "health.py"} & files
+    assert {"commands/identify.py", "identification/grooves.py", "bags/lab_logs.py"} <= files
+    assert {"simulation/simulator.py", "simulation/smoothing.py", "bags/run_reader.py"} <= files
+    assert not {"twin/core.py", "nodes/twin_node.py", "commands/health.py"} & files
 
 
 def test_imports_are_followed_in_every_form(tmp_path):
