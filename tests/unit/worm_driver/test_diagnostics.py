@@ -68,6 +68,7 @@ def test_timing_warns_from_two_milliseconds_on():
     [
         ({SampleStatus.VALID: 100}, Level.OK, "ok"),
         ({SampleStatus.VALID: 90, SampleStatus.NOT_READY: 10}, Level.OK, "ok"),
+        ({SampleStatus.VALID: 1, SampleStatus.NOT_READY: 99}, Level.WARN, "same bits"),
         ({SampleStatus.VALID: 90, SampleStatus.OVERFLOW: 10}, Level.WARN, "10 x overflow"),
         ({SampleStatus.VALID: 99, SampleStatus.SENSOR_RESET: 1}, Level.WARN, "1 x sensor reset"),
         ({SampleStatus.BUS_ERROR: 100}, Level.ERROR, "100 x bus error"),
@@ -86,6 +87,8 @@ def test_the_gait():
     assert "servo 1" in diagnostics.gait_report(fault, active=True, homed=True).message
     idle = PlayerState()
     assert diagnostics.gait_report(idle, active=False, homed=True).message == "torque is off"
+    left = diagnostics.gait_report(idle, active=False, homed=True, left_on="torque is on")
+    assert (left.level, left.message) == (Level.WARN, "torque is on")
     assert "not homed" in diagnostics.gait_report(idle, active=False, homed=False).message
 
 

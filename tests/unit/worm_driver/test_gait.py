@@ -44,7 +44,7 @@ def test_the_peak_speed_is_not_exceeded(gait, time):
         (Gait(0.07, -0.2), 5, "frequency -0.2"),
         (Gait(0.01, 0.41), 5, "limits.max_frequency_Hz"),
         (Gait(0.07, 0.2, 0), 5, "direction must be 1"),
-        (Gait(0.07, 0.2, 1, -1e-3), 5, "margin -0.001 m is negative"),
+        (Gait(0.07, 0.2, 1, -1e-3), 5, "margin -0.001 m is outside"),
         (Gait(0.07, 0.2), 0, "cycles must be 1 to"),
         (Gait(0.07, 0.2), 10**6, "cycles must be 1 to"),
         (Gait(0.09, 0.4), 5, "0.1131 m/s, the robot's limit is 0.1000"),

@@ -140,6 +140,11 @@ def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
             ", ".join(f"{count} x {status.value}" for status, count in bad.items())
             + " in the last second"
         )
+    elif counts.get(SampleStatus.VALID, 0) < counts.get(SampleStatus.NOT_READY, 0):
+        level = Level.WARN
+        message = (
+            "it hardly measures anew, or gives the same bits all the time: check its supply and bus"
+        )
     else:
         level, message = Level.OK, "ok"
     values = tuple((status.name.lower(), str(counts.get(status, 0))) for status in SampleStatus)
@@ -152,9 +157,11 @@ def release_report(problems: Sequence[str]) -> Report:
     return Report("driver: release", Level.ERROR, message)
 
 
-def gait_report(player: PlayerState, *, active: bool, homed: bool) -> Report:
-    """On what is being played."""
-    if active and player.phase is Phase.FAULT:
+def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str = "") -> Report:
+    """On what is being played; left_on: what is said of a torque that an earlier driver left on."""
+    if left_on and not active:
+        level, message = Level.WARN, left_on
+    elif active and player.phase is Phase.FAULT:
         level, message = Level.ERROR, player.message
     elif not homed:
         level, message = (

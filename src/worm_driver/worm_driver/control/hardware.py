@@ -112,6 +112,8 @@ class Hardware:
             lines.append(
                 f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, not 1: install the udev rule"
             )
+        if self.robot.left_on:
+            lines.append(self.robot.left_on)
         if not self.robot.homed:
             lines.append("not homed: bring the robot to its initial length, then call home")
         return lines
@@ -138,7 +140,9 @@ class Hardware:
         self._seen = _Seen(counters, power)
         timer = serial_port.latency_timer_ms(self.settings.port)
         reports = [
-            diagnostics.gait_report(latest.player, active=latest.active, homed=robot.homed),
+            diagnostics.gait_report(
+                latest.player, active=latest.active, homed=robot.homed, left_on=robot.left_on
+            ),
             diagnostics.bus_report(self.settings.port, counters, seen.counters, timer),
             diagnostics.timing_report(self.loop.report(), self.settings.period),
         ]

@@ -29,12 +29,16 @@ _FIN_TOLERANCE = 40
 _FIN_STILL = 0.1
 #: readings of the state before an activation, of which one must succeed
 _ATTEMPTS = 5
+#: m, closer to its initial length a robot that is let go does not spring back to speak of
+_SPRINGS_BACK = 2e-3
 #: m, slack beyond the initial length with which the robot may still be activated
 _PAYOUT_TOLERANCE = 0.01
 
 
 class Robot:
     """A robot whose servos have answered and are set up, with the torque off.
+
+    A contracted robot that an earlier driver left with its torque on keeps it, as it would spring back: see left_on.
 
     Args:
         settings: of this robot.
@@ -46,6 +50,7 @@ class Robot:
 
     Attributes:
         unreleased: what failed at the last release, in words: a servo may still have its torque.
+        left_on: what there is to say of a torque that an earlier driver left on; empty: there is none.
 
     Raises:
         BusError: a servo does not answer.
@@ -66,6 +71,7 @@ class Robot:
         self.player = PlayerState()
         self.active = False
         self.unreleased: list[str] = []
+        self.left_on = ""
         self._clock = clock
         self._load = load
         self._tracker_ready = tracker_ready
@@ -86,13 +92,33 @@ class Robot:
     def _set_up(self) -> None:
         for servo in self.servos:
             servos.check(self.bus, servo)
-        for servo in self.cables:
-            servos.prepare_cable(self.bus, servo, servos.own_limit(servo, self.settings.limits))
         for servo in self.fins:
             servos.prepare_fin(self.bus, servo)
+        contraction = self._held_contraction()
+        if contraction is not None:
+            self.homed = True
+            self.left_on = (
+                f"the torque is on, as an earlier driver left it, with the robot contracted by "
+                f"{contraction * 1e3:.1f} mm: it would spring back if it were let go; activate to take it over, "
+                "then deactivate to bring it to rest"
+            )
+            return
+        for servo in self.cables:
+            servos.prepare_cable(self.bus, servo, servos.own_limit(servo, self.settings.limits))
         self.homed = all(servos.is_homed(self.bus, servo) for servo in self.cables)
         if self.settings.home_at_start and not self.homed:
             self.home()
+
+    def _held_contraction(self) -> float | None:
+        """By how much (m) servos that were left with their torque on hold the robot contracted; None where they do not."""
+        longest = 0.0
+        for spool, servo in zip(self.settings.spools, self.cables, strict=True):
+            limit = servos.own_limit(servo, self.settings.limits)
+            ticks = servos.held_position(self.bus, servo, limit)
+            if ticks is None:
+                return None
+            longest = max(longest, -spool.length_change(ticks))
+        return longest if longest > _SPRINGS_BACK else None
 
     @property
     def servos(self) -> tuple[Servo, ...]:
@@ -118,6 +144,8 @@ class Robot:
         """Takes the cable's present length as the initial one. Raises HomingError, BusError."""
         if self.active:
             raise HomingError("homing needs the torque off: deactivate the driver first")
+        if self.left_on:
+            raise HomingError(f"homing needs the torque off, and {self.left_on}")
         self.homed = False
         with self.bus.patient():
             servos.home(self.bus, self.cables)
@@ -155,13 +183,13 @@ class Robot:
             with self.bus.patient():
                 self._enable_all()
         except Exception:
-            servos.release_all(self.bus, self.servos)
+            self.release()
             raise
         self._reader.forget_suspects()
         run = self.player.run
         self.player = PlayerState(since=now, length_change=cable, run=run)
         self._counts, self._last_step, self._away, self.active = Counts(), None, 0.0, True
-        self.unreleased = []
+        self.unreleased, self.left_on = [], ""
 
     def _check_fitness(self) -> None:
         self.homed = all(servos.is_homed(self.bus, servo) for servo in self.cables)
@@ -225,8 +253,13 @@ class Robot:
         return self.active and self.player.phase is Phase.HOLDING
 
     def release(self) -> list[str]:
-        """Takes the torque off, by all means; returns what failed on the way, in words."""
+        """Takes the torque off, by all means; returns what failed on the way, in words.
+
+        But for a robot that was never taken over and would spring back.
+        """
         self.active = False
+        if self.left_on:
+            return [self.left_on]
         self.unreleased = servos.release_all(self.bus, self.servos)
         return self.unreleased
 
@@ -369,11 +402,12 @@ class Robot:
         fastest = self.settings.max_cable_speed
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
             limit = servos.own_limit(servo, self.settings.limits)
-            servos.limit_motion(self.bus, servo, fastest / spool.radius, limit)
+            speed = fastest / spool.radius
+            servos.limit_motion(self.bus, servo, speed, self.settings.watchdog, limit)
         for servo in self.fins:
-            servos.limit_motion(self.bus, servo, self.settings.fin_speed)
+            servos.limit_motion(self.bus, servo, self.settings.fin_speed, self.settings.watchdog)
         for servo in self.servos:
-            servos.enable(self.bus, servo, self.settings.watchdog)
+            servos.enable(self.bus, servo)
 
     def _here(self) -> float:
         """Where the cable is, or was asked to be when that is not known (m)."""

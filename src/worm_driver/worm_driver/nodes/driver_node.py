@@ -18,17 +18,18 @@ from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from rclpy.utilities import get_rmw_implementation_identifier
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from worm_driver.control.diagnostics import network_report, offline_report
+from worm_driver.control.diagnostics import network_report, offline_report, release_report
 from worm_driver.control.hardware import Hardware
 from worm_driver.control.telemetry import Snapshot
-from worm_driver.errors import ConfigurationError, DriverError, StoppedError
+from worm_driver.errors import ConfigurationError, DriverError, ReleaseError, StoppedError
 from worm_driver.nodes import driver_messages, driver_parameters
 from worm_driver.nodes.driver_messages import ClockPair
+from worm_driver.nodes.impossible_transitions import refuse_impossible_transitions
 from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.side_node import SideNode
 from worm_msgs import network
@@ -44,13 +45,17 @@ _SWITCH_INTERVAL = 0.0005
 _FRESH = 0.2
 _DISCOVERY = 5.0
 
-#: s, in which the servos must have been enabled
+#: s, in which the servos must have been enabled, homed, or released
 _ACTIVATION = 5.0
+_SERVICE = 10.0
+_LETTING_GO = 5.0
 
 _DELIVERY = Duration(seconds=0.5)
 
 #: reliable; deep enough for what piles up while the executor's thread waits for a processor
 _TELEMETRY = QoSProfile(depth=200)
+#: no request is dropped, however many wait: whoever calls stop gets an answer
+_EVERY_CALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -77,10 +82,11 @@ class DriverNode(LifecycleNode):
         self._action = RunGaitAction(self, lambda: self._hardware)
         self.create_subscription(Tracker, "tracker", self._on_tracker, 100)
         self._side = SideNode(self, "stop")
-        self._side.node.create_service(Trigger, "stop", self._on_stop)
+        self._side.node.create_service(Trigger, "stop", self._on_stop, qos_profile=_EVERY_CALL)
         self._side.start()
         self.create_service(Trigger, "home", self._on_home)
         self.create_service(Trigger, "reboot", self._on_reboot)
+        refuse_impossible_transitions(self)
         self._fresh = self.create_guard_condition(self._publish)
         self.create_timer(1.0, self._publish_diagnostics)
         self._show_inactive("not configured")
@@ -111,8 +117,8 @@ class DriverNode(LifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Brings the gait to rest and releases the servos.
 
-        FAILURE where a stop came on the way: the robot holds. ERROR, which releases and closes everything, where
-        the servo bus thread does not respond.
+        FAILURE where a stop came on the way: the robot holds. ERROR, which closes everything, where a servo does not
+        say that its torque is off, or the servo bus thread does not respond.
         """
         try:
             self._release()
@@ -129,21 +135,25 @@ class DriverNode(LifecycleNode):
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Brings the gait to rest, releases the servos and closes everything."""
-        self.close("the driver shuts down")
+        """Brings the gait to rest, releases the servos and closes everything; FAILURE if one may have its torque."""
+        if self.close("the driver shuts down"):
+            return TransitionCallbackReturn.FAILURE
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Releases and closes everything, so that the driver can be configured again."""
-        self.close("a transition failed")
+        self.close(f"a transition failed: {self._failure}")
         super().on_error(state)
         return TransitionCallbackReturn.SUCCESS
 
-    def close(self, reason: str) -> None:
-        """Brings the robot to rest, releases and closes it; needs no ROS, and is harmless when nothing is open."""
+    def close(self, reason: str) -> list[str]:
+        """Brings the robot to rest, releases and closes it; needs no ROS, and is harmless when nothing is open.
+
+        Returns what failed, in words: a servo may still have its torque.
+        """
         hardware = self._hardware
         if hardware is None:
-            return
+            return []
         problems = hardware.close(reason, self._publish)
         self._hardware = self._latest = None
         for problem in problems:
@@ -151,8 +161,9 @@ class DriverNode(LifecycleNode):
         if self.context.ok():
             self._publish_all(hardware)
             self._action.abandon(reason)
-            self._show_inactive(reason)
+            self._show_inactive("; ".join((reason, *problems)))
             self._deliver()
+        return problems
 
     def _deliver(self) -> None:
         """Waits until those who listen have the last words, for they are lost with the node."""
@@ -191,7 +202,7 @@ class DriverNode(LifecycleNode):
         hardware.loop.ask(robot.activate, _ACTIVATION, undo=lambda _: robot.release())
 
     def _release(self) -> None:
-        """Raises StoppedError, DriverError."""
+        """Raises StoppedError, ReleaseError, DriverError."""
         hardware = self._opened()
         self._do(
             lambda hardware, now: hardware.robot.begin_release(now, "the driver is deactivated")
@@ -204,8 +215,9 @@ class DriverNode(LifecycleNode):
                     "on; deactivate it again to let go"
                 )
             self._publish()
-        for problem in self._do(lambda hardware, _: hardware.robot.release()):
-            self.get_logger().error(f"on release: {problem}")
+        problems = self._do(lambda hardware, _: hardware.robot.release(), _LETTING_GO)
+        if problems:
+            raise ReleaseError(release_report(problems).message)
 
     # --- services ------------------------------------------------------------------------------
 
@@ -248,16 +260,16 @@ class DriverNode(LifecycleNode):
         done: str,
     ) -> Trigger.Response:
         try:
-            self._do(action)
+            self._do(action, _SERVICE)
             response.success, response.message = True, done
         except DriverError as error:
             response.success, response.message = False, str(error)
         return response
 
-    def _do(self, action: Callable[[Hardware, float], T]) -> T:
-        """Has something done between two cycles. Raises DriverError."""
+    def _do(self, action: Callable[[Hardware, float], T], timeout: float = 2.0) -> T:
+        """Has something done between two cycles, within a time (s). Raises DriverError."""
         hardware = self._opened()
-        return hardware.loop.ask(lambda now: action(hardware, now))
+        return hardware.loop.ask(lambda now: action(hardware, now), timeout)
 
     def _opened(self) -> Hardware:
         if self._hardware is None:

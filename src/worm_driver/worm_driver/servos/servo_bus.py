@@ -225,15 +225,18 @@ class ServoBus:
 
         Raises:
             PortError: it is missing, forbidden or in use; the message says what to do.
-            ConfigurationError: the SDK does not know the baud rate.
+            ConfigurationError: the SDK does not know the baud rate, or the path is no serial device.
         """
+        if reason := serial_port.why_no_port(path):
+            raise ConfigurationError(reason)
         port = BusPort(path, baud_rate)
         try:
             if not port.openPort():
                 raise ConfigurationError(
                     f"baud rate {baud_rate} is not one that the SDK can set: see addr 8 (baud_rate)"
                 )
-        except OSError as error:  # SerialException is one
+        # SerialException is an OSError; termios.error is none
+        except (OSError, termios.error) as error:
             raise PortError(serial_port.explain_open_failure(path, error)) from error
         if latency is None:
             latency = (serial_port.latency_timer_ms(path) or 1) * 1e-3
@@ -246,14 +249,14 @@ class ServoBus:
             self.port.closePort()
 
     @contextlib.contextmanager
-    def patient(self) -> Iterator[None]:
+    def patient(self, retries: int = _PATIENT_RETRIES) -> Iterator[None]:
         """For set-up, where an answer counts more than its time.
 
         Failed exchanges are repeated more often; and the first question, like each one after a failure, waits until no
         older answer can be on its way.
         """
         before = self.retries, self._quiet
-        self.retries, self._quiet = max(self.retries, _PATIENT_RETRIES), _LATEST
+        self.retries, self._quiet = max(self.retries, retries), _LATEST
         self._settled = False
         try:
             yield
