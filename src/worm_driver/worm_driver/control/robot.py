@@ -110,7 +110,7 @@ class Robot:
             self.home()
 
     def _held_contraction(self) -> float | None:
-        """By how much (m) servos that were left with their torque on hold the robot contracted; None where they do not."""
+        """By how much (m) servos that were left with their torque on hold the robot contracted; None if they do not."""
         longest = 0.0
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
             limit = servos.own_limit(servo, self.settings.limits)
