@@ -29,6 +29,8 @@ _FIN_TOLERANCE = 40
 _FIN_STILL = 0.1
 #: readings of the state before an activation, of which one must succeed
 _ATTEMPTS = 5
+#: s, for which the loop's own lateness explains a bus watchdog that has expired: health is read in turn
+_REMEMBERED = 0.5
 #: m, closer to its initial length a robot that is let go does not spring back to speak of
 _SPRINGS_BACK = 2e-3
 #: m, slack beyond the initial length with which the robot may still be activated
@@ -79,9 +81,9 @@ class Robot:
         self._idle_from = 0
         self._hold_ticks: dict[int, int] = {}
         self._counts = Counts()
-        self._last_step: float | None = None
+        self._last_step = clock()
         self._last_look = -math.inf
-        self._away = 0.0
+        self._away, self._away_at = 0.0, -math.inf
         with bus.patient():
             self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
             self.fins = tuple(servos.identify(bus, fin.servo) for fin in settings.fins)
@@ -188,7 +190,8 @@ class Robot:
         self._reader.forget_suspects()
         run = self.player.run
         self.player = PlayerState(since=now, length_change=cable, run=run)
-        self._counts, self._last_step, self._away, self.active = Counts(), None, 0.0, True
+        self._counts, self._away_at, self.active = Counts(), -math.inf, True
+        self._last_step = self._clock()
         self.unreleased, self.left_on = [], ""
 
     def _check_fitness(self) -> None:
@@ -295,14 +298,14 @@ class Robot:
         )
 
     def _step(self, now: float) -> None:
-        gap = 0.0 if self._last_step is None else now - self._last_step
-        self._last_step = now
+        gap = now - self._last_step
+        self._last_step = max(now, self._last_step)
         if not self.active:
             return
-        if gap > self.settings.watchdog:
-            self._away = gap
-            if gait_player.moving(self.player):
-                self.fail(now, self._lateness())
+        if gap > self.settings.watchdog / 2:
+            self._away, self._away_at = gap, now
+        if gap > self.settings.watchdog and gait_player.moving(self.player):
+            self.fail(now, self._lateness())
         before = self.player.phase
         samples = self._valid_power_samples()
         idle_samples = samples - self._idle_from
@@ -384,7 +387,7 @@ class Robot:
         health = Health(*(found[name] for name in names))
         is_cable = servo in self.cables
         self.homed = self.homed and not (is_cable and not health.led)
-        if health.watchdog == WATCHDOG_EXPIRED and self._away:
+        if health.watchdog == WATCHDOG_EXPIRED and self._clock() - self._away_at < _REMEMBERED:
             return self._lateness()
         return supervision.fault_in_health(servo.number, health, is_cable=is_cable)
 
