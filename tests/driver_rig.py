@@ -82,7 +82,7 @@ class Wire:
 
     def wait(self, timeout: float) -> bool:
         self._take()
-        if not self._buffer:
+        if not self._buffer and timeout > 0.0:
             end = self.clock.now + max(timeout, 1e-9)
             self.clock.now = min(end, self._coming[0][0]) if self._coming else end
             self._take()
@@ -110,8 +110,6 @@ class SimulatedPort(BusPort):
         self.tx_time_per_byte = BYTE_TIME * 1e3
 
     def _wait(self, timeout: float) -> bool:
-        if timeout <= 0.0:
-            return False
         self.ser._check()
         return self.ser.wait(timeout)
 

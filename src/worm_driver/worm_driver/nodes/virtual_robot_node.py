@@ -16,7 +16,6 @@ from rclpy.node import Node
 from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
 
-from worm_driver.nodes.driver_process import ros_process
 from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import SettingsError, load_settings
@@ -29,6 +28,7 @@ from worm_driver.virtual_robot.wire.faults import (
     parse_fault,
 )
 from worm_msgs.msg import BodyLength, Tracker
+from worm_msgs.ros_process import ros_process
 from worm_msgs.srv import InjectFault
 
 _REST_SAMPLES = 30  # at the start, whose mean is the initial length that the camera goes by
