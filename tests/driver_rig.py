@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import serial
 
+from worm_driver.clock import Traffic
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import Robot
 from worm_driver.control.telemetry import Snapshot
@@ -37,6 +38,7 @@ class Clock:
 
     def __init__(self) -> None:
         self.now = 0.0
+        self.traffic = Traffic()
 
     def __call__(self) -> float:
         return self.now

@@ -20,13 +20,13 @@ import os
 import select
 import termios
 import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import serial
 from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PortHandler, Protocol2PacketHandler
 
+from worm_driver.clock import Clock, MachineClock
 from worm_driver.errors import (
     BusError,
     ConfigurationError,
@@ -63,7 +63,7 @@ class BusPort(PortHandler):
         path: serial device.
         baud_rate: bit/s.
         latency: s, how long the adapter may hold an answer back.
-        clock: s, monotonic.
+        clock: which the thread that uses the port goes by; None: the machine's.
     """
 
     def __init__(
@@ -71,13 +71,13 @@ class BusPort(PortHandler):
         path: str,
         baud_rate: int,
         latency: float = 0.001,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock | None = None,
     ):
         super().__init__(path)
         self.is_open = False
         self.baudrate = baud_rate
         self.latency = latency
-        self._clock = clock
+        self._clock: Clock = MachineClock() if clock is None else clock
         self._left_over = 0
 
     def getCurrentTime(self) -> float:  # noqa: N802 (the SDK's name)
@@ -121,7 +121,7 @@ class BusPort(PortHandler):
         remaining = self.remaining
         if length <= 0 or self._left_over <= 0 or not self._wait(remaining):
             return b""
-        data = self.ser.read(length)
+        data = self._read(length)
         if remaining <= 0.0:
             self._left_over -= len(data)
         return data
@@ -133,18 +133,25 @@ class BusPort(PortHandler):
         while left:
             if not select.select([], [device], [], _WRITE_TIMEOUT)[1]:
                 raise OSError(errno.ETIMEDOUT, "it takes no bytes")
-            left = left[os.write(device, left) :]
+            count = os.write(device, left)
+            self._clock.traffic.written += count
+            left = left[count:]
         return len(packet)
 
     def discard_until_quiet(self, quiet: float, longest: float) -> None:
         """Throws bytes away until none came for a time (s), for at most ``longest`` s."""
         end = self._clock() + longest
         while self._clock() < end and self._wait(quiet):
-            self.ser.read(4096)
+            self._read(4096)
+
+    def _read(self, length: int) -> bytes:
+        data: bytes = self.ser.read(length)
+        self._clock.traffic.read += len(data)
+        return data
 
     def _wait(self, timeout: float) -> bool:
         """Whether bytes are there within a time (s), at once for 0."""
-        return bool(select.select([self.ser.fileno()], [], [], timeout)[0])
+        return self._clock.wait_readable(self.ser.fileno(), timeout)
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
         """Opens the device for this process alone."""
@@ -212,7 +219,11 @@ class ServoBus:
 
     @staticmethod
     def open(
-        path: str, baud_rate: int, latency: float | None = None, retries: int = 1
+        path: str,
+        baud_rate: int,
+        latency: float | None = None,
+        retries: int = 1,
+        clock: Clock | None = None,
     ) -> "ServoBus":
         """Opens a serial port exclusively.
 
@@ -222,6 +233,7 @@ class ServoBus:
             latency: s, how long the adapter may hold an answer back; None: as long as its latency timer says
                 once the port is open, for opening asks the adapter to be quick.
             retries: how often a failed exchange is repeated.
+            clock: which the thread that uses the bus goes by; None: the machine's.
 
         Raises:
             PortError: it is missing, forbidden or in use; the message says what to do.
@@ -229,7 +241,7 @@ class ServoBus:
         """
         if reason := serial_port.why_no_port(path):
             raise ConfigurationError(reason)
-        port = BusPort(path, baud_rate)
+        port = BusPort(path, baud_rate, clock=clock)
         try:
             if not port.openPort():
                 raise ConfigurationError(
