@@ -610,3 +610,48 @@ def test_a_second_driver_on_the_same_port_is_refused(driver, processes, commande
     second = processes.start_executable("worm_driver", "driver_node", *ros, name="second")
     assert second.wait(TIMEOUT_S) == 1
     second.wait_for_line("in use by another program", TIMEOUT_S)
+
+
+# --- what a driver must survive ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("active", [False, True])
+def test_a_transition_that_the_state_does_not_have_is_refused_and_the_node_lives(
+    driver, commander, active
+):
+    if active:
+        commander.activate()
+    wrong = [Transition.TRANSITION_CLEANUP, Transition.TRANSITION_ACTIVE_SHUTDOWN, 99, 255]
+    if active:
+        wrong = [Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, 99, 255]
+    before = commander.lifecycle_state()
+    for number in wrong:
+        assert not commander.change(number)
+    assert commander.lifecycle_state() == before
+    driver.wait_for_line("refused: there is no transition 99 .* only: ", TIMEOUT_S)
+    assert commander.change(
+        Transition.TRANSITION_DEACTIVATE if active else Transition.TRANSITION_CONFIGURE
+    )
+
+
+def test_a_deactivation_with_a_dead_line_fails_and_says_what_is_known(driver, commander):
+    commander.activate()
+    commander.inject(fault="no_answer", target=255, duration=60.0)
+    assert not commander.change(Transition.TRANSITION_DEACTIVATE)
+    commander.wait_for_report(
+        "driver: gait", DiagnosticStatus.ERROR, "the torque may still be on: servo 1"
+    )
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
+
+
+def test_stop_answers_every_call_of_a_flood(driver, commander, probe):
+    commander.activate()
+    client = probe.node.create_client(Trigger, "stop")
+    probe.wait_for(client.service_is_ready, "service stop")
+    calls = [client.call_async(Trigger.Request()) for _ in range(200)]
+    probe.wait_for(lambda: all(call.done() for call in calls), "answer to every stop")
+    assert all(call.result().success for call in calls)
+
+
+def test_diagnostics_say_who_can_hear_the_driver(driver, commander):
+    commander.wait_for_report("driver: network", DiagnosticStatus.OK, "this machine only")
