@@ -117,9 +117,9 @@ def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
 
 def _as_html(markdown: str) -> str:
     """Headings, tables and lists of the report, below the page's own headings; its images are shown apart."""
-    text = markdown.partition(f"## {FIGURES_HEADING}")[0]
+    text = re.sub(r"\A# .*\n", "", markdown.partition(f"## {FIGURES_HEADING}")[0])
     text = re.sub(r"(?m)^#+ ", "### ", text)
-    html = str(markdown2.markdown(text, extras=["tables"], safe_mode="escape"))
+    html = str(markdown2.markdown(text, extras=["code-friendly", "tables"], safe_mode="escape"))
     return html.replace("<table>", '<div class="wide"><table>').replace(
         "</table>", "</table></div>"
     )

@@ -32,7 +32,12 @@ T = TypeVar("T")
 # All that results depend on beside their input: any change there is another name. Rather whole folders than a list of
 # files that somebody forgets to extend.
 _SOURCES: Mapping[Path, tuple[str, ...]] = {
-    Path(worm_model.__file__).parent: ("gait.py", "parameters.py", "simulation/**/*.py"),
+    Path(worm_model.__file__).parent: (
+        "errors.py",
+        "gait.py",
+        "parameters.py",
+        "simulation/**/*.py",
+    ),
     Path(__file__).parents[1]: ("search/*.py", "robustness/*.py"),
 }
 _PART = ".part"  # ends the name of a file that is being written
