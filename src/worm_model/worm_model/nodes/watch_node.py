@@ -16,12 +16,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import remove_ros_args
 
 from worm_model.commands.command_line import Parser, run_command
-from worm_model.nodes.ros_process import ros_process, spin
 from worm_model.nodes.twin_messages import gait_sample
 from worm_model.parameters import load_parameters
 from worm_model.twin.records import Health, LengthSource
 from worm_model.twin.watch_view import CLEAR, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
+from worm_msgs.ros_process import ros_process, spin
 
 PERIOD_S = 0.2
 NEWEST = QoSProfile(depth=1)

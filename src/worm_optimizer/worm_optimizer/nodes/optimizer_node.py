@@ -17,9 +17,9 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from worm_model.gait import FORWARD, REVERSE
-from worm_model.nodes.ros_process import ros_process, spin
 from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
 from worm_msgs.action import OptimizeGaits, ScanMargin
+from worm_msgs.ros_process import ros_process, spin
 from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes import (
     optimizer_messages,
