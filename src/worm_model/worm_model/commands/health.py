@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.analysis.drift_figure import draw_health
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -21,6 +20,7 @@ from worm_model.commands.command_line import (
 )
 from worm_model.identification.drift import ADVICE, FEWEST_BAGS, Chart, State, chart_of
 from worm_model.identification.drift_estimates import BagEstimates, LeftOut, estimate_bags
+from worm_model.identification.drift_figure import draw_health
 from worm_model.identification.estimate import Estimate
 from worm_model.parameters import UNITS, load_parameter_file
 

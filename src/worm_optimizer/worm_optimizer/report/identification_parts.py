@@ -15,7 +15,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from worm_model.analysis.plot_style import BLUE, GREY, new_figure, symbol
-from worm_model.commands.command_line import Parser
 from worm_model.errors import InputError
 from worm_model.identification import bellows, fin
 from worm_model.identification.bellows import Array, BellowsFit, fit_bellows
@@ -50,7 +49,7 @@ class IdentificationParts:
     figures: Mapping[str, bytes] = field(default_factory=dict)
 
 
-def add_identification(parser: Parser) -> None:
+def add_identification(parser: argparse.ArgumentParser) -> None:
     """Adds what names the parts of an identification."""
     parser.add_argument(
         "--identification",
