@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
 
-__all__ = ["BAD_INPUT", "DONE", "FAILED", "InputError", "Parser", "Progress", "run_command"]
+__all__ = ["BAD_INPUT", "DONE", "FAILED", "InputError", "Parser", "ProgressLine", "run_command"]
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 
@@ -166,7 +166,7 @@ def _finite(content: Any) -> Any:
     return content
 
 
-class Progress:
+class ProgressLine:
     """A progress line on standard error: a bar on a terminal, a line every tenth elsewhere."""
 
     WIDTH = 40

@@ -13,7 +13,7 @@ import numpy as np
 from worm_model.commands.command_line import (
     InputError,
     Parser,
-    Progress,
+    ProgressLine,
     figure_file,
     print_result,
     run_command,
@@ -41,7 +41,7 @@ def _parser() -> Parser:
 def _health(options: argparse.Namespace) -> None:
     known = load_parameter_file(options.parameters)
     figure = figure_file(options)
-    bags, left_out = estimate_bags(options.bags, known.parameters, Progress("health"))
+    bags, left_out = estimate_bags(options.bags, known.parameters, ProgressLine("health"))
     if not bags:
         more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
         raise InputError(

@@ -10,7 +10,7 @@ from pathlib import Path
 from worm_model.commands.command_line import (
     InputError,
     Parser,
-    Progress,
+    ProgressLine,
     new_file,
     print_result,
     run_command,
@@ -75,11 +75,11 @@ class _Reporter:
     """One progress line for each stage."""
 
     def __init__(self) -> None:
-        self._stage, self._line = "", Progress("")
+        self._stage, self._line = "", ProgressLine("")
 
     def __call__(self, stage: str, done: float) -> None:
         if stage != self._stage:
-            self._stage, self._line = stage, Progress(stage)
+            self._stage, self._line = stage, ProgressLine(stage)
         self._line(done)
 
 

@@ -41,7 +41,9 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 FIN = ("clearance", "engaged_stiffness", "disengaged_stiffness")
-NO_FIN = "x1 tells but its ratio to the fins' stiffness, fitted under the given one; add a fin test"
+NO_FIN = (
+    "x1 tells its ratio to the fins' stiffness alone, fitted under the given one; add a fin test"
+)
 UNDER_GIVEN_FINS = "fitted under the given fins; add a fin test"
 NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
 NO_FRICTION = "η is not told, and c_b and α_P depend on it"
