@@ -16,7 +16,7 @@ from benchmarks.report import Row, wall_time
 from tests.virtual_campaign import virtual_campaign
 from worm_model.identification.estimate import Estimate
 from worm_model.identification.fingerprint import code_version
-from worm_model.identification.given import MEASURED, given_by_folder
+from worm_model.identification.reference_values import MEASURED, reference_by_folder
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.inputs import read_inputs
 from worm_model.identification.stages import identify
@@ -99,7 +99,7 @@ def timing() -> list[Row]:
 
     def once() -> None:
         inputs = read_inputs([LAB])
-        identify(inputs, given_by_folder(LAB), 0)
+        identify(inputs, reference_by_folder(LAB), 0)
 
     return [
         Row(

@@ -55,7 +55,7 @@ CONFINED = {
 }
 
 # Which folders of its own package a folder may import beside itself; those that are not named import what they need.
-# What lies in no folder (parameters, gait, run, errors) is everybody's. simulation/warm_up compiles all that is compiled.
+# What lies in no folder (parameters, gait, run, errors) is everybody's; simulation/warm_up compiles what is compiled.
 SEAMS = {
     "worm_model": {
         "simulation": set(),

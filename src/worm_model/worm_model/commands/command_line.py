@@ -34,9 +34,9 @@ class Parser(argparse.ArgumentParser):
         self, name: str, unit: str, meaning: str, default: float | None = None, **more: Any
     ) -> None:
         """Adds an option for a finite number; its help names the default, if there is one."""
-        told = "" if default is None else f" (default: {default:g})"
+        suffix = "" if default is None else f" (default: {default:g})"
         self.add_argument(
-            name, type=number, default=default, metavar=unit, help=f"{meaning}{told}", **more
+            name, type=number, default=default, metavar=unit, help=f"{meaning}{suffix}", **more
         )
 
     def add_direction(self) -> None:

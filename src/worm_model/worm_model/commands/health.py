@@ -148,18 +148,18 @@ def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
 
 def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]:
     """What limits the verdicts as a whole."""
-    found = []
+    remarks = []
     few = [chart.key for chart in charts if chart.state is State.TOO_FEW]
     if few:
-        found.append(
+        remarks.append(
             f"too few bags for limits of {', '.join(few)}: give at least {FEWEST_BAGS}, or a parameter file with "
             "their intervals (worm_model identify writes one)"
         )
     if len({bag.gait for bag in bags}) > 1:
-        found.append(
+        remarks.append(
             "the bags hold different gaits: what the model leaves out differs between gaits, and may look like drift"
         )
-    return found
+    return remarks
 
 
 def _without_name(bag: BagEstimates) -> list[str]:

@@ -46,8 +46,8 @@ _ABANDONED = 3600.0  # s after which a file that was never moved into place is n
 
 def sources() -> list[Path]:
     """The source files that decide about a result."""
-    found = (folder.glob(pattern) for folder, patterns in _SOURCES.items() for pattern in patterns)
-    return sorted(path for paths in found for path in paths)
+    files = (folder.glob(pattern) for folder, patterns in _SOURCES.items() for pattern in patterns)
+    return sorted(path for paths in files for path in paths)
 
 
 @functools.cache

@@ -10,11 +10,11 @@ from virtual_campaign import SHORT, virtual_campaign
 from worm_model.identification.advice import advise
 from worm_model.identification.estimate import Estimate
 from worm_model.identification.fin import fit_fin
-from worm_model.identification.given import MEASURED
 from worm_model.identification.held_out import run_errors
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.identification_figures import energy_figure
 from worm_model.identification.identification_report import text_of
+from worm_model.identification.reference_values import MEASURED
 from worm_model.identification.results import correlations, parameter_file, summary
 from worm_model.identification.run_prediction import predict
 from worm_model.identification.run_selection import prepared, prepared_validation
@@ -54,7 +54,7 @@ def test_the_intervals_cover_the_truth(campaigns, results):
 
 def test_the_intervals_hold_under_a_pitch_that_was_read_off_wrongly(campaigns):
     campaign = campaigns[0]
-    wrong = campaign.given.parameters.replace(pitch=campaign.truth.pitch + 4e-5)
+    wrong = campaign.reference.parameters.replace(pitch=campaign.truth.pitch + 4e-5)
     result = identify(campaign.inputs, replace(campaign.given, parameters=wrong), 0)
     keys = ("viscous_friction", "switching_threshold", "pitch", "bellows_damping", "power_factor")
     assert all(covers(result, key, campaign.truth) for key in keys)
@@ -189,7 +189,7 @@ def test_a_fin_that_is_given_as_exact_is_taken_as_exact(campaigns):
     fins = {key: getattr(campaign.truth, key) for key in FIN}
     exact = {key: (value, value) for key, value in fins.items()}
     given = replace(
-        campaign.given, parameters=campaign.given.parameters.replace(**fins), intervals=exact
+        campaign.given, parameters=campaign.reference.parameters.replace(**fins), intervals=exact
     )
     result = identify(replace(campaign.inputs, fin=None), given, 0)
     assert result.locomotion.variants == ()
