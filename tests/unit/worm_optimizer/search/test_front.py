@@ -53,7 +53,7 @@ def test_the_margin_is_chosen_at_the_cliff_of_the_scan(cache):
 
 def test_a_prediction_is_the_simulators(cache):
     front = make_front(FILE, GIVEN, 1, cache, ignore)
-    assert 3 <= len(front.predictions) <= QUICK.served
+    assert 3 <= len(front.predictions) <= QUICK.kept_gaits
     for told in front.predictions:
         robust = evaluate_gait(told.gait, PAPER)
         nominal = evaluate_gait(Gait(told.stroke, told.frequency), PAPER)
