@@ -23,7 +23,7 @@ SMALL = {
     "scan_highest_m": 0.004,
     "scan_step_m": 0.001,
     "samples": 20,
-    "served_gaits": 12,
+    "kept_gaits": 12,
 }
 
 RESEND_S = 3.0

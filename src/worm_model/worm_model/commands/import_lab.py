@@ -105,8 +105,10 @@ def _run(options: argparse.Namespace) -> None:
         "power": len(lab.run.power.stamp),
     }
     content = {"bag": str(output), "initial_length": lab.initial_length, **counts}
-    told = ", ".join(f"{count} {name}" for name, count in counts.items())
-    print_result(options, content, f"{output}: {told}; initial length {lab.initial_length:.4f} m")
+    summary = ", ".join(f"{count} {name}" for name, count in counts.items())
+    print_result(
+        options, content, f"{output}: {summary}; initial length {lab.initial_length:.4f} m"
+    )
 
 
 def main() -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -35,7 +34,7 @@ from worm_optimizer.search.front import (
     load_current,
     store_current,
 )
-from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus, request_of, select
+from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus, answer, request_of
 from worm_optimizer.search.margin import PriceOfRobustness
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.worker import FrontJob, Job, Outcome, ScanJob, Ticket, WorkQueue
@@ -121,9 +120,9 @@ class OptimizerNode(Node):
             self._note_absence(direction, GaitAnswer(RequestStatus.NO_FRONT, message))
             self.get_logger().error(f"{_NAMES[direction]}: {message}")
 
-    def _note_absence(self, direction: int, answer: GaitAnswer) -> None:
+    def _note_absence(self, direction: int, absence: GaitAnswer) -> None:
         symmetric = is_symmetric(self._content.parameters)
-        self._absences |= dict.fromkeys(_NAMES if symmetric else [direction], answer)
+        self._absences |= dict.fromkeys(_NAMES if symmetric else [direction], absence)
 
     def _take_front(self, front: RobustFront) -> None:
         """Answers requests from a front from now on."""
@@ -153,22 +152,13 @@ class OptimizerNode(Node):
     def _request_gait(
         self, request: RequestGait.Request, response: RequestGait.Response
     ) -> RequestGait.Response:
-        return optimizer_messages.fill_response(response, self._answer_of(request))
-
-    def _answer_of(self, request: RequestGait.Request) -> GaitAnswer:
         try:
-            gait_request = request_of(request.objective, request.speed, request.power)
-            direction = optimizer_messages.direction_of(request.direction)
+            asked = request_of(request.objective, request.speed, request.power)
         except OptimizerError as error:
-            return GaitAnswer(RequestStatus.INVALID, str(error))
-        front = self._fronts.get(direction)
-        if front is None:
-            return self._absences[direction]
-        answer = select(front.predictions, gait_request)
-        if answer.status is RequestStatus.DONE and answer.prediction is not None:
-            origin = f"margin {1e3 * answer.prediction.margin:.2f} mm, {front.reason}"
-            return replace(answer, message=origin)
-        return answer
+            invalid = GaitAnswer(RequestStatus.INVALID, str(error))
+            return optimizer_messages.fill_response(response, invalid)
+        gait = answer(self._fronts, self._absences, request.direction, asked)
+        return optimizer_messages.fill_response(response, gait)
 
     # --- actions --------------------------------------------------------------------------------
 
@@ -265,10 +255,10 @@ class OptimizerNode(Node):
         status = DiagnosticStatus(name=f"optimizer: {_NAMES[direction]} front")
         front = self._fronts.get(direction)
         if front is None:
-            answer = self._absences[direction]
-            failed = answer.status is RequestStatus.NO_FRONT
+            absence = self._absences[direction]
+            failed = absence.status is RequestStatus.NO_FRONT
             status.level = DiagnosticStatus.ERROR if failed else DiagnosticStatus.WARN
-            status.message = answer.message
+            status.message = absence.message
             return status
         status.level = DiagnosticStatus.OK
         status.message = f"{len(front.predictions)} gaits"

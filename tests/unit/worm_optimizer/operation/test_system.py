@@ -13,7 +13,7 @@ from worm_optimizer.operation.system import (
     load_system_file,
 )
 
-SHIPPED = Path(__file__).resolve().parents[3] / "src/worm_optimizer/config/system.yaml"
+SHIPPED = Path(__file__).resolve().parents[4] / "src/worm_optimizer/config/system.yaml"
 MINIMAL = {
     "namespace": "worm",
     "settings": {"port": {"default": "/dev/bus", "description": "a bus"}},

@@ -23,12 +23,11 @@ from worm_optimizer.nodes.optimizer_messages import (
     settings_of_goal,
 )
 from worm_optimizer.robustness.prediction import Prediction
-from worm_optimizer.search.desk import Answer
 from worm_optimizer.search.front import Progress
+from worm_optimizer.search.gait_request import GaitAnswer, Objective, RequestStatus
 from worm_optimizer.search.margin import Cliff, MarginPoint, PriceOfRobustness
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.search_settings import Robustness
-from worm_optimizer.search.selection import Objective
 
 GAIT_FIELDS = set(Gait.get_fields_and_field_types())
 
@@ -52,15 +51,23 @@ def test_objectives_have_the_numbers_of_the_message():
         assert getattr(RequestGait.Request, objective.name) == objective.value
 
 
+def test_statuses_have_the_numbers_of_the_message():
+    for status in RequestStatus:
+        assert getattr(RequestGait.Response, status.name) == status.value
+
+
 def test_an_answer_without_a_gait_has_no_figures():
-    response = fill_response(RequestGait.Response(), Answer(False, "why"))
+    response = fill_response(RequestGait.Response(), GaitAnswer(RequestStatus.NO_FRONT, "why"))
     assert (response.success, response.message) == (False, "why")
+    assert response.status == RequestGait.Response.NO_FRONT
     assert math.isnan(response.prediction.speed)
     assert math.isnan(response.prediction.success_probability)
 
 
 def test_an_answer_carries_its_gait():
-    response = fill_response(RequestGait.Response(), Answer(True, "", made_up(0.005, 2.6)))
+    response = fill_response(
+        RequestGait.Response(), GaitAnswer(RequestStatus.DONE, "", made_up(0.005, 2.6))
+    )
     assert response.success
     assert response.prediction.gait.stroke == 0.07
     assert response.prediction.power == 2.6

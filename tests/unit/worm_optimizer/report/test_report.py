@@ -25,17 +25,19 @@ from worm_model.parameters import PAPER, ParameterFile, format_parameter_file
 from worm_model.run import GaitStates, Run, TrackerSamples
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.commands import report as command
-from worm_optimizer.report.build import Report, build_report
-from worm_optimizer.report.choice import bags_of, newest_recording
+from worm_optimizer.report.agreement import agreements, describe, headline, orders, percent
 from worm_optimizer.report.expectation import Band, expect
-from worm_optimizer.report.identification_part import Identification
+from worm_optimizer.report.identification_parts import IdentificationParts
 from worm_optimizer.report.optimisation import optimise, why_no_front
-from worm_optimizer.report.parts import joined
-from worm_optimizer.report.reading import read_recorded_gaits
-from worm_optimizer.report.recorded import RecordedGait
+from worm_optimizer.report.page import Report, build_report
+from worm_optimizer.report.recorded_gait import RecordedGait
+from worm_optimizer.report.recordings import (
+    bags_of,
+    joined,
+    newest_recording,
+    read_recorded_gaits,
+)
 from worm_optimizer.report.run_figures import ridges_passed_at
-from worm_optimizer.report.text import describe
-from worm_optimizer.report.verdict import agreements, orders, percent
 from worm_optimizer.search.cache import Cache
 from worm_optimizer.search.gait_map import MapSettings
 from worm_optimizer.search.nsga2 import SearchSettings
@@ -107,9 +109,40 @@ def test_a_recording_that_ends_early_is_averaged_over_its_last_whole_cycles(tmp_
     run = simulated_run(4)
     states = dataclasses.replace(run.gait_state, cycles=np.full(run.gait_state.stamp.size, 9))
     gait = read(tmp_path / "early", dataclasses.replace(run, gait_state=states))
-    assert gait.cycles == 9
+    assert gait.played.cycles == 9
     assert gait.averaged_cycles == (2, 4)
+    assert gait.early_end == "ended (idle) after 4 of 9 cycles"
     assert gait.measured.speed.value == pytest.approx(evaluate_gait(GAIT).speed, rel=0.02)
+
+
+@pytest.mark.parametrize("cycles", [1, 2, 3, 4])
+def test_a_short_run_is_held_against_the_same_cycles_of_the_model(tmp_path: Path, cycles: int):
+    """Its first cycles begin with straight fins and gain other grooves than those after."""
+    gait = read(tmp_path / "short", simulated_run(cycles))
+    assert gait.averaged_cycles == (max(cycles - 2, 1), cycles)
+    assert gait.expected.nominal == evaluate_gait(GAIT, PAPER, cycles, min(cycles, 3))
+    assert gait.measured.speed.value == pytest.approx(gait.expected.nominal.speed, rel=0.01)
+    assert gait.measured.power.value == pytest.approx(gait.expected.nominal.power, rel=0.01)
+    assert all(row.agrees for row in agreements(gait))
+    assert gait.early_end == ""
+
+
+def test_a_fault_is_said_first_and_standing_still_is_not_averaged(tmp_path: Path):
+    """The recording goes on after the fault; only what was played counts."""
+    run = simulated_run(CYCLES)
+    states, onset = run.gait_state, int(run.gait_state.onset[1])
+    row = int(np.flatnonzero(states.cycle == 4)[0])
+    kept = {name: values[: row + 1].copy() for name, values in vars(states).items()}
+    kept["state"][row] = 5
+    kept["stamp"][row] = onset + round(3.4e9 * GAIT.period)
+    kept["cycles"][:] = CYCLES
+    gait = read(tmp_path / "fault", dataclasses.replace(run, gait_state=GaitStates(**kept)))
+    assert gait.averaged_cycles == (1, 3)
+    assert gait.early_end.startswith("ended in FAULT after 3 of 5 cycles")
+    assert headline([gait]).startswith("fault ended in FAULT after 3 of 5 cycles")
+    assert describe([gait]).startswith("fault: ended in FAULT")
+    page = build_report(Report("fault", [gait]), tmp_path / "report").read_text()
+    assert page.index("ended in FAULT") < page.index("<nav")
 
 
 def test_without_a_tracker_power_is_told_and_the_reason_of_the_rest(tmp_path: Path):
@@ -163,7 +196,7 @@ def test_invalid_power_samples_are_counted(tmp_path: Path):
 def test_five_ridges_are_passed_when_the_tracker_says_so(gait: RecordedGait):
     passed = ridges_passed_at(gait)
     tracker = gait.run.tracker
-    time = (tracker.stamp - gait.onset) * 1e-9
+    time = (tracker.stamp - gait.played.onset) * 1e-9
     rest = np.nanmean(tracker.rear_position[time < 0.0])
     assert np.nanmax(tracker.rear_position[time < passed - 0.1]) - rest < 5 * PAPER.pitch
     assert np.nanmax(tracker.rear_position[time <= passed]) - rest == pytest.approx(
@@ -189,13 +222,13 @@ def two(session: tuple[Run, Run], tmp_path_factory: pytest.TempPathFactory):
 
 def test_each_gait_of_a_recording_is_reported_and_that_is_said(two):
     gaits, told = two
-    assert [(gait.name, gait.cycles) for gait in gaits] == [("two_1", 4), ("two_2", CYCLES)]
+    assert [(gait.name, gait.played.cycles) for gait in gaits] == [("two_1", 4), ("two_2", CYCLES)]
     assert len(told) == 1
     assert "holds 2 gaits" in told[0]
     for gait in gaits:
         assert gait.missing == ()
         assert gait.measured.speed.value == pytest.approx(evaluate_gait(GAIT).speed, rel=0.02)
-        assert len(gait.judged.cycles) == gait.cycles
+        assert len(gait.judged.cycles) == gait.played.cycles
         assert [event.text for event in gait.events].count("running") == 1
         assert all(event.time >= 0.0 for event in gait.events if math.isfinite(event.time))
 
@@ -257,6 +290,15 @@ def test_order_is_preserved_or_not_or_not_told(gait: RecordedGait):
     assert orders([slow, with_speed(gait, "fast", math.nan, 1.9)])[0].preserved is None
 
 
+def test_nothing_that_is_twenty_percent_off_agrees(gait: RecordedGait):
+    """However wide the interval is."""
+    for measured, agrees in ((1.0, True), (1.19, True), (1.21, False), (0.79, False)):
+        wide = with_speed(gait, "wide", measured, 1.0)
+        band = dataclasses.replace(wide.expected.bands, speed=Band(1.0, 0.1, 9.0))
+        expected = dataclasses.replace(wide.expected, bands=band)
+        assert agreements(dataclasses.replace(wide, expected=expected))[0].agrees is agrees
+
+
 def test_the_text_names_what_is_outside(gait: RecordedGait):
     text = describe([with_speed(gait, "slow", 1.0, 2.0), with_speed(gait, "fast", 0.5, 3.0)])
     assert re.search(r"slow +speed \(mm/s\).*-50\.0 % +no", text)
@@ -267,9 +309,8 @@ def test_the_text_names_what_is_outside(gait: RecordedGait):
 
 
 def made_with(gait: RecordedGait, margin: float, direction: int = 1) -> RecordedGait:
-    return dataclasses.replace(
-        gait, gait=dataclasses.replace(gait.gait, margin=margin, direction=direction)
-    )
+    played = dataclasses.replace(gait.gait, margin=margin, direction=direction)
+    return dataclasses.replace(gait, played=dataclasses.replace(gait.played, gait=played))
 
 
 @pytest.fixture
@@ -336,9 +377,12 @@ def page(odd: RecordedGait, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_page_needs_nothing_else_and_figures_lie_beside_it(page: Path):
     text = page.read_text(encoding="utf-8")
-    sources = re.findall(r'(?:src|href)="([^"]{0,40})', text)
+    sources = re.findall(r'src="([^"]{0,40})', text)
     assert len(sources) == 4
     assert all(source.startswith("data:image/png;base64,") for source in sources)
+    anchors = re.findall(r'href="#([^"]+)"', text)
+    assert len(anchors) == text.count("href=") == 3
+    assert all(f'id="{anchor}"' in text for anchor in anchors)
     assert "<script" not in text
     assert "<b>odd" not in text
     assert "&lt;b&gt;odd &amp; name" in text
@@ -364,7 +408,7 @@ def test_identified_parameters_stand_beside_the_papers(tmp_path: Path):
         PAPER.replace(gain=0.9), {"gain": (0.88, 0.92)}, {"bags": ["run_01"], "seed": 1}
     )
     page = build_report(
-        Report("identified", identification=Identification(content, "mine.yaml")),
+        Report("identified", identification=IdentificationParts(content, "mine.yaml")),
         tmp_path / "r",
     )
     text = page.read_text(encoding="utf-8")
@@ -381,7 +425,10 @@ def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
     write_bag(tmp_path / "run", simulated_run(2))
     folder = tmp_path / "identification"
     (folder / "figures").mkdir(parents=True)
-    (folder / "report.md").write_text("# Identification of <mine>\n")
+    (folder / "report.md").write_text(
+        "# Identification\n\n8 runs of <mine>, k_eng and k_dis\n\n| a | b |\n| --- | --- |\n| c | d_e |\n\n"
+        "## Figures\n\n![run](figures/run_01_motion.png)\n"
+    )
     (folder / "figures" / "run_01_motion.png").write_bytes(b"an image")
     (tmp_path / "mine.yaml").write_text("gain: 0.9\nintervals: {gain: [0.88, 0.92]}\n")
     options = ("--bellows", bellows, "--fin", fin, "--identification", folder)
@@ -394,7 +441,9 @@ def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
         assert part in text
     assert base64.b64encode(b"an image").decode() in text
     assert "run 01 motion" in text
-    assert "Identification of &lt;mine&gt;" in text
+    assert "8 runs of &lt;mine&gt;, k_eng and k_dis" in text
+    assert re.search(r"<td>c</td>\s*<td>d_e</td>", text)
+    assert "figures/run_01_motion" not in text
     assert "0.88 to 0.92" in text
 
 
@@ -404,9 +453,10 @@ def test_the_page_fits_narrow_screens_and_calls_the_campaigns_gaits_by_words(
     named = dataclasses.replace(gait, name="min_power")
     text = build_report(Report("narrow", [named]), tmp_path / "report").read_text(encoding="utf-8")
     assert '<meta name="viewport"' in text
-    assert text.count('<div class="wide"><table>') == text.count("<table>") > 0
+    assert len(re.findall(r'<div class="wide"><table>', text)) == text.count("<table>") > 0
+    assert text.count('<table class="cards">') == 1
     assert text.count('<div class="wide"><img') == text.count("<img") == 4
-    assert "<h2>Run minimum power</h2>" in text
+    assert "Run minimum power</h2>" in text
     assert "min_power" not in re.sub(r"(?s)<details>.*?</details>", "", text)
 
 

@@ -15,12 +15,12 @@ from worm_optimizer.robustness.uncertainty import (
     DEFAULT_HALF_WIDTHS,
     Scenarios,
     correlated,
+    description,
     every_phase,
     half_widths,
     phase_guard,
     phase_known,
     phase_unknown,
-    told,
 )
 from worm_optimizer.search.gait_map import MapSettings, build_map
 from worm_optimizer.search.optimizer_errors import OptimizerError
@@ -66,13 +66,15 @@ def test_a_files_intervals_replace_the_defaults_on_each_side():
 
 
 def test_what_is_assumed_is_told_apart_from_what_the_file_says():
-    assert told(FILE).startswith("assumed at 95 %: rear_mass ±1 %, front_mass ±1 %, pitch ±0.5 %")
-    mixed = told(ParameterFile(intervals={"slack": (0.0079, 0.0090)}))
+    assert description(FILE).startswith(
+        "assumed at 95 %: rear_mass ±1 %, front_mass ±1 %, pitch ±0.5 %"
+    )
+    mixed = description(ParameterFile(intervals={"slack": (0.0079, 0.0090)}))
     assert mixed.startswith("the parameter file's 95 % intervals of slack; assumed")
     assert "slack ±" not in mixed
     everything = {key: (0.9 * PAPER.as_dict()[key], 1.1) for key in DEFAULT_HALF_WIDTHS}
-    assert told(ParameterFile(intervals=everything)) == "the parameter file's 95 % intervals"
-    phase = told(ParameterFile(intervals=everything, run_to_run={"initial_length": 4e-4}))
+    assert description(ParameterFile(intervals=everything)) == "the parameter file's 95 % intervals"
+    phase = description(ParameterFile(intervals=everything, run_to_run={"initial_length": 4e-4}))
     assert phase == "the parameter file's 95 % intervals; φ known to ±0.78 mm in the next run"
 
 

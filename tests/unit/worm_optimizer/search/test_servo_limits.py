@@ -26,7 +26,7 @@ from worm_optimizer.search.servo_limits import (
 )
 from worm_optimizer.search.task import Bounds, MarginTask
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 DRIVER_FILE = ROOT / "src" / "worm_driver" / "config" / "driver.yaml"
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from worm_optimizer.operation.system import NodeDescription, load_system_file
 
-PACKAGE = Path(__file__).resolve().parents[3] / "src" / "worm_optimizer"
+PACKAGE = Path(__file__).resolve().parents[4] / "src" / "worm_optimizer"
 MADE_UP = {
     "launch": ["LaunchContext", "LaunchDescription", "LaunchDescriptionEntity"],
     "launch.actions": [

@@ -10,19 +10,20 @@ from gaits_for_tests import COARSE_MAP, QUICK, cache_in
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.simulator import evaluate_gait
-from worm_optimizer.robustness.fragility import nominal_gaits, table
+from worm_optimizer.commands.search_options import gait_table
 from worm_optimizer.search.front import (
+    load_current,
     load_front,
-    load_served,
     make_front,
-    remember_served,
+    nominal_gaits,
     scanned_price,
+    store_current,
     thinned,
 )
 from worm_optimizer.search.gait_map import build_map
+from worm_optimizer.search.gait_request import three_gaits
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.search_settings import Robustness
-from worm_optimizer.search.selection import three_gaits
 from worm_optimizer.search.task import Bounds, MarginTask
 
 FILE = ParameterFile()
@@ -52,7 +53,7 @@ def test_the_margin_is_chosen_at_the_cliff_of_the_scan(cache):
 
 def test_a_prediction_is_the_simulators(cache):
     front = make_front(FILE, GIVEN, 1, cache, ignore)
-    assert 3 <= len(front.predictions) <= QUICK.served
+    assert 3 <= len(front.predictions) <= QUICK.kept_gaits
     for told in front.predictions:
         robust = evaluate_gait(told.gait, PAPER)
         nominal = evaluate_gait(Gait(told.stroke, told.frequency), PAPER)
@@ -101,10 +102,10 @@ def test_with_unequal_modules_each_direction_is_its_own(cache):
 
 def test_the_front_served_last_is_found_first(cache):
     own = make_front(FILE, GIVEN, 1, cache, ignore)
-    assert load_served(FILE, GIVEN, 1, cache) == own
+    assert load_current(FILE, GIVEN, 1, cache) == own
     other = make_front(FILE, dataclasses.replace(QUICK, margin=1e-3), 1, cache, ignore)
-    remember_served(FILE, GIVEN, other, cache)
-    assert load_served(FILE, GIVEN, 1, cache) == other
+    store_current(FILE, GIVEN, other, cache)
+    assert load_current(FILE, GIVEN, 1, cache) == other
     assert load_front(FILE, GIVEN, 1, cache) == own
 
 
@@ -182,6 +183,6 @@ def test_the_table_shows_fragile_nominal_and_sound_robust_gaits(cache):
     for name, gait in nominal.items():
         assert gait.success_probability < 0.7 < 0.99 < robust[name].success_probability
         assert gait.stroke_to_lower_edge < 1e-4 < 3e-3 < robust[name].stroke_to_lower_edge
-    lines = table(robust, nominal).splitlines()
+    lines = gait_table(robust, nominal).splitlines()
     assert len(lines) == 8
     assert len({len(line) for line in lines}) == 1

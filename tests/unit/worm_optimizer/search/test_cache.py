@@ -24,9 +24,9 @@ from worm_optimizer.search.cache import (
     scan_key_of,
     sources,
 )
+from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.nsga2 import SearchSettings
 from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.served import ServedFront
 
 FILE = ParameterFile(intervals={"slack": (0.0075, 0.0085)})
 
@@ -34,7 +34,7 @@ FILE = ParameterFile(intervals={"slack": (0.0075, 0.0085)})
 def test_a_front_survives_the_file(tmp_path):
     cache, front = cache_in(tmp_path), made_up_front()
     cache.store("front", front.as_dict())
-    assert cache.load("front", ServedFront.from_dict) == front
+    assert cache.load("front", RobustFront.from_dict) == front
 
 
 def test_not_a_number_survives_the_file(tmp_path):
@@ -47,11 +47,11 @@ def test_not_a_number_survives_the_file(tmp_path):
 def test_a_broken_file_counts_as_absent(tmp_path, text):
     cache = cache_in(tmp_path)
     (cache.directory / "front.json").write_text(text)
-    assert cache.load("front", ServedFront.from_dict) is None
+    assert cache.load("front", RobustFront.from_dict) is None
 
 
 def test_what_was_never_stored_is_absent(tmp_path):
-    assert cache_in(tmp_path).load("front", ServedFront.from_dict) is None
+    assert cache_in(tmp_path).load("front", RobustFront.from_dict) is None
 
 
 def test_storing_replaces_in_one_step_and_leaves_nothing_beside(tmp_path):

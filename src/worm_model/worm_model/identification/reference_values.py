@@ -36,7 +36,7 @@ NOT_SAID = "the paper"
 
 
 @dataclass(frozen=True)
-class Given:
+class ReferenceValues:
     """``parameters`` from which identification starts, ``intervals`` as far as known, and the ``source`` in words.
 
     ``others``: the source of keys of which ``source`` says nothing.
@@ -60,12 +60,12 @@ class Given:
         return not_told(value, note)
 
 
-def given_by_file(content: ParameterFile, source: str) -> Given:
+def reference_by_file(content: ParameterFile, source: str) -> ReferenceValues:
     """What a parameter file says."""
-    return Given(content.parameters, content.intervals, source)
+    return ReferenceValues(content.parameters, content.intervals, source)
 
 
-def given_by_folder(folder: Path) -> Given:
+def reference_by_folder(folder: Path) -> ReferenceValues:
     """What the README of a lab's folder says, else the paper's values."""
     readme = folder / README
     text = readme.read_text(encoding="utf-8", errors="replace") if readme.is_file() else ""
@@ -80,7 +80,7 @@ def given_by_folder(folder: Path) -> Given:
             half = float(bound) * _UNITS[bound_unit]
             intervals[key] = (values[key] - half, values[key] + half)
     if not values:
-        return Given(PAPER, {}, NOT_SAID)
+        return ReferenceValues(PAPER, {}, NOT_SAID)
     source = f"{README} of {folder.resolve().name}"
     others = {key: NOT_SAID for key in KEYS if key not in values}
-    return Given(PAPER.replace(**values), intervals, source, others)
+    return ReferenceValues(PAPER.replace(**values), intervals, source, others)

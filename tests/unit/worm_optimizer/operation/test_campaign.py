@@ -18,7 +18,7 @@ from worm_optimizer.search.gait_map import MapSettings
 from worm_optimizer.search.nsga2 import SearchSettings
 from worm_optimizer.search.search_settings import ScanSettings, Settings
 
-FILE = load_system_file(Path(__file__).parents[3] / "src/worm_optimizer/config/system.yaml")
+FILE = load_system_file(Path(__file__).parents[4] / "src/worm_optimizer/config/system.yaml")
 
 
 @pytest.fixture(scope="module")

@@ -56,7 +56,7 @@ def test_optimize_prints_the_contracts_keys(run):
 
 
 def test_optimize_keeps_the_limits_of_the_drivers_servos(run):
-    driver = Path(__file__).resolve().parents[3] / "src" / "worm_driver" / "config" / "driver.yaml"
+    driver = Path(__file__).resolve().parents[4] / "src" / "worm_driver" / "config" / "driver.yaml"
     limited = ["--limits-from", str(driver), "--servo-model", "XM430-W350", "--max-power", "9"]
     free, told = (json.loads(run(optimize, *QUICK, *more, "--json")[1]) for more in ([], limited))
     assert free["limits"] == {}
