@@ -230,6 +230,7 @@ class ControlLoop:
 
     def _at_end(self) -> None:
         self.release_problems = self._robot.release()
+        self._clock.close()  # a thread that has ended must not keep a virtual robot's time
         self._serve(math.inf)
 
 

@@ -72,10 +72,11 @@ class Hardware:
             sensor = _open_sensor(settings.power)
             if sensor is not None:
                 opened.callback(sensor.device.close)
+            self._bus = ServoBus.open(settings.port, settings.baud_rate)
+            opened.callback(self._bus.close)
             self.clock = clock_of(settings.port, SERIAL)
             opened.callback(self.clock.close)
-            self._bus = ServoBus.open(settings.port, settings.baud_rate, clock=self.clock)
-            opened.callback(self._bus.close)
+            self._bus.port.go_by(self.clock)
             self._check_latency(self._bus.port.latency)
             self.robot = Robot(
                 settings, self._bus, self._valid_samples, tracker_ready, clock=self.clock
@@ -135,7 +136,6 @@ class Hardware:
         if not ended:
             problems.append("the servo bus thread hangs: the servos stop by their bus watchdog")
         self._bus.close()
-        self.clock.close()
         return problems
 
     def report(self, latest: Snapshot) -> list[Report]:
