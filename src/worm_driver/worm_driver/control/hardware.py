@@ -44,7 +44,6 @@ class Hardware:
 
     Args:
         settings: of the robot.
-        wake: called from the threads when there is something in ``snapshots`` or ``samples``.
         tracker_ready: whether the tracker sees the robot, or there is none to wait for.
 
     Attributes:
@@ -58,13 +57,11 @@ class Hardware:
     def __init__(
         self,
         settings: DriverSettings,
-        wake: Callable[[], None],
         tracker_ready: Callable[[], bool] = lambda: True,
     ):
         self.settings = settings
         self.snapshots: deque[Snapshot] = deque()
         self.samples: deque[PowerSample] = deque()
-        self._wake = wake
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
         self._power: PowerLoop | None = None
         with contextlib.ExitStack() as opened:
@@ -147,7 +144,7 @@ class Hardware:
         reports = [
             diagnostics.gait_report(latest.player, active=latest.active, homed=robot.homed),
             diagnostics.bus_report(self.settings.port, counters, seen.counters, timer),
-            diagnostics.timing_report(self.loop.report(), self.settings.period),
+            diagnostics.timing_report(self.loop.report(), self.settings.period, self.loop.urgency),
         ]
         if robot.unreleased:
             reports.append(diagnostics.release_report(robot.unreleased))
@@ -182,7 +179,6 @@ class Hardware:
                 f"the node has not listened for {unheard:.0f} s: the service stop would not work"
             )
             self.robot.fail(snapshot.command_time, reason)
-        self._wake()
         if self.clock.patience:
             self._wait_for_listener()
 
