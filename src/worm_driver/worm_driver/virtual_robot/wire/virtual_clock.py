@@ -18,7 +18,7 @@ import struct
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from worm_driver.clock import Clock, MachineClock, Traffic
 
@@ -165,8 +165,9 @@ class VirtualClock:
             if descriptor is None:
                 self._await_number(self._number)
                 return False
+            sources: list[Any] = [descriptor, self._socket]
             while True:
-                ready = select.select([descriptor, self._socket], [], [])[0]
+                ready = select.select(sources, [], [])[0]
                 if descriptor in ready:
                     return True
                 if self._take_number() == self._number:
