@@ -100,7 +100,8 @@ class OperatorNode(Node):
         self._simulated_s = message.clock.sec + 1e-9 * message.clock.nanosec
 
     @property
-    def _robot_time_s(self) -> float:
+    def robot_time_s(self) -> float:
+        """The time by /clock (s) if somebody publishes it, else the computer's, monotonic."""
         return time.monotonic() if self._simulated_s is None else self._simulated_s
 
     def destroy_node(self) -> None:
@@ -155,8 +156,8 @@ class OperatorNode(Node):
 
     def rest(self, duration_s: float) -> None:
         """Let time of the robot pass, while everything is checked to be alive."""
-        end = self._robot_time_s + duration_s
-        self._wait(lambda: self._robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
+        end = self.robot_time_s + duration_s
+        self._wait(lambda: self.robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
 
     def wait_for_recorder(self, name: str) -> None:
         """Wait until a node subscribes to all visible topics of this namespace that are published.
