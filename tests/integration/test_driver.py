@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver node as a process, on the virtual robot as another one."""
 
+import itertools
 import math
 import signal
 import sys
@@ -35,16 +36,24 @@ def directory(processes, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def real_time_directory(processes, tmp_path: Path) -> Path:
+    """Of a virtual robot whose time is the computer's: it does not wait for a driver that hangs."""
+    path = tmp_path / "robot"
+    robot = processes.start_node(
+        "worm_driver", "virtual_robot", "--real-time", "--directory", str(path)
+    )
+    robot.wait_for_line("^ready: ", TIMEOUT_S)
+    return path
+
+
 def parameters(directory: Path, **changes: object) -> dict[str, object]:
-    """Of a driver on that robot; patient, as a test's machine may be busy with something else."""
+    """Of a driver on that robot, whose time waits where a test's machine is busy with something else."""
     return {
         "port": directory / "servo_bus",
         "i2c_bus": directory / "i2c.sock",
         "cable_servos.spool_radius_m": "[0.025]",
         "home_at_start": "true",
-        "bus_watchdog_s": 1.0,
-        "limits.max_silence_s": 0.8,
-        "limits.max_following_error_m": 0.06,
         **changes,
     }
 
@@ -372,7 +381,7 @@ def test_shutdown_while_active_releases(driver, commander, probe, directory):
 _SLOW = """
 import sys
 import time
-from worm_driver import driver_node
+from worm_driver.nodes import driver_node
 from worm_driver.errors import BusError
 from worm_driver.control.robot import Robot
 
@@ -399,10 +408,10 @@ def start_script(processes, path: Path, text: str, given: dict[str, object]):
 
 
 def test_an_activation_that_takes_too_long_ends_inactive_and_released(
-    processes, commander, directory, tmp_path
+    processes, commander, real_time_directory, tmp_path
 ):
     deed = "Robot.activate, driver_node._ACTIVATION = slow, 0.2"
-    given = parameters(directory)
+    given = parameters(real_time_directory, **{"bus_watchdog_s": 1.0, "limits.max_silence_s": 0.8})
     start_script(processes, tmp_path / "slow.py", _SLOW.format(deed=deed), given)
     assert commander.change(Transition.TRANSITION_CONFIGURE)
     assert not commander.change(Transition.TRANSITION_ACTIVATE)
@@ -426,7 +435,7 @@ def test_a_deactivation_that_fails_closes_and_releases_all_the_same(
 _SABOTAGE = """
 import sys
 import rclpy
-from worm_driver import driver_node
+from worm_driver.nodes import driver_node
 from worm_driver.gait.gait_player import Phase
 
 class Sabotaged(driver_node.DriverNode):
@@ -655,3 +664,26 @@ def test_stop_answers_every_call_of_a_flood(driver, commander, probe):
 
 def test_diagnostics_say_who_can_hear_the_driver(driver, commander):
     commander.wait_for_report("driver: network", DiagnosticStatus.OK, "this machine only")
+
+
+# --- beside other work ---------------------------------------------------------------------------------
+
+
+def test_beside_other_work_no_deadline_is_missed_and_no_servo_is_blamed(
+    driver, commander, processes, probe
+):
+    """With the limits as they are shipped, and more to do than processors: the robot's time waits."""
+    for number in range(4):
+        processes.start(f"work_{number}", [sys.executable, "-c", "while True: pass"])
+    joints = probe.collect(JointState, "joint_states")
+    commander.activate()
+    assert commander.result(commander.send(cycles=2), 100.0).status == SUCCEEDED
+    stamps = [stamp(message) for message in joints]
+    periods = [after - before for before, after in itertools.pairwise(stamps)]
+    assert len(periods) > 300
+    assert periods == pytest.approx([0.01] * len(periods), abs=1e-4)
+    commander.reports.clear()
+    timing = commander.wait_for_report("driver: timing", DiagnosticStatus.OK, "")
+    values = {value.key: value.value for value in timing.values}
+    assert values["missed_deadlines"] == "0"
+    assert "virtual" in values["real_time_priority"]

@@ -12,31 +12,18 @@ from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from launch.actions import (
     DeclareLaunchArgument,
-    EmitEvent,
     OpaqueFunction,
     RegisterEventHandler,
     Shutdown,
-    TimerAction,
 )
 from launch.event_handlers import OnProcessIO
 from launch.events.process import ProcessIO
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, LifecycleTransition, Node
-from launch_ros.event_handlers import OnStateTransition
-from launch_ros.events import matches_node_name
-from launch_ros.events.lifecycle import ChangeState
 from launch_ros.parameter_descriptions import ParameterValue
 from lifecycle_msgs.msg import Transition
 
 from worm_optimizer.operation.system import MODES, NodeDescription, SystemFile, load_system_file
-
-# A virtual servo may answer late on a busy computer. A real robot is its operator's after one failure.
-VIRTUAL_ATTEMPTS = 6
-RETRY_PERIOD_S = 1.0
-_FAILURES = {  # transition: from which state to which it ends when it fails
-    Transition.TRANSITION_CONFIGURE: ("configuring", "unconfigured"),
-    Transition.TRANSITION_ACTIVATE: ("activating", "inactive"),
-}
 
 SYSTEM_FILE = Path(get_package_share_directory("worm_optimizer"), "config", "system.yaml")
 
@@ -56,12 +43,11 @@ def _start(context: LaunchContext, content: SystemFile) -> list[LaunchDescriptio
     settings = {name: LaunchConfiguration(name).perform(context) for name in content.settings}
     mode = LaunchConfiguration("mode").perform(context)
     system = content.system(mode, **settings)
-    attempts = VIRTUAL_ATTEMPTS if mode == "virtual" else 1
-    return _start_in_order(system.nodes, system.namespace, attempts)
+    return _start_in_order(system.nodes, system.namespace)
 
 
 def _start_in_order(
-    nodes: tuple[NodeDescription, ...], namespace: str, attempts: int
+    nodes: tuple[NodeDescription, ...], namespace: str
 ) -> list[LaunchDescriptionEntity]:
     """Start nodes up to the first that others wait for, and the others once it is ready."""
     actions: list[LaunchDescriptionEntity] = []
@@ -69,9 +55,9 @@ def _start_in_order(
         node = _node(description, namespace)
         actions.append(node)
         if description.lifecycle:
-            actions += _activation(node, f"/{namespace}/{description.name}", attempts)
+            actions.append(_activation(f"/{namespace}/{description.name}"))
         if description.ready:
-            rest = _start_in_order(nodes[index + 1 :], namespace, attempts)
+            rest = _start_in_order(nodes[index + 1 :], namespace)
             return [_when_ready(node, description.ready, rest), *actions]
     return actions
 
@@ -101,43 +87,11 @@ def _end_all(context: LaunchContext, name: str) -> list[LaunchDescriptionEntity]
     return [] if context.is_shutdown else [Shutdown(reason=f"{name} has ended")]
 
 
-def _activation(
-    node: LifecycleNode, full_name: str, attempts: int
-) -> list[LaunchDescriptionEntity]:
-    """Configure and activate a node, each in so many attempts."""
-    both = LifecycleTransition(
+def _activation(full_name: str) -> LifecycleTransition:
+    """Configure and activate a node."""
+    return LifecycleTransition(
         lifecycle_node_names=[full_name],
         transition_ids=[Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE],
-    )
-    again = [
-        _again(node, full_name, transition, *states, attempts - 1)
-        for transition, states in _FAILURES.items()
-    ]
-    return [*again, both]
-
-
-def _again(
-    node: LifecycleNode, full_name: str, transition: int, start: str, goal: str, attempts: int
-) -> RegisterEventHandler:
-    """Ask for a transition again that has failed, which is to be back in the state before it."""
-    change = ChangeState(
-        lifecycle_node_matcher=matches_node_name(full_name), transition_id=transition
-    )
-    left = [attempts]
-
-    def ask(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-        if context.is_shutdown or not left[0]:
-            return []
-        left[0] -= 1
-        return [TimerAction(period=RETRY_PERIOD_S, actions=[EmitEvent(event=change)])]
-
-    return RegisterEventHandler(
-        OnStateTransition(
-            target_lifecycle_node=node,
-            start_state=start,
-            goal_state=goal,
-            entities=[OpaqueFunction(function=ask)],
-        )
     )
 
 

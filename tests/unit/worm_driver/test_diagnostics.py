@@ -6,6 +6,7 @@ import pytest
 
 from worm_driver.control import diagnostics
 from worm_driver.control.diagnostics import Level
+from worm_driver.control.real_time import NOT_ASKED
 from worm_driver.control.telemetry import SILENT, ServoState
 from worm_driver.control.timing import TimingReport
 from worm_driver.errors import PortError
@@ -55,12 +56,12 @@ def test_a_slow_latency_timer_is_named_with_the_remedy():
 
 def test_timing_warns_from_two_milliseconds_on():
     good = TimingReport(0.01, 0.0019, 0.02, 1, 1000)
-    assert diagnostics.timing_report(good, 0.01).level is Level.OK
-    late = diagnostics.timing_report(replace(good, p99_error=0.0021), 0.01)
+    assert diagnostics.timing_report(good, 0.01, NOT_ASKED).level is Level.OK
+    late = diagnostics.timing_report(replace(good, p99_error=0.0021), 0.01, NOT_ASKED)
     assert late.level is Level.WARN
     assert "2.10 ms" in late.message
     starting = TimingReport(math.nan, math.nan, math.nan, 0, 1)
-    assert diagnostics.timing_report(starting, 0.01).level is Level.OK
+    assert diagnostics.timing_report(starting, 0.01, NOT_ASKED).level is Level.OK
 
 
 @pytest.mark.parametrize(

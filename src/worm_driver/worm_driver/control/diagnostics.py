@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from worm_driver.control.real_time import Urgency
 from worm_driver.control.telemetry import SILENT, ServoState
 from worm_driver.control.timing import TimingReport
 from worm_driver.gait.gait_player import Phase, PlayerState
@@ -95,14 +96,15 @@ def bus_report(
     return Report("driver: servo bus", level, message, port, values)
 
 
-def timing_report(timing: TimingReport, period: float) -> Report:
-    """On the 100 Hz loop."""
+def timing_report(timing: TimingReport, period: float, urgency: Urgency) -> Report:
+    """On the 100 Hz loop, and what its thread has of a real-time priority."""
     if math.isnan(timing.p99_error):
         level, message = Level.OK, "starting"
     elif timing.p99_error > _LATE:
         level, message = (
             Level.WARN,
-            f"p99 of the period error is {timing.p99_error * 1e3:.2f} ms: free the machine",
+            f"p99 of the period error is {timing.p99_error * 1e3:.2f} ms: free the machine"
+            + ("" if urgency.granted else f"; {urgency.words}"),
         )
     else:
         level, message = Level.OK, "ok"
@@ -118,6 +120,7 @@ def timing_report(timing: TimingReport, period: float) -> Report:
             ("max_period_error_s", f"{timing.max_error:.6f}"),
             ("missed_deadlines", str(timing.missed)),
             ("cycles", str(timing.cycles)),
+            ("real_time_priority", urgency.words),
         ),
     )
 

@@ -44,7 +44,6 @@ class Hardware:
 
     Args:
         settings: of the robot.
-        wake: called from the threads when there is something in ``snapshots`` or ``samples``.
         tracker_ready: whether the tracker sees the robot, or there is none to wait for.
 
     Attributes:
@@ -58,13 +57,11 @@ class Hardware:
     def __init__(
         self,
         settings: DriverSettings,
-        wake: Callable[[], None],
         tracker_ready: Callable[[], bool] = lambda: True,
     ):
         self.settings = settings
         self.snapshots: deque[Snapshot] = deque()
         self.samples: deque[PowerSample] = deque()
-        self._wake = wake
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
         self._power: PowerLoop | None = None
         with contextlib.ExitStack() as opened:
@@ -72,10 +69,11 @@ class Hardware:
             sensor = _open_sensor(settings.power)
             if sensor is not None:
                 opened.callback(sensor.device.close)
+            self._bus = ServoBus.open(settings.port, settings.baud_rate)
+            opened.callback(self._bus.close)
             self.clock = clock_of(settings.port, SERIAL)
             opened.callback(self.clock.close)
-            self._bus = ServoBus.open(settings.port, settings.baud_rate, clock=self.clock)
-            opened.callback(self._bus.close)
+            self._bus.port.go_by(self.clock)
             self._check_latency(self._bus.port.latency)
             self.robot = Robot(
                 settings, self._bus, self._valid_samples, tracker_ready, clock=self.clock
@@ -137,7 +135,6 @@ class Hardware:
         if not ended:
             problems.append("the servo bus thread hangs: the servos stop by their bus watchdog")
         self._bus.close()
-        self.clock.close()
         return problems
 
     def report(self, latest: Snapshot) -> list[Report]:
@@ -151,7 +148,7 @@ class Hardware:
                 latest.player, active=latest.active, homed=robot.homed, left_on=robot.left_on
             ),
             diagnostics.bus_report(self.settings.port, counters, seen.counters, timer),
-            diagnostics.timing_report(self.loop.report(), self.settings.period),
+            diagnostics.timing_report(self.loop.report(), self.settings.period, self.loop.urgency),
         ]
         if robot.unreleased:
             reports.append(diagnostics.release_report(robot.unreleased))
@@ -186,7 +183,6 @@ class Hardware:
                 f"the node has not listened for {unheard:.0f} s: the service stop would not work"
             )
             self.robot.fail(snapshot.command_time, reason)
-        self._wake()
         if self.clock.patience:
             self._wait_for_listener()
 

@@ -13,7 +13,10 @@ from collections.abc import Callable
 from traceback import format_exception
 from typing import TypeVar
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
@@ -23,6 +26,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from worm_driver.clock import Clock
 from worm_driver.control.diagnostics import network_report, offline_report, release_report
 from worm_driver.control.hardware import Hardware
 from worm_driver.control.telemetry import Snapshot
@@ -50,6 +54,10 @@ _ACTIVATION = 5.0
 _SERVICE = 10.0
 _LETTING_GO = 5.0
 
+#: s between two looks at what the threads of the hardware have left: fewer wake-ups than cycles, as each costs the
+#: servo thread the interpreter for a while
+_PUBLISH_PERIOD = 0.04
+
 _DELIVERY = Duration(seconds=0.5)
 
 #: reliable; deep enough for what piles up while the executor's thread waits for a processor
@@ -71,6 +79,7 @@ class DriverNode(LifecycleNode):
         self._shown: tuple[object, ...] | None = None
         self._failure: Exception | None = None
         self._clocks: ClockPair | None = None
+        self._robot_clock: Clock | None = None  # stays after a clean-up, so that stamps go on
         self._born = time.monotonic()
         self._tracked = -math.inf
         self._joint_states = self.create_publisher(JointState, "joint_states", _TELEMETRY)
@@ -87,8 +96,9 @@ class DriverNode(LifecycleNode):
         self.create_service(Trigger, "home", self._on_home)
         self.create_service(Trigger, "reboot", self._on_reboot)
         refuse_impossible_transitions(self)
-        self._fresh = self.create_guard_condition(self._publish)
-        self.create_timer(1.0, self._publish_diagnostics)
+        steady = RosClock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
+        self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self._show_inactive("not configured")
 
     # --- lifecycle -----------------------------------------------------------------------------
@@ -97,7 +107,8 @@ class DriverNode(LifecycleNode):
         """Opens and checks everything; FAILURE, with the reason in the log and the diagnostics, if it cannot."""
         try:
             settings = driver_parameters.settings(self)
-            self._hardware = Hardware(settings, self._wake, self._tracker_ready)
+            self._hardware = Hardware(settings, self._tracker_ready)
+            self._robot_clock = self._hardware.clock
         except Exception as error:  # noqa: BLE001 (rclpy would drop it without a word)
             return self._failed("configure", error)
         self._failure = None
@@ -156,6 +167,7 @@ class DriverNode(LifecycleNode):
             return []
         problems = hardware.close(reason, self._publish)
         self._hardware = self._latest = None
+        self._tracked = -math.inf  # another robot's clock may come
         for problem in problems:
             self.get_logger().error(f"on release: {problem}")
         if self.context.ok():
@@ -207,8 +219,8 @@ class DriverNode(LifecycleNode):
         self._do(
             lambda hardware, now: hardware.robot.begin_release(now, "the driver is deactivated")
         )
-        end = time.monotonic() + hardware.release_time
-        while not self._do(lambda hardware, _: hardware.robot.released) and time.monotonic() < end:
+        end = hardware.clock() + hardware.release_time
+        while not self._do(lambda hardware, _: hardware.robot.released) and hardware.clock() < end:
             if self._do(lambda hardware, _: hardware.robot.holding):
                 raise StoppedError(
                     "the service stop was called on the way to rest: the robot holds, with its torque "
@@ -278,13 +290,6 @@ class DriverNode(LifecycleNode):
 
     # --- telemetry -----------------------------------------------------------------------------
 
-    def _wake(self) -> None:
-        """From the I/O thread: there is something to publish. Without a ROS context there is nothing to wake."""
-        try:
-            self._fresh.trigger()
-        except RuntimeError:
-            return
-
     def _publish(self) -> None:
         if self._hardware is not None and self.context.ok():
             self._publish_all(self._hardware)
@@ -294,6 +299,9 @@ class DriverNode(LifecycleNode):
 
         The robot goes by the monotonic clock: stamps jump with the ROS clock, motion and figures do not.
         """
+        clock = self._robot_clock
+        if clock is not None and clock.epoch_ns is not None:
+            return ClockPair(clock.epoch_ns)  # a virtual robot's, which is both
         clocks = ClockPair.read(lambda: self.get_clock().now().nanoseconds)
         step = 0.0 if self._clocks is None else clocks.step_since(self._clocks)
         if step:
@@ -347,22 +355,33 @@ class DriverNode(LifecycleNode):
     def _show_inactive(self, reason: str) -> None:
         self._shown = None
         message = GaitState(state=GaitState.INACTIVE, message=reason)
-        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.stamp = self._now()
         self._gait_state.publish(message)
+
+    def _now(self) -> Time:
+        """The stamp of what is told now."""
+        clock = self._robot_clock
+        if clock is not None and clock.epoch_ns is not None:
+            return ClockPair(clock.epoch_ns).stamp(clock())
+        stamp: Time = self.get_clock().now().to_msg()
+        return stamp
 
     def _tracker_ready(self) -> bool:
         """Whether samples come in, or so long did not that there is no tracker (discovery may take 3 s)."""
-        return time.monotonic() - self._tracked < _FRESH or (
+        return self._robot_time() - self._tracked < _FRESH or (
             math.isinf(self._tracked) and time.monotonic() - self._born > _DISCOVERY
         )
 
+    def _robot_time(self) -> float:
+        return time.monotonic() if self._robot_clock is None else self._robot_clock()
+
     def _on_tracker(self, message: Tracker) -> None:
-        self._tracked = time.monotonic()
+        self._tracked = self._robot_time()
         clocks = self._read_clocks()
         self._action.on_position(clocks.monotonic(message.header.stamp), message.rear_position)
 
     def _publish_diagnostics(self) -> None:
-        stamp = self.get_clock().now().to_msg()
+        stamp = self._now()
         hardware, latest = self._hardware, self._latest
         if hardware is None or latest is None:
             reports = [offline_report(self._failure)]
@@ -398,6 +417,7 @@ def _run(ended: Ending) -> None:
     node = DriverNode()
     ended.again = node.let_go
     try:
+        # An EventsExecutor idles at a tenth of the cost, but spins while a coroutine such as run_gait's waits.
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         spare_pauses()

@@ -48,6 +48,12 @@ _ROWS = (
     _Row("port", "/dev/worm_bus", "Serial device of the servo bus."),
     _Row("baud_rate", 1_000_000, "bit/s, as set in the servos.", (9600, 4_000_000)),
     _Row("rate_Hz", 100.0, "Rate of commands and telemetry.", (10.0, 100.0)),
+    _Row(
+        "real_time_priority",
+        40,
+        "SCHED_FIFO of the servo thread, with locked memory; 0: none.",
+        (0, 99),
+    ),
     _Row("bus_watchdog_s", 0.08, "Silence after which the servos stop by themselves.", (0.04, 2.0)),
     _Row(
         "home_at_start", False, "Take the length at configuring as the initial one, if not homed."
@@ -112,6 +118,7 @@ def settings(node: Node) -> DriverSettings:
         watchdog=value("bus_watchdog_s"),
         home_at_start=value("home_at_start"),
         rate=value("rate_Hz"),
+        real_time_priority=value("real_time_priority"),
         spools=tuple(
             Spool(*row)
             for row in _rows(

@@ -80,6 +80,10 @@ class BusPort(PortHandler):
         self._clock: Clock = MachineClock() if clock is None else clock
         self._left_over = 0
 
+    def go_by(self, clock: Clock) -> None:
+        """Has the thread that uses the port go by another clock, before the first exchange."""
+        self._clock = clock
+
     def getCurrentTime(self) -> float:  # noqa: N802 (the SDK's name)
         """Now, ms: immune to a step of the wall clock."""
         return self._clock() * 1e3
@@ -223,7 +227,6 @@ class ServoBus:
         baud_rate: int,
         latency: float | None = None,
         retries: int = 1,
-        clock: Clock | None = None,
     ) -> "ServoBus":
         """Opens a serial port exclusively.
 
@@ -233,7 +236,6 @@ class ServoBus:
             latency: s, how long the adapter may hold an answer back; None: as long as its latency timer says
                 once the port is open, for opening asks the adapter to be quick.
             retries: how often a failed exchange is repeated.
-            clock: which the thread that uses the bus goes by; None: the machine's.
 
         Raises:
             PortError: it is missing, forbidden or in use; the message says what to do.
@@ -241,7 +243,7 @@ class ServoBus:
         """
         if reason := serial_port.why_no_port(path):
             raise ConfigurationError(reason)
-        port = BusPort(path, baud_rate, clock=clock)
+        port = BusPort(path, baud_rate)
         try:
             if not port.openPort():
                 raise ConfigurationError(

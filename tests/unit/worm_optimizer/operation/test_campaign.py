@@ -7,11 +7,17 @@ import sys
 from pathlib import Path
 
 import pytest
+from recorded_run import GAIT, simulated_run, write_bag
 
 from worm_model.parameters import ParameterFile
 from worm_optimizer.commands import campaign as command
-from worm_optimizer.operation.campaign_plan import make_plan, write_promises
-from worm_optimizer.operation.campaign_runs import Robot
+from worm_optimizer.operation.campaign_plan import is_promised, make_plan, write_promises
+from worm_optimizer.operation.campaign_runs import (
+    Robot,
+    is_recorded,
+    put_aside,
+    run_gaits,
+)
 from worm_optimizer.operation.system import load_system_file
 from worm_optimizer.search.cache import Cache
 from worm_optimizer.search.gait_map import MapSettings
@@ -107,3 +113,72 @@ def test_an_existing_folder_is_left_alone(
     assert run_command(monkeypatch, "--output", str(tmp_path / "folder")) == 2
     assert "exists already" in capsys.readouterr().err
     assert list((tmp_path / "folder").iterdir()) == []
+
+
+# --- a campaign that was broken off ------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("bags") / "cruise", simulated_run())
+
+
+def test_a_gait_counts_as_recorded_from_its_onset_to_the_end_of_its_last_cycle(bag, tmp_path: Path):
+    assert is_recorded(bag)
+    assert not is_recorded(tmp_path / "none")
+    (tmp_path / "empty").mkdir()
+    assert not is_recorded(tmp_path / "empty")
+    run = simulated_run()
+    states, tracker = run.gait_state, run.tracker
+    broken_off = dataclasses.replace(
+        run, gait_state=type(states)(**{k: v[:-1] for k, v in vars(states).items()})
+    )
+    assert not is_recorded(write_bag(tmp_path / "broken_off", broken_off))
+    half = tracker.stamp.size // 2
+    unseen = dataclasses.replace(
+        run, tracker=type(tracker)(**{k: v[:half] for k, v in vars(tracker).items()})
+    )
+    assert not is_recorded(write_bag(tmp_path / "unseen", unseen))
+
+
+def test_what_is_recorded_is_not_run_again(bag, tmp_path: Path):
+    """No node is started: there is none that could be."""
+    nothing = dataclasses.replace(FILE, nodes={})
+    told: list[str] = []
+    gaits = {"cruise": GAIT}
+    run_gaits(Robot(nothing, "virtual", {}), gaits, bag.parent, tmp_path / "no_logs", told.append)
+    assert told == ["cruise: recorded already"]
+
+
+def test_an_unfinished_recording_is_kept_under_another_name(tmp_path: Path):
+    for number in (1, 2):
+        (tmp_path / "cruise").mkdir()
+        (tmp_path / "cruise" / "mark").write_text(str(number))
+        put_aside(tmp_path / "cruise", lambda _: None)
+    put_aside(tmp_path / "cruise", lambda _: None)
+    kept = {path.name: (path / "mark").read_text() for path in tmp_path.iterdir()}
+    assert kept == {"cruise_unfinished_1": "1", "cruise_unfinished_2": "2"}
+
+
+def test_a_folder_goes_on_only_with_the_gaits_it_was_begun_with(plan, tmp_path: Path):
+    write_promises(plan, tmp_path)
+    assert is_promised(plan, tmp_path)
+    other = {name: gait for name, gait in plan.gaits.items() if name != "cruise"}
+    assert not is_promised(dataclasses.replace(plan, gaits=other), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "complaint"),
+    [
+        ([], [], "no campaign was begun there"),
+        (["promised.json"], ["--output", "x"], "leave --output out"),
+        (["promised.json", "report"], [], "is complete"),
+    ],
+)
+def test_what_cannot_be_resumed_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, make, arguments, complaint
+):
+    for name in make:
+        (tmp_path / name).touch()
+    assert run_command(monkeypatch, "--resume", str(tmp_path), *arguments) == 2
+    assert complaint in capsys.readouterr().err.splitlines()[-1]

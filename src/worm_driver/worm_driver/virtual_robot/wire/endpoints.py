@@ -289,9 +289,12 @@ class Endpoints:
             now = self.time.together(machine, waiting, self._next_event())
         else:
             now = self.time.alone(machine)
+        self._show(now)
+        return now
+
+    def _show(self, now: float) -> None:
         if self._page is not None:
             self._page.time = now
-        return now
 
     def _next_event(self) -> float:
         """The time (s) that must not be passed over."""
@@ -395,6 +398,8 @@ class Endpoints:
 
     def _on_clock(self, clock: ClockConnection) -> None:
         is_new = clock.party is None
+        if is_new:
+            self._show(self.now())  # it is going to look at once
         try:
             wait = clock.read()
         except ConnectionError:
