@@ -112,6 +112,8 @@ class Hardware:
             lines.append(
                 f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, not 1: install the udev rule"
             )
+        # the launch file reads this line, to be patient for as long
+        lines.append(f"asked to end, it is at rest within {self.release_time:.1f} s")
         if not self.robot.homed:
             lines.append("not homed: bring the robot to its initial length, then call home")
         return lines

@@ -18,7 +18,8 @@ class Ending:
     """Whether a process was asked to end: call it.
 
     Attributes:
-        again: called by every signal after the first one, in the signal's handler.
+        again: called by every SIGINT after the first signal, in its handler: an impatient person's. SIGTERM is how
+            launch and systemd escalate by themselves.
     """
 
     def __init__(self) -> None:
@@ -29,9 +30,9 @@ class Ending:
         """Whether it was asked to end."""
         return self._asked
 
-    def on_signal(self, _: int, __: FrameType | None) -> None:
+    def on_signal(self, number: int, _: FrameType | None) -> None:
         """The handler."""
-        if self._asked:
+        if self._asked and number == signal.SIGINT:
             self.again()
         self._asked = True
 
