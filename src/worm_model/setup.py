@@ -38,5 +38,6 @@ setup(
         (f"share/{NAME}/foxglove", sorted(glob("foxglove/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
+    extras_require={"test": ["pytest"]},  # colcon test takes pytest for it
     entry_points={"console_scripts": EXECUTABLES},
 )
