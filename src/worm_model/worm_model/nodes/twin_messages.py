@@ -170,8 +170,15 @@ def fill_forecast(response: Any, found: Forecast) -> Any:
 # --- settings ----------------------------------------------------------------------------------------
 
 
-def declare_settings(node: Any) -> None:
-    """Declares every setting as a ROS parameter with its range and description."""
+PARAMETER_FILE = "parameter_file"
+
+
+def rows() -> list[tuple[str, Any, ParameterDescriptor]]:
+    """Name, default and descriptor of every parameter."""
+    text = "the model's parameters (YAML); empty: the paper's"
+    result: list[tuple[str, Any, ParameterDescriptor]] = [
+        (PARAMETER_FILE, "", ParameterDescriptor(description=text))
+    ]
     for row in dataclasses.fields(TwinSettings):
         limits = FloatingPointRange(
             from_value=row.metadata["low"], to_value=row.metadata["high"], step=0.0
@@ -180,7 +187,8 @@ def declare_settings(node: Any) -> None:
             description=row.metadata["text"], floating_point_range=[limits]
         )
         default: Any = row.default
-        node.declare_parameter(row.name, float(default), descriptor)
+        result.append((row.name, float(default), descriptor))
+    return result
 
 
 def settings_of(node: Any) -> TwinSettings:

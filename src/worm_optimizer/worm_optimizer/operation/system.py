@@ -110,7 +110,7 @@ class SystemFile:
             known = ", ".join(self.settings)
             raise SystemFileError(f"no setting {unknown[0]!r} in {self.path}: there are {known}")
         names = {"namespace": namespace}
-        defaults = {name: _fill(row.default, names) for name, row in self.settings.items()}
+        defaults = {name: row.default.format_map(names) for name, row in self.settings.items()}
         values = {**names, **defaults, **settings}
         return System(
             namespace,
