@@ -163,7 +163,7 @@ class VirtualClock:
                 self._await_number(self._number)
                 return False
             while True:
-                ready = select.select([descriptor, self._socket], [], [])[0]
+                ready = select.select([descriptor, self._socket.fileno()], [], [])[0]
                 if descriptor in ready:
                     return True
                 if self._take_number() == self._number:
