@@ -162,7 +162,7 @@ def test_every_cycle_is_published_with_its_stamp(driver, commander, probe):
     def cycles() -> int:
         """That the driver says it has made, a little while ago."""
         statuses = [s for report in commander.reports for s in report.status]
-        timings = [s for s in statuses if s.name == "driver: timing"]
+        timings = [s for s in statuses if s.name == "worm/driver: timing"]
         return max((int({v.key: v.value for v in s.values}["cycles"]) for s in timings), default=0)
 
     made = probe.wait_for(lambda: cycles() >= 200 and cycles(), "200 cycles")
@@ -182,11 +182,11 @@ def test_diagnostics_name_every_part(driver, commander, probe):
         }
 
     parts = ("gait", "servo bus", "timing", "servo 1", "servo 11", "servo 12", "power sensor")
-    names = {f"driver: {part}" for part in parts}
+    names = {f"worm/driver: {part}" for part in parts}
     probe.wait_for(lambda: set(latest()) == names, "report on every part")
     for part in ("gait", "servo 1", "servo 11", "servo 12", "power sensor"):
-        commander.wait_for_report(f"driver: {part}", DiagnosticStatus.OK, "")
-    timing = {value.key: value.value for value in latest()["driver: timing"].values}
+        commander.wait_for_report(f"worm/driver: {part}", DiagnosticStatus.OK, "")
+    timing = {value.key: value.value for value in latest()["worm/driver: timing"].values}
     assert {"p99_period_error_s", "missed_deadlines", "mean_period_s"} <= set(timing)
 
 
@@ -496,8 +496,8 @@ def test_a_silent_servo_is_a_fault_that_is_named_and_mended(driver, commander):
     assert answer.status == ABORTED
     assert "fault: servo 1 gives no state" in answer.result.message
     assert "servo 1" in commander.wait_for_state(GaitState.FAULT, "fault").message
-    commander.wait_for_report("driver: gait", DiagnosticStatus.ERROR, "servo 1 gives no state")
-    commander.wait_for_report("driver: servo bus", DiagnosticStatus.WARN, "timeouts")
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "servo 1 gives no state")
+    commander.wait_for_report("worm/driver: servo bus", DiagnosticStatus.WARN, "timeouts")
     refused = commander.result(commander.send())
     assert "in fault" in refused.result.message
     commander.inject(name="clear")
@@ -512,7 +512,7 @@ def test_an_unplugged_port_is_a_fault_and_a_new_configuration_mends_it(
     run_into_a_gait(commander, probe)
     commander.inject(name="unplugged", duration=1.0)
     assert "is gone" in commander.wait_for_state(GaitState.FAULT, "fault").message
-    commander.wait_for_report("driver: gait", DiagnosticStatus.ERROR, "plug it in again")
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "plug it in again")
     assert commander.change(Transition.TRANSITION_DEACTIVATE)
     assert commander.change(Transition.TRANSITION_CLEANUP)
     probe.wait_for((directory / "servo_bus").is_symlink, "port")
@@ -535,7 +535,7 @@ def test_faults_of_the_power_sensor_are_samples_without_a_value(driver, commande
         commander.inject(name=name)
         found = probe.wait_for(seen(status), f"sample with {words}")
         assert all(math.isnan(sample.power) for sample in found)
-        commander.wait_for_report("driver: power sensor", DiagnosticStatus.WARN, words)
+        commander.wait_for_report("worm/driver: power sensor", DiagnosticStatus.WARN, words)
     count = len(seen(Power.VALID)())
     probe.wait_for(lambda: len(seen(Power.VALID)()) > count + 10, "valid samples")
 
@@ -570,7 +570,7 @@ def test_a_robot_that_is_not_homed_waits_for_its_operator(processes, directory, 
     driver.wait_for_line(
         "cannot activate: the turn count of the cable servo is not known", TIMEOUT_S
     )
-    commander.wait_for_report("driver: gait", DiagnosticStatus.WARN, "not homed")
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.WARN, "not homed")
     assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
     assert commander.trigger("home").success
     assert commander.change(Transition.TRANSITION_ACTIVATE)
@@ -596,7 +596,7 @@ def test_a_failed_configuration_leaves_the_node_unconfigured_and_can_be_repeated
     commander.inject(name="i2c_nack", duration=3600.0)
     assert not commander.change(Transition.TRANSITION_CONFIGURE)
     assert commander.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
-    commander.wait_for_report("driver: gait", DiagnosticStatus.ERROR, "does not acknowledge")
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "does not acknowledge")
     commander.inject(name="clear")
     commander.activate()
 

@@ -198,9 +198,11 @@ class TwinNode(Node):
 
     def _publish_diagnostics(self) -> None:
         found = report(self._state, time.monotonic() - self._heard)
+        robot = self.get_namespace().strip("/")
         status = DiagnosticStatus(
             level=_LEVELS[found.level],
-            name="twin: model",
+            name=f"{robot}/twin: model".lstrip("/"),
+            hardware_id=robot,
             message=found.message,
             values=[KeyValue(key=key, value=value) for key, value in found.values],
         )

@@ -266,7 +266,9 @@ class OptimizerNode(Node):
         self._diagnostics.publish(array)
 
     def _status_of(self, direction: int) -> DiagnosticStatus:
-        status = DiagnosticStatus(name=f"optimizer: {_NAMES[direction]} front")
+        robot = self.get_namespace().strip("/")
+        name = f"{robot}/optimizer: {_NAMES[direction]} front".lstrip("/")
+        status = DiagnosticStatus(name=name, hardware_id=robot)
         front = self._fronts.get(direction)
         if front is None:
             answer = self._absences[direction]
@@ -277,9 +279,9 @@ class OptimizerNode(Node):
         status.level = DiagnosticStatus.OK
         status.message = f"{len(front.predictions)} gaits"
         status.values = [
-            KeyValue(key="margin [m]", value=f"{front.margin:.6f}"),
-            KeyValue(key="hypervolume share [1]", value=f"{front.hypervolume_share:.5f}"),
-            KeyValue(key="front of", value=front.source),
+            KeyValue(key="margin_m", value=f"{front.margin:.6f}"),
+            KeyValue(key="hypervolume_share", value=f"{front.hypervolume_share:.5f}"),
+            KeyValue(key="source", value=front.source),
         ]
         return status
 
