@@ -35,6 +35,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
         (f"share/{NAME}/rviz", sorted(glob("rviz/*"))),
+        (f"share/{NAME}/urdf", sorted(glob("urdf/*"))),
         (f"share/{NAME}/foxglove", sorted(glob("foxglove/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],

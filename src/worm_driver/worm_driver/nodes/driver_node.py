@@ -416,7 +416,9 @@ class DriverNode(LifecycleNode):
             reports = hardware.report(latest)
             self._check_loop(hardware)
         reports.append(network_report(str(self._reach), is_local=self._reach.is_local))
-        self._diagnostics.publish(driver_messages.diagnostics(reports, stamp, self.get_namespace().strip("/")))
+        self._diagnostics.publish(
+            driver_messages.diagnostics(reports, stamp, self.get_namespace().strip("/"))
+        )
 
     def _check_loop(self, hardware: Hardware) -> None:
         if not hardware.loop.alive:

@@ -20,6 +20,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from worm_model.gait import GaitError
@@ -84,6 +85,7 @@ class TwinNode(Node):
             for topic, (kind, convert) in twin_messages.INPUTS.items()
         ]
         self._states = self.create_publisher(TwinState, "twin/state", BURST)
+        self._joints = self.create_publisher(JointState, "twin/joint_states", 10)
         self._residuals = self.create_publisher(TwinResiduals, "twin/residuals", BURST)
         self._lengths = self.create_publisher(BodyLength, "body_length/estimated", BURST)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -138,6 +140,8 @@ class TwinNode(Node):
             self._lengths.publish(twin_messages.length_message(length))
         for state in output.states:
             self._states.publish(twin_messages.state_message(state))
+        if output.states and self._joints.get_subscription_count():
+            self._joints.publish(twin_messages.joint_state(output.states[-1]))
         for residuals in output.residuals:
             self._residuals.publish(twin_messages.residuals_message(residuals))
         for notice in output.notices:
