@@ -12,6 +12,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness import LATCHED, TIMEOUT_S
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -80,6 +82,11 @@ class Commander:
 
     def result(self, goal, timeout_s: float = TIMEOUT_S):
         return self.probe.result(goal.get_result_async(), "result of the gait", timeout_s)
+
+    def set_parameter(self, name: str, value: object):
+        message = Parameter(name, value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[message])
+        return self.probe.call(SetParameters, "driver/set_parameters", request).results[0]
 
     def trigger(self, name: str) -> Trigger.Response:
         return self.probe.call(Trigger, name, Trigger.Request())
@@ -339,7 +346,7 @@ def test_stop_is_served_while_a_deactivation_returns_to_rest(
 def run_into_a_gait(commander, probe) -> list[BodyLength]:
     lengths = probe.collect(BodyLength, "body_length/cable")
     commander.activate()
-    commander.send(stroke=0.06, cycles=20)
+    commander.goal = commander.send(stroke=0.06, cycles=20)
     probe.wait_for(lambda: lengths and lengths[-1].length_change < -0.02, "contraction")
     return lengths
 
@@ -347,8 +354,11 @@ def run_into_a_gait(commander, probe) -> list[BodyLength]:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_brings_the_gait_to_rest_and_releases(driver, commander, probe, directory, number):
     lengths = run_into_a_gait(commander, probe)
+    result = commander.goal.get_result_async()
     driver.signal(number)
-    assert driver.wait(TIMEOUT_S) == 0
+    assert probe.result(result, "result of the goal").status == ABORTED
+    probe.wait_for(lambda: driver.exit_code is not None, "end of the driver")
+    assert driver.exit_code == 0
     assert torques(directory) == [0, 0, 0]
     assert commander.wait_for_state(GaitState.INACTIVE, "last word").message == "the driver ends"
     probe.wait_for(lambda: abs(lengths[-1].length_change) < 2e-3, "cable at rest")
@@ -484,6 +494,32 @@ def test_after_a_kill_a_new_driver_takes_over(processes, commander, probe, direc
     assert commander.result(goal).status == SUCCEEDED
 
 
+# --- parameters of a running driver ------------------------------------------------------------------
+
+
+def test_limits_take_effect_at_once_and_all_else_is_refused_while_configured(driver, commander):
+    commander.activate()
+    assert commander.set_parameter("limits.max_stroke_m", 0.02).successful
+    answer = commander.result(commander.send(stroke=0.03))
+    assert answer.status == ABORTED
+    assert "limits.max_stroke_m" in answer.result.message
+    refused = commander.set_parameter("port", "/dev/other")
+    assert not refused.successful
+    assert "takes effect at configure" in refused.reason
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.change(Transition.TRANSITION_CLEANUP)
+    assert commander.set_parameter("port", "/dev/other").successful
+
+
+def test_a_run_that_a_new_limit_does_not_allow_ends_at_rest(driver, commander):
+    commander.activate()
+    goal = commander.send(stroke=0.05, frequency=0.2, cycles=60)
+    commander.wait_for_state(GaitState.RUNNING, "running gait")
+    assert commander.set_parameter("limits.max_stroke_m", 0.02).successful
+    assert "cancelled" in commander.result(goal).result.message
+    assert "ends at its next point of rest" in driver.output()
+
+
 # --- faults: that they reach the outside ---------------------------------------------------------------
 
 
@@ -496,6 +532,10 @@ def test_a_silent_servo_is_a_fault_that_is_named_and_mended(driver, commander):
     assert answer.status == ABORTED
     assert "fault: servo 1 gives no state" in answer.result.message
     assert "servo 1" in commander.wait_for_state(GaitState.FAULT, "fault").message
+    (line,) = [line for line in driver.output().splitlines() if "FAULT: " in line]
+    assert "[ERROR]" in line
+    assert "servo 1 gives no state" in line
+    assert "Mend the cause, then deactivate and activate" in line
     commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "servo 1 gives no state")
     commander.wait_for_report("worm/driver: servo bus", DiagnosticStatus.WARN, "timeouts")
     refused = commander.result(commander.send())

@@ -49,6 +49,7 @@ RETRY_PERIOD_S = 1.0
 RESTARTS = 3  # of a node that is not required
 RESTART_DELAY_S = 2.0
 GRACE_S = 5.0  # beyond the time in which a node says it is at rest; launch's own default
+OWN_TIME = ("virtual_robot", "driver", "player")  # they make the time that the others go by
 LEVELS = ("debug", "info", "warn", "error", "fatal")
 
 # How a transition of launch's own ends when it succeeds, and what follows.
@@ -79,7 +80,7 @@ def generate_launch_description() -> LaunchDescription:
             "use_sim_time",
             default_value="",
             choices=["", "true", "false"],
-            description="of all nodes; empty: true in the mode replay, whose player publishes /clock",
+            description="of the nodes that can go by /clock; empty: true in the mode replay alone",
         ),
     ]
     arguments += [
@@ -151,10 +152,11 @@ class _Common:
 
     def _node(self, description: NodeDescription, patience: _Patience) -> Node:
         kind = LifecycleNode if description.lifecycle else Node
+        sim_time = {} if description.name in OWN_TIME else self._sim_time
         # a typed value, or launch would take the text "1" for a number
         parameters = {
             name: ParameterValue(value, value_type=type(value)) if isinstance(value, str) else value
-            for name, value in {**description.parameters, **self._sim_time}.items()
+            for name, value in {**description.parameters, **sim_time}.items()
         }
         return kind(
             package=description.package,
