@@ -132,15 +132,15 @@ class _Common:
         self._attempts = attempts
         self._log_level = log_level
         self._sim_time = sim_time
+        self._patience = _Patience()
 
     def start_in_order(self, nodes: tuple[NodeDescription, ...]) -> list[LaunchDescriptionEntity]:
         """Start nodes up to the first that others wait for, and the others once it is ready."""
         actions: list[LaunchDescriptionEntity] = []
         for index, description in enumerate(nodes):
-            patience = _Patience()
-            node = self._node(description, patience)
+            node = self._node(description)
             if description.at_rest_within:
-                actions.append(_on_line(node, patience.reader(description.at_rest_within)))
+                actions.append(_on_line(node, self._patience.reader(description.at_rest_within)))
             if description.lifecycle:
                 actions += _Activation(node, self._attempts).entities()
             else:
@@ -150,7 +150,7 @@ class _Common:
                 return [_on_line(node, rest), *actions]
         return actions
 
-    def _node(self, description: NodeDescription, patience: _Patience) -> Node:
+    def _node(self, description: NodeDescription) -> Node:
         kind = LifecycleNode if description.lifecycle else Node
         sim_time = {} if description.name in OWN_TIME else self._sim_time
         # a typed value, or launch would take the text "1" for a number
@@ -170,7 +170,7 @@ class _Common:
             remappings=list(description.remappings.items()),
             output="screen",
             prefix=_end_with_launch(),
-            sigterm_timeout=[patience],
+            sigterm_timeout=[self._patience],
             on_exit=_AtEnd(description),
             respawn=not description.required,
             respawn_delay=RESTART_DELAY_S,
@@ -189,7 +189,10 @@ def _end_with_launch() -> list[Substitution | str]:
 
 
 class _Patience(Substitution):
-    """The time (s) after which launch gets impatient with a node that was asked to end."""
+    """The time (s) after which launch gets impatient with nodes that were asked to end.
+
+    One for all: the virtual robot and the recorder stay for as long as the driver needs them.
+    """
 
     def __init__(self) -> None:
         super().__init__()
