@@ -382,7 +382,7 @@ def test_shutdown_while_active_releases(driver, commander, probe, directory):
 _SLOW = """
 import sys
 import time
-from worm_driver import driver_node
+from worm_driver.nodes import driver_node
 from worm_driver.errors import BusError
 from worm_driver.control.robot import Robot
 
@@ -436,7 +436,7 @@ def test_a_deactivation_that_fails_closes_and_releases_all_the_same(
 _SABOTAGE = """
 import sys
 import rclpy
-from worm_driver import driver_node
+from worm_driver.nodes import driver_node
 from worm_driver.gait.gait_player import Phase
 
 class Sabotaged(driver_node.DriverNode):
