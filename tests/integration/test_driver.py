@@ -14,6 +14,7 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -518,6 +519,19 @@ def test_a_run_that_a_new_limit_does_not_allow_ends_at_rest(driver, commander):
     assert commander.set_parameter("limits.max_stroke_m", 0.02).successful
     assert "cancelled" in commander.result(goal).result.message
     assert "ends at its next point of rest" in driver.output()
+
+
+def test_a_user_may_change_the_quality_of_service_of_telemetry(
+    processes, directory, commander, probe
+):
+    name = "qos_overrides./worm/power.publisher.reliability"
+    given = parameters(directory, **{name: "best_effort"})
+    processes.start_node("worm_driver", "driver_node", **given)
+    commander.activate()
+    (power,) = probe.node.get_publishers_info_by_topic("/worm/power")
+    (joints,) = probe.node.get_publishers_info_by_topic("/worm/joint_states")
+    assert power.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    assert joints.qos_profile.reliability == ReliabilityPolicy.RELIABLE
 
 
 # --- faults: that they reach the outside ---------------------------------------------------------------

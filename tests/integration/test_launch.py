@@ -22,10 +22,10 @@ pytest.importorskip("launch_ros", reason="no launch system is installed")
 ROS2 = shutil.which("ros2")
 pytestmark = [
     pytest.mark.skipif(ROS2 is None, reason="no ros2 command line is installed"),
-    pytest.mark.timeout(400),
+    pytest.mark.timeout(900),
 ]
 
-START_S = 120.0  # of six processes, also while others compute
+START_S = 240.0  # of six processes, also while others compute; a virtual robot is slow then
 GAIT = RunGait.Goal(
     gait=Gait(stroke=0.07, frequency=0.2, direction=Gait.FORWARD, margin=0.0), cycles=60
 )
@@ -122,8 +122,8 @@ def test_launch_is_as_patient_as_a_slow_return(launched, probe, tmp_path):
     result = goal.get_result_async()
     probe.wait_for(lambda: lengths and lengths[-1].length_change < -0.06, "contraction", START_S)
     launch.interrupt()
-    assert "closed" in probe.result(result, "result of the goal", 60.0).result.message
-    probe.wait_for(lambda: launch.exit_code is not None, "end of launch", 60.0)
+    assert "closed" in probe.result(result, "result of the goal", START_S).result.message
+    probe.wait_for(lambda: launch.exit_code is not None, "end of launch", START_S)
     assert launch.exit_code == 0
     assert "escalating" not in launch.output()
     assert "plug it in again" not in launch.output()
@@ -177,7 +177,7 @@ def test_two_robots_of_one_launch_file_do_not_mix(launched, probe, tmp_path):
     )
     assert all(s.hardware_id for r in reports for s in r.status)
     launch.interrupt()
-    assert launch.wait(60.0) == 0
+    assert launch.wait(START_S) == 0
 
 
 def test_the_twin_is_missed_and_starts_again_but_the_driver_ends_all(launched, probe, tmp_path):
@@ -189,7 +189,7 @@ def test_the_twin_is_missed_and_starts_again_but_the_driver_ends_all(launched, p
     probe.wait_for(lambda: pids(launch.output())["twin"] != before["twin"], "another twin", START_S)
     assert state_of(probe) == State.PRIMARY_STATE_ACTIVE
     os.kill(before["driver"], signal.SIGKILL)
-    assert launch.wait(60.0) == 1
+    assert launch.wait(START_S) == 1
     assert "driver has ended with exit status -9" in launch.output()
 
 

@@ -46,6 +46,8 @@ from worm_optimizer.operation.system import (
 # A virtual servo may answer late on a busy computer. A real robot is its operator's after one failure.
 VIRTUAL_ATTEMPTS = 6
 RETRY_PERIOD_S = 1.0
+# A virtual robot's time waits for whoever works with it: on a busy computer its seconds are longer.
+VIRTUAL_SLOWNESS = 8.0
 RESTARTS = 3  # of a node that is not required
 RESTART_DELAY_S = 2.0
 GRACE_S = 5.0  # beyond the time in which a node says it is at rest; launch's own default
@@ -100,10 +102,9 @@ def _start(context: LaunchContext, content: SystemFile) -> list[LaunchDescriptio
         name: value(name) for name, row in content.settings.items() if value(name) != row.default
     }
     system = content.system(mode, namespace, **given)
-    attempts = VIRTUAL_ATTEMPTS if mode == "virtual" else 1
-    common = _Common(
-        namespace, attempts, value("log_level"), _sim_time(mode, value("use_sim_time"))
-    )
+    attempts, slowness = (VIRTUAL_ATTEMPTS, VIRTUAL_SLOWNESS) if mode == "virtual" else (1, 1.0)
+    sim_time = _sim_time(mode, value("use_sim_time"))
+    common = _Common(namespace, attempts, slowness, value("log_level"), sim_time)
     return common.start_in_order(system.nodes)
 
 
@@ -126,13 +127,18 @@ class _Common:
     """What all nodes of one launch share."""
 
     def __init__(
-        self, namespace: str, attempts: int, log_level: str, sim_time: dict[str, bool]
+        self,
+        namespace: str,
+        attempts: int,
+        slowness: float,
+        log_level: str,
+        sim_time: dict[str, bool],
     ) -> None:
         self._namespace = namespace
         self._attempts = attempts
         self._log_level = log_level
         self._sim_time = sim_time
-        self._patience = _Patience()
+        self._patience = _Patience(slowness)
 
     def start_in_order(self, nodes: tuple[NodeDescription, ...]) -> list[LaunchDescriptionEntity]:
         """Start nodes up to the first that others wait for, and the others once it is ready."""
@@ -194,8 +200,9 @@ class _Patience(Substitution):
     One for all: the virtual robot and the recorder stay for as long as the driver needs them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, slowness: float) -> None:
         super().__init__()
+        self._slowness = slowness
         self._rest_s = 0.0
 
     def reader(self, words: str) -> _LineReader:
@@ -205,7 +212,7 @@ class _Patience(Substitution):
         def read(line: str) -> None:
             match = pattern.search(line)
             if match:
-                self._rest_s = float(match[1])
+                self._rest_s = self._slowness * float(match[1])
 
         return _LineReader(read)
 

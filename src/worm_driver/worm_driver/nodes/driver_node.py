@@ -20,6 +20,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -57,6 +58,8 @@ _LINGER = 0.3
 
 #: reliable; deep enough for what piles up while the executor's thread waits for a processor
 _TELEMETRY = QoSProfile(depth=200)
+#: a user may change history, depth and reliability: qos_overrides./worm/power.publisher.reliability
+_OPEN = QoSOverridingOptions.with_default_policies()
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -75,10 +78,18 @@ class DriverNode(LifecycleNode):
         self._clocks: ClockPair | None = None
         self._born = time.monotonic()
         self._tracked = -math.inf
-        self._joint_states = self.create_publisher(JointState, "joint_states", _TELEMETRY)
-        self._commanded = self.create_publisher(BodyLength, "body_length/commanded", _TELEMETRY)
-        self._cable = self.create_publisher(BodyLength, "body_length/cable", _TELEMETRY)
-        self._power = self.create_publisher(Power, "power", _TELEMETRY)
+        self._joint_states = self.create_publisher(
+            JointState, "joint_states", _TELEMETRY, qos_overriding_options=_OPEN
+        )
+        self._commanded = self.create_publisher(
+            BodyLength, "body_length/commanded", _TELEMETRY, qos_overriding_options=_OPEN
+        )
+        self._cable = self.create_publisher(
+            BodyLength, "body_length/cable", _TELEMETRY, qos_overriding_options=_OPEN
+        )
+        self._power = self.create_publisher(
+            Power, "power", _TELEMETRY, qos_overriding_options=_OPEN
+        )
         self._gait_state = self.create_publisher(GaitState, "gait_state", _LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._action = RunGaitAction(self, lambda: self._hardware)
