@@ -35,8 +35,10 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
         (f"share/{NAME}/rviz", sorted(glob("rviz/*"))),
+        (f"share/{NAME}/urdf", sorted(glob("urdf/*"))),
         (f"share/{NAME}/foxglove", sorted(glob("foxglove/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
+    extras_require={"test": ["pytest"]},  # colcon test takes pytest for it
     entry_points={"console_scripts": EXECUTABLES},
 )

@@ -25,10 +25,11 @@ PACKAGES: dict[str, set[str]] = {
 
 # Libraries that only the files named here may import; the rest of the code does not know them.
 NODES = ["*/nodes/*.py"]
+PROCESSES = ["worm_msgs/ros_process.py", "worm_msgs/node_command.py"]
 CONFINED = {
-    "rclpy": [*NODES, "worm_msgs/ros_process.py"],
-    "rcl_interfaces": NODES,
-    "worm_msgs": [*NODES, "worm_msgs/ros_process.py"],
+    "rclpy": [*NODES, *PROCESSES],
+    "rcl_interfaces": [*NODES, *PROCESSES],
+    "worm_msgs": [*NODES, *PROCESSES],
     "std_msgs": NODES,
     "std_srvs": NODES,
     "sensor_msgs": NODES,

@@ -252,8 +252,8 @@ def test_diagnostics_tell_what_is_served(start, probe):
 
     probe.wait_for(lambda: DiagnosticStatus.OK in levels(), "healthy status", timeout_s=90.0)
     assert {status.name for status in arrays[-1].status} == {
-        "optimizer: forward front",
-        "optimizer: reverse front",
+        "worm/optimizer: forward front",
+        "worm/optimizer: reverse front",
     }
 
 

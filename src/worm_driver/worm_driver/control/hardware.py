@@ -60,6 +60,7 @@ class Hardware:
         tracker_ready: Callable[[], bool] = lambda: True,
     ):
         self.settings = settings
+        self._longest_stroke = settings.max_stroke  # that a run may have been begun with
         self.snapshots: deque[Snapshot] = deque()
         self.samples: deque[PowerSample] = deque()
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
@@ -97,8 +98,18 @@ class Hardware:
     @property
     def release_time(self) -> float:
         """s, which a release takes at most."""
-        travel = self.settings.max_stroke + 0.02
+        travel = self._longest_stroke + 0.02
         return math.pi / 2 * travel / self.settings.player.return_speed + 1.0
+
+    def take(self, settings: DriverSettings) -> str:
+        """Goes on with other limits; returns what follows for the run that is being played, in words."""
+        self._longest_stroke = max(self._longest_stroke, settings.max_stroke)
+        self.settings = settings
+        return self.loop.ask(lambda now: self.robot.take(now, settings))
+
+    def rest_line(self) -> str:
+        """How long it may take to end; the launch file reads it, to be patient for as long."""
+        return f"asked to end, it is at rest within {self.release_time:.1f} s"
 
     def description(self) -> list[str]:
         """What was found, one line each."""
@@ -118,6 +129,7 @@ class Hardware:
             )
         if self.robot.left_on:
             lines.append(self.robot.left_on)
+        lines.append(self.rest_line())
         if not self.robot.homed:
             lines.append("not homed: bring the robot to its initial length, then call home")
         return lines

@@ -221,6 +221,19 @@ class Robot:
         assert self.player.run is not None
         return self.player.run.number
 
+    def take(self, now: float, settings: DriverSettings) -> str:
+        """Goes on with other limits. A run that they do not allow ends at its next point of rest; says so."""
+        self.settings = settings
+        run = self.player.active_run
+        if run is None:
+            return ""
+        try:
+            self.limits.check(run.gait, run.cycles)
+        except LimitError as error:
+            self.cancel(now)
+            return f"run {run.number} ends at its next point of rest: {error}"
+        return ""
+
     def cancel(self, now: float) -> None:
         """Lets the run end at its next point of rest."""
         self.player = gait_player.cancel(self.player, now)

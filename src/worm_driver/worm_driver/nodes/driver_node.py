@@ -9,19 +9,21 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from traceback import format_exception
 from typing import TypeVar
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
 from rclpy.duration import Duration
-from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -31,6 +33,7 @@ from worm_driver.control.diagnostics import network_report, offline_report, rele
 from worm_driver.control.hardware import Hardware
 from worm_driver.control.telemetry import Snapshot
 from worm_driver.errors import ConfigurationError, DriverError, ReleaseError, StoppedError
+from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.nodes import driver_messages, driver_parameters
 from worm_driver.nodes.driver_messages import ClockPair
 from worm_driver.nodes.impossible_transitions import refuse_impossible_transitions
@@ -38,7 +41,8 @@ from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.side_node import SideNode
 from worm_msgs import network
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker
-from worm_msgs.ros_process import Ending, ros_process, spare_pauses
+from worm_msgs.node_command import declare, run_node
+from worm_msgs.ros_process import Ending, spare_pauses
 
 T = TypeVar("T")
 
@@ -59,11 +63,16 @@ _LETTING_GO = 5.0
 _PUBLISH_PERIOD = 0.04
 
 _DELIVERY = Duration(seconds=0.5)
+#: s, in which a goal's result must have been made, and for which it has to leave: DDS acknowledges no answer
+_ANSWERS = 1.0
+_LINGER = 0.3
 
 #: reliable; deep enough for what piles up while the executor's thread waits for a processor
 _TELEMETRY = QoSProfile(depth=200)
 #: no request is dropped, however many wait: whoever calls stop gets an answer
 _EVERY_CALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+#: a user may change history, depth and reliability: qos_overrides./worm/power.publisher.reliability
+_OPEN = QoSOverridingOptions.with_default_policies()
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -72,20 +81,29 @@ class DriverNode(LifecycleNode):
 
     def __init__(self) -> None:
         super().__init__("driver")
-        driver_parameters.declare(self)
+        declare(self, driver_parameters.rows)
         self._reach = network.reach(os.environ, get_rmw_implementation_identifier())
         self._hardware: Hardware | None = None
         self._latest: Snapshot | None = None
         self._shown: tuple[object, ...] | None = None
+        self._faulty = False
         self._failure: Exception | None = None
         self._clocks: ClockPair | None = None
         self._robot_clock: Clock | None = None  # stays after a clean-up, so that stamps go on
         self._born = time.monotonic()
         self._tracked = -math.inf
-        self._joint_states = self.create_publisher(JointState, "joint_states", _TELEMETRY)
-        self._commanded = self.create_publisher(BodyLength, "body_length/commanded", _TELEMETRY)
-        self._cable = self.create_publisher(BodyLength, "body_length/cable", _TELEMETRY)
-        self._power = self.create_publisher(Power, "power", _TELEMETRY)
+        self._joint_states = self.create_publisher(
+            JointState, "joint_states", _TELEMETRY, qos_overriding_options=_OPEN
+        )
+        self._commanded = self.create_publisher(
+            BodyLength, "body_length/commanded", _TELEMETRY, qos_overriding_options=_OPEN
+        )
+        self._cable = self.create_publisher(
+            BodyLength, "body_length/cable", _TELEMETRY, qos_overriding_options=_OPEN
+        )
+        self._power = self.create_publisher(
+            Power, "power", _TELEMETRY, qos_overriding_options=_OPEN
+        )
         self._gait_state = self.create_publisher(GaitState, "gait_state", _LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._action = RunGaitAction(self, lambda: self._hardware)
@@ -99,7 +117,28 @@ class DriverNode(LifecycleNode):
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
         self._show_inactive("not configured")
+
+    # --- parameters ----------------------------------------------------------------------------
+
+    def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        """What cannot take effect is refused while the robot is open."""
+        fixed = driver_parameters.fixed(parameters)
+        if self._hardware is None or not fixed:
+            return SetParametersResult(successful=True)
+        reason = f"{', '.join(fixed)}: takes effect at configure; deactivate and clean up the driver first"
+        return SetParametersResult(successful=False, reason=reason)
+
+    def _take_parameters(self, _: Sequence[Parameter]) -> None:
+        """What takes effect at once does."""
+        if self._hardware is None:
+            return
+        said = self._hardware.take(driver_parameters.settings(self))
+        if said:
+            self.get_logger().warning(said)
+        self.get_logger().info(self._hardware.rest_line())
 
     # --- lifecycle -----------------------------------------------------------------------------
 
@@ -182,6 +221,17 @@ class DriverNode(LifecycleNode):
         for publisher in (self._joint_states, self._cable, self._power, self._gait_state):
             publisher.wait_for_all_acked(_DELIVERY)
 
+    def answer_goals(self, executor: SingleThreadedExecutor) -> None:
+        """Serves until those who wait for the result of a goal have it, for they would wait for ever."""
+        if not self._action.busy:
+            return
+        end = time.monotonic() + _ANSWERS
+        while self._action.busy and time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.05)
+        linger = time.monotonic() + _LINGER
+        while time.monotonic() < linger:
+            executor.spin_once(timeout_sec=0.05)
+
     def let_go(self) -> None:
         """Cuts a release short: the torque goes at once. Safe in a signal handler."""
         if self._hardware is not None:
@@ -200,6 +250,14 @@ class DriverNode(LifecycleNode):
         if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
             raise self._failure or DriverError("it cannot be configured")
         self.trigger_activate()
+
+    def tell_what_it_waits_for(self) -> None:
+        """A driver that nobody has configured says so."""
+        if self._hardware is None:
+            name = f"{self.get_namespace().rstrip('/')}/{self.get_name()}"
+            self.get_logger().info(
+                f"waiting for configure: ros2 lifecycle set {name} configure, then activate (autostart: both at once)"
+            )
 
     def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
         self._failure = error
@@ -349,8 +407,19 @@ class DriverNode(LifecycleNode):
             run and (run.number, run.onset, run.cycle(snapshot.command_time)),
         )
         if shown != self._shown:
+            self._tell_fault(player)
             self._shown = shown
             self._gait_state.publish(driver_messages.gait_state(snapshot, clocks))
+
+    def _tell_fault(self, player: PlayerState) -> None:
+        """A fault is an error in the log, once, with its cause and what to do."""
+        is_fault = player.phase is Phase.FAULT
+        if is_fault and not self._faulty:
+            self.get_logger().error(
+                f"FAULT: {player.message}. The cable holds where it is. Mend the cause, then deactivate and "
+                "activate; after a hardware error deactivate, reboot, home, activate"
+            )
+        self._faulty = is_fault
 
     def _show_inactive(self, reason: str) -> None:
         self._shown = None
@@ -389,7 +458,9 @@ class DriverNode(LifecycleNode):
             reports = hardware.report(latest)
             self._check_loop(hardware)
         reports.append(network_report(str(self._reach), is_local=self._reach.is_local))
-        self._diagnostics.publish(driver_messages.diagnostics(reports, stamp))
+        self._diagnostics.publish(
+            driver_messages.diagnostics(reports, stamp, self.get_namespace().strip("/"))
+        )
 
     def _check_loop(self, hardware: Hardware) -> None:
         if not hardware.loop.alive:
@@ -400,38 +471,32 @@ class DriverNode(LifecycleNode):
 def main(args: list[str] | None = None) -> int:
     """Runs the driver until SIGINT, SIGTERM or SIGHUP; the servos are released on every way out.
 
-    A first signal brings the robot to rest, a second one lets go at once.
+    A first signal brings the robot to rest, a later Ctrl-C lets go at once.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL)
+    about = "Plays gaits on the robot and publishes what it measures, as a lifecycle node."
     try:
-        with ros_process(args) as ended:
-            _run(ended)
-    except (ConfigurationError, ParameterException) as error:
-        return _say(error, 2)
+        return run_node("driver", about, driver_parameters.rows, _run, (ConfigurationError,), args)
     except DriverError as error:
-        return _say(error, 1)
-    return 0
+        print(f"driver: {error}", file=sys.stderr)  # noqa: T201 (the command's own words)
+        return 1
 
 
 def _run(ended: Ending) -> None:
     node = DriverNode()
     ended.again = node.let_go
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
     try:
-        # An EventsExecutor idles at a tenth of the cost, but spins while a coroutine such as run_gait's waits.
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
         spare_pauses()
         node.autostart()
+        node.tell_what_it_waits_for()
         while not ended():
             executor.spin_once(timeout_sec=0.05)
     finally:
         node.close("the driver ends")
+        node.answer_goals(executor)
         node.destroy_node()
-
-
-def _say(error: Exception, status: int) -> int:
-    print(f"driver: {error}", file=sys.stderr)  # noqa: T201 (the command's own words)
-    return status
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
@@ -29,7 +28,7 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.play_clock import Timeline
 from worm_model.commands.command_line import InputError, Parser, number, run_command
 from worm_model.nodes.keyboard import keys_of_terminal, pressed
-from worm_msgs.ros_process import ros_process
+from worm_msgs.ros_process import own_arguments, ros_process
 
 LONGEST_WAIT_S = 0.005  # between two looks at services and keys
 MATCHING_S = 3.0  # that a subscriber which cannot be connected is waited for
@@ -361,4 +360,4 @@ def _notify(line: str) -> None:
 def main() -> int:
     """Entry point of the executable play."""
     with ros_process() as ended:
-        return run_command(_parser(), partial(_play, ended), remove_ros_args(sys.argv)[1:])
+        return run_command(_parser(), partial(_play, ended), own_arguments(sys.argv)[1:])

@@ -11,14 +11,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from rclpy.utilities import remove_ros_args
-
 from worm_model.bags.recorder import COMPRESSIONS, BagRecorder, Options, RecorderError
 from worm_model.bags.recording_thread import RecordingThread, Sample, Tally
 from worm_model.bags.run_manifest import ManifestError, run_manifest
 from worm_model.bags.topic_selection import SelectionError, TopicSelection
 from worm_model.nodes.raw_subscriptions import RecordNode
-from worm_msgs.ros_process import ros_process
+from worm_msgs.ros_process import own_arguments, ros_process
 
 POLL_S = 0.01
 DISCOVERY_S = 0.1
@@ -195,7 +193,7 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Callable[
 def main() -> None:
     """Entry point of ``ros2 run worm_model record``."""
     try:
-        command = remove_ros_args(sys.argv)
+        command = own_arguments(sys.argv)
         arguments = _parser().parse_args(command[1:])
         with ros_process() as ended:
             raise SystemExit(_run(arguments, command, ended))

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -19,7 +18,8 @@ from rclpy.task import Future
 from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
 from worm_msgs.action import OptimizeGaits, ScanMargin
-from worm_msgs.ros_process import ros_process, spin
+from worm_msgs.node_command import declare, run_node
+from worm_msgs.ros_process import Ending, spin
 from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes import (
     optimizer_messages,
@@ -58,7 +58,7 @@ class OptimizerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("optimizer")
-        optimizer_parameters.declare(self)
+        declare(self, optimizer_parameters.rows)
         self._settings = optimizer_parameters.node_settings(self)
         self._cache = Cache.at(optimizer_parameters.cache_directory(self))
         self._queue = WorkQueue()
@@ -93,6 +93,10 @@ class OptimizerNode(Node):
         self._absences = dict.fromkeys(_NAMES, _computing(0.0, "starting"))
         self._load_fronts()
         missing = set(_NAMES) - set(self._fronts)
+        if missing:
+            self.get_logger().info(
+                "computing a front for these parameters, which takes about a minute; it is kept for the next start"
+            )
         if is_symmetric(content.parameters):
             missing &= {FORWARD}  # the reverse front comes with it
         for direction in sorted(missing, reverse=True):
@@ -128,8 +132,8 @@ class OptimizerNode(Node):
         """Answers requests from a front from now on."""
         self._fronts[front.direction] = front
         self.get_logger().info(
-            f"{_NAMES[front.direction]}: {len(front.predictions)} gaits at a margin of "
-            f"{1e3 * front.margin:.2f} mm ({front.reason}), hypervolume "
+            f"optimizer ready, {_NAMES[front.direction]}: front of margin "
+            f"{1e3 * front.margin:.1f} mm, {len(front.predictions)} gaits ({front.reason}), hypervolume "
             f"{100.0 * front.hypervolume_share:.2f} % of the true front's, of {front.source}"
         )
 
@@ -252,7 +256,9 @@ class OptimizerNode(Node):
         self._diagnostics.publish(array)
 
     def _status_of(self, direction: int) -> DiagnosticStatus:
-        status = DiagnosticStatus(name=f"optimizer: {_NAMES[direction]} front")
+        robot = self.get_namespace().strip("/")
+        name = f"{robot}/optimizer: {_NAMES[direction]} front".lstrip("/")
+        status = DiagnosticStatus(name=name, hardware_id=robot)
         front = self._fronts.get(direction)
         if front is None:
             absence = self._absences[direction]
@@ -263,24 +269,28 @@ class OptimizerNode(Node):
         status.level = DiagnosticStatus.OK
         status.message = f"{len(front.predictions)} gaits"
         status.values = [
-            KeyValue(key="margin [m]", value=f"{front.margin:.6f}"),
-            KeyValue(key="hypervolume share [1]", value=f"{front.hypervolume_share:.5f}"),
-            KeyValue(key="front of", value=front.source),
+            KeyValue(key="margin_m", value=f"{front.margin:.6f}"),
+            KeyValue(key="hypervolume_share", value=f"{front.hypervolume_share:.5f}"),
+            KeyValue(key="source", value=front.source),
         ]
         return status
 
 
 def main() -> int:
     """Runs the node until it is told to stop; 2 if its parameters cannot work."""
-    with ros_process() as ended:
-        try:
-            node = OptimizerNode()
-        except (OptimizerError, ParameterError, OSError) as error:
-            print(f"optimizer_node: {error}", file=sys.stderr)  # noqa: T201 - before there is a node to log
-            return 2
-        try:
-            spin(node, ended)
-        finally:
-            node.close()
-            node.destroy_node()
-    return 0
+    return run_node(
+        "optimizer_node",
+        "Answers requests for gaits from robust fronts, and computes new fronts.",
+        optimizer_parameters.rows,
+        _run,
+        (OptimizerError, ParameterError),
+    )
+
+
+def _run(ended: Ending) -> None:
+    node = OptimizerNode()
+    try:
+        spin(node, ended)
+    finally:
+        node.close()
+        node.destroy_node()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The system file: settings, modes and the command lines that come out of it."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -71,6 +72,31 @@ def test_command_arguments_keep_the_types_of_parameters():
     assert yaml.safe_load(given["ids"]) == [1, 2]
 
 
+def test_a_parameter_without_a_value_is_left_to_the_nodes_file(tmp_path):
+    driver = load_system_file(written(tmp_path, MINIMAL)).system("robot", port="").node("driver")
+    assert driver.parameters == {"rate": 100.0}
+
+
+def test_what_the_drivers_file_says_holds_unless_an_argument_was_given():
+    content = load_system_file(SHIPPED)
+    assert not {"port", "i2c_bus"} & set(content.system("robot").node("driver").parameters)
+    given = content.system("robot", port="/dev/b", i2c_bus="none").node("driver").parameters
+    assert (given["port"], given["i2c_bus"]) == ("/dev/b", "none")
+
+
+def test_a_namespace_of_its_own_reaches_the_recorder_and_the_folder_of_the_robot():
+    system = load_system_file(SHIPPED).system("virtual", "fleet/robot7", bag="b")
+    assert system.namespace == "fleet/robot7"
+    arguments = system.node("recorder").arguments
+    pattern = re.compile(arguments[arguments.index("--regex") + 1])
+    assert pattern.match("/fleet/robot7/power")
+    assert pattern.match("/diagnostics")
+    assert not pattern.match("/worm/power")
+    assert not pattern.match("/fleet/robot71/power")
+    port = system.node("driver").parameters["port"]
+    assert port == "/tmp/fleet/robot7/servo_bus"
+
+
 def test_an_argument_without_a_value_is_left_out(tmp_path):
     twin = {"package": "p", "executable": "t", "arguments": [["--port", "{port}"], ["--seed", 3]]}
     content = load_system_file(written(tmp_path, {**MINIMAL, "nodes": {"twin": twin}}))
@@ -120,7 +146,7 @@ def test_on_a_robot_gaits_keep_the_limits_of_its_driver():
     told = robot.node("optimizer").parameters
     assert told["limits.driver_file"] == "/etc/driver.yaml"
     assert told["limits.servo_model"] == "XM430-W350"
-    assert set(system.system("virtual").node("optimizer").parameters) == {"parameter_file"}
+    assert not system.system("virtual").node("optimizer").parameters  # the paper's values hold
 
 
 def test_only_the_virtual_robot_is_driven_in_virtual_mode():

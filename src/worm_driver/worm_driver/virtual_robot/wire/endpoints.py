@@ -197,6 +197,7 @@ class Endpoints:
         self._sent = 0
         self._orders: deque[Callable[[float], None]] = deque()
         self._stopped = False
+        self._last_heard = -math.inf  # machine's clock, s
         self._wake_reader, self._wake_writer = socket.socketpair()
 
     def now(self) -> float:
@@ -248,6 +249,10 @@ class Endpoints:
         """Ends run(); from any thread."""
         self._stopped = True
         self._wake_writer.send(b"x")
+
+    def quiet_for(self, duration: float) -> bool:
+        """Whether nothing has come over the servo bus for so long (s of the machine); from any thread."""
+        return self._clock() - self._last_heard > duration
 
     def inject(self, fault: Fault) -> None:
         """Asks for a fault whose start counts from now; from any thread."""
@@ -339,6 +344,7 @@ class Endpoints:
             return
         rate, data = self._serial.baud_rate(), self._serial.read()
         self._bytes_received += len(data)
+        self._last_heard = self._clock()
         for answer in self._robot.receive(data, self.now(), rate):
             self._send(answer.data, answer.time, self._serial)
 
