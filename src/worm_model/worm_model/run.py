@@ -69,7 +69,10 @@ class PowerSamples:
 
 @dataclass(frozen=True)
 class GaitStates:
-    """What the driver did: `state` as GaitState has it, the gait, and its `onset` (ns since the epoch, 0: unknown)."""
+    """What the driver did: `state` as GaitState has it, the gait, and its `onset` (ns since the epoch, 0: unknown).
+
+    `run` is the number of the run since the driver started, 0: unknown, as before runs had numbers.
+    """
 
     stamp: Stamps = field(default_factory=_stamps)
     state: Codes = field(default_factory=_stamps)
@@ -80,6 +83,11 @@ class GaitStates:
     onset: Stamps = field(default_factory=_stamps)
     cycle: Codes = field(default_factory=_stamps)
     cycles: Codes = field(default_factory=_stamps)
+    run: Codes = field(default_factory=_stamps)
+
+    def __post_init__(self) -> None:
+        if not len(self.run):  # recorded before runs had numbers
+            object.__setattr__(self, "run", np.zeros(len(self.stamp), np.int64))
 
     @property
     def played(self) -> NDArray[np.bool_]:

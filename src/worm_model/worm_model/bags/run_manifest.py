@@ -11,7 +11,9 @@ from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from worm_model.bags.recorder import Attachment, Manifest
+from worm_model.bags.bag import AttachedFile
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.recorder import Manifest
 
 RUN_RECORD = "worm_run"
 GAIT_RECORD = "worm_gait"
@@ -28,7 +30,7 @@ VERSIONED = (
 )
 
 
-class ManifestError(ValueError):
+class ManifestError(BagError):
     """A note or a parameter file cannot be used."""
 
 
@@ -51,7 +53,7 @@ def run_manifest(
     Raises:
         ManifestError: a note is not ``key=value``, or the parameter file cannot be read.
     """
-    attachments: tuple[Attachment, ...] = ()
+    attachments: tuple[AttachedFile, ...] = ()
     record = {
         "recorded_at": datetime.fromtimestamp(now_ns / 1e9, tz=timezone.utc).isoformat(
             timespec="seconds"
@@ -66,7 +68,7 @@ def run_manifest(
     }
     if parameter_file is not None:
         data = _read(parameter_file)
-        attachments = (Attachment(PARAMETER_ATTACHMENT, "application/yaml", data),)
+        attachments = (AttachedFile(PARAMETER_ATTACHMENT, "application/yaml", data),)
         record["parameter_file"] = str(parameter_file)
         record["parameter_sha256"] = hashlib.sha256(data).hexdigest()
     return Manifest({RUN_RECORD: record}, attachments)
