@@ -214,7 +214,7 @@ class _Layout:
             length = self._word()
             self._texts[path] = self._advance(length, 1), max(length - 1, 0)
         elif base in _CODES:
-            kind = np.dtype(_CODES[base]).newbyteorder(self._order)
+            kind = np.dtype(f"{self._order}{_CODES[base]}")
             elements = 1 if count is None else count
             offset = self._advance(kind.itemsize * elements, kind.itemsize if elements else 1)
             self._numbers[path] = kind, offset, count

@@ -12,8 +12,10 @@ from dataclasses import replace
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from worm_model.bags.bag import AttachedFile, MetadataRecord
 from worm_model.bags.bag_errors import BagError
@@ -64,9 +66,7 @@ class McapFile:
             self._map = mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ)
         except ValueError:
             self._stream.close()
-            raise BagError(
-                f"{path} is empty: nothing was recorded, or its disk was full"
-            ) from None
+            raise BagError(f"{path} is empty: nothing was recorded, or its disk was full") from None
         except OSError as error:
             raise BagError(f"{path} cannot be read: {error.strerror}") from None
         self.data = memoryview(self._map)
@@ -108,7 +108,8 @@ class McapFile:
 
         Small extents that follow each other are one block: a recorder that synchronises often leaves many.
         """
-        start, parts, size = 0, [], 0
+        start, size = 0, 0
+        parts: list[tuple[Extent, bytes | memoryview]] = []
         with explained(self.path):
             for extent in extents:
                 records = extent_records(self.data, extent)
@@ -150,8 +151,8 @@ class McapFile:
     def _check(
         self,
         parts: Sequence[tuple[Extent, bytes | memoryview]],
-        numbers: np.ndarray,  # type: ignore[type-arg]
-        heads: np.ndarray,  # type: ignore[type-arg]
+        numbers: NDArray[Any],
+        heads: NDArray[Any],
     ) -> None:
         """Compare messages with the indexes of their chunks, and with the span of these."""
         if all(extent.counts is not None for extent, _ in parts):

@@ -186,9 +186,7 @@ def typestore(type_name: str, definition: str, definition_format: str) -> Typest
         raise
     except (*_UNREADABLE, SyntaxError) as error:  # SyntaxError: of the code that rosbags makes
         reason = " ".join(str(error).split())
-        raise DefinitionError(
-            f"the definition of {type_name} cannot be read: {reason}"
-        ) from None
+        raise DefinitionError(f"the definition of {type_name} cannot be read: {reason}") from None
     return store
 
 

@@ -31,8 +31,8 @@ _log = logging.getLogger("worm_model.bags")
 def open_bag(path: Path, notify: Notify = _log.warning) -> Bag:
     """Open a bag for reading.
 
-    A bag that was not closed (killed recorder, full disk, power cut) or is spoilt is recovered into a new one beside it,
-    which is opened instead; the old one is left as it is.
+    A bag that was not closed (killed recorder, full disk, power cut) or is spoilt is recovered into a new one beside
+    it, which is opened instead; the old one is left as it is.
 
     Args:
         path: a rosbag2 directory, or one file of it (``.mcap``, ``.db3``).

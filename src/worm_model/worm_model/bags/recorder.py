@@ -64,9 +64,7 @@ class BagRecorder:
                 f"{directory} exists already and is not overwritten; choose another name"
             ) from None
         self.directory = directory
-        self._files = BagFiles(
-            directory, directory.name, options, {STATE: UNFINISHED}, ros_distro
-        )
+        self._files = BagFiles(directory, directory.name, options, {STATE: UNFINISHED}, ros_distro)
         for name, values in manifest.metadata.items():
             self._files.add_metadata(name, values)
         for attached in manifest.attachments:

@@ -144,7 +144,9 @@ def _losses(file: McapFile) -> Iterable[LostMessages]:
         if loss.counts is not None:
             counts = Counter()
             for number, count in loss.counts.items():
-                counts[channels[number].name if number in channels else f"channel {number}"] += count
+                counts[channels[number].name if number in channels else f"channel {number}"] += (
+                    count
+                )
         after = [e.start for e in file.contents.extents if e.start > loss.start]
         end = loss.end or min(after, default=0)
         plain = None if counts is None else dict(counts)

@@ -76,7 +76,9 @@ class RosbagsStorage:
 
     def blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
         """Messages of some topics by rising log time; the sending time is not known and taken for the same."""
-        wanted = {c: replace(_topic(c), count=0) for c in self._reader.connections if c.topic in topics}
+        wanted = {
+            c: replace(_topic(c), count=0) for c in self._reader.connections if c.topic in topics
+        }
         count = 0
         with _explained(self._path):
             found = self._reader.messages(list(wanted))

@@ -7,6 +7,8 @@ import argparse
 import sys
 from pathlib import Path
 
+import numpy as np
+
 from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.lab_logs import LabError, LabRun, LabSettings, read_lab_run
 from worm_model.bags.run_writer import write_run
@@ -116,10 +118,11 @@ def _run(options: argparse.Namespace) -> None:
         lab = import_lab(options.folder, output, settings, options.namespace)
     except LabError as error:
         raise InputError(str(error)) from None
+    positions = [lab.run.tracker.rear_position, lab.run.tracker.front_position]
     counts = {
         "commanded": len(lab.run.commanded.stamp),
         "tracker": len(lab.run.tracker.stamp),
-        "occluded": int((lab.run.tracker.rear_position != lab.run.tracker.rear_position).sum()),
+        "occluded": int(np.isnan(positions).any(axis=0).sum()),
         "power": len(lab.run.power.stamp),
     }
     if options.json:

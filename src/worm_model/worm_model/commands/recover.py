@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 from worm_model.bags.recovery import recover
@@ -33,6 +34,8 @@ def _recover(options: argparse.Namespace) -> None:
                 "lost_bytes": report.lost_bytes,
                 "damaged_chunks": report.damaged_chunks,
                 "unreadable": report.unreadable,
+                "lost": [asdict(lost) for lost in report.lost],
+                "complaints": report.complaints,
             }
         )
     else:
