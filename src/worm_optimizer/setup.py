@@ -24,7 +24,7 @@ setup(
     maintainer="The worm robot maintainers",
     maintainer_email="maintainers@worm.invalid",
     packages=find_packages(),
-    package_data={NAME: ["config/*"]},
+    package_data={NAME: ["config/*", "report/*.jinja"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

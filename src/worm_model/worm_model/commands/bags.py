@@ -4,12 +4,17 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from worm_model.bags.cleaning import clean_bag
 from worm_model.bags.opening import open_bag
-from worm_model.commands.command_line import Parser, new_file, print_json, run_command
+from worm_model.commands.command_line import (
+    Parser,
+    new_file,
+    notifier,
+    print_result,
+    run_command,
+)
 
 
 def _parser() -> Parser:
@@ -24,26 +29,19 @@ def _parser() -> Parser:
     )
     clean.add_argument("bag", type=Path, metavar="BAG")
     clean.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
-    clean.add_argument("--json", action="store_true", help="print one JSON object")
+    clean.add_json()
     clean.set_defaults(act=_clean)
     return parser
 
 
 def _clean(options: argparse.Namespace) -> None:
     output = new_file(options.output)
-    with open_bag(options.bag, _notify) as bag:
+    with open_bag(options.bag, notifier("bags clean")) as bag:
         count = bag.message_count
         cleaner = clean_bag(bag, output)
-    if options.json:
-        print_json({"bag": str(output), "messages": count, "changed": cleaner.changed})
-    else:
-        sys.stdout.write(
-            f"{output}: {count} messages, in {cleaner.changed} of them texts changed\n"
-        )
-
-
-def _notify(line: str) -> None:
-    sys.stderr.write(f"bags: {line}\n")
+    content = {"bag": str(output), "messages": count, "changed": cleaner.changed}
+    text = f"{output}: {count} messages, in {cleaner.changed} of them texts changed"
+    print_result(options, content, text)
 
 
 def main() -> int:

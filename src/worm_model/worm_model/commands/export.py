@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-import sys
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -23,11 +22,13 @@ from worm_model.commands.command_line import (
     InputError,
     Parser,
     new_file,
-    print_json,
+    notifier,
+    print_result,
     run_command,
 )
 
 FORMATS = ("csv", "parquet")
+_NOTIFY = notifier("export")
 
 
 class TableWriter(Protocol):
@@ -51,7 +52,7 @@ class CsvWriter:
         self._writer = csv.writer(self._stream, lineterminator="\n")
         self._writer.writerow(self._columns)
         for name in table.lists:
-            _notify(
+            _NOTIFY(
                 f"{table.topic.name}: {name} is left out, its arrays have more than {MOST_ELEMENTS} elements; "
                 "--format parquet keeps it"
             )
@@ -163,27 +164,20 @@ def _parser() -> Parser:
     parser.add_argument(
         "--topic", action="append", default=[], help="only this one; may be repeated"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_json()
     return parser
 
 
 def _export(options: argparse.Namespace) -> int:
     output = new_file(options.output)
-    with open_bag(options.bag, _notify) as bag:
+    with open_bag(options.bag, _NOTIFY) as bag:
         exported = export(bag, output, options.format, options.topic)
     for name, reason in exported.left_out.items():
-        _notify(f"{name} is left out: {reason}")
-    if options.json:
-        outcome = {"output": str(output), "rows": exported.rows, "left_out": exported.left_out}
-        print_json(outcome)
-    else:
-        rows = exported.rows.items()
-        sys.stdout.writelines(f"{output / name}: {count} rows\n" for name, count in rows)
+        _NOTIFY(f"{name} is left out: {reason}")
+    text = "\n".join(f"{output / name}: {count} rows" for name, count in exported.rows.items())
+    content = {"output": str(output), "rows": exported.rows, "left_out": exported.left_out}
+    print_result(options, content, text)
     return FAILED if exported.left_out else DONE
-
-
-def _notify(line: str) -> None:
-    sys.stderr.write(f"export: {line}\n")
 
 
 def main() -> int:
