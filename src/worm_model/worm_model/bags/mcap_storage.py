@@ -113,12 +113,12 @@ class McapFile:
         with explained(self.path):
             for extent in extents:
                 records = extent_records(self.data, extent)
+                if parts and size + len(records) > TOGETHER_BYTES:
+                    yield start, self._messages(parts, topics)
+                    parts, size = [], 0
                 start = start if parts else extent.start
                 parts.append((extent, records))
                 size += len(records)
-                if size > TOGETHER_BYTES:
-                    yield start, self._messages(parts, topics)
-                    parts, size = [], 0
             if parts:
                 yield start, self._messages(parts, topics)
 

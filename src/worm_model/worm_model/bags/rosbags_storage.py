@@ -76,16 +76,15 @@ class RosbagsStorage:
 
     def blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
         """Messages of some topics by rising log time; the sending time is not known and taken for the same."""
-        wanted = {
-            c: replace(_topic(c), count=0) for c in self._reader.connections if c.topic in topics
-        }
+        wanted = [c for c in self._reader.connections if c.topic in topics]
+        channels = {c.id: replace(_topic(c), count=0) for c in wanted}
         count = 0
         with _explained(self._path):
-            found = self._reader.messages(list(wanted))
+            found = self._reader.messages(wanted)
         while True:
             with _explained(self._path):
                 batch = [
-                    Message(c.topic, time, bytes(data), time, wanted[c])
+                    Message(c.topic, time, bytes(data), time, channels[c.id])
                     for c, time, data in islice(found, BATCH)
                 ]
             if not batch:

@@ -4,7 +4,9 @@
 import csv
 import json
 import math
+import struct
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +14,9 @@ import pytest
 from recorded_run import simulated_run, write_bag
 
 from worm_model.bags.bag_writer import BagWriter
-from worm_model.bags.blocks import block_of_topics
 from worm_model.bags.cdr import encode
-from worm_model.bags.definitions import installed_types, topic_of
+from worm_model.bags.message_block import Topic
+from worm_model.bags.message_types import topic_of, typestore
 from worm_model.commands import export
 
 RUN = simulated_run(cycles=1)
@@ -61,34 +63,105 @@ def test_parquet_keeps_the_types(bag: Path, tmp_path: Path, monkeypatch):
     assert power.num_rows == len(RUN.power.stamp)
 
 
+def joints(store, sec: int, names: list[str]) -> bytes:
+    """A message whose arrays have as many elements as there are names."""
+    kind, empty = "sensor_msgs/msg/JointState", np.empty(0)
+    time = store.types["builtin_interfaces/msg/Time"](sec, 999_999_999)
+    header = store.types["std_msgs/msg/Header"](time, "")
+    values = np.arange(float(len(names)))
+    return bytes(store.serialize_cdr(store.types[kind](header, names, values, empty, empty), kind))
+
+
 def test_sequences_become_a_column_an_element(tmp_path: Path, monkeypatch):
-    """Also if they grow within the bag: what a message lacks is an empty cell."""
-    kind = "sensor_msgs/msg/JointState"
-    few = encode(
-        np.array([1, 2]),
-        kind,
-        installed_types(kind),
-        {"position": np.array([[1.0], [2.0]])},
-        {"name[0]": "a"},
-    )
-    more = encode(
-        np.array([3]),
-        kind,
-        installed_types(kind),
-        {"position": np.array([[3.0, 4.0]])},
-        {"name[0]": "a", "name[1]": "b"},
-    )
+    """Also if they grow within the bag: what a message lacks is an empty cell, and stamps do not overflow."""
+    topic = topic_of("/worm/joint_states", "sensor_msgs/msg/JointState")
+    store = typestore(topic.type_name, topic.definition, "ros2msg")
+    sec = 1_800_000_000
     with BagWriter(tmp_path / "bag") as writer:
-        writer.add_topic(topic_of("/worm/joint_states", kind))
-        for part in (few, more):
-            writer.write_block(block_of_topics({"/worm/joint_states": part}))
+        for i, names in enumerate((["a"], ["a", "b"], [], ["a"])):
+            writer.write(topic, joints(store, sec + i, names), i, i)
     assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv") == 0
     found = table(tmp_path / "csv" / "worm__joint_states.csv")
-    assert found["position[0]"] == ["1.0", "2.0", "3.0"]
-    assert found["position[1]"] == ["", "", "4.0"]
-    assert found["name[0]"] == ["a", "a", "a"]
-    assert found["name[1]"] == ["", "", "b"]
-    assert found["log_time_ns"] == ["1", "2", "3"]
+    assert found["position[0]"] == ["0.0", "0.0", "", "0.0"]
+    assert found["position[1]"] == ["", "1.0", "", ""]
+    assert found["name[0]"] == ["a", "a", "", "a"]
+    assert found["name[1]"] == ["", "b", "", ""]
+    assert found["log_time_ns"] == ["0", "1", "2", "3"]
+    assert found["header.stamp_ns"] == [f"{sec + i}999999999" for i in range(4)]
+
+
+def array_bag(path: Path, lengths: list[int]) -> Path:
+    """Stamped arrays of bytes, as the markers and images that a display gets."""
+    topic = Topic("/a", "a/msg/B", 0, ARRAYS, "ros2msg", "cdr")
+    store = typestore(topic.type_name, topic.definition, "ros2msg")
+    t = store.types
+    with BagWriter(path) as writer:
+        for i, length in enumerate(lengths):
+            time = t["builtin_interfaces/msg/Time"](1_800_000_000 + i, 5)
+            stamped = [t["a/msg/C"](time) for _ in range(length % 10)]
+            message = t["a/msg/B"](np.full(length, i, np.uint8), stamped)
+            writer.write(topic, bytes(store.serialize_cdr(message, "a/msg/B")), i, i)
+    return path
+
+
+ARRAYS = (
+    "uint8[] data\nC[] marks\n"
+    + f"{'=' * 80}\nMSG: a/C\nbuiltin_interfaces/Time stamp\n"
+    + f"{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+)
+
+
+def test_stamps_of_later_elements_that_some_messages_lack_are_right(tmp_path: Path, monkeypatch):
+    bag = array_bag(tmp_path / "bag", [3, 8, 1, 8, 5])
+    assert command(monkeypatch, bag, "--output", tmp_path / "csv") == 0
+    found = table(tmp_path / "csv" / "a.csv")
+    assert found["marks[6].stamp_ns"] == ["", "1800000001000000005", "", "1800000003000000005", ""]
+    assert found["marks[2].stamp_ns"][4] == "1800000004000000005"
+
+
+def test_nullable_times_stay_integers_in_parquet(tmp_path: Path, monkeypatch):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    bag = array_bag(tmp_path / "bag", [3, 8])
+    assert command(monkeypatch, bag, "--output", tmp_path / "x", "--format", "parquet") == 0
+    column = parquet.read_table(tmp_path / "x" / "a.parquet")["marks[6].stamp_ns"]
+    assert str(column.type) == "int64"
+    assert column.to_pylist() == [None, 1800000001000000005]
+
+
+def test_large_arrays_are_lists_in_parquet_and_left_out_by_name_in_csv(
+    tmp_path: Path, monkeypatch, capsys
+):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    bag = array_bag(tmp_path / "bag", [300_000, 2, 300_000])
+    assert command(monkeypatch, bag, "--output", tmp_path / "csv") == 0
+    assert "/a: data is left out" in capsys.readouterr().err
+    assert "data" not in "".join(table(tmp_path / "csv" / "a.csv"))
+    assert command(monkeypatch, bag, "--output", tmp_path / "x", "--format", "parquet") == 0
+    column = parquet.read_table(tmp_path / "x" / "a.parquet")["data"]
+    assert [len(item) for item in column.to_pylist()] == [300_000, 2, 300_000]
+    assert str(column.type.value_type) == "uint8"
+
+
+def test_topics_whose_names_would_be_the_same_file_are_two(tmp_path: Path, monkeypatch, capsys):
+    topics = [Topic(n, "a/msg/B", 0, "int8 x\n", "ros2msg", "cdr") for n in ("/a/b", "/a__b")]
+    with BagWriter(tmp_path / "bag") as writer:
+        for i, topic in enumerate(topics):
+            writer.write(topic, b"\0\1\0\0" + bytes([i]), i, i)
+    assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == {"a__b.csv": 1, "a__b_2.csv": 1}
+    assert table(tmp_path / "csv" / "a__b_2.csv")["x"] == ["1"]
+
+
+def test_two_layouts_of_a_topic_are_one_table(tmp_path: Path, monkeypatch):
+    """A field that was added later is empty in what came before."""
+    old = Topic("/a", "a/msg/B", 0, "int32 x\n", "ros2msg", "cdr")
+    new = replace(old, definition="int32 run\nint32 x\n")
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write(old, b"\0\1\0\0" + struct.pack("<i", 7), 0, 0)
+        writer.write(new, b"\0\1\0\0" + struct.pack("<ii", 1, 8), 1, 1)
+    assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv") == 0
+    found = table(tmp_path / "csv" / "a.csv")
+    assert (found["x"], found["run"]) == (["7", "8"], ["", "1"])
 
 
 def test_only_the_topics_asked_for(bag: Path, tmp_path: Path, monkeypatch):
@@ -97,23 +170,19 @@ def test_only_the_topics_asked_for(bag: Path, tmp_path: Path, monkeypatch):
     assert [p.name for p in target.iterdir()] == ["worm__power.csv"]
 
 
-def test_a_topic_that_cannot_be_decoded_is_left_out_and_named(tmp_path: Path, monkeypatch, capsys):
+def test_a_topic_that_cannot_be_decoded_is_left_out_and_told_by_the_status(
+    tmp_path: Path, monkeypatch, capsys
+):
+    power, bad = (topic_of(name, "worm_msgs/msg/Power") for name in ("/worm/power", "/worm/bad"))
+    (data,) = encode(power, 1, {"power": 1.0}, {})
     with BagWriter(tmp_path / "bag") as writer:
-        for name in ("/worm/power", "/worm/bad"):
-            writer.add_topic(topic_of(name, "worm_msgs/msg/Power"))
-        power = encode(
-            np.array([1]),
-            "worm_msgs/msg/Power",
-            installed_types("worm_msgs/msg/Power"),
-            {"power": 1.0},
-            {},
-        )
-        data = power.message(0)
-        writer.write("/worm/power", data, 1, 1)
-        writer.write("/worm/bad", data[:-9], 2, 2)
-    assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv") == 0
+        writer.write(power, data, 1, 1)
+        writer.write(bad, data[:-9], 2, 2)
+    assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv", "--json") == 1
     assert [p.name for p in (tmp_path / "csv").iterdir()] == ["worm__power.csv"]
-    assert "/worm/bad is left out" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert "/worm/bad is left out" in told.err
+    assert "shorter" in json.loads(told.out)["left_out"]["/worm/bad"]
 
 
 @pytest.mark.parametrize(
