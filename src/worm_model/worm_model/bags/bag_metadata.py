@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import indent
@@ -173,8 +173,11 @@ def _describe(topic: Topic) -> dict[str, Any]:
     }
 
 
-def write_metadata(directory: Path, text: str) -> None:
+def write_metadata(directory: Path, text: str, synchronise: Callable[[int], None]) -> None:
     """Write metadata.yaml from what is below its root key; a crash leaves the old or the new one, whole.
+
+    Args:
+        synchronise: brings an open file, given by its descriptor, to the disk.
 
     Raises:
         OSError: the disk is full or gone.
@@ -183,16 +186,16 @@ def write_metadata(directory: Path, text: str) -> None:
     with unfinished.open("w", encoding="utf-8") as stream:
         stream.write(f"{METADATA_ROOT}:\n{indent(text, '  ')}")
         stream.flush()
-        os.fsync(stream.fileno())
+        synchronise(stream.fileno())
     unfinished.replace(directory / METADATA_FILE)
-    sync_directory(directory)
+    sync_directory(directory, synchronise)
 
 
-def sync_directory(directory: Path) -> None:
+def sync_directory(directory: Path, synchronise: Callable[[int], None] = os.fsync) -> None:
     """Make the names in a directory survive a power cut."""
     handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(handle)
+        synchronise(handle)
     finally:
         os.close(handle)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import fcntl
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -67,6 +67,7 @@ class BagFiles:
         options: how to write.
         custom: rosbag2's `custom_data`: text by key.
         ros_distro: for metadata.yaml.
+        synchronise: brings an open file, given by its descriptor, to the disk.
 
     Raises:
         OSError: in all methods, as the disk raises it; what was synchronised stays.
@@ -79,8 +80,10 @@ class BagFiles:
         options: WriteOptions | None = None,
         custom: Mapping[str, str] | None = None,
         ros_distro: str = "jazzy",
+        synchronise: Callable[[int], None] = os.fsync,
     ) -> None:
         self.directory = directory
+        self._synchronise = synchronise
         self.custom = dict(custom or {})
         self.counts: Counter[Topic] = Counter()
         self._name = name
@@ -146,7 +149,7 @@ class BagFiles:
 
     def describe(self) -> None:
         """Write metadata.yaml as of now."""
-        write_metadata(self.directory, self._text(self._extents))
+        write_metadata(self.directory, self._text(self._extents), self._synchronise)
 
     def finish(self) -> None:
         """Write what is left, the index and the final metadata.yaml."""
@@ -169,7 +172,7 @@ class BagFiles:
     def _open(self) -> _OpenFile:
         name = f"{self._name}_{len(self._extents)}.mcap"
         extent = self._extents.setdefault(name, Extent())
-        file = _OpenFile(self.directory / name, self._options, extent)
+        file = _OpenFile(self.directory / name, self._options, extent, self._synchronise)
         file.mcap.start("ros2", LIBRARY)
         file.mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": self._text({})})
         for record, values in self._metadata.items():
@@ -183,8 +186,15 @@ class BagFiles:
 class _OpenFile:
     """One MCAP file of a bag; locked, so that a reader can tell one in the making from an abandoned one."""
 
-    def __init__(self, path: Path, options: WriteOptions, extent: Extent) -> None:
+    def __init__(
+        self,
+        path: Path,
+        options: WriteOptions,
+        extent: Extent,
+        synchronise: Callable[[int], None],
+    ) -> None:
         self.path = path
+        self._synchronise = synchronise
         self.stream: BinaryIO = path.open("xb")
         fcntl.flock(self.stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until the writer closes or dies
         self.mcap = Writer(
@@ -245,7 +255,7 @@ class _OpenFile:
     def sync(self) -> None:
         """Close the open chunk and bring it to the disk."""
         self.mcap.flush()
-        os.fsync(self.stream.fileno())
+        self._synchronise(self.stream.fileno())
 
     def finish(self, text: str) -> None:
         """Write the index and close."""
@@ -253,7 +263,7 @@ class _OpenFile:
         self.mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": text})
         self.mcap.finish()
         self.stream.flush()
-        os.fsync(self.stream.fileno())
+        self._synchronise(self.stream.fileno())
         self._size_at_end = self.stream.tell()
         self.stream.close()
 
@@ -277,7 +287,12 @@ class BagWriter:
         with ExitStack() as resources:
             try:
                 unfinished = resources.enter_context(new_folder(directory))
-                self._files = BagFiles(unfinished, directory.name, custom=custom)
+                self._files = BagFiles(
+                    unfinished,
+                    directory.name,
+                    custom=custom,
+                    synchronise=lambda _: None,  # the folder is, once it is whole
+                )
                 resources.callback(self._files.abandon)
             except OSError as error:
                 raise UnwritableError(f"{directory} cannot be written: {error.strerror}") from None

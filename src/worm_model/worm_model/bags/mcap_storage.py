@@ -198,7 +198,8 @@ class McapStorage:
         for file in files:
             for number, topic in file.channels.items():
                 counts[topic] += file.contents.counts[number]
-        self.channels = tuple(replace(topic, count=count) for topic, count in counts.items())
+        by_name = sorted(counts.items(), key=lambda item: item[0].name)
+        self.channels = tuple(replace(topic, count=count) for topic, count in by_name)
         extents = [extent for file in files for extent in file.contents.extents]
         start = min((extent.start for extent in extents), default=0)
         self.span = start, max((extent.end for extent in extents), default=0)
