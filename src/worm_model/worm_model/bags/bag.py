@@ -89,6 +89,12 @@ class Bag:
             known = self.topics.get(channel.name)
             count = channel.count + (known.count if known else 0)
             self.topics[channel.name] = replace(channel, count=count)
+        bare = [c.name for c in self.channels if c.count and not c.definition]
+        if bare:
+            notify(
+                f"{path}: {', '.join(bare)} carry no definition; the installed ones are taken, "
+                "if type hash and length of the messages allow it"
+            )
 
     def __enter__(self) -> Bag:
         return self

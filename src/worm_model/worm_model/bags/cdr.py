@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
 from rosbags.typesys.store import Typestore
 
 from worm_model.bags.bag_errors import BagError, DefinitionError
@@ -290,6 +291,22 @@ def _default(store: Typestore, description: Any) -> Any:
     if element[0] == Nodetype.BASE and element[1][0] in _CODES:
         return np.zeros(count, _CODES[element[1][0]])
     return [_default(store, element) for _ in range(count)]
+
+
+def check_length(topic: Topic, data: bytes) -> None:
+    """Compare a message with a definition that did not come with it.
+
+    Raises:
+        BagError: it is longer or shorter than that says.
+    """
+    store = typestore(topic.type_name, topic.definition, topic.definition_format)
+    try:
+        store.deserialize_cdr(data, topic.type_name)
+    except SerdeError:
+        raise BagError(
+            f"{topic.name} carries no definition, and a message of it is not as long as the installed "
+            f"{topic.type_name} says; source the workspace that it was recorded with"
+        ) from None
 
 
 class Converter:

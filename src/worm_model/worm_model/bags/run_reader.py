@@ -91,12 +91,6 @@ def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
     Raises:
         BagError: a topic cannot be decoded.
     """
-    for topic in topics:
-        if topic.count and not topic.definition:
-            bag.notify(
-                f"{topic.name} carries no definition; it is read by the installed {topic.type_name}, "
-                f"which its {'type hash' if topic.type_hash else 'length'} does not contradict"
-            )
     builders = {topic.name: ColumnBuilder() for topic in topics}
     for block in bag.blocks(builders):
         for name, messages in block.by_topic():

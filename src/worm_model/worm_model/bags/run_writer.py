@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_writer import BagWriter
-from worm_model.bags.cdr import encode
+from worm_model.bags.cdr import check_length, encode
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import topic_of, with_definition
 from worm_model.bags.worm_topics import TYPES, offered_qos
@@ -81,8 +81,15 @@ def write_beside(
         writer.copy_records(bag)
         for topic in kept:
             writer.add_topic(topic)
-        own = (m._replace(channel=defined[m.channel]) for m in bag.messages(topics))
+        own = (_defined(message, defined[message.channel]) for message in bag.messages(topics))
         writer.write_all(heapq.merge(own, *messages, key=attrgetter("log_time")))
+
+
+def _defined(message: Message, channel: Topic) -> Message:
+    """A message with a definition, which must fit if it was not its own."""
+    if not message.channel.definition:
+        check_length(channel, message.data)
+    return message._replace(channel=channel)
 
 
 def _series(run: Run) -> list[tuple[str, Stamps, Numbers]]:

@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_metadata import qos_profiles
-from worm_model.bags.cdr import Converter
+from worm_model.bags.cdr import Converter, check_length
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import topic_of, with_definition
 from worm_model.bags.opening import open_bag
@@ -208,6 +208,8 @@ class PlayNode(Node):
         self._pending = next(self._messages, None)
 
     def _publish(self, message: Message) -> None:
+        if not message.channel.definition:
+            check_length(with_definition(message.channel), message.data)
         data = self._converters[message.channel](message.data)
         self._publishers_by_topic[message.topic].publish(data)
         self.published += 1

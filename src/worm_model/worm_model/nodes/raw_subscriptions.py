@@ -10,6 +10,7 @@ would answer.
 from __future__ import annotations
 
 import importlib
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -41,6 +42,8 @@ OVERLAP_LOOKS = (
     50  # with both subscriptions: publishers learn of the second one later than it does of them
 )
 
+SETTLING_S = 3.0  # after which a publisher that appears was not there before the recorder
+
 _Identity = tuple[int, int]
 
 
@@ -51,9 +54,9 @@ class _RawSubscription:
     stays until the second is connected to all: nothing is lost in between, and what both receive is taken once.
     """
 
-    def __init__(self, node: Node, topic: Topic, message: type, depth: int, known: int) -> None:
+    def __init__(self, node: Node, topic: Topic, message: type, depth: int) -> None:
         self.topic = topic
-        self.loss = LossCounter(lambda: node.count_publishers(topic.name), known)
+        self.loss = LossCounter(lambda: node.count_publishers(topic.name))
         self._node = node
         self._message = message
         self._depth = depth
@@ -149,7 +152,7 @@ class RecordNode(Node):
         self._noted = False
         self._alarmed = False
         self._offered: list[Service] = []
-        self._looked = False
+        self._settled = time.monotonic() + SETTLING_S
 
     def _full_name(self, name: str) -> str:
         try:
@@ -212,7 +215,9 @@ class RecordNode(Node):
             new = name not in self._subscriptions_by_name and name not in self._refused
             if new and self._selection.takes(name) and self.count_publishers(name):
                 self._subscribe(name, types)
-        self._looked = True
+        if time.monotonic() < self._settled:
+            for name, subscription in self._subscriptions_by_name.items():
+                subscription.loss.expect(self.count_publishers(name))
 
     def _subscribe(self, name: str, types: Sequence[str]) -> None:
         try:
@@ -232,10 +237,7 @@ class RecordNode(Node):
             ("topic_type_hash", type_hash),
         )
         topic = Topic(name, types[0], 0, definition, "ros2msg", "cdr", metadata)
-        before = 0 if self._looked else len(publishers)
-        self._subscriptions_by_name[name] = _RawSubscription(
-            self, topic, message, self._depth, before
-        )
+        self._subscriptions_by_name[name] = _RawSubscription(self, topic, message, self._depth)
         self.get_logger().info(f"recording {name} ({types[0]})")
 
     def take(self) -> list[Message]:

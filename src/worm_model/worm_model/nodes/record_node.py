@@ -138,6 +138,7 @@ class _Recording:
         self._session = session
         self._cleaner = cleaner
         self._start = time.monotonic()
+        self._uncleaned = 0
 
     @property
     def elapsed(self) -> float:
@@ -170,13 +171,24 @@ class _Recording:
         for note in self._node.new_gaits(messages):
             self._session.note(note)
         if self._session.options.ring_s and self._node.new_alarm(messages):
-            self._node.get_logger().warning(f"the twin raises an alarm: {self._session.snapshot()}")
+            try:
+                outcome = self._session.snapshot()
+            except (BagError, OSError) as error:  # the next alarm may fare better
+                outcome = f"no snapshot: {error}"
+            self._node.get_logger().warning(f"the twin raises an alarm: {outcome}")
 
     def _cleaned(self, messages: Sequence[Message]) -> Sequence[Message]:
         if self._cleaner is None:
             return messages
         self._cleaner.know(message.topic for message in messages)
-        return [self._cleaner.message(message) for message in messages]
+        cleaned = []
+        for message in messages:
+            try:
+                cleaned.append(self._cleaner.message(message))
+            except BagError as error:
+                self._uncleaned += 1
+                self._node.get_logger().error(f"left out, as it cannot be cleaned: {error}")
+        return cleaned
 
     def totals(self) -> dict[str, int | float]:
         """The outcome so far: dropped are those lost on the way and those that the disk could not take."""
@@ -184,7 +196,7 @@ class _Recording:
         return {
             "messages": offered.messages - dropped.messages,
             "bytes": offered.bytes - dropped.bytes,
-            "dropped": self._node.lost + dropped.messages,
+            "dropped": self._node.lost + dropped.messages + self._uncleaned,
             "topics": self._node.topic_count,
             "duration": round(self.elapsed, 3),
         }

@@ -63,8 +63,10 @@ def test_what_a_publisher_sent_before_it_was_heard_is_told_if_it_came_later():
 
 def test_what_was_sent_before_the_recording_is_no_concern_of_it():
     publishers = 1
-    counter = LossCounter(lambda: publishers, known=1)
+    counter = LossCounter(lambda: publishers)
+    counter.expect(1)
     counter.observe(500)
+    counter.expect(1)
     publishers = 2
     counter.observe(3)
     assert (counter.missed, counter.lost) == (2, 0)

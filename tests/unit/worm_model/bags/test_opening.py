@@ -2,9 +2,11 @@
 """Bags of all kinds of writers are read, lazily, and what is wrong with one is said in one line."""
 
 import shutil
+import sqlite3
 import struct
 import tracemalloc
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +24,17 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.cdr import encode
 from worm_model.bags.message_block import Topic
+from worm_model.bags.message_types import topic_of
 from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.bags.run_writer import write_beside
 
 TYPE = "std_msgs/msg/UInt64"
 COUNT = 500
@@ -398,3 +404,45 @@ def test_a_copy_of_a_bag_under_another_name_is_read(tmp_path: Path):
     shutil.copytree(by_worm_model(tmp_path / "bag"), tmp_path / "copy")
     with open_bag(tmp_path / "copy") as bag:
         assert numbers(bag) == list(range(COUNT))
+
+
+def without_definitions(path: Path, data: bytes) -> Path:
+    """As ROS 2 Humble wrote sqlite3 bags: neither definitions nor type hashes."""
+    kind = "worm_msgs/msg/Power"
+    with RosbagsWriter(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        store = get_typestore(Stores.ROS2_JAZZY)
+        topic = topic_of("/worm/power", kind)
+        store.register(get_types_from_msg(topic.definition, kind))
+        connection = writer.add_connection("/worm/power", kind, typestore=store)
+        writer.write(connection, 1, data)
+    with closing(sqlite3.connect(next(path.glob("*.db3")))) as database, database:
+        database.execute("DELETE FROM message_definitions")
+        database.execute("UPDATE topics SET type_description_hash = ''")
+    return path
+
+
+def test_a_bag_without_definitions_is_read_by_the_installed_ones_which_is_told(tmp_path: Path):
+    (data,) = encode(topic_of("/worm/power", "worm_msgs/msg/Power"), 1, {"power": 2.5}, {})
+    bag = without_definitions(tmp_path / "bag", data)
+    told: list[str] = []
+    with open_bag(bag, told.append) as opened:
+        assert read_run(opened).power.power.tolist() == [2.5]
+        write_beside(opened, tmp_path / "copy", ["/worm/power"], [])
+    assert any("carry no definition" in line for line in told)
+    with open_bag(tmp_path / "copy") as copy:
+        assert "float64 bus_voltage" in copy.topics["/worm/power"].definition
+        assert next(copy.messages()).data == data
+
+
+@pytest.mark.parametrize("surplus", [-8, 8])
+def test_messages_of_another_length_than_the_installed_definition_are_refused(
+    tmp_path: Path, surplus: int
+):
+    (data,) = encode(topic_of("/worm/power", "worm_msgs/msg/Power"), 1, {"power": 2.5}, {})
+    other = data[:surplus] if surplus < 0 else data + bytes(surplus)
+    with open_bag(without_definitions(tmp_path / "bag", other), lambda _: None) as opened:
+        with pytest.raises(BagError, match="/worm/power"):
+            read_run(opened)
+        with pytest.raises(BagError, match="not as long as the installed"):
+            write_beside(opened, tmp_path / "copy", ["/worm/power"], [])
+    assert not (tmp_path / "copy").exists()
