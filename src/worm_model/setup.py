@@ -12,6 +12,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "export = worm_model.commands.export:main",
     "identify = worm_model.commands.identify:main",
     "import_lab = worm_model.commands.import_lab:main",
+    "bags = worm_model.commands.bags:main",
     "recover = worm_model.commands.recover:main",
     "record = worm_model.nodes.record_node:main",
     "play = worm_model.nodes.play_node:main",

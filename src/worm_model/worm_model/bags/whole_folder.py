@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from worm_model.bags.bag_errors import BagError, ExistsError
+from worm_model.bags.bag_metadata import sync_directory
 
 
 @contextmanager
@@ -27,23 +28,23 @@ def new_folder(target: Path) -> Iterator[Path]:
     """
     if target.exists():
         raise ExistsError(f"{target} exists already and is not overwritten; choose another name")
-    draft = target.with_name(f".{target.name}.draft")
-    handle = _own(draft, target)
+    unfinished = target.with_name(f".{target.name}.unfinished")
+    handle = _own(unfinished, target)
     try:
-        _clear(draft)
-        yield draft
-        _synchronise(draft)
-        _move(draft, target)
+        _clear(unfinished)
+        yield unfinished
+        _synchronise(unfinished)
+        _move(unfinished, target)
     finally:
-        shutil.rmtree(draft, ignore_errors=True)
+        shutil.rmtree(unfinished, ignore_errors=True)
         os.close(handle)
 
 
-def _own(draft: Path, target: Path) -> int:
-    """The locked draft; the lock goes with the process, so that a dead one's draft is free."""
+def _own(unfinished: Path, target: Path) -> int:
+    """The locked unfinished; the lock goes with the process, so that a dead one's unfinished is free."""
     while True:
-        draft.mkdir(parents=True, exist_ok=True)
-        handle = os.open(draft, os.O_RDONLY | os.O_DIRECTORY)
+        unfinished.mkdir(parents=True, exist_ok=True)
+        handle = os.open(unfinished, os.O_RDONLY | os.O_DIRECTORY)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -52,7 +53,7 @@ def _own(draft: Path, target: Path) -> int:
                 f"{target} is being written by another process; wait until that has ended"
             ) from None
         with suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(handle), draft.stat()):
+            if os.path.samestat(os.fstat(handle), unfinished.stat()):
                 return handle
         os.close(handle)  # between mkdir and lock, its owner finished and moved it away
 
@@ -70,22 +71,14 @@ def _synchronise(folder: Path) -> None:
     for entry in folder.iterdir():
         with entry.open("rb") as stream:
             os.fsync(stream.fileno())
-    _synchronise_names(folder)
+    sync_directory(folder)
 
 
-def _synchronise_names(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+def _move(unfinished: Path, target: Path) -> None:
     try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _move(draft: Path, target: Path) -> None:
-    try:
-        draft.rename(target)  # onto an empty folder, too; one with something in it stays
+        unfinished.rename(target)  # onto an empty folder, too; one with something in it stays
     except OSError as error:
         if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
             raise
         raise ExistsError(f"{target} was made by somebody else meanwhile") from None
-    _synchronise_names(target.parent)
+    sync_directory(target.parent)

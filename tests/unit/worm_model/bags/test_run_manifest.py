@@ -39,3 +39,13 @@ def test_a_note_has_a_key_and_a_value(note: str):
 def test_a_parameter_file_that_is_missing_is_named(tmp_path: Path):
     with pytest.raises(ManifestError, match=r"robot\.yaml"):
         run_manifest(tmp_path / "robot.yaml", None, [], ["record"], NOW)
+
+
+def test_a_note_that_is_not_text_is_refused():
+    with pytest.raises(ManifestError, match="UTF-8"):
+        run_manifest(None, None, ["pipe=\udcff"], ["record"], NOW)
+
+
+def test_an_argument_that_is_not_text_is_kept_with_escapes():
+    manifest = run_manifest(None, None, [], ["record", "\udcff"], NOW)
+    assert manifest.metadata["worm_run"]["command"] == "record \\udcff"

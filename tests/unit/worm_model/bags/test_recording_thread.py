@@ -5,21 +5,23 @@ import errno
 import threading
 from pathlib import Path
 
-from worm_model.bags.bag_metadata import RecordedTopic
+from worm_model.bags.bag_writer import WriteOptions
+from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.opening import open_bag
-from worm_model.bags.recorder import BagRecorder, Manifest, Options
-from worm_model.bags.recording_thread import Note, RecordingThread, Sample, Tally
+from worm_model.bags.recorder import BagRecorder, Manifest
+from worm_model.bags.recording_thread import Note, RecordingThread, Tally
 
-TOPIC = RecordedTopic("/counter", "std_msgs/msg/UInt64", "uint64 data\n")
+TOPIC = Topic("/counter", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
 DEADLINE_S = 30.0
 
 
-def sample(value: int) -> Sample:
-    return Sample(TOPIC, b"\x00\x01\x00\x00" + value.to_bytes(8, "little"), value + 1, value + 1)
+def sample(value: int) -> Message:
+    data = b"\x00\x01\x00\x00" + value.to_bytes(8, "little")
+    return Message(TOPIC.name, value + 1, data, value + 1, TOPIC)
 
 
 def recorder(directory: Path) -> BagRecorder:
-    return BagRecorder(directory, Manifest(), Options(), 1)
+    return BagRecorder(directory, Manifest(), WriteOptions())
 
 
 def test_everything_offered_is_written_in_order(tmp_path: Path):
@@ -40,7 +42,7 @@ class Held(BagRecorder):
     def __init__(self, directory: Path) -> None:
         self.allowed = threading.Event()
         self.synchronised = threading.Event()
-        super().__init__(directory, Manifest(), Options(), 1)
+        super().__init__(directory, Manifest(), WriteOptions())
 
     def write(self, *arguments) -> None:
         assert self.allowed.wait(DEADLINE_S)
@@ -48,7 +50,7 @@ class Held(BagRecorder):
 
     def sync(self) -> None:
         super().sync()
-        if self.summary.total.count:
+        if self._files.messages:
             self.synchronised.set()
 
 
@@ -77,14 +79,14 @@ class Broken(BagRecorder):
     """A disk that is full at the third message."""
 
     def write(self, *arguments) -> None:
-        if self.summary.total.count == 2:
+        if self._files.messages == 2:
             raise OSError(errno.ENOSPC, "No space left on device")
         super().write(*arguments)
 
 
 def test_a_full_disk_is_reported_and_later_messages_are_counted_as_dropped(tmp_path: Path):
     thread = RecordingThread(
-        Broken(tmp_path / "bag", Manifest(), Options(), 1), sync_s=10.0, backlog_bytes=10**6
+        Broken(tmp_path / "bag", Manifest(), WriteOptions()), sync_s=10.0, backlog_bytes=10**6
     )
     for i in range(10):
         thread.offer([sample(2 * i), sample(2 * i + 1)])
@@ -100,11 +102,11 @@ class FullLater(Broken):
 
     def sync(self) -> None:
         super().sync()
-        self.synchronised = self.summary.total.count
+        self.synchronised = self._files.messages
 
 
 def test_what_was_synchronised_before_a_disk_was_full_is_not_counted_as_dropped(tmp_path: Path):
-    broken = FullLater(tmp_path / "bag", Manifest(), Options(), 1)
+    broken = FullLater(tmp_path / "bag", Manifest(), WriteOptions())
     thread = RecordingThread(broken, sync_s=0.0, backlog_bytes=10**6)
     for i in range(10):
         thread.offer([sample(i)])

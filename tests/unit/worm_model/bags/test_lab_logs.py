@@ -134,7 +134,7 @@ def test_an_imported_bag_holds_what_the_logs_hold(
     folder: Path, tmp_path: Path, monkeypatch, capsys
 ):
     assert command(monkeypatch, folder, "--output", tmp_path / "bag", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["occluded"] == 1
+    assert json.loads(capsys.readouterr().out)["occluded"] == 2  # x1 hidden once, x2 once
     expected = read_lab_run(folder, SETTINGS).run
     with open_bag(tmp_path / "bag") as bag:
         assert namespace_of(bag) == "/worm"

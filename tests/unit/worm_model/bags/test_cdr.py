@@ -13,10 +13,10 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.cdr import decode, encode, parse_types
-from worm_model.bags.definitions import definition_files, installed_types, topic_of
-from worm_model.bags.payloads import payloads_of
-from worm_model.bags.run_writer import encode_stamped
+from worm_model.bags.cdr import ColumnBuilder, Columns, Converter, encode
+from worm_model.bags.message_block import Message, Topic, messages_of
+from worm_model.bags.message_types import definition_files, installed_types, topic_of
+from worm_model.bags.run_writer import stamped_messages
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 for type_name, path in definition_files().items():
@@ -34,6 +34,19 @@ BOUNDS = {
     "byte": (0, 127),  # rosbags takes it for signed
 }
 TEXTS = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9)
+
+
+def decode(payloads: list[bytes], *topics: Topic) -> Columns:
+    """Columns of messages, of each topic in turn if there are several."""
+    builder = ColumnBuilder()
+    channels = [topics[i % len(topics)] for i in range(len(payloads))]
+    rows = zip(payloads, channels, strict=True)
+    builder.add(messages_of([Message(c.name, 0, data, 0, c) for data, c in rows]))
+    return builder.columns()
+
+
+def bare(type_name: str, definition: str, kind: str = "ros2msg") -> Topic:
+    return Topic("/x", type_name, 0, definition, kind, "cdr")
 
 
 def base_values(base: str) -> st.SearchStrategy[Any]:
@@ -98,9 +111,7 @@ def test_decoding_gives_what_an_independent_encoder_was_given(type_name: str, da
         bytes(STORE.serialize_cdr(message, type_name, little_endian=endian))
         for message in given_messages
     ]
-    columns = decode(
-        payloads_of(payloads, [0] * len(payloads)), type_name, installed_types(type_name)
-    )
+    columns = decode(payloads, topic_of("/x", type_name))
     for row, message in enumerate(given_messages):
         for path, expected in flat(message).items():
             column = columns.texts[path] if isinstance(expected, str) else columns.numbers[path]
@@ -108,24 +119,25 @@ def test_decoding_gives_what_an_independent_encoder_was_given(type_name: str, da
 
 
 def test_encoding_is_byte_for_byte_that_of_an_independent_encoder():
+    """The fields are put where their paths say; what is not given is zero or empty."""
     type_name = "worm_msgs/msg/GaitState"
     strokes = np.array([0.05, math.nan, 0.07])
     texts = ["", "cable servo 2: overload", ""]
     found = encode(
-        np.arange(3),
-        type_name,
-        installed_types(type_name),
+        topic_of("/x", type_name),
+        3,
         {"header.stamp.sec": np.array([1, 2, 3]), "gait.stroke": strokes, "gait.direction": -1.0},
         {"header.frame_id": "pipe", "message": texts},
     )
     t = STORE.types
-    for row, payload in enumerate(found.messages()):
+    for row, payload in enumerate(found):
         time = t["builtin_interfaces/msg/Time"]
         message = t[type_name](
             header=t["std_msgs/msg/Header"](stamp=time(row + 1, 0), frame_id="pipe"),
             state=0,
             gait=t["worm_msgs/msg/Gait"](strokes[row], 0.0, -1, 0.0),
             onset=time(0, 0),
+            run=0,
             cycle=0,
             cycles=0,
             message=texts[row],
@@ -133,66 +145,73 @@ def test_encoding_is_byte_for_byte_that_of_an_independent_encoder():
         assert payload == bytes(STORE.serialize_cdr(message, type_name))
 
 
-def test_sequences_are_encoded_by_their_columns_and_elements():
+def test_arrays_are_encoded_row_by_row():
     positions = np.arange(6.0).reshape(2, 3)
     kind = "sensor_msgs/msg/JointState"
-    names = {"name[0]": "cable", "name[1]": "fin", "name[2]": ""}
-    found = encode(
-        np.arange(2),
-        kind,
-        installed_types(kind),
-        {"position": positions},
-        names,
-    )
-    decoded = [STORE.deserialize_cdr(data, kind) for data in found.messages()]
+    found = encode(topic_of("/x", kind), 2, {"position": positions}, {})
+    decoded = [STORE.deserialize_cdr(data, kind) for data in found]
     assert [list(m.position) for m in decoded] == positions.tolist()
-    assert all(m.name == ["cable", "fin", ""] and len(m.effort) == 0 for m in decoded)
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.lists(st.tuples(TEXTS, TEXTS, st.integers(0, 255)), max_size=8), TEXTS)
-def test_texts_may_differ_from_message_to_message(rows: list[tuple[str, str, int]], name: str):
-    kind = "diagnostic_msgs/msg/DiagnosticStatus"
-    found = encode(
-        np.arange(len(rows)),
-        kind,
-        installed_types(kind),
-        {"level": np.array([level for _, _, level in rows])},
-        {
-            "message": [text for text, _, _ in rows],
-            "hardware_id": tuple(text for _, text, _ in rows),
-            "name": name,
-        },
-    )
-    assert found.log_time.tolist() == list(range(len(rows)))
-    columns = decode(found, kind, installed_types(kind))
-    if rows:
-        assert columns.numbers["level"].tolist() == [level for _, _, level in rows]
-        assert columns.texts["message"] == [text for text, _, _ in rows]
-        assert columns.texts["hardware_id"] == [text for _, text, _ in rows]
-    for data, (message, hardware_id, level) in zip(found.messages(), rows, strict=True):
-        status = STORE.types[kind](level % 128, name, message, hardware_id, [])
-        expected = bytearray(STORE.serialize_cdr(status, kind))
-        expected[4] = level  # rosbags takes a byte for signed
-        assert data == bytes(expected)
-
-
-def test_a_text_of_its_own_in_each_of_many_messages():
-    kind = "std_msgs/msg/String"
-    texts = [f"message {i}" for i in range(30_000)]
-    found = encode(np.arange(len(texts)), kind, installed_types(kind), {}, {"data": texts})
-    assert decode(found, kind, installed_types(kind)).texts["data"] == texts
+    assert all(m.name == [] and len(m.effort) == 0 for m in decoded)
 
 
 def test_a_stamp_from_before_the_epoch_is_refused():
     with pytest.raises(BagError, match="before 1970"):
-        encode_stamped("worm_msgs/msg/Tracker", np.array([5, -1]), {})
+        stamped_messages(topic_of("/x", "worm_msgs/msg/Tracker"), np.array([5, -1]), {})
 
 
 def test_a_field_that_the_type_lacks_is_refused():
-    kind = "worm_msgs/msg/Tracker"
-    with pytest.raises(BagError, match="no field speed"):
-        encode(np.arange(1), kind, installed_types(kind), {"speed": 1.0}, {})
+    for path in ("speed", "header.speed", "no.speed"):
+        with pytest.raises(BagError, match=f"no field {path}"):
+            encode(topic_of("/x", "worm_msgs/msg/Tracker"), 1, {path: 1.0}, {})
+
+
+OLD = bare("a/msg/B", "float64 x\nint32 sec\n")
+NEW = bare("a/msg/B", "float64 x\nuint32 run\nint32 sec\nfloat32[] more\n")
+
+
+def old_and_new(count: int) -> list[bytes]:
+    """Messages of two layouts in turn."""
+    old, new = (
+        encode(topic, count, {"x": np.arange(count) + 0.5, "sec": 2**31 - 1}, {})
+        for topic in (OLD, NEW)
+    )
+    return [(old, new)[i % 2][i] for i in range(count)]
+
+
+def test_every_message_is_read_by_the_definition_of_its_own_channel():
+    columns = decode(old_and_new(9), OLD, NEW)
+    assert columns.numbers["x"].tolist() == [i + 0.5 for i in range(9)]
+    assert columns.numbers["sec"].tolist() == [2**31 - 1] * 9
+    assert columns.numbers["run"].tolist() == [0 if i % 2 else None for i in range(9)]
+
+
+@pytest.mark.parametrize(("surplus", "refused"), [(0, False), (3, False), (4, True), (8, True)])
+def test_a_message_has_the_length_that_its_definition_says(surplus: int, refused: bool):
+    """But for the padding that a middleware may append."""
+    (data,) = encode(OLD, 1, {}, {})
+    said = refusal(lambda: decode([data + bytes(surplus)], OLD))
+    assert bool(said) == refused
+    assert "shorter" in refusal(lambda: decode([data[:-1]], OLD))
+
+
+def test_messages_of_an_older_definition_become_those_of_the_installed_one():
+    (data,) = encode(OLD, 1, {"x": 4.5, "sec": 7}, {})
+    converter = Converter(OLD, NEW)
+    assert converter.added == ["run", "more"]
+    columns = decode([converter(data)], NEW)
+    assert {path: values[0].tolist() for path, values in columns.numbers.items()} == {
+        "x": 4.5,
+        "run": 0,
+        "sec": 7,
+        "more": [],
+    }
+    assert Converter(OLD, OLD)(data) == data
+
+
+@pytest.mark.parametrize("definition", ["float64 x\n", "float32 x\nint32 sec\n"])
+def test_a_definition_that_lacks_a_field_or_has_another_type_is_refused(definition: str):
+    with pytest.raises(BagError, match="is not what the installed definition says"):
+        Converter(OLD, bare("a/msg/B", definition))
 
 
 def refusal(call: Callable[[], object]) -> str:
@@ -207,9 +226,7 @@ def refusal(call: Callable[[], object]) -> str:
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=80), st.sampled_from(TYPES))
 def test_random_bytes_are_decoded_or_refused(data: bytes, type_name: str):
-    assert "\n" not in refusal(
-        lambda: decode(payloads_of([data], [0]), type_name, installed_types(type_name))
-    )
+    assert "\n" not in refusal(lambda: decode([data], topic_of("/x", type_name)))
 
 
 @settings(max_examples=150, deadline=None)
@@ -218,9 +235,7 @@ def test_random_definitions_are_read_or_refused(text: str):
     data = b"\0\1\0\0" + bytes(64)
     for kind in ("ros2msg", "ros2idl"):
         assert "\n" not in refusal(
-            lambda kind=kind: decode(
-                payloads_of([data], [0]), "a/msg/B", parse_types("a/msg/B", text, kind)
-            )
+            lambda kind=kind: decode([data], bare("a/msg/B", text or " ", kind))
         )
 
 

@@ -18,7 +18,7 @@ from worm_model.parameters import PAPER
 from worm_model.run import POWER_VALID, RUNNING
 from worm_model.twin.offline_replay import replay_run
 
-BAGS = Path(__file__).resolve().parents[3] / "bags"
+BAGS = Path(__file__).resolve().parents[4] / "bags"
 NAMES = ("forward", "reverse", "faults", "killed")
 WHOLE = NAMES[:3]
 

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 from recorded_run import simulated_run, write_bag
 
-from worm_model.bags import bag_writer as writer
 from worm_model.bags import opening
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import BagFiles, BagWriter
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recovery import Recovery
 from worm_model.bags.recovery import recover as recover_bag
@@ -98,11 +97,10 @@ def test_two_that_open_an_unclosed_bag_at_once_read_the_same_recovery(
 def test_a_full_disk_ends_with_status_1_and_leaves_nothing(
     cut: Path, tmp_path: Path, monkeypatch, capsys
 ):
-    class FullDisk(writer.McapWriter):
-        def finish(self) -> None:
-            raise OSError(errno.ENOSPC, "No space left on device")
+    def full(_: BagFiles) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(writer, "McapWriter", FullDisk)
+    monkeypatch.setattr(BagFiles, "finish", full)
     target = tmp_path / "saved"
     assert command(monkeypatch, cut, "--output", target) == 1
     error = capsys.readouterr().err
@@ -110,3 +108,22 @@ def test_a_full_disk_ends_with_status_1_and_leaves_nothing(
     assert error.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag"]
     shutil.rmtree(cut)
+
+
+def test_the_same_number_of_other_bytes_is_another_recording(cut: Path, tmp_path: Path):
+    """An outdated recovery is recognised by what it was made of."""
+    with open_bag(cut, lambda _: None) as bag:
+        assert bag.path == tmp_path / "bag_recovered"
+    file = cut / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[-1500] ^= 1
+    file.write_bytes(data)
+    with open_bag(cut, lambda _: None) as bag:
+        assert bag.path == tmp_path / "bag_recovered_2"
+
+
+def test_names_with_a_dot_do_not_meet(cut: Path, tmp_path: Path):
+    for name in ("pipe_0.25Hz", "pipe_0.30Hz"):
+        shutil.copytree(cut, tmp_path / name)
+        assert recover_bag(tmp_path / name).bag == tmp_path / f"{name}_recovered"
+    assert recover_bag(cut / "bag_0.mcap").bag == cut / "bag_0_recovered"

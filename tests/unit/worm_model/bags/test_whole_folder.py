@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from worm_model.bags import draft
+from worm_model.bags import whole_folder
 from worm_model.bags.bag_errors import BagError, ExistsError
-from worm_model.bags.draft import new_folder
+from worm_model.bags.whole_folder import new_folder
 
 
 def test_the_folder_is_there_once_it_is_whole(tmp_path: Path):
@@ -36,19 +36,19 @@ def test_nothing_is_left_after_an_exception(tmp_path: Path):
 def test_what_a_killed_process_left_is_cleared_away(tmp_path: Path):
     killed = (
         "import os, pathlib, sys\n"
-        "from worm_model.bags.draft import new_folder\n"
+        "from worm_model.bags.whole_folder import new_folder\n"
         "with new_folder(pathlib.Path(sys.argv[1])) as folder:\n"
         "    (folder / 'old').write_text('half')\n"
         "    os.kill(os.getpid(), 9)\n"
     )
-    source = Path(draft.__file__).parents[2]
+    source = Path(whole_folder.__file__).parents[2]
     end = subprocess.run(
         [sys.executable, "-c", killed, str(tmp_path / "bag")],
         env={**os.environ, "PYTHONPATH": str(source)},
         check=False,
     )
     assert end.returncode == -9
-    assert (tmp_path / ".bag.draft" / "old").exists()
+    assert (tmp_path / ".bag.unfinished" / "old").exists()
     with new_folder(tmp_path / "bag") as folder:
         (folder / "new").write_text("whole")
     assert sorted(path.name for path in (tmp_path / "bag").iterdir()) == ["new"]
@@ -94,4 +94,4 @@ def test_files_and_names_reach_the_disk_before_the_folder_gets_its_name(
     monkeypatch.setattr(os, "fsync", watched)
     with new_folder(tmp_path / "bag") as folder:
         (folder / "file").write_text("content")
-    assert synchronised == [(False, "file"), (False, ".bag.draft"), (True, tmp_path.name)]
+    assert synchronised == [(False, "file"), (False, ".bag.unfinished"), (True, tmp_path.name)]

@@ -11,8 +11,12 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
-from worm_model.bags.bag_metadata import RecordedTopic, qos_profile
-from worm_model.bags.recorder import Attachment, BagRecorder, Manifest, Options, RecorderError
+from worm_model.bags.bag import AttachedFile
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.bag_metadata import dump_yaml, qos_profile
+from worm_model.bags.bag_writer import WriteOptions
+from worm_model.bags.message_block import Topic
+from worm_model.bags.recorder import BagRecorder, Manifest
 
 NOW = 1_800_000_000_000_000_000
 FOREVER = 2**63 - 1
@@ -21,8 +25,15 @@ LATCHED = qos_profile(
 )
 # Hash as ROS 2 Jazzy has it for std_msgs/msg/UInt64.
 UINT64_HASH = "RIHS01_fbdc52018fc13755dce18024d1a671c856aa8b4aaf63adfb095b608f98e8c943"
-TOPIC = RecordedTopic("/counter", "std_msgs/msg/UInt64", "uint64 data\n", UINT64_HASH, (LATCHED,))
-OTHER = RecordedTopic("/other", "std_msgs/msg/UInt64", "uint64 data\n", UINT64_HASH)
+
+
+def topic(name: str, qos: str) -> Topic:
+    metadata = (("offered_qos_profiles", qos), ("topic_type_hash", UINT64_HASH))
+    return Topic(name, "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr", metadata)
+
+
+TOPIC = topic("/counter", dump_yaml([LATCHED]))
+OTHER = topic("/other", "")
 
 
 def payload(value: int) -> bytes:
@@ -30,9 +41,9 @@ def payload(value: int) -> bytes:
 
 
 def record(
-    directory: Path, count: int = 10, options: Options | None = None, **manifest
+    directory: Path, count: int = 10, options: WriteOptions | None = None, **manifest
 ) -> BagRecorder:
-    recorder = BagRecorder(directory, Manifest(**manifest), options or Options(), NOW)
+    recorder = BagRecorder(directory, Manifest(**manifest), options or WriteOptions())
     for i in range(count):
         recorder.write(TOPIC if i % 2 else OTHER, payload(i), NOW + i * 10**8, NOW + i * 10**8 - 5)
     return recorder
@@ -49,7 +60,7 @@ def metadata(directory: Path) -> dict:
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 def test_rosbags_reads_back_what_was_recorded(tmp_path: Path, compression: str):
-    record(tmp_path / "bag", options=Options(compression=compression)).close()
+    record(tmp_path / "bag", options=WriteOptions(compression=compression)).close()
     with AnyReader([tmp_path / "bag"]) as reader:  # checks the type hash, too
         assert reader.message_count == 10
         assert {c.topic: c.msgcount for c in reader.connections} == {"/counter": 5, "/other": 5}
@@ -129,9 +140,9 @@ def test_every_file_of_a_split_bag_stands_alone(tmp_path: Path):
     recorder = record(
         tmp_path / "bag",
         count=40,
-        options=Options(split_s=1.0),
+        options=WriteOptions(split_s=1.0),
         metadata={"worm_run": {"seed": "4"}},
-        attachments=(Attachment("parameters.yaml", "application/yaml", b"pitch: 0.0173\n"),),
+        attachments=(AttachedFile("parameters.yaml", "application/yaml", b"pitch: 0.0173\n"),),
     )
     recorder.add_metadata("worm_gait", {"stroke": "0.07"})
     recorder.write(TOPIC, payload(40), NOW + 5 * 10**9, NOW)
@@ -149,7 +160,7 @@ def test_every_file_of_a_split_bag_stands_alone(tmp_path: Path):
 
 
 def test_a_bag_is_split_at_the_size_asked_for(tmp_path: Path):
-    options = Options(compression="none", split_bytes=20_000, chunk_bytes=2_000)
+    options = WriteOptions(compression="none", split_bytes=20_000, chunk_bytes=2_000)
     record(tmp_path / "bag", count=2000, options=options).close()
     files = metadata(tmp_path / "bag")["files"]
     sizes = [(tmp_path / "bag" / file["path"]).stat().st_size for file in files]
@@ -162,7 +173,7 @@ def test_a_bag_is_split_at_the_size_asked_for(tmp_path: Path):
 def test_nothing_is_overwritten(tmp_path: Path):
     record(tmp_path / "bag").close()
     before = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
-    with pytest.raises(RecorderError, match="exists already"):
+    with pytest.raises(BagError, match="exists already"):
         record(tmp_path / "bag")
     assert (tmp_path / "bag" / "bag_0.mcap").read_bytes() == before
 
@@ -171,5 +182,5 @@ def test_nothing_is_overwritten(tmp_path: Path):
     "options", [{"compression": "gzip"}, {"split_bytes": -1}, {"split_s": -0.5}]
 )
 def test_options_that_make_no_sense_are_refused(options: dict):
-    with pytest.raises(RecorderError):
-        Options(**options)
+    with pytest.raises(BagError):
+        WriteOptions(**options)
