@@ -699,7 +699,7 @@ def test_a_transition_that_the_state_does_not_have_is_refused_and_the_node_lives
 
 def test_a_deactivation_with_a_dead_line_fails_and_says_what_is_known(driver, commander):
     commander.activate()
-    commander.inject(fault="no_answer", target=255, duration=60.0)
+    commander.inject(fault="no_answer", duration=60.0)
     assert not commander.change(Transition.TRANSITION_DEACTIVATE)
     commander.wait_for_report(
         "driver: gait", DiagnosticStatus.ERROR, "the torque may still be on: servo 1"
