@@ -9,7 +9,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from worm_model.analysis.plot_style import EFFECTIVE
+from worm_model.analysis.plot_style import (
+    BLUE,
+    EFFECTIVE,
+    MM,
+    VERMILION,
+    finish,
+    letter,
+    new_figure,
+)
 from worm_model.analysis.run_curves import (
     energy_curves,
     length_curves,
@@ -18,10 +26,10 @@ from worm_model.analysis.run_curves import (
     value_at_onset,
 )
 from worm_model.analysis.run_plots import (
+    WIDTH,
     Curve,
     Frame,
     comparison_figure,
-    cycles_figure,
     energy_figure,
     length_figure,
     motion_figure,
@@ -62,8 +70,28 @@ def draw_energy(gait: RecordedGait) -> Figure:
 
 
 def draw_cycles(gait: RecordedGait) -> Figure:
-    """Grooves and rms residuals of each cycle."""
-    return cycles_figure(gait.judged.cycles)
+    """Grooves gained and residuals against the twin, cycle by cycle."""
+    cycles = gait.judged.cycles
+    figure = new_figure(WIDTH, 2.9)
+    panels = figure.subplots(1, 4)
+    number = np.arange(1, len(cycles) + 1)
+    measured, twin = ([getattr(c, f) for c in cycles] for f in ("measured_grooves", "grooves"))
+    panels[0].bar(number - 0.2, measured, 0.4, color=BLUE, label="measured")
+    panels[0].bar(number + 0.2, twin, 0.4, color=VERMILION, hatch="//", label="twin")
+    finish(panels[0], "grooves gained (1)")
+    for axes, name, scale, label in (
+        (panels[1], "x1_rmse", MM, "x1 residual (mm rms)"),
+        (panels[2], "length_rmse", MM, "length residual (mm rms)"),
+        (panels[3], "power_rmse", 1.0, "power residual (W rms)"),
+    ):
+        axes.bar(number, [scale * getattr(c.residuals, name) for c in cycles], color=BLUE)
+        finish(axes, label)
+    for axes in panels:
+        axes.set_xlabel("cycle")
+        axes.set_xticks(number)
+        axes.grid(visible=False, axis="x")
+    letter(panels)
+    return figure
 
 
 RUN_FIGURES: Mapping[str, tuple[Callable[[RecordedGait], Figure], str]] = {
