@@ -21,7 +21,6 @@ from worm_optimizer.operation.bring_up import (
     session,
     start_node,
 )
-from worm_optimizer.operation.gait_figures import RecordingError, averaged_window
 from worm_optimizer.operation.system import System, SystemFile
 
 _UNUSED = {"optimizer", RECORDER}  # the front is known; each gait has a recorder of its own
@@ -82,13 +81,15 @@ def is_recorded(bag: Path) -> bool:
     try:
         with open_bag(bag) as content:
             run = read_run(content)
-        window = averaged_window(run.gait_state)
-    except (BagError, RecordingError):
+    except BagError:
         return False
-    states = run.gait_state
-    complete = bool(np.any(states.played & (states.cycle == states.cycles)))
-    seen = run.tracker.stamp.size > 0 and int(run.tracker.stamp[-1]) >= window.end
-    return complete and seen and not bool(states.played[-1])
+    states, seen = run.gait_state, run.tracker.stamp
+    rows = np.flatnonzero(states.played)
+    if not (rows.size and seen.size) or states.played[-1]:
+        return False
+    last = rows[-1]
+    end = int(states.onset[last]) + round(1e9 * states.cycles[last] / states.frequency[last])
+    return bool(states.cycle[last] == states.cycles[last] and seen[-1] >= end)
 
 
 def put_aside(bag: Path, say: Say) -> None:
