@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from worm_model.analysis.run_metrics import RecordingError, last_cycles_of, last_played_gait
+from worm_model.analysis.run_metrics import RecordingError, last_played_gait
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
@@ -85,11 +83,9 @@ def is_recorded(bag: Path) -> bool:
         played = last_played_gait(run.gait_state)
     except (BagError, RecordingError):
         return False
-    states = run.gait_state
-    window = played.cycle_window(*last_cycles_of(played.cycles))
-    complete = bool(np.any(states.played & (states.cycle == states.cycles)))
-    seen = run.tracker.stamp.size > 0 and int(run.tracker.stamp[-1]) >= window.end
-    return complete and seen and not bool(states.played[-1])
+    seen = run.tracker.stamp
+    ended = played.end is not None and seen.size > 0
+    return ended and played.whole_cycles_until(int(seen[-1])) == played.cycles
 
 
 def put_aside(bag: Path, say: Say) -> None:
