@@ -191,11 +191,11 @@ def write_metadata(directory: Path, text: str, synchronise: Callable[[int], None
     sync_directory(directory, synchronise)
 
 
-def sync_directory(directory: Path, synchronise: Callable[[int], None] = os.fsync) -> None:
+def sync_directory(directory: Path, synchronise: Callable[[int], None] | None = None) -> None:
     """Make the names in a directory survive a power cut."""
     handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        synchronise(handle)
+        (synchronise or os.fsync)(handle)
     finally:
         os.close(handle)
 

@@ -88,7 +88,7 @@ def _notes(notes: Sequence[str]) -> Mapping[str, str]:
         key, separator, value = note.partition("=")
         if not key or not separator:
             raise ManifestError(f"a note is written KEY=VALUE, not {note!r}")
-        if not _is_text(note):
+        if not is_text(note):
             raise ManifestError(f"a note is not UTF-8 text: {note!r}")
         found[f"note.{key}"] = value
     return found
@@ -99,7 +99,7 @@ def _printable(text: str) -> str:
     return text.encode(errors="backslashreplace").decode()
 
 
-def _is_text(text: str) -> bool:
+def is_text(text: str) -> bool:
     """Whether it can be written as UTF-8: an argument of other bytes cannot."""
     return not any("\ud800" <= character <= "\udfff" for character in text)
 

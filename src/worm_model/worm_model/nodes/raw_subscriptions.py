@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
@@ -157,7 +156,7 @@ class RecordNode(Node):
     def _full_name(self, name: str) -> str:
         try:
             return self.resolve_topic_name(name)
-        except (InvalidTopicNameException, UnicodeEncodeError, ValueError) as error:
+        except Exception as error:  # noqa: BLE001 - rclpy raises several kinds, of which not all are public
             reason = str(error).splitlines()[0]
             raise SelectionError(f"{name!r} is not a name of a topic: {reason}") from None
 

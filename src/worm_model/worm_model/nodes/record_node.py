@@ -18,7 +18,7 @@ from worm_model.bags.cleaning import Cleaner
 from worm_model.bags.message_block import Message
 from worm_model.bags.recorder import Manifest
 from worm_model.bags.recording_session import RecordingSession, SessionOptions
-from worm_model.bags.run_manifest import run_manifest
+from worm_model.bags.run_manifest import is_text, run_manifest
 from worm_model.bags.topic_selection import TopicSelection
 from worm_model.commands.command_line import Parser, number
 from worm_model.nodes.raw_subscriptions import RecordNode
@@ -216,10 +216,6 @@ def _output(arguments: argparse.Namespace) -> Path:
     if arguments.output is None:
         return Path(time.strftime("worm_%Y_%m_%d-%H_%M_%S"))
     output: Path = arguments.output
-    try:
-        str(output).encode()
-    except UnicodeEncodeError:
-        raise BagError(f"the name of the bag is not UTF-8 text: {str(output)!r}") from None
     return output
 
 
@@ -305,6 +301,9 @@ def _report(
 def main() -> None:
     """Entry point of ``ros2 run worm_model record``."""
     try:
+        strange = next((a for a in sys.argv if not is_text(a)), None)
+        if strange is not None:
+            raise BagError(f"an argument is not UTF-8 text: {strange!r}")
         command = own_arguments(sys.argv)
         arguments = _parser().parse_args(command[1:])
         with ros_process() as ended:
