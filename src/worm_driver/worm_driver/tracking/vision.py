@@ -1,0 +1,299 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All that is asked of OpenCV: images in, corners of markers out, and the geometry of its camera models.
+
+The only importer of cv2. Images are arrays of shape (height, width), grey, unless said otherwise; pixels are (column,
+row) with (0, 0) in the middle of the first one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_driver.tracking.camera_model import Array, CameraModel
+from worm_driver.tracking.tracking_errors import ImageError
+
+Image = NDArray[np.uint8]
+
+# A camera's images come one by one, and a second thread would only wait for the first.
+cv2.setNumThreads(1)
+
+_EXACT = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-9)
+_PROFILE = np.linspace(-1.0, 1.0, 21)  # cells from an edge, inwards to outwards
+_ALONG = np.linspace(0.2, 0.8, 9)  # of an edge
+_BORDER = 2  # cells of the frame that a marker has beside its bits
+
+
+@dataclass(frozen=True)
+class Detection:
+    """A marker in an image.
+
+    Attributes:
+        number: its id.
+        corners: pixels, shape (4, 2): top left, top right, bottom right, bottom left of the print.
+        edge_width: 10 to 90 % of its edges' rise, in cells of the marker; a sharp image is well below a half.
+    """
+
+    number: int
+    corners: Array
+    edge_width: float
+
+
+class MarkerDetector:
+    """Finds the markers of one dictionary (OpenCV's name)."""
+
+    def __init__(self, dictionary: str):
+        found = _dictionary(dictionary)
+        self._cells = found.markerSize + _BORDER
+        settings = cv2.aruco.DetectorParameters()
+        settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        # The window must stay within a cell, or it takes a corner of the pattern for one of the frame.
+        settings.relativeCornerRefinmentWinSize = 0.6
+        settings.cornerRefinementWinSize = 6
+        settings.cornerRefinementMinAccuracy = 0.005
+        # One threshold, of a window that is wider than a cell of a marker of 40 pixels.
+        settings.adaptiveThreshWinSizeMin = settings.adaptiveThreshWinSizeMax = 23
+        self._detector = cv2.aruco.ArucoDetector(found, settings)
+
+    def detect(self, image: Image) -> list[Detection]:
+        """The markers in an image; one that is there twice stands there twice."""
+        corners, numbers, _ = self._detector.detectMarkers(image)
+        if numbers is None:
+            return []
+        return [
+            self._detection(image, int(number), quad[0].astype(float))
+            for number, quad in zip(numbers.ravel(), corners, strict=True)
+        ]
+
+    def _detection(self, image: Image, number: int, corners: Array) -> Detection:
+        return Detection(number, corners, _edge_width(image, corners, self._cells))
+
+
+def _edge_width(image: Image, corners: Array, cells: int) -> float:
+    """How wide the edges are between the frame and the white around it, the widest of two directions, in cells."""
+    following = np.roll(corners, -1, axis=0)
+    inwards = (np.roll(corners, 1, axis=0) - corners) / cells  # of the side that begins there
+    starts = corners + _ALONG[:, None, None] * (following - corners)  # (along, side, 2)
+    points = starts[None] - _PROFILE[:, None, None, None] * inwards  # (profile, along, side, 2)
+    flat = points.reshape(len(_PROFILE), -1, 2).astype(np.float32)
+    values = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    profiles = values.reshape(len(_PROFILE), len(_ALONG), 4).mean(axis=1)
+    # Opposite sides are blurred alike, and uneven light on them cancels.
+    pairs = (profiles[:, :2] + profiles[:, 2:]) / 2.0
+    return max(_rise(pair) for pair in pairs.T)
+
+
+def _rise(profile: Array) -> float:
+    """Cells from 10 to 90 % of a profile's rise, from its area: not misled by noise at the ends."""
+    low, high = profile[:3].mean(), profile[-3:].mean()
+    if high <= low:
+        return float("inf")
+    share = np.clip((profile - low) / (high - low), 0.0, 1.0)
+    # The area under s(1 - s) of a linear ramp of width w is w / 6, and 10 to 90 % are 0.8 w.
+    return float(0.8 * 6.0 * np.sum(share * (1.0 - share)) * (_PROFILE[1] - _PROFILE[0]))
+
+
+# --- geometry -------------------------------------------------------------------------------------
+
+
+def project(camera: CameraModel, points: Array, rotation: Array, shift: Array) -> Array:
+    """Pixels, shape (n, 2), of points (n, 3) in m that the camera sees at rotation @ point + shift."""
+    turn = cv2.Rodrigues(rotation)[0]
+    distortion = np.array(camera.distortion)
+    given = points.reshape(-1, 1, 3)
+    if camera.model == "equidistant":
+        pixels, _ = cv2.fisheye.projectPoints(given, turn, shift, camera.matrix, distortion)
+    else:
+        pixels, _ = cv2.projectPoints(given, turn, shift, camera.matrix, distortion)
+    return np.asarray(pixels, float).reshape(-1, 2)
+
+
+def directions(camera: CameraModel, pixels: Array) -> Array:
+    """(x/z, y/z), shape (n, 2), of what is seen at pixels; NaN where the lens model has no inverse."""
+    distortion = np.array(camera.distortion)
+    given = np.ascontiguousarray(pixels, float).reshape(-1, 1, 2)
+    if camera.model == "equidistant":
+        found = cv2.fisheye.undistortPoints(given, camera.matrix, distortion, criteria=_EXACT)
+    else:
+        found = cv2.undistortPointsIter(given, camera.matrix, distortion, None, None, _EXACT)
+    rays = np.asarray(found, float).reshape(-1, 2)
+    ahead = np.column_stack([rays, np.ones(len(rays))])
+    again = project(camera, ahead, np.eye(3), np.zeros(3))
+    rays[~(np.abs(again - pixels.reshape(-1, 2)).max(axis=1) < 1e-3)] = np.nan
+    return rays
+
+
+def poses(points: Array, rays: Array) -> list[tuple[Array, Array]]:
+    """Rotation and shift of each camera that may have seen points (n, 3) at directions (n, 2), refined.
+
+    Points in a plane may have been seen from two places: both are returned (IPPE, Collins and Bartoli 2014).
+    """
+    centre = points.mean(axis=0)
+    _, spread, axes = np.linalg.svd(points - centre)
+    flat = spread[2] < 1e-6 * spread[0]
+    if np.linalg.det(axes) < 0.0:
+        axes[2] = -axes[2]
+    own = (points - centre) @ axes.T
+    method = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
+    if flat:
+        own[:, 2] = 0.0
+    unit = np.eye(3)
+    count, turns, shifts, _ = cv2.solvePnPGeneric(own, rays, unit, None, flags=method)
+    found = []
+    for turn, shift in zip(turns[:count], shifts[:count], strict=True):
+        better_turn, better_shift = cv2.solvePnPRefineLM(own, rays, unit, None, turn, shift)
+        rotation = cv2.Rodrigues(better_turn)[0] @ axes
+        found.append((rotation, better_shift.ravel() - rotation @ centre))
+    return found
+
+
+# --- dictionaries ---------------------------------------------------------------------------------
+
+
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def marker_cells(dictionary: str, number: int) -> NDArray[np.bool_]:
+    """A marker's cells with its frame, shape (n, n), row by row from the top; true is white."""
+    found = _dictionary(dictionary)
+    side = found.markerSize + _BORDER
+    cells: NDArray[np.bool_] = cv2.aruco.generateImageMarker(found, number, side) > 0
+    return cells
+
+
+# --- images ---------------------------------------------------------------------------------------
+
+
+def read_image(path: Path) -> Image:
+    """An image file, grey. Raises ImageError."""
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise ImageError(f"{path} cannot be read as an image")
+    return np.asarray(image, np.uint8)
+
+
+def decode_image(data: bytes) -> Image:
+    """A JPEG, PNG or other image file's bytes, grey. Raises ImageError."""
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    if image is None:
+        raise ImageError(f"{len(data)} bytes are no image")
+    return np.asarray(image, np.uint8)
+
+
+def write_image(path: Path, image: Image) -> None:
+    """Writes an image file, grey or (height, width, 3) blue, green, red; its name's ending decides the form."""
+    if not cv2.imwrite(str(path), image):
+        raise ImageError(f"{path} cannot be written")
+
+
+_TO_GREY = {
+    "bgr8": cv2.COLOR_BGR2GRAY,
+    "rgb8": cv2.COLOR_RGB2GRAY,
+    "bgra8": cv2.COLOR_BGRA2GRAY,
+    "rgba8": cv2.COLOR_RGBA2GRAY,
+    "yuv422": cv2.COLOR_YUV2GRAY_UYVY,
+    "uyvy": cv2.COLOR_YUV2GRAY_UYVY,
+    "yuv422_yuy2": cv2.COLOR_YUV2GRAY_YUY2,
+    "yuyv": cv2.COLOR_YUV2GRAY_YUY2,
+}
+_CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4} | dict.fromkeys(
+    ("yuv422", "uyvy", "yuv422_yuy2", "yuyv"), 2
+)
+
+
+def grey(data: NDArray[np.uint8], height: int, width: int, step: int, encoding: str) -> Image:
+    """The pixels of a sensor_msgs/Image, whose rows are step bytes apart, as a grey image.
+
+    Raises:
+        ImageError: the encoding is none of those of 8 bits that cameras send, or the data are too few.
+    """
+    if encoding not in _CHANNELS:
+        raise ImageError(
+            f"images in {encoding!r} are not supported: set the camera to one of {', '.join(_CHANNELS)}"
+        )
+    used = width * _CHANNELS[encoding]
+    if step < used or len(data) < height * step:
+        raise ImageError(
+            f"an image of {width} x {height} in {encoding} with {len(data)} bytes is cut off"
+        )
+    rows = data[: height * step].reshape(height, step)[:, :used]
+    if encoding == "mono8":
+        return np.ascontiguousarray(rows)
+    pixels = np.ascontiguousarray(rows).reshape(height, width, _CHANNELS[encoding])
+    return np.asarray(cv2.cvtColor(pixels, _TO_GREY[encoding]), np.uint8)
+
+
+class Film:
+    """A film file or a V4L2 camera, image by image. Raises ImageError where it cannot be opened."""
+
+    def __init__(self, source: str):
+        self._source = source
+        device = source.startswith("/dev/")
+        backend = cv2.CAP_V4L2 if device else cv2.CAP_FFMPEG
+        self._capture = cv2.VideoCapture(source, backend)
+        if not self._capture.isOpened():
+            hint = "is it plugged in, and in use by nothing else?" if device else "is it a film?"
+            raise ImageError(f"{source} cannot be opened: {hint}")
+
+    @property
+    def rate(self) -> float:
+        """Images per second as the film tells, 0 where it does not."""
+        return float(self._capture.get(cv2.CAP_PROP_FPS))
+
+    def ask_for(self, width: int, height: int, rate: float) -> None:
+        """Asks a camera for a size and a rate (Hz, 0: its own); it may give another."""
+        self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, width)
+        self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height)
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        if rate:
+            self._capture.set(cv2.CAP_PROP_FPS, rate)
+
+    def read(self) -> tuple[Image, float] | None:
+        """The next image, grey, and its time (s) in the film; None at the end."""
+        there, image = self._capture.read()
+        if not there:
+            return None
+        time = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) * 1e-3
+        plain = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        return np.asarray(plain, np.uint8), time
+
+    def close(self) -> None:
+        """Lets go of it."""
+        self._capture.release()
+
+
+# --- drawing --------------------------------------------------------------------------------------
+
+Colour = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Label:
+    """An outline with a text at its first point; colour is (blue, green, red)."""
+
+    outline: Array
+    text: str
+    colour: Colour
+
+
+def draw(image: Image, labels: Sequence[Label], title: Sequence[str]) -> Image:
+    """An image in colour with outlines and texts, and lines of text in its corner."""
+    drawn = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    for label in labels:
+        points = np.round(label.outline * 16).astype(np.int32)
+        cv2.polylines(drawn, [points], True, label.colour, 2, cv2.LINE_AA, 4)
+        left, top = label.outline.min(axis=0)
+        _write(drawn, label.text, (int(left), int(top) - 8), label.colour)
+    for row, line in enumerate(title):
+        _write(drawn, line, (12, 28 + 26 * row), (255, 255, 255))
+    return np.asarray(drawn, np.uint8)
+
+
+def _write(image: Image, text: str, place: tuple[int, int], colour: Colour) -> None:
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    for shade, thickness in (((0, 0, 0), 4), (colour, 1)):
+        cv2.putText(image, text, place, font, 0.6, shade, thickness, cv2.LINE_AA)
