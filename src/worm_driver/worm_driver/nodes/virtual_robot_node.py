@@ -8,6 +8,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rclpy.duration import Duration
@@ -15,9 +16,14 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
+from std_msgs.msg import Header
 
 from worm_driver.nodes.driver_process import ros_process
+from worm_driver.nodes.virtual_camera_node import CameraProcess
+from worm_driver.tracking.initial_length import InitialLength
 from worm_driver.virtual_robot.camera import TrackerSample
+from worm_driver.virtual_robot.camera_images import DEFAULT_FILE as CAMERA_FILE
+from worm_driver.virtual_robot.camera_images import load_camera_settings
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import SettingsError, load_settings
 from worm_driver.virtual_robot.wire.endpoints import DirectoryError, Endpoints
@@ -31,7 +37,8 @@ from worm_driver.virtual_robot.wire.faults import (
 from worm_msgs.msg import BodyLength, Tracker
 from worm_msgs.srv import InjectFault
 
-_REST_SAMPLES = 30  # at the start, whose mean is the initial length that the camera goes by
+_FRAME = "pipe"  # x forward along the axis, z up (REP 103)
+_VIRTUAL = "virtual"  # stands for the installed file of the camera
 # Python hands the interpreter over after 5 ms by default, too late for an answer on the bus.
 _SWITCH_INTERVAL = 0.0002  # s
 _SIGNAL_LATENCY = 0.1  # s, after which a signal is noticed at the latest
@@ -40,17 +47,29 @@ log = logging.getLogger("virtual_robot")
 
 
 class VirtualRobotNode(Node):
-    """Publishes what the camera sees, and takes faults."""
+    """Publishes what the camera sees, and takes faults.
 
-    def __init__(self, robot: VirtualRobot, directory: Path) -> None:
+    camera: file of the camera whose images are published in the place of the positions; None: positions are.
+    """
+
+    def __init__(self, robot: VirtualRobot, directory: Path, camera: Path | None = None) -> None:
         super().__init__("virtual_robot")
         self.endpoints = Endpoints(robot, directory, self._take_samples)
         self._samples: deque[TrackerSample] = deque()
-        self._lengths_at_rest: list[float] = []
-        self._tracker = self.create_publisher(Tracker, "tracker", 10)
-        self._length = self.create_publisher(BodyLength, "body_length/measured", 10)
+        self._initial_length = InitialLength()
+        self._camera: CameraProcess | None = None
+        if camera is None:
+            self._tracker = self.create_publisher(Tracker, "tracker", 10)
+            self._length = self.create_publisher(BodyLength, "body_length/measured", 10)
+        else:
+            self._camera = CameraProcess(camera, robot.settings.seed, self.get_namespace())
         self._arrival = self.create_guard_condition(self._publish_samples)
         self.create_service(InjectFault, "inject_fault", self._inject)
+
+    def close(self) -> None:
+        """Ends the camera."""
+        if self._camera is not None:
+            self._camera.close()
 
     def _take_samples(self, samples: list[TrackerSample]) -> None:
         """In the serving thread: hands over to the executor's."""
@@ -60,24 +79,28 @@ class VirtualRobotNode(Node):
     def _publish_samples(self) -> None:
         while self._samples:
             sample = self._samples.popleft()
-            stamp = self._stamp(sample).to_msg()
-            message = Tracker(
-                rear_position=sample.rear_position, front_position=sample.front_position
-            )
-            message.header.stamp = stamp
-            self._tracker.publish(message)
-            if not math.isnan(sample.length):  # a hidden marker gives no length
-                self._publish_length(sample.length, stamp)
+            stamp = self._stamp(sample)
+            if self._camera is None:
+                self._publish(sample, Header(stamp=stamp.to_msg(), frame_id=_FRAME))
+            else:
+                places = sample.rear_position, sample.front_position
+                self._camera.expose(stamp.nanoseconds, *places)
 
-    def _publish_length(self, length: float, stamp: object) -> None:
-        if len(self._lengths_at_rest) < _REST_SAMPLES:
-            self._lengths_at_rest.append(length)
-        initial = sum(self._lengths_at_rest) / len(self._lengths_at_rest)
-        message = BodyLength(
-            source=BodyLength.MEASURED, length=length, length_change=length - initial
+    def _publish(self, sample: TrackerSample, header: Header) -> None:
+        self._tracker.publish(
+            Tracker(
+                header=header,
+                rear_position=sample.rear_position,
+                front_position=sample.front_position,
+            )
         )
-        message.header.stamp = stamp
-        self._length.publish(message)
+        if math.isnan(sample.length):  # a hidden marker gives no length
+            return
+        change = self._initial_length.change(sample.length)
+        source, length = BodyLength.MEASURED, sample.length
+        self._length.publish(
+            BodyLength(header=header, source=source, length=length, length_change=change)
+        )
 
     def _stamp(self, sample: TrackerSample) -> Time:
         age = self.endpoints.now() - sample.time
@@ -107,6 +130,11 @@ class VirtualRobotNode(Node):
         return response
 
 
+def _camera_file(text: str) -> Path:
+    """The file that --camera names."""
+    return Path(str(CAMERA_FILE)) if text == _VIRTUAL else Path(text)
+
+
 def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     faults = "\n".join(f"  {name:18}{kind}" for name, kind in KINDS.items())
     parser = argparse.ArgumentParser(
@@ -123,6 +151,14 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument("--seed", type=int, metavar="N", help="default: the parameter file's")
     parser.add_argument(
+        "--camera",
+        nargs="?",
+        type=_camera_file,
+        const=_camera_file(_VIRTUAL),
+        metavar="FILE",
+        help="publish images of this rig in the place of positions; default: the installed one",
+    )
+    parser.add_argument(
         "--fault",
         action="append",
         default=[],
@@ -136,6 +172,9 @@ def _make_robot(arguments: argparse.Namespace) -> VirtualRobot:
     settings = load_settings(arguments.parameters)
     if arguments.seed is not None:
         settings = settings.with_seed(arguments.seed)
+    if arguments.camera is not None:  # whose images have noise of their own
+        load_camera_settings(arguments.camera)
+        settings = replace(settings, tracker=replace(settings.tracker, noise=0.0))
     return VirtualRobot(settings, FaultBoard(parse_fault(text) for text in arguments.fault))
 
 
@@ -147,9 +186,11 @@ def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
         failures.append(error)
 
 
-def _run(robot: VirtualRobot, directory: Path, ended: Callable[[], bool]) -> None:
+def _run(
+    robot: VirtualRobot, directory: Path, camera: Path | None, ended: Callable[[], bool]
+) -> None:
     """Serves until the process is asked to end. Raises what the serving thread raised."""
-    node = VirtualRobotNode(robot, directory)
+    node = VirtualRobotNode(robot, directory, camera)
     failures: list[Exception] = []
     serving = threading.Thread(target=_serve, args=(node, failures), name="serving")
     executor = SingleThreadedExecutor()
@@ -166,6 +207,7 @@ def _run(robot: VirtualRobot, directory: Path, ended: Callable[[], bool]) -> Non
         if serving.ident is not None:
             serving.join()
         node.endpoints.close()
+        node.close()
         node.destroy_node()
     if failures:
         raise failures[0]
@@ -188,7 +230,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
         with ros_process(given) as ended:
-            _run(robot, options.directory, ended)
+            _run(robot, options.directory, options.camera, ended)
     except DirectoryError as error:
         return _refuse(error)
     except Exception:

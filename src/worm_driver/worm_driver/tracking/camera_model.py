@@ -72,7 +72,9 @@ def load_camera_info(path: Path) -> CameraModel:
 
 def _from_file(content: Any) -> CameraModel:
     if not isinstance(content, Mapping):
-        raise SetupError("no camera_info: expected image_width, image_height, camera_matrix and so on")
+        raise SetupError(
+            "no camera_info: expected image_width, image_height, camera_matrix and so on"
+        )
     for key in (
         *("image_width", "image_height", "camera_matrix"),
         *("distortion_model", "distortion_coefficients"),
@@ -111,7 +113,9 @@ def make_camera_model(
     if len(matrix) != 9 or not all(map(math.isfinite, [*matrix, *distortion])):
         raise SetupError("camera_matrix must hold nine finite numbers")
     if matrix[0] <= 0.0 or matrix[4] <= 0.0:
-        raise SetupError("the focal length is 0: the camera is not calibrated, see calibrate_camera")
+        raise SetupError(
+            "the focal length is 0: the camera is not calibrated, see calibrate_camera"
+        )
     if matrix[1] != 0.0:
         raise SetupError("a camera_matrix with skew is not supported")
     if not distortion and model in ("", "plumb_bob"):

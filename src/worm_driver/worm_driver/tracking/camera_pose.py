@@ -182,7 +182,9 @@ class FixedCamera:
         self._forget()
         self._average(seen)
         cause = "the camera" if not still else "the camera, or these markers,"
-        return Watch(None, "camera moved", f"reference markers moved in the image ({names}): {cause} moved")
+        return Watch(
+            None, "camera moved", f"reference markers moved in the image ({names}): {cause} moved"
+        )
 
     def _forget(self) -> None:
         self._sums, self._counts, self._images, self._pose = {}, {}, 0, None

@@ -29,10 +29,8 @@ class Fix:
     reason: str = ""
 
 
-def locate(
-    setup: TrackerSetup, camera: CameraModel, pose: CameraPose, detection: Detection
-) -> Fix:
-    """x of the centre of a module's marker (m), on the line that the modules move on.
+def locate(setup: TrackerSetup, camera: CameraModel, pose: CameraPose, detection: Detection) -> Fix:
+    """The x of the centre of a module's marker (m), on the line that the modules move on.
 
     The centre is where the diagonals cross, which no tilt of the print moves. x is the point of the line whose ray
     passes nearest to it.
@@ -61,7 +59,7 @@ def _crossing(rays: Array) -> Array:
 def _nearest_on_line(
     line: tuple[float, float], pose: CameraPose, ray: Array
 ) -> tuple[float, float]:
-    """x (m) of the point of the line nearest to a ray in the image, and by how much the ray misses it (m)."""
+    """The x (m) of the point of the line nearest to a ray in the image, and by how much the ray misses it (m)."""
     along = pose.rotation[:, 0]
     start = pose.rotation @ np.array([0.0, *line]) + pose.shift
     # (start + x * along) seen at ray: two equations linear in x, both in m at the point's depth.
@@ -92,7 +90,7 @@ def _problem(
 
 
 def _on_plane(y: float, pose: CameraPose, rays: Array) -> Array:
-    """x and z (m), shape (n, 2), of what is seen at rays in the plane of the modules' prints."""
+    """The x and z (m), shape (n, 2), of what is seen at rays in the plane of the modules' prints."""
     ahead = np.column_stack([rays, np.ones(len(rays))]) @ pose.rotation
     eye = pose.position
     depth = (y - eye[1]) / ahead[:, 1]

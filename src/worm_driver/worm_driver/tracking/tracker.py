@@ -100,8 +100,9 @@ class Tracker:
             return fix
         before, where = self._last.get(name, (-math.inf, fix.position))
         jump = abs(fix.position - where)
-        elapsed = max(time - before, 0.0)
-        if jump > _PLAY + self.setup.max_speed * elapsed:
+        elapsed = time - before
+        # A clock that was set back tells nothing about speed.
+        if elapsed >= 0.0 and jump > _PLAY + self.setup.max_speed * elapsed:
             return Fix(
                 math.nan, f"is {jump * 1e3:.0f} mm from where it was {elapsed * 1e3:.0f} ms before"
             )

@@ -76,7 +76,7 @@ class TrackerSetup:
 
     @property
     def origin(self) -> float:
-        """x of the first reference marker (m), from which positions count."""
+        """The x of the first reference marker (m), from which positions count."""
         return next(iter(self.reference.values()))[0]
 
 
@@ -102,7 +102,7 @@ def load_setup(path: Path) -> TrackerSetup:
         SetupError: the file is missing or wrong; the message names the place and what is wrong there.
     """
     try:
-        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)  # noqa: S506 (a safe loader)
+        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except OSError as error:
         raise SetupError(f"{path}: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:

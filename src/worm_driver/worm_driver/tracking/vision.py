@@ -79,7 +79,9 @@ def _edge_width(image: Image, corners: Array, cells: int) -> float:
     starts = corners + _ALONG[:, None, None] * (following - corners)  # (along, side, 2)
     points = starts[None] - _PROFILE[:, None, None, None] * inwards  # (profile, along, side, 2)
     flat = points.reshape(len(_PROFILE), -1, 2).astype(np.float32)
-    values = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    values = cv2.remap(
+        image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     profiles = values.reshape(len(_PROFILE), len(_ALONG), 4).mean(axis=1)
     # Opposite sides are blurred alike, and uneven light on them cancels.
     pairs = (profiles[:, :2] + profiles[:, 2:]) / 2.0
@@ -163,6 +165,76 @@ def marker_cells(dictionary: str, number: int) -> NDArray[np.bool_]:
     side = found.markerSize + _BORDER
     cells: NDArray[np.bool_] = cv2.aruco.generateImageMarker(found, number, side) > 0
     return cells
+
+
+# --- calibration ----------------------------------------------------------------------------------
+
+
+class Board:
+    """A ChArUco board: a chessboard with a marker in each white square, so that a part of it is enough.
+
+    Args:
+        columns, rows: of squares.
+        square: side of a square, m; the markers' is 0.72 of it.
+        dictionary: of the markers.
+    """
+
+    def __init__(self, columns: int, rows: int, square: float, dictionary: str):
+        self._board = cv2.aruco.CharucoBoard(
+            (columns, rows), square, 0.72 * square, _dictionary(dictionary)
+        )
+        self._detector = cv2.aruco.CharucoDetector(self._board)
+
+    def draw(self, pixels_per_square: int) -> Image:
+        """The board as an image."""
+        columns, rows = self._board.getChessboardSize()
+        size = columns * pixels_per_square, rows * pixels_per_square
+        return np.asarray(self._board.generateImage(size), np.uint8)
+
+    def find(self, image: Image) -> tuple[Array, Array]:
+        """The inner corners seen in an image: on the board (n, 3) in m, and in the image (n, 2) in pixels."""
+        corners, numbers, _, _ = self._detector.detectBoard(image)
+        if numbers is None or len(numbers) == 0:
+            return np.empty((0, 3)), np.empty((0, 2))
+        places = self._board.getChessboardCorners()[numbers.ravel()]
+        return np.asarray(places, float), np.asarray(corners, float).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A camera and how well it fits: rms and that of each view (pixels), deviation of the focal length (pixels)."""
+
+    camera: CameraModel
+    error: float
+    view_errors: Array
+    focal_deviation: float
+
+
+def calibrate(
+    views: Sequence[tuple[Array, Array]], size: tuple[int, int], model: str
+) -> Calibration:
+    """The camera that has seen a board's corners.
+
+    Args:
+        views: as `Board.find` returns them.
+        size: of the images (width, height), pixels.
+        model: plumb_bob or rational_polynomial.
+    """
+    flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
+    places = [place.astype(np.float32) for place, _ in views]
+    seen = [corners.astype(np.float32).reshape(-1, 1, 2) for _, corners in views]
+    error, matrix, distortion, _, _, deviations, _, errors = cv2.calibrateCameraExtended(
+        places, seen, size, None, None, flags=flags
+    )
+    count = 8 if flags else 5
+    camera = CameraModel(
+        *size,
+        (float(matrix[0, 0]), float(matrix[1, 1])),
+        (float(matrix[0, 2]), float(matrix[1, 2])),
+        model,
+        tuple(float(value) for value in distortion.ravel()[:count]),
+    )
+    return Calibration(camera, float(error), np.asarray(errors).ravel(), float(deviations[0, 0]))
 
 
 # --- images ---------------------------------------------------------------------------------------

@@ -91,16 +91,18 @@ def load_camera_settings(path: Path | None = None) -> CameraSettings:
         raise SettingsError(f"{source}: no YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, Mapping):
         raise SettingsError(f"{source}: expected a mapping of names to values")
-    given = {_KEYS.get(key, key): value for key, value in content.items()}
+    given = {_KEYS.get(str(key), str(key)): value for key, value in content.items()}
     known = {field.name for field in fields(CameraSettings)}
-    odd = sorted(map(str, known.symmetric_difference(given)))
+    odd = sorted(known.symmetric_difference(given))
     if odd:
-        problem = "unknown name" if odd[0] in map(str, given) else "there is no"
+        problem = "unknown name" if odd[0] in given else "there is no"
         raise SettingsError(f"{source}: {problem} {odd[0]!r}")
     try:
         return CameraSettings(**{name: _value(name, value) for name, value in given.items()})
     except (KeyError, TypeError, ValueError) as error:
-        raise SettingsError(f"{source}: a value is not of the kind that it must be: {error}") from error
+        raise SettingsError(
+            f"{source}: a value is not of the kind that it must be: {error}"
+        ) from error
 
 
 def _value(name: str, value: Any) -> Any:
@@ -138,7 +140,12 @@ class Pattern:
         left, right = (self._along(u + sign * du / 2.0, 0) for sign in (-1, 1))
         low, high = (self._along(v + sign * dv / 2.0, 1) for sign in (-1, 1))
         inside = (right - left) * (high - low)
-        whole = self._at(right, high) - self._at(left, high) - self._at(right, low) + self._at(left, low)
+        whole = (
+            self._at(right, high)
+            - self._at(left, high)
+            - self._at(right, low)
+            + self._at(left, low)
+        )
         share = inside * self._cell**2 / (du * dv)
         return np.divide(whole, inside, out=np.zeros_like(whole), where=inside > 0.0), share
 
@@ -208,15 +215,19 @@ class VirtualCamera:
         return np.array([right, np.cross(forward, right), forward])
 
     def _plane(self, y: float, window: tuple[slice, slice]) -> tuple[Array, Array]:
-        """x and z (m) of what each pixel of a window sees in a plane at y."""
+        """The x and z (m) of what each pixel of a window sees in a plane at y."""
         rays, camera = self._rays[window], self.settings.position
         along = (y - camera[1]) / rays[..., 1]
         return camera[0] + along * rays[..., 0], camera[2] + along * rays[..., 2]
 
-    def _window(self, x: float, y: float, z: float, half: tuple[float, float]) -> tuple[slice, slice]:
+    def _window(
+        self, x: float, y: float, z: float, half: tuple[float, float]
+    ) -> tuple[slice, slice]:
         """The pixels that may see a rectangle of half sizes (m) in a plane at y."""
         s, axes = self.settings, self._orientation()
-        corners = np.array([[x + a * half[0], y, z + b * half[1]] for a in (-1, 1) for b in (-1, 1)])
+        corners = np.array(
+            [[x + a * half[0], y, z + b * half[1]] for a in (-1, 1) for b in (-1, 1)]
+        )
         seen = (corners - np.array(s.position)) @ axes.T
         flat = seen[:, :2] / np.maximum(seen[:, 2:], 1e-3)
         r2 = (flat**2).sum(axis=1, keepdims=True)
@@ -225,7 +236,8 @@ class VirtualCamera:
         low = np.floor(pixels.min(axis=0)).astype(int) - 6
         high = np.ceil(pixels.max(axis=0)).astype(int) + 7
         columns, rows = (
-            slice(*np.clip([low[axis], high[axis]], 0, size)) for axis, size in ((0, s.width), (1, s.height))
+            slice(*np.clip([low[axis], high[axis]], 0, size))
+            for axis, size in ((0, s.width), (1, s.height))
         )
         return rows, columns
 
@@ -261,7 +273,7 @@ class VirtualCamera:
     def image(self, path: Array) -> Image:
         """An image, shape (height, width), 8 bit grey.
 
-        path: x1 and x2 (m) in the middle of equal parts of the exposure, shape (parts, 2); NaN: the print is covered.
+        path: x1 and x2 (m) in the middle of equal parts of the exposure, shape (parts, 2); NaN: out of sight.
         """
         levels = self._empty.copy()
         for column, module in enumerate((self.settings.rear, self.settings.front)):
@@ -286,9 +298,13 @@ class VirtualCamera:
             sums += scene
         levels[window] = self._exposed(sums / len(centres), window)
 
-    def _put_body(self, scene: Array, window: tuple[slice, slice], place: tuple[float, float, float]) -> None:
+    def _put_body(
+        self, scene: Array, window: tuple[slice, slice], place: tuple[float, float, float]
+    ) -> None:
         x, z = self._plane(place[1], window)
-        inside = (np.abs(x - place[0]) < _MODULE_SIZE[0] / 2.0) & (np.abs(z - place[2]) < _MODULE_SIZE[1] / 2.0)
+        inside = (np.abs(x - place[0]) < _MODULE_SIZE[0] / 2.0) & (
+            np.abs(z - place[2]) < _MODULE_SIZE[1] / 2.0
+        )
         scene[inside] = _MODULE
 
     def _put(
@@ -320,3 +336,21 @@ class VirtualCamera:
         levels += self._noisiness * noise
         levels += 0.5
         return np.clip(levels, 0.0, 255.0, out=levels).astype(np.uint8)
+
+
+_PARTS = 5  # of an exposure
+
+
+def exposure_path(
+    exposure: tuple[int, float, float], before: tuple[int, float, float] | None, duration: float
+) -> Array:
+    """Places during an exposure, as `VirtualCamera.image` takes them, from those in its middle and the one before.
+
+    exposure, before: stamp (ns), x1 and x2 (m); duration: s.
+    """
+    places = np.array(exposure[1:])
+    speeds = np.zeros(2)
+    if before is not None and exposure[0] > before[0]:
+        speeds = np.nan_to_num((places - np.array(before[1:])) / ((exposure[0] - before[0]) * 1e-9))
+    times = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5) * duration
+    return places + times[:, None] * speeds
