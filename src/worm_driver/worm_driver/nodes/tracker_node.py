@@ -11,10 +11,12 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
@@ -65,6 +67,7 @@ class TrackerNode(Node):
         self._length = self.create_publisher(BodyLength, "body_length/measured", 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._frames: FrameThread | None = None
+        self._deaf = False
         self.failure: TrackingError | None = None
         if given["source"] == TOPIC:
             self._subscribe(given["image_transport"])
@@ -75,14 +78,32 @@ class TrackerNode(Node):
     def _subscribe(self, transport: str) -> None:
         if transport not in _TRANSPORTS:
             raise SetupError(f"image_transport must be one of {', '.join(_TRANSPORTS)}")
-        # Best effort hears any publisher, and an image that got lost is not waited for.
-        quality = qos_profile_sensor_data
-        self.create_subscription(CameraInfo, "camera/camera_info", self._on_info, quality)
-        if transport == "raw":
-            self.create_subscription(Image, "camera/image_raw", self._on_image, quality)
-        else:
-            topic = "camera/image_raw/compressed"
-            self.create_subscription(CompressedImage, topic, self._on_compressed, quality)
+        self.create_subscription(
+            CameraInfo, "camera/camera_info", self._on_info, qos_profile_sensor_data
+        )
+        # An image goes in pieces, of which a best-effort subscriber loses some; a reliable one hears no best-effort
+        # camera, of which it is told.
+        self._transport = transport
+        self._images = self._subscribe_images(QoSProfile(depth=2))
+
+    def _subscribe_images(self, quality: QoSProfile) -> Subscription:
+        events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible)
+        if self._transport == "raw":
+            return self.create_subscription(
+                Image, "camera/image_raw", self._on_image, quality, event_callbacks=events
+            )
+        return self.create_subscription(
+            CompressedImage,
+            "camera/image_raw/compressed",
+            self._on_compressed,
+            quality,
+            event_callbacks=events,
+        )
+
+    def _on_incompatible(self, _: object) -> None:
+        self._deaf = (
+            True  # mended at the next report: an event's subscription may not end within it
+        )
 
     def _open(self, source: str) -> None:
         if self._tracker is None:
@@ -181,7 +202,16 @@ class TrackerNode(Node):
         if self._report.refuse(problem):
             self.get_logger().error(problem)
 
+    def _hear_best_effort(self) -> None:
+        """Subscribes again, for a camera that publishes best effort."""
+        self._deaf = False
+        self.destroy_subscription(self._images)
+        quality = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._images = self._subscribe_images(quality)
+
     def _publish_report(self) -> None:
+        if self._deaf:
+            self._hear_best_effort()
         stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(driver_messages.diagnostics([self._report.take()], stamp))
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -21,6 +21,7 @@ from worm_driver.virtual_robot.virtual_settings import SettingsError
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Window = tuple[slice, slice]
 
 DEFAULT_FILE = files("worm_driver").joinpath("config/virtual_camera.yaml")
 
@@ -126,11 +127,11 @@ def framed(rows: list[str]) -> Array:
 
 
 class Pattern:
-    """A print of square cells in its own plane, centred at (0, 0), u to the right, v up, in m."""
+    """A print of cells (sizes along u and v in m) in its own plane, centred at (0, 0), u to the right, v up."""
 
-    def __init__(self, cells: Array, cell: float) -> None:
+    def __init__(self, cells: Array, cell: tuple[float, float]) -> None:
         rows, columns = cells.shape
-        self.half = (columns * cell / 2.0, rows * cell / 2.0)
+        self.half = (columns * cell[0] / 2.0, rows * cell[1] / 2.0)
         self._cell = cell
         # The integral over all that lies left of and below a corner of the cells, in cells.
         self._sums = np.pad(np.cumsum(np.cumsum(cells[::-1], axis=0), axis=1), ((1, 0), (1, 0)))
@@ -146,12 +147,12 @@ class Pattern:
             - self._at(right, low)
             + self._at(left, low)
         )
-        share = inside * self._cell**2 / (du * dv)
+        share = inside * self._cell[0] * self._cell[1] / (du * dv)
         return np.divide(whole, inside, out=np.zeros_like(whole), where=inside > 0.0), share
 
     def _along(self, place: Array, axis: int) -> Array:
         count = self._sums.shape[1 - axis] - 1
-        return np.clip((place + self.half[axis]) / self._cell, 0.0, count)
+        return np.clip((place + self.half[axis]) / self._cell[axis], 0.0, count)
 
     def _at(self, column: Array, row: Array) -> Array:
         """The integral, which is bilinear within each cell."""
@@ -162,6 +163,32 @@ class Pattern:
         low = s[r, c] * (1.0 - fc) + s[r, c + 1] * fc
         high = s[r + 1, c] * (1.0 - fc) + s[r + 1, c + 1] * fc
         return low * (1.0 - fr) + high * fr
+
+
+class _Footprints(NamedTuple):
+    """What pixels see of a plane: centre (x, z) and size (m) of each, all of shape (rows, columns)."""
+
+    x: Array
+    z: Array
+    width: Array
+    height: Array
+
+
+def _put(
+    scene: Array, seen: _Footprints, pattern: Pattern, centre: tuple[float, float], sweep: float
+) -> None:
+    """Puts a pattern at (x, z) into a scene of the same pixels; sweep: m that it moves along x meanwhile."""
+    u, v = seen.x - centre[0], seen.z - centre[1]
+    near = (np.abs(u) < pattern.half[0] + seen.width + sweep) & (
+        np.abs(v) < pattern.half[1] + seen.height
+    )
+    rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+    if not rows.size:
+        return
+    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    sizes = seen.width[part] + sweep, seen.height[part]
+    reflectance, share = pattern.average(u[part], v[part], *sizes)
+    scene[part] = scene[part] * (1.0 - share) + reflectance * share
 
 
 class VirtualCamera:
@@ -177,8 +204,8 @@ class VirtualCamera:
         self._light = self._lighting()
         self._gain, self._glare = self._acrylic()
         cell = settings.marker_size / 6.0
-        self._prints = {n: Pattern(cells, cell) for n, cells in settings.markers.items()}
-        self._body = Pattern(np.full((1, 1), _MODULE), 1.0)
+        self._prints = {n: Pattern(cells, (cell, cell)) for n, cells in settings.markers.items()}
+        self._body = Pattern(np.full((1, 1), _MODULE), _MODULE_SIZE)
         self._still = self._background()
         self._empty = self._exposed(self._still).astype(np.float32)
         share = np.clip(self._empty, 0.0, 255.0) / np.float32(255.0)
@@ -214,17 +241,15 @@ class VirtualCamera:
         right = np.cos(s.roll) * level + np.sin(s.roll) * down
         return np.array([right, np.cross(forward, right), forward])
 
-    def _plane(self, y: float, window: tuple[slice, slice]) -> tuple[Array, Array]:
+    def _plane(self, y: float, window: Window) -> tuple[Array, Array]:
         """The x and z (m) of what each pixel of a window sees in a plane at y."""
         rays, camera = self._rays[window], self.settings.position
         along = (y - camera[1]) / rays[..., 1]
         return camera[0] + along * rays[..., 0], camera[2] + along * rays[..., 2]
 
-    def _window(
-        self, x: float, y: float, z: float, half: tuple[float, float]
-    ) -> tuple[slice, slice]:
+    def _window(self, centre: tuple[float, float, float], half: tuple[float, float]) -> Window:
         """The pixels that may see a rectangle of half sizes (m) in a plane at y."""
-        s, axes = self.settings, self._orientation()
+        s, axes, (x, y, z) = self.settings, self._orientation(), centre
         corners = np.array(
             [[x + a * half[0], y, z + b * half[1]] for a in (-1, 1) for b in (-1, 1)]
         )
@@ -263,9 +288,10 @@ class VirtualCamera:
         everything = (slice(None), slice(None))
         _, z = self._plane(-s.pipe_radius, everything)
         scene = np.where(np.abs(z) < s.pipe_radius, _WALL, _BACKGROUND)
-        for number, place in s.reference.items():
-            window = self._window(*place, self._prints[number].half)
-            self._put(scene, window, self._prints[number], place)
+        for number, (x, y, z) in s.reference.items():
+            window = self._window((x, y, z), self._prints[number].half)
+            part = scene[window]
+            _put(part, self._footprints(y, window), self._prints[number], (x, z), 0.0)
         return scene
 
     # --- what moves -------------------------------------------------------------------------------
@@ -286,46 +312,26 @@ class VirtualCamera:
         """Puts a module into the image, averaged over its places (m) during the exposure."""
         y, z = self.settings.module_line
         middle, sweep = float(centres.mean()), float(np.ptp(centres))
-        half = (_MODULE_SIZE[0] / 2.0 + sweep, _MODULE_SIZE[1] / 2.0)
         part = sweep / max(len(centres) - 1, 1)
-        window = self._window(middle, y, z, half)
-        sums = np.zeros(self._still[window].shape)
+        half = (_MODULE_SIZE[0] / 2.0 + sweep, _MODULE_SIZE[1] / 2.0)
+        window = self._window((middle, y, z), half)
+        seen = self._footprints(y, window)
+        behind = self._still[window].copy()
+        _put(behind, seen, self._body, (middle, z), sweep + part)
+        sums = np.zeros(seen.x.shape)
         for centre in centres:
-            scene = self._still[window].copy()
-            self._put_body(scene, window, (float(centre), y, z))
-            whole = (slice(None), slice(None))
-            self._put(scene, whole, self._prints[number], (float(centre), y, z), window, part)
+            scene = behind.copy()
+            _put(scene, seen, self._prints[number], (float(centre), z), part)
             sums += scene
         levels[window] = self._exposed(sums / len(centres), window)
 
-    def _put_body(
-        self, scene: Array, window: tuple[slice, slice], place: tuple[float, float, float]
-    ) -> None:
-        x, z = self._plane(place[1], window)
-        inside = (np.abs(x - place[0]) < _MODULE_SIZE[0] / 2.0) & (
-            np.abs(z - place[2]) < _MODULE_SIZE[1] / 2.0
-        )
-        scene[inside] = _MODULE
+    def _footprints(self, y: float, window: Window) -> "_Footprints":
+        x, z = self._plane(y, window)
+        spread = self.settings.pixel_spread
+        widths = spread * np.abs(np.gradient(x, axis=1)), spread * np.abs(np.gradient(z, axis=0))
+        return _Footprints(x, z, *widths)
 
-    def _put(
-        self,
-        scene: Array,
-        part: tuple[slice, slice],
-        pattern: Pattern,
-        place: tuple[float, float, float],
-        window: tuple[slice, slice] | None = None,
-        sweep: float = 0.0,
-    ) -> None:
-        """Puts a print into a part of a scene; window: the pixels of that part, if they are others; sweep: m."""
-        x, z = self._plane(place[1], part if window is None else window)
-        du = self.settings.pixel_spread * np.abs(np.gradient(x, axis=1)) + sweep
-        dv = self.settings.pixel_spread * np.abs(np.gradient(z, axis=0))
-        reflectance, share = pattern.average(x - place[0], z - place[2], du, dv)
-        scene[part] = scene[part] * (1.0 - share) + reflectance * share
-
-    def _exposed(
-        self, scene: Array, window: tuple[slice, slice] = (slice(None), slice(None))
-    ) -> Array:
+    def _exposed(self, scene: Array, window: Window = (slice(None), slice(None))) -> Array:
         """Grey levels of a scene's reflectance."""
         return scene * self._light[window] * self._gain[window] + self._glare[window]
 
@@ -338,7 +344,7 @@ class VirtualCamera:
         return np.clip(levels, 0.0, 255.0, out=levels).astype(np.uint8)
 
 
-_PARTS = 5  # of an exposure
+_PARTS = 3  # of an exposure
 
 
 def exposure_path(
