@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where on the modules' line a marker is, and whether what was seen can be that marker at all."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ _SIZE = 0.12
 #: rad, by which a side may be turned against the pipe's axis
 _TURNED = 0.2
 #: Cells over which its edges may rise; beyond, one cell runs into the next
-_BLURRED = 0.8
+BLURRED = 0.8
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,9 @@ def _problem(
     setup: TrackerSetup, pose: CameraPose, detection: Detection, rays: Array, beside: float
 ) -> str:
     """Why a detection is not believed; empty if it is."""
-    if detection.edge_width > _BLURRED:
+    if not math.isfinite(detection.edge_width):
+        return "without clear edges (glare, or partly covered)"
+    if detection.edge_width > BLURRED:
         return f"blurred over {detection.edge_width:.1f} cells"
     if beside > _OFF_LINE * setup.marker_size:
         return f"at a wild place, {beside * 1e3:.1f} mm beside the modules' line"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from worm_driver.tracking.camera_model import CameraModel
 from worm_driver.tracking.camera_pose import CameraPose, FixedCamera, MovingCamera
-from worm_driver.tracking.module_position import Fix, locate
+from worm_driver.tracking.module_position import BLURRED, Fix, locate
 from worm_driver.tracking.tracker_setup import ModuleMarker, TrackerSetup
 from worm_driver.tracking.tracking_errors import SetupError
 from worm_driver.tracking.vision import Detection
@@ -65,7 +65,8 @@ class Tracker:
         time = stamp - self.setup.delay
         counts = Counter(detection.number for detection in detections)
         once = {d.number: d for d in detections if counts[d.number] == 1}
-        seen = {n: once[n].corners for n in self.setup.reference if n in once}
+        sharp = {n for n, detection in once.items() if detection.edge_width <= BLURRED}
+        seen = {n: once[n].corners for n in self.setup.reference if n in sharp}
         watch = self._place.look(seen)
         if watch.pose is None:
             return Sighting(time, math.nan, math.nan, watch.problem, watch.news)

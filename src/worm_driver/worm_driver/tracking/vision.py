@@ -22,8 +22,13 @@ Image = NDArray[np.uint8]
 cv2.setNumThreads(1)
 
 _EXACT = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-9)
-_PROFILE = np.linspace(-1.0, 1.0, 21)  # cells from an edge, inwards to outwards
-_ALONG = np.linspace(0.2, 0.8, 9)  # of an edge
+_PROFILE = np.linspace(-0.9, 0.9, 19)  # cells from an edge, inwards to outwards
+_ALONG = np.linspace(0.1, 0.9, 25)  # of an edge, clear of the corners, which blur rounds
+_FEWEST = 8  # of those points that must lie on a line
+_LEAST_RISE = 12.0  # grey levels from the frame to the white
+_REFINEMENTS = 2
+_REJECTIONS = 3
+_USUAL = 0.1  # pixels, that a point is off its line by noise alone
 _BORDER = 2  # cells of the frame that a marker has beside its bits
 
 
@@ -49,53 +54,115 @@ class MarkerDetector:
         found = _dictionary(dictionary)
         self._cells = found.markerSize + _BORDER
         settings = cv2.aruco.DetectorParameters()
-        settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        # The window must stay within a cell, or it takes a corner of the pattern for one of the frame.
-        settings.relativeCornerRefinmentWinSize = 0.6
-        settings.cornerRefinementWinSize = 6
-        settings.cornerRefinementMinAccuracy = 0.005
         # One threshold, of a window that is wider than a cell of a marker of 40 pixels.
         settings.adaptiveThreshWinSizeMin = settings.adaptiveThreshWinSizeMax = 23
         self._detector = cv2.aruco.ArucoDetector(found, settings)
 
     def detect(self, image: Image) -> list[Detection]:
         """The markers in an image; one that is there twice stands there twice."""
-        corners, numbers, _ = self._detector.detectMarkers(image)
+        found, numbers, _ = self._detector.detectMarkers(image)
         if numbers is None:
             return []
+        first = np.concatenate(found).astype(float)
+        corners, widths = first, np.empty(len(first))
+        for _ in range(_REFINEMENTS):
+            corners, widths = _refined(image, corners, self._cells)
+        cell = np.hypot(*(first[:, 1] - first[:, 0]).T) / self._cells
+        # Where the edges lead away from what OpenCV found, they are not the marker's.
+        lost = ~(np.abs(corners - first).max(axis=(1, 2)) < cell)
+        corners[lost], widths[lost] = first[lost], np.inf
         return [
-            self._detection(image, int(number), quad[0].astype(float))
-            for number, quad in zip(numbers.ravel(), corners, strict=True)
+            Detection(int(number), quad, float(width))
+            for number, quad, width in zip(numbers.ravel(), corners, widths, strict=True)
         ]
 
-    def _detection(self, image: Image, number: int, corners: Array) -> Detection:
-        return Detection(number, corners, _edge_width(image, corners, self._cells))
+
+def _refined(image: Image, corners: Array, cells: int) -> tuple[Array, Array]:
+    """Corners where lines through the four edges meet, shape (markers, 4, 2), and how wide the edges are (cells).
+
+    An edge is where the grey level is half way between the frame and the white beside it, which blur does not move; a
+    line through many such points is several times as exact as OpenCV's own corners, which blur draws inwards.
+    """
+    sides = np.roll(corners, -1, axis=1) - corners
+    lengths = np.hypot(sides[..., 0], sides[..., 1])
+    outwards = np.stack([sides[..., 1], -sides[..., 0]], axis=-1) / lengths[..., None]
+    reach = lengths / cells  # a cell, pixels
+    starts = corners + _ALONG[:, None, None, None] * sides  # (along, marker, side, 2)
+    across = _PROFILE[:, None, None, None, None] * (reach[..., None] * outwards)
+    points = (starts[None] + across).reshape(len(_PROFILE), -1, 2).astype(np.float32)
+    columns, rows = points[..., 0], points[..., 1]
+    values = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    shares = _shares(values.reshape(len(_PROFILE), len(_ALONG), *lengths.shape).astype(float))
+    offset, slope = _lines(_crossings(shares) * reach)
+    begin = corners + offset[..., None] * outwards
+    end = corners + sides + (offset + slope)[..., None] * outwards
+    return _meetings(begin, end), _rises(shares)
 
 
-def _edge_width(image: Image, corners: Array, cells: int) -> float:
-    """How wide the edges are between the frame and the white around it, the widest of two directions, in cells."""
-    following = np.roll(corners, -1, axis=0)
-    inwards = (np.roll(corners, 1, axis=0) - corners) / cells  # of the side that begins there
-    starts = corners + _ALONG[:, None, None] * (following - corners)  # (along, side, 2)
-    points = starts[None] - _PROFILE[:, None, None, None] * inwards  # (profile, along, side, 2)
-    flat = points.reshape(len(_PROFILE), -1, 2).astype(np.float32)
-    values = cv2.remap(
-        image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    profiles = values.reshape(len(_PROFILE), len(_ALONG), 4).mean(axis=1)
-    # Opposite sides are blurred alike, and uneven light on them cancels.
-    pairs = (profiles[:, :2] + profiles[:, 2:]) / 2.0
-    return max(_rise(pair) for pair in pairs.T)
+def _shares(profiles: Array) -> Array:
+    """Profiles from 0 (the frame) to 1 (the white beside it); NaN where there is no rise."""
+    low, high = profiles[:3].mean(axis=0), profiles[-3:].mean(axis=0)
+    rise = np.where(high - low > _LEAST_RISE, high - low, np.nan)
+    shares: Array = (profiles - low) / rise
+    return shares
 
 
-def _rise(profile: Array) -> float:
-    """Cells from 10 to 90 % of a profile's rise, from its area: not misled by noise at the ends."""
-    low, high = profile[:3].mean(), profile[-3:].mean()
-    if high <= low:
-        return float("inf")
-    share = np.clip((profile - low) / (high - low), 0.0, 1.0)
+def _crossings(shares: Array) -> Array:
+    """Where profiles first rise above a half, cells, shape (along, …); NaN where they do not."""
+    above = shares > 0.5
+    index = np.clip(above.argmax(axis=0), 1, len(_PROFILE) - 1)
+    before, after = (np.take_along_axis(shares, index[None] - back, axis=0)[0] for back in (1, 0))
+    step = _PROFILE[1] - _PROFILE[0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        places: Array = _PROFILE[index - 1] + step * (0.5 - before) / (after - before)
+    return np.where(above.any(axis=0) & ~above[0], places, np.nan)
+
+
+def _lines(places: Array) -> tuple[Array, Array]:
+    """Offset and slope of a line through each edge's points (along, …), without those that lie off it.
+
+    NaN where too few are left.
+    """
+    good = np.isfinite(places)
+    d = np.where(good, places, 0.0)
+    t = _ALONG.reshape(-1, *[1] * (d.ndim - 1))
+    for _ in range(_REJECTIONS):
+        count = np.maximum(good.sum(axis=0), 1)
+        middle_t, middle_d = (good * t).sum(axis=0) / count, (good * d).sum(axis=0) / count
+        off_t = good * (t - middle_t)
+        slope = (off_t * d).sum(axis=0) / np.maximum((off_t * off_t).sum(axis=0), 1e-9)
+        offset = middle_d - slope * middle_t
+        wrong = np.where(good, np.abs(d - offset - slope * t), np.inf)
+        usual = np.take_along_axis(np.sort(wrong, axis=0), (count // 2)[None], axis=0)[0]
+        good &= wrong <= 3.0 * np.maximum(usual, _USUAL)
+    enough = good.sum(axis=0) >= _FEWEST
+    return np.where(enough, offset, np.nan), np.where(enough, slope, np.nan)
+
+
+def _meetings(begin: Array, end: Array) -> Array:
+    """The corners of four lines in turn, shape (markers, 4, 2): each line meets the one before it."""
+    start, along = begin, end - begin
+    other, across = np.roll(begin, 1, axis=1), np.roll(along, 1, axis=1)
+    # start + s * along = other + r * across
+    apart = other - start
+    turn = along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0]
+    share = (apart[..., 0] * across[..., 1] - apart[..., 1] * across[..., 0]) / turn
+    corners: Array = start + share[..., None] * along
+    return corners
+
+
+def _rises(shares: Array) -> Array:
+    """Cells from 10 to 90 % of each marker's edges, the wider of its two directions, from the area of the rise."""
+    there = np.isfinite(shares)
+    count = np.maximum(there.sum(axis=1), 1)
+    mean = np.where(there, shares, 0.0).sum(axis=1) / count  # (profile, marker, side)
+    share = np.clip(
+        (mean[..., :2] + mean[..., 2:]) / 2.0, 0.0, 1.0
+    )  # opposite sides are blurred alike
     # The area under s(1 - s) of a linear ramp of width w is w / 6, and 10 to 90 % are 0.8 w.
-    return float(0.8 * 6.0 * np.sum(share * (1.0 - share)) * (_PROFILE[1] - _PROFILE[0]))
+    width = 0.8 * 6.0 * (share * (1.0 - share)).sum(axis=0) * (_PROFILE[1] - _PROFILE[0])
+    rises: Array = width.max(axis=-1)
+    return rises
 
 
 # --- geometry -------------------------------------------------------------------------------------
