@@ -5,6 +5,7 @@ The table has a row an image: time_s, rear_position_m, front_position_m, length_
 """
 
 import argparse
+import contextlib
 import csv
 import json
 import math
@@ -90,15 +91,15 @@ def write_bag(path: Path, sightings: Iterable[Sighting]) -> list[Sighting]:
 
 
 def _import_lab() -> list[str]:
-    try:
+    with contextlib.suppress(ImportError, LookupError):
         from ament_index_python.packages import get_package_prefix
 
         found = Path(get_package_prefix("worm_model"), "lib", "worm_model", "import_lab")
-    except (ImportError, LookupError):
-        raise TrackingError(
-            "a bag needs worm_model's import_lab, which is not installed here: give --output a name that ends in .csv"
-        ) from None
-    return [str(found)]
+        if found.is_file():
+            return [str(found)]
+    raise TrackingError(
+        "a bag needs worm_model's import_lab, which is not installed here: give --output a name that ends in .csv"
+    )
 
 
 def _parser() -> Parser:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from worm_driver.tracking.camera_model import CameraModel
-from worm_driver.tracking.camera_pose import CameraPose, FixedCamera, MovingCamera
+from worm_driver.tracking.camera_pose import DOUBTFUL, CameraPose, FixedCamera, MovingCamera
 from worm_driver.tracking.module_position import BLURRED, Fix, locate
 from worm_driver.tracking.tracker_setup import ModuleMarker, TrackerSetup
 from worm_driver.tracking.tracking_errors import SetupError
@@ -58,6 +58,7 @@ class Tracker:
         self.camera = model
         kind = FixedCamera if setup.pose == "fixed" else MovingCamera
         self._place = kind(setup, model)
+        self._doubted = False
         self._last: dict[str, tuple[float, float]] = {}
 
     def see(self, detections: Sequence[Detection], stamp: float) -> Sighting:
@@ -70,13 +71,24 @@ class Tracker:
         watch = self._place.look(seen)
         if watch.pose is None:
             return Sighting(time, math.nan, math.nan, watch.problem, watch.news)
+        news = watch.news or self._doubt(watch.pose)
         fixes = {}
         for name, module in (("rear", self.setup.rear), ("front", self.setup.front)):
             fix = self._fix(module, once, counts, watch.pose)
             fixes[name] = self._believed(name, fix, time)
         reasons = [f"{name} marker {fix.reason}" for name, fix in fixes.items() if fix.reason]
         positions = fixes["rear"].position, fixes["front"].position
-        return Sighting(time, *positions, "; ".join(reasons), watch.news, watch.pose)
+        return Sighting(time, *positions, "; ".join(reasons), news, watch.pose)
+
+    def _doubt(self, pose: CameraPose) -> str:
+        """Told once where the reference markers fit their places less well than markers can."""
+        if self._doubted or pose.error_m < DOUBTFUL:
+            return ""
+        self._doubted = True
+        return (
+            f"the reference markers lie {pose.error_m * 1e3:.2f} mm ({pose.error:.1f} px) beside the places of the "
+            "setup file, which may put x1 and x2 off by some mm: measure the places again, or calibrate anew"
+        )
 
     def _fix(
         self,

@@ -85,10 +85,12 @@ class _Loader(yaml.SafeLoader):
 
 
 def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, Any]:
-    keys = [loader.construct_object(key, deep=True) for key, _ in node.value]
-    for key, (key_node, _) in zip(keys, node.value, strict=True):
-        if keys.count(key) > 1:
+    before = []
+    for key_node, _ in node.value:
+        key = loader.construct_object(key_node, deep=True)
+        if key in before:
             raise SetupError(f"line {key_node.start_mark.line + 1}: {key} stands there twice")
+        before.append(key)
     return yaml.SafeLoader.construct_mapping(loader, node, deep=True)
 
 

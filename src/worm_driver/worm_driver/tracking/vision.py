@@ -21,6 +21,7 @@ Image = NDArray[np.uint8]
 # A camera's images come one by one, and a second thread would only wait for the first.
 cv2.setNumThreads(1)
 
+_UNIT = np.eye(3)
 _EXACT = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-9)
 _PROFILE = np.linspace(-0.9, 0.9, 19)  # cells from an edge, inwards to outwards
 _ALONG = np.linspace(0.1, 0.9, 25)  # of an edge, clear of the corners, which blur rounds
@@ -206,16 +207,20 @@ def poses(points: Array, rays: Array) -> list[tuple[Array, Array]]:
     if np.linalg.det(axes) < 0.0:
         axes[2] = -axes[2]
     own = (points - centre) @ axes.T
-    method = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
+    # IPPE fails where the vanishing line is exactly parallel to an axis; SQPNP knows one of the two poses only.
+    methods = [cv2.SOLVEPNP_SQPNP]
     if flat:
         own[:, 2] = 0.0
-    unit = np.eye(3)
-    count, turns, shifts, _ = cv2.solvePnPGeneric(own, rays, unit, None, flags=method)
+        methods.append(cv2.SOLVEPNP_IPPE)
     found = []
-    for turn, shift in zip(turns[:count], shifts[:count], strict=True):
-        better_turn, better_shift = cv2.solvePnPRefineLM(own, rays, unit, None, turn, shift)
-        rotation = cv2.Rodrigues(better_turn)[0] @ axes
-        found.append((rotation, better_shift.ravel() - rotation @ centre))
+    for method in methods:
+        _, turns, shifts, _ = cv2.solvePnPGeneric(own, rays, _UNIT, None, flags=method)
+        for turn, shift in zip(turns, shifts, strict=True):
+            if not np.isfinite([turn, shift]).all():
+                continue
+            better = cv2.solvePnPRefineLM(own, rays, _UNIT, None, turn, shift)
+            rotation = cv2.Rodrigues(better[0])[0] @ axes
+            found.append((rotation, better[1].ravel() - rotation @ centre))
     return found
 
 

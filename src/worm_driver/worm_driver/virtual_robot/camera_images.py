@@ -29,7 +29,7 @@ _QUIET = 1.0  # cells of white around a print
 _PAPER, _INK = 1.0, 0.07  # reflectance
 _MODULE, _WALL, _BACKGROUND = 0.38, 0.55, 0.72
 _MODULE_SIZE = (0.048, 0.062)  # m along x and z, of the part of a module that the camera sees
-_UNDISTORTIONS = 60  # fixed-point iterations, to well below a thousandth of a pixel
+_UNDISTORTIONS = 25  # fixed-point iterations, to well below a thousandth of a pixel
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class Pattern:
         return low * (1.0 - fr) + high * fr
 
 
-class _Footprints(NamedTuple):
+class Footprints(NamedTuple):
     """What pixels see of a plane: centre (x, z) and size (m) of each, all of shape (rows, columns)."""
 
     x: Array
@@ -175,7 +175,7 @@ class _Footprints(NamedTuple):
 
 
 def _put(
-    scene: Array, seen: _Footprints, pattern: Pattern, centre: tuple[float, float], sweep: float
+    scene: Array, seen: Footprints, pattern: Pattern, centre: tuple[float, float], sweep: float
 ) -> None:
     """Puts a pattern at (x, z) into a scene of the same pixels; sweep: m that it moves along x meanwhile."""
     u, v = seen.x - centre[0], seen.z - centre[1]
@@ -291,7 +291,9 @@ class VirtualCamera:
         for number, (x, y, z) in s.reference.items():
             window = self._window((x, y, z), self._prints[number].half)
             part = scene[window]
-            _put(part, self._footprints(y, window), self._prints[number], (x, z), 0.0)
+            if min(part.shape) < 2:
+                continue  # out of the image
+            _put(part, self.footprints(y, window), self._prints[number], (x, z), 0.0)
         return scene
 
     # --- what moves -------------------------------------------------------------------------------
@@ -315,7 +317,9 @@ class VirtualCamera:
         part = sweep / max(len(centres) - 1, 1)
         half = (_MODULE_SIZE[0] / 2.0 + sweep, _MODULE_SIZE[1] / 2.0)
         window = self._window((middle, y, z), half)
-        seen = self._footprints(y, window)
+        if min(levels[window].shape) < 2:
+            return  # out of the image
+        seen = self.footprints(y, window)
         behind = self._still[window].copy()
         _put(behind, seen, self._body, (middle, z), sweep + part)
         sums = np.zeros(seen.x.shape)
@@ -325,11 +329,12 @@ class VirtualCamera:
             sums += scene
         levels[window] = self._exposed(sums / len(centres), window)
 
-    def _footprints(self, y: float, window: Window) -> "_Footprints":
+    def footprints(self, y: float, window: Window) -> Footprints:
+        """What the pixels of a window see of a plane at y (m)."""
         x, z = self._plane(y, window)
         spread = self.settings.pixel_spread
         widths = spread * np.abs(np.gradient(x, axis=1)), spread * np.abs(np.gradient(z, axis=0))
-        return _Footprints(x, z, *widths)
+        return Footprints(x, z, *widths)
 
     def _exposed(self, scene: Array, window: Window = (slice(None), slice(None))) -> Array:
         """Grey levels of a scene's reflectance."""
