@@ -286,8 +286,8 @@ class VirtualCamera:
     def _background(self) -> Array:
         s = self.settings
         everything = (slice(None), slice(None))
-        _, z = self._plane(-s.pipe_radius, everything)
-        scene = np.where(np.abs(z) < s.pipe_radius, _WALL, _BACKGROUND)
+        _, height = self._plane(-s.pipe_radius, everything)
+        scene = np.where(np.abs(height) < s.pipe_radius, _WALL, _BACKGROUND)
         for number, (x, y, z) in s.reference.items():
             window = self._window((x, y, z), self._prints[number].half)
             part = scene[window]
