@@ -27,12 +27,12 @@ from worm_driver.tracking.camera_model import CameraModel, make_camera_model
 from worm_driver.tracking.frame_thread import FrameThread
 from worm_driver.tracking.image_sources import check_size
 from worm_driver.tracking.initial_length import InitialLength
-from worm_driver.tracking.tracker import Sighting, Tracker
+from worm_driver.tracking.tracker import Sighting
+from worm_driver.tracking.tracker import Tracker as ModuleTracker
 from worm_driver.tracking.tracker_report import TrackerReport
 from worm_driver.tracking.tracker_setup import load_setup
 from worm_driver.tracking.tracking_errors import ImageError, SetupError, TrackingError
-from worm_msgs.msg import BodyLength
-from worm_msgs.msg import Tracker as TrackerMessage
+from worm_msgs.msg import BodyLength, Tracker
 
 #: The frame that positions are given in: x forward along the axis of the pipe, z up (REP 103)
 FRAME = "pipe"
@@ -60,10 +60,10 @@ class TrackerNode(Node):
         }
         self._setup = load_setup(_setup_path(given["setup_file"]))
         self._detector = vision.MarkerDetector(self._setup.dictionary)
-        self._tracker = None if self._setup.camera is None else Tracker(self._setup)
+        self._tracker = None if self._setup.camera is None else ModuleTracker(self._setup)
         self._initial_length = InitialLength()
         self._report = TrackerReport(given["source"])
-        self._positions = self.create_publisher(TrackerMessage, "tracker", 10)
+        self._positions = self.create_publisher(Tracker, "tracker", 10)
         self._length = self.create_publisher(BodyLength, "body_length/measured", 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._frames: FrameThread | None = None
@@ -132,7 +132,7 @@ class TrackerNode(Node):
             return
         if self._setup.camera is None:
             if self._tracker is None or self._tracker.camera != camera:
-                self._tracker = Tracker(self._setup, camera)
+                self._tracker = ModuleTracker(self._setup, camera)
         elif _differ(self._setup.camera, camera):
             text = "the calibration on camera_info is not that of the setup file, which is used"
             self.get_logger().warning(text, once=True)
@@ -186,9 +186,7 @@ class TrackerNode(Node):
     def _publish(self, sighting: Sighting, stamp: Time) -> None:
         header = Header(stamp=stamp, frame_id=FRAME)
         self._positions.publish(
-            TrackerMessage(
-                header=header, rear_position=sighting.rear, front_position=sighting.front
-            )
+            Tracker(header=header, rear_position=sighting.rear, front_position=sighting.front)
         )
         length = sighting.length
         if not math.isnan(length):
