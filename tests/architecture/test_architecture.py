@@ -39,6 +39,7 @@ CONFINED = {
     "geometry_msgs": NODES,
     "builtin_interfaces": NODES,
     "dynamixel_sdk": ["worm_driver/servos/servo_bus.py"],
+    "cv2": ["worm_driver/tracking/vision.py"],
     "smbus2": ["worm_driver/power/i2c.py"],
     "pymoo": ["worm_optimizer/search/nsga2.py"],
     "numba": ["worm_model/simulation/kernel/*.py"],

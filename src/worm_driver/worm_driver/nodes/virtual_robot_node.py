@@ -7,6 +7,7 @@ import math
 import sys
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rclpy.duration import Duration
@@ -14,8 +15,13 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Header
 
+from worm_driver.nodes.virtual_camera_node import CameraProcess
+from worm_driver.tracking.initial_length import InitialLength
 from worm_driver.virtual_robot.camera import TrackerSample
+from worm_driver.virtual_robot.camera_images import DEFAULT_FILE as CAMERA_FILE
+from worm_driver.virtual_robot.camera_images import load_camera_settings
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import SettingsError, load_settings
 from worm_driver.virtual_robot.wire.endpoints import DirectoryError, Endpoints
@@ -32,7 +38,8 @@ from worm_msgs.srv import InjectFault
 
 _DEPTH = 500  # of samples that may wait for a subscriber whose machine is busy
 _CLOCK_PERIOD = 0.05  # s of the robot's time between two messages on /clock
-_REST_SAMPLES = 30  # at the start, whose mean is the initial length that the camera goes by
+_FRAME = "pipe"  # x forward along the axis, z up (REP 103)
+_VIRTUAL = "virtual"  # stands for the installed file of the camera
 # Python hands the interpreter over after 5 ms by default, too late for an answer on the bus.
 _SWITCH_INTERVAL = 0.0002  # s
 _SIGNAL_LATENCY = 0.1  # s, after which a signal is noticed at the latest
@@ -42,9 +49,18 @@ log = logging.getLogger("virtual_robot")
 
 
 class VirtualRobotNode(Node):
-    """Publishes what the camera sees, and takes faults."""
+    """Publishes what the camera sees, and takes faults.
 
-    def __init__(self, robot: VirtualRobot, directory: Path, rate: float | None) -> None:
+    camera: file of the camera whose images are published in the place of the positions; None: positions are.
+    """
+
+    def __init__(
+        self,
+        robot: VirtualRobot,
+        directory: Path,
+        rate: float | None,
+        camera: Path | None = None,
+    ) -> None:
         super().__init__("virtual_robot")
         epoch_ns = self.get_clock().now().nanoseconds
         self.endpoints = Endpoints(
@@ -55,34 +71,47 @@ class VirtualRobotNode(Node):
             epoch_ns=epoch_ns,
             on_time=self._tell_time,
         )
-        self._lengths_at_rest: list[float] = []
-        self._tracker = self.create_publisher(Tracker, "tracker", _DEPTH)
-        self._length = self.create_publisher(BodyLength, "body_length/measured", _DEPTH)
+        self._initial_length = InitialLength()
+        self._camera: CameraProcess | None = None
+        if camera is None:
+            self._tracker = self.create_publisher(Tracker, "tracker", _DEPTH)
+            self._length = self.create_publisher(BodyLength, "body_length/measured", _DEPTH)
+        else:
+            self._camera = CameraProcess(camera, robot.settings.seed, self.get_namespace())
         self._time = self.create_publisher(Clock, "/clock", 10) if rate is not None else None
         self._next_tick = 0.0
         self.create_service(InjectFault, "inject_fault", self._inject)
 
+    def close(self) -> None:
+        """Ends the camera."""
+        if self._camera is not None:
+            self._camera.close()
+
     def _take_samples(self, samples: list[TrackerSample]) -> None:
         """In the serving thread, as the other one may be late."""
         for sample in samples:
-            stamp = self._stamp(sample.time).to_msg()
-            message = Tracker(
-                rear_position=sample.rear_position, front_position=sample.front_position
-            )
-            message.header.stamp = stamp
-            self._tracker.publish(message)
-            if not math.isnan(sample.length):  # a hidden marker gives no length
-                self._publish_length(sample.length, stamp)
+            stamp = self._stamp(sample.time)
+            if self._camera is None:
+                self._publish(sample, Header(stamp=stamp.to_msg(), frame_id=_FRAME))
+            else:
+                places = sample.rear_position, sample.front_position
+                self._camera.expose(stamp.nanoseconds, *places)
 
-    def _publish_length(self, length: float, stamp: object) -> None:
-        if len(self._lengths_at_rest) < _REST_SAMPLES:
-            self._lengths_at_rest.append(length)
-        initial = sum(self._lengths_at_rest) / len(self._lengths_at_rest)
-        message = BodyLength(
-            source=BodyLength.MEASURED, length=length, length_change=length - initial
+    def _publish(self, sample: TrackerSample, header: Header) -> None:
+        self._tracker.publish(
+            Tracker(
+                header=header,
+                rear_position=sample.rear_position,
+                front_position=sample.front_position,
+            )
         )
-        message.header.stamp = stamp
-        self._length.publish(message)
+        if math.isnan(sample.length):  # a hidden marker gives no length
+            return
+        change = self._initial_length.change(sample.length)
+        source, length = BodyLength.MEASURED, sample.length
+        self._length.publish(
+            BodyLength(header=header, source=source, length=length, length_change=change)
+        )
 
     def _tell_time(self, now: float) -> None:
         """In the serving thread: the robot's time, for whoever uses it (use_sim_time)."""
@@ -122,6 +151,11 @@ class VirtualRobotNode(Node):
         return response
 
 
+def _camera_file(text: str) -> Path:
+    """The file that --camera names."""
+    return Path(str(CAMERA_FILE)) if text == _VIRTUAL else Path(text)
+
+
 def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     faults = "\n".join(f"  {name:18}{kind}" for name, kind in KINDS.items())
     parser = argparse.ArgumentParser(
@@ -137,6 +171,14 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
         "--parameters", type=Path, metavar="FILE", help="default: the installed one"
     )
     parser.add_argument("--seed", type=int, metavar="N", help="default: the parameter file's")
+    parser.add_argument(
+        "--camera",
+        nargs="?",
+        type=_camera_file,
+        const=_camera_file(_VIRTUAL),
+        metavar="FILE",
+        help="publish images of this rig in the place of positions; default: the installed one",
+    )
     parser.add_argument(
         "--fault",
         action="append",
@@ -174,6 +216,9 @@ def _make_robot(arguments: argparse.Namespace) -> VirtualRobot:
     settings = load_settings(arguments.parameters)
     if arguments.seed is not None:
         settings = settings.with_seed(arguments.seed)
+    if arguments.camera is not None:  # whose images have noise of their own
+        load_camera_settings(arguments.camera)
+        settings = replace(settings, tracker=replace(settings.tracker, noise=0.0))
     return VirtualRobot(settings, FaultBoard(parse_fault(text) for text in arguments.fault))
 
 
@@ -187,7 +232,7 @@ def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
 
 def _run(robot: VirtualRobot, options: argparse.Namespace, ended: Ending) -> None:
     """Serves until the process is asked to end, and the driver has. Raises what the serving thread raised."""
-    node = VirtualRobotNode(robot, options.directory, options.rate)
+    node = VirtualRobotNode(robot, options.directory, options.rate, options.camera)
     ended.again = node.endpoints.stop
     failures: list[Exception] = []
     serving = threading.Thread(target=_serve, args=(node, failures), name="serving")
@@ -206,6 +251,7 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: Ending) -> Non
         if serving.ident is not None:
             serving.join()
         node.endpoints.close()
+        node.close()
         node.destroy_node()
     if failures:
         raise failures[0]
