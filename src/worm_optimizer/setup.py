@@ -14,7 +14,11 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "demo = worm_optimizer.commands.demo:main",
     "report = worm_optimizer.commands.report:main",
     "campaign = worm_optimizer.commands.campaign:main",
+    "study = worm_optimizer.commands.study:main",
 ]
+# What pip brings for a worker of a study, which needs no ROS; requirements*.txt pin the versions.
+NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo"]
+STUDY = ["dask", "distributed", "jinja2", "pyarrow", "xarray", "zarr"]
 
 setup(
     name=NAME,
@@ -24,7 +28,9 @@ setup(
     maintainer="The worm robot maintainers",
     maintainer_email="maintainers@worm.invalid",
     packages=find_packages(),
-    package_data={NAME: ["config/*"]},
+    package_data={NAME: ["config/*", "study/*.html"]},
+    install_requires=NEEDED,
+    extras_require={"study": STUDY},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
