@@ -22,6 +22,7 @@ from worm_optimizer.study.plan import Study, StudyError, load_study
 
 try:
     from worm_optimizer.study.engine import ClusterError, LostError
+    from worm_optimizer.study.page import write_page
     from worm_optimizer.study.run import Estimate, estimate, run_study
     from worm_optimizer.study.store import StoreError
 except ModuleNotFoundError as error:  # the optional set, which a robot goes without
@@ -40,7 +41,9 @@ def _parser() -> Parser:
         "command goes on where it was.",
     )
     add = parser.add_argument
-    add("study", nargs="?", type=Path, metavar="STUDY.yaml", help="what varies and what is computed")
+    add(
+        "study", nargs="?", type=Path, metavar="STUDY.yaml", help="what varies and what is computed"
+    )
     add("--bags", type=Path, metavar="FOLDER", help="read all bags below a folder instead")
     add(
         "--output",
@@ -49,9 +52,16 @@ def _parser() -> Parser:
         help="STUDY.zarr, or FLEET.parquet for bags; goes on where it was",
     )
     add("--page", metavar="PAGE.html", help="a new page with figures of what is there")
-    add("--scheduler", default="", metavar="ADDRESS", help="of a Dask cluster; default: this machine")
+    add(
+        "--scheduler",
+        default="",
+        metavar="ADDRESS",
+        help="of a Dask cluster; default: this machine",
+    )
     add("--workers", type=int, metavar="N", help="on this machine (default: one a core)")
-    add("--dry-run", action="store_true", help="only tell points, gaits and an estimate of the time")
+    add(
+        "--dry-run", action="store_true", help="only tell points, gaits and an estimate of the time"
+    )
     add("--json", action="store_true", help="print one JSON object")
     add_parameters(parser)
     return parser
@@ -89,7 +99,9 @@ def _points(options: argparse.Namespace, page: Path | None) -> None:
     if options.json:
         print_json(told)
         return
-    arguments.say(f"{counts.done} of {counts.points} points in {options.output}, {counts.failed} of them failed")
+    arguments.say(
+        f"{counts.done} of {counts.points} points in {options.output}, {counts.failed} of them failed"
+    )
     if counts.failed:
         arguments.say("the variable reason says why a point failed")
 

@@ -88,6 +88,7 @@ class _Crew:
         """Brings the lists up to date."""
         present = set(self.client.scheduler_info(n_workers=-1)["workers"])
         self.able &= present
+        self.refused = {each: why for each, why in self.refused.items() if each in present}
         new = present - self.able - set(self.refused)
         if not new:
             return
@@ -106,12 +107,55 @@ def _refusal(answer: str | BaseException, mine: str) -> str:
     return f"it has another version (code {answer}, here {mine}); install the same there"
 
 
-@dataclass(frozen=True)
-class _Given:
-    """A piece that has been handed out, and to whom it may go."""
+@dataclass
+class _Desk:
+    """What has been handed out, and to whom it may go; a piece is kept until its result is back."""
 
-    place: int
-    to: frozenset[str]
+    client: Client
+    crew: _Crew
+    function: Callable[..., Any]
+    pieces: Iterator[tuple[int, tuple[Any, ...]]]
+    kept: dict[int, tuple[Any, ...]] = field(default_factory=dict)
+    out: dict[Future, tuple[int, frozenset[str]]] = field(default_factory=dict)
+    attempts: int = 0
+
+    def fill(self) -> None:
+        """Hands out what those who are there have room for; what nobody is left for first."""
+        able = self.crew.able
+        if not able:
+            return
+        for future in [future for future, (_, to) in self.out.items() if not to & able]:
+            future.cancel()
+            self.hand_out(self.out.pop(future)[0])
+        room = max(_AHEAD * len(able) - len(self.out), 0)
+        for place, piece in itertools.islice(self.pieces, room):
+            self.kept[place] = piece
+            self.hand_out(place)
+
+    def hand_out(self, place: int) -> None:
+        """Hands out a piece, maybe again."""
+        self.attempts += 1
+        able = sorted(self.crew.able)
+        key = f"worm-study-{os.getpid()}-{place}-{self.attempts}"
+        future = self.client.submit(
+            self.function, *self.kept[place], key=key, workers=able, pure=False
+        )
+        self.out[future] = (place, frozenset(able))
+
+    def results(self) -> Iterator[tuple[int, Any]]:
+        """What has come back."""
+        for future in _finished(list(self.out)):
+            place, _ = self.out.pop(future)
+            if future.status in ("cancelled", "lost"):
+                self.hand_out(place)
+                continue
+            yield place, _result(future)
+            del self.kept[place]
+
+    def clear(self) -> None:
+        """Takes everything back."""
+        with contextlib.suppress(Exception):  # the scheduler may be gone
+            self.client.cancel(list(self.out))
 
 
 def spread(
@@ -123,55 +167,25 @@ def spread(
     worker that it is given to; else what the function raises.
     """
     crew = _Crew(client, say)
-    crew.look()
-    if crew.refused and not crew.able:
-        address, why = next(iter(crew.refused.items()))
-        raise ClusterError(f"no worker can be used: worker {address}: {why}")
-    numbered = enumerate(pieces)
-    kept: dict[int, tuple[Any, ...]] = {}
-    out: dict[Future, _Given] = {}
-    attempts = itertools.count()
+    desk = _Desk(client, crew, function, enumerate(pieces))
     told = False
-
-    def hand_out(place: int) -> None:
-        to = frozenset(crew.able)
-        future = client.submit(
-            function,
-            *kept[place],
-            key=f"worm-study-{os.getpid()}-{place}-{next(attempts)}",
-            workers=sorted(to),
-            pure=False,
-        )
-        out[future] = _Given(place, to)
-
     try:
         while True:
             if client.status != "running":
                 raise LostError("the connection to the scheduler is lost")
             crew.look()
+            if crew.refused and not crew.able:
+                address, why = next(iter(crew.refused.items()))
+                raise ClusterError(f"no worker can be used: worker {address}: {why}")
             if not crew.able and not told:
-                say("no worker is there: waiting for one (Ctrl-C ends this; what is finished stays)")
+                say("no worker is there: waiting (Ctrl-C ends this; what is finished stays)")
             told = not crew.able
-            for future in [f for f, given in out.items() if crew.able and not given.to & crew.able]:
-                place = out.pop(future).place
-                future.cancel()
-                hand_out(place)
-            room = _AHEAD * len(crew.able) - len(out)
-            for place, piece in itertools.islice(numbered, max(room, 0)):
-                kept[place] = piece
-                hand_out(place)
-            if not kept:
+            desk.fill()
+            if crew.able and not desk.kept:
                 return
-            for future in _finished(list(out)):
-                place = out.pop(future).place
-                if future.status in ("cancelled", "lost"):
-                    hand_out(place)
-                    continue
-                yield place, _result(future)
-                del kept[place]
+            yield from desk.results()
     finally:
-        with contextlib.suppress(Exception):  # the scheduler may be gone
-            client.cancel(list(out))
+        desk.clear()
 
 
 def _finished(futures: list[Future]) -> list[Future]:

@@ -21,13 +21,7 @@ import yaml
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from worm_model.parameters import (
-    KEYS,
-    UNITS,
-    ParameterError,
-    ParameterFile,
-    load_parameter_file,
-)
+from worm_model.parameters import UNITS, ParameterError, ParameterFile, load_parameter_file
 from worm_optimizer.search.gait_map import MapSettings
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.search_settings import ScanSettings
@@ -42,10 +36,14 @@ LIMITS = (
     *("stall_force_N", "no_load_speed_m_s"),
 )
 OTHER_UNITS: Mapping[str, str] = {
-    **{"margin_m": "m", "direction": "1", "groove_phase_m": "m", "spool_radius_m": "m"},
+    "margin_m": "m",
+    "direction": "1",
+    "groove_phase_m": "m",
+    "spool_radius_m": "m",
     **dict(zip(BOX, ("m", "m", "Hz", "Hz"), strict=True)),
     **dict(zip(LIMITS, ("m/s", "N", "W", "N", "m/s"), strict=True)),
-    **{"at_power_W": "W", "at_speed_m_s": "m/s"},
+    "at_power_W": "W",
+    "at_speed_m_s": "m/s",
 }
 QUANTITY_UNITS: Mapping[str, str] = {**UNITS, **OTHER_UNITS}
 PARAMETER_FILE = "parameter_file"  # the index of the file that a point starts from
@@ -226,7 +224,9 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> Study:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
-        raise StudyError("is not valid YAML" + (f" at line {mark.line + 1}" if mark else "")) from None
+        raise StudyError(
+            "is not valid YAML" + (f" at line {mark.line + 1}" if mark else "")
+        ) from None
     given = _mapping("the file", content, _KEYS)
     axes = _axes(given.get("vary"))
     fixed, at_cliff = _fixed(given.get("fixed"))
@@ -257,7 +257,9 @@ def _check(study: Study) -> None:
     """What no single key can tell."""
     named = {axis.name for axis in study.axes} | set(study.fixed)
     if study.size > MOST_POINTS:
-        raise StudyError(f"vary: makes {study.size} points, more than {MOST_POINTS}: take fewer values")
+        raise StudyError(
+            f"vary: makes {study.size} points, more than {MOST_POINTS}: take fewer values"
+        )
     needs_margin = {"front", "gaits", "success"} & set(study.compute)
     if needs_margin and not study.margin_at_cliff and "margin_m" not in named:
         raise StudyError(
@@ -309,39 +311,49 @@ def _whole(where: str, value: Any, least: int, most: int) -> int:
 def _axes(content: Any) -> tuple[Axis, ...]:
     if content is None:
         return ()
-    return tuple(_axis(name, row) for name, row in _mapping("vary", content, tuple(QUANTITY_UNITS)).items())
+    return tuple(
+        _axis(name, row) for name, row in _mapping("vary", content, tuple(QUANTITY_UNITS)).items()
+    )
 
 
 def _axis(name: str, row: Any) -> Axis:
     where = f"vary: {name}"
-    if isinstance(row, list):
-        row = {"values": row}
-    forms = "write a list of values, {from: A, to: B, count: N}, or {range: [A, B]}"
-    if not isinstance(row, Mapping) or set(row) not in ({"values"}, {"from", "to", "count"}, {"range"}):
-        raise StudyError(f"{where}: {forms}")
-    if "range" in row:
-        ends = row["range"]
-        if not isinstance(ends, list) or len(ends) != 2:
-            raise StudyError(f"{where}: range: expected [low, high]")
-        low, high = (_number(f"{where}: range", end) for end in ends)
-        if not low < high:
-            raise StudyError(f"{where}: range: {low:g} is not below {high:g}")
-        if name == "direction":
-            raise StudyError(f"{where}: takes a list of 1 and -1, not a range")
-        return Axis(name, low=low, high=high)
-    if "values" in row:
-        if not isinstance(row["values"], list) or not row["values"]:
-            raise StudyError(f"{where}: {forms}")
-        values = [_number(where, value) for value in row["values"]]
+    form = {"values": row} if isinstance(row, list) else row
+    if isinstance(form, Mapping) and set(form) == {"range"}:
+        axis = Axis(name, (), *_range(where, form["range"]))
+    elif isinstance(form, Mapping) and set(form) in ({"values"}, {"from", "to", "count"}):
+        axis = Axis(name, _listed(where, form))
     else:
-        count = _whole(f"{where}: count", row["count"], 2, 100_000)
-        ends = (_number(f"{where}: {end}", row[end]) for end in ("from", "to"))
-        values = [float(value) for value in np.linspace(*ends, count)]
+        raise StudyError(
+            f"{where}: write a list of values, {{from: A, to: B, count: N}}, or {{range: [A, B]}}"
+        )
+    if name == "direction" and not (axis.values and set(axis.values) <= {1.0, -1.0}):
+        raise StudyError(f"{where}: takes a list of 1 and -1")
+    return axis
+
+
+def _range(where: str, ends: Any) -> tuple[float, float]:
+    if not isinstance(ends, list) or len(ends) != 2:
+        raise StudyError(f"{where}: range: expected [low, high]")
+    low, high = (_number(f"{where}: range", end) for end in ends)
+    if not low < high:
+        raise StudyError(f"{where}: range: {low:g} is not below {high:g}")
+    return low, high
+
+
+def _listed(where: str, form: Mapping[str, Any]) -> tuple[float, ...]:
+    """The values of a grid, as listed or evenly between two ends; rounded, so that 0.3 is 0.3."""
+    if "count" in form:
+        count = _whole(f"{where}: count", form["count"], 2, 100_000)
+        low, high = (_number(f"{where}: {end}", form[end]) for end in ("from", "to"))
+        values = [float(f"{value:.12g}") for value in np.linspace(low, high, count)]
+    elif isinstance(form["values"], list) and form["values"]:
+        values = [_number(where, value) for value in form["values"]]
+    else:
+        raise StudyError(f"{where}: values: expected a list of numbers")
     if len(set(values)) < len(values):
         raise StudyError(f"{where}: a value stands there twice")
-    if name == "direction" and not set(values) <= {1.0, -1.0}:
-        raise StudyError(f"{where}: every direction is 1 or -1")
-    return Axis(name, tuple(values))
+    return tuple(values)
 
 
 def _fixed(content: Any) -> tuple[dict[str, float], bool]:
@@ -363,7 +375,9 @@ def _files(
 ) -> tuple[tuple[str, ParameterFile], ...]:
     names = given.get("parameter_files")
     if sum(map(bool, (names, given.get("parameters"), parameters))) > 1:
-        raise StudyError("parameters: the robot is given twice; keep one of parameters, parameter_files, --parameters")
+        raise StudyError(
+            "parameters: the robot is given twice; keep one of parameters, parameter_files, --parameters"
+        )
     if names is None:
         path = str(folder / str(given["parameters"])) if given.get("parameters") else parameters
         return ((Path(path).name if path else "the paper", load_parameter_file(path)),)
@@ -430,7 +444,9 @@ def _resolution(content: Any) -> Resolution:
         map=MapSettings(
             strokes=whole("strokes", plain.map.strokes, 3, 10_000),
             frequencies=whole("frequencies", plain.map.frequencies, 2, 10_000),
-            tolerance=_number("resolution: tolerance_m", rows.get("tolerance_m", plain.map.tolerance)),
+            tolerance=_number(
+                "resolution: tolerance_m", rows.get("tolerance_m", plain.map.tolerance)
+            ),
             followed=whole("followed", plain.map.followed, 0, 1000),
         ),
         front_gaits=whole("front_gaits", plain.front_gaits, 3, 10_000),

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from worm_model.gait import FORWARD, GaitError
-from worm_model.parameters import ParameterError, ParameterFile, Parameters
+from worm_model.parameters import KEYS, ParameterError, ParameterFile, Parameters
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
 from worm_model.simulation.simulator import SimulationError, cost_of_transport
 from worm_optimizer.robustness.chance import PromiseTask
@@ -36,7 +36,7 @@ from worm_optimizer.search.servo_limits import (
     servo_model,
 )
 from worm_optimizer.search.task import Bounds, MarginTask, Points, Task
-from worm_optimizer.study.plan import KEYS, LIMITS, PARAMETER_FILE, Array, Study
+from worm_optimizer.study.plan import LIMITS, PARAMETER_FILE, Array, Study
 
 FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # dimensions beside the point's own
 OPEN, DONE, FAILED = 0, 1, 2  # values of the variable "state"
@@ -101,10 +101,17 @@ def variables(study: Study) -> dict[str, Variable]:
         found |= {name: Variable((GAIT,), *row) for name, row in rows.items()}
     if "cliff" in study.compute or study.margin_at_cliff:
         found["cliff_margin"] = Variable((), "m", "last margin before the cliff of the scan")
-        found["cliff_rise"] = Variable((), "1", "factor of the lowest cost of transport at the cliff")
-        found["scan_cost_of_transport"] = Variable((SCAN,), "1", "lowest cost of transport of the scan")
+        found["cliff_rise"] = Variable(
+            (), "1", "factor of the lowest cost of transport at the cliff"
+        )
+        found["scan_cost_of_transport"] = Variable(
+            (SCAN,), "1", "lowest cost of transport of the scan"
+        )
     if "success" in study.compute:
-        for name, words in (("", "at the known groove phase"), ("_any_phase", "at an unknown phase")):
+        for name, words in (
+            ("", "at the known groove phase"),
+            ("_any_phase", "at an unknown phase"),
+        ):
             text = f"share of parameter draws in which the predicted grooves are gained, {words}"
             found[f"success_probability{name}"] = Variable((GAIT,), "1", text)
     if "any_phase" in study.compute:
@@ -205,7 +212,9 @@ def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
     if "groove_phase_m" in asked:
         phase = asked["groove_phase_m"]
         if not -0.5 * new.pitch < phase <= 0.5 * new.pitch:
-            raise PointError(f"groove_phase_m: {phase:g} m is not within half a pitch of {new.pitch:g} m")
+            raise PointError(
+                f"groove_phase_m: {phase:g} m is not within half a pitch of {new.pitch:g} m"
+            )
         new = new.replace(initial_length=front_groove(old) * new.pitch + phase)
     ratio = {
         key: value / old.as_dict()[key] if old.as_dict()[key] else 1.0
@@ -215,7 +224,8 @@ def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
         content,
         parameters=new,
         intervals={
-            key: (ratio[key] * low, ratio[key] * high) for key, (low, high) in content.intervals.items()
+            key: (ratio[key] * low, ratio[key] * high)
+            for key, (low, high) in content.intervals.items()
         },
         run_to_run={key: ratio[key] * value for key, value in content.run_to_run.items()},
     )
@@ -308,7 +318,9 @@ def _kept_front(study: Study, front: Points, parameters: Parameters) -> dict[str
         "grooves_per_cycle": kept.branch,
     }
     return {
-        f"front_{name}": np.pad(column.astype(float), (0, count - len(kept)), constant_values=np.nan)
+        f"front_{name}": np.pad(
+            column.astype(float), (0, count - len(kept)), constant_values=np.nan
+        )
         for name, column in columns.items()
     }
 
@@ -323,9 +335,7 @@ def _chosen(
         return columns
     cost = cost_of_transport(front.speed, front.power, parameters.mass)
     rows = (front.stroke, front.frequency, front.speed, front.power, cost, front.branch)
-    gaits = [
-        _FrontGait(*map(float, row), margin=margin) for row in zip(*rows, strict=True)
-    ]
+    gaits = [_FrontGait(*map(float, row), margin) for row in zip(*rows, strict=True)]
     wanted = [Request(objective) for objective in THREE_GAITS]
     wanted += [
         Request(objective, asked[key]) for key, objective in REQUESTS.items() if key in asked

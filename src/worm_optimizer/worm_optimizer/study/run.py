@@ -13,8 +13,8 @@ from distributed import Client
 
 from worm_model.simulation.batch import evaluate_gaits
 from worm_optimizer.study.engine import LostError, Say, connected, cores, spread
-from worm_optimizer.study.plan import Array, Study
-from worm_optimizer.study.point import Results, compute_block
+from worm_optimizer.study.plan import Study
+from worm_optimizer.study.point import compute_block
 from worm_optimizer.study.store import Store, held
 
 _TIMED_GAITS = 2048  # some hundredths of a second
@@ -89,5 +89,7 @@ def _compute(
             done += todo[place].stop - todo[place].start
             progress(done / store.study.size)
     except (LostError, OSError) as error:
-        stays = f"{done} of {store.study.size} points are in {store.path}: repeat the command to go on"
+        stays = (
+            f"{done} of {store.study.size} points are in {store.path}: repeat the command to go on"
+        )
         raise type(error)(f"{error}; {stays}") from None

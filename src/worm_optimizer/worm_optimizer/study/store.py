@@ -94,7 +94,9 @@ def held(path: Path, study: Study) -> Iterator[Store]:
         _make(path, study)
     marker = path / ".zgroup"
     if not marker.is_file():
-        raise StoreError(f"{path}: exists already and is no study; give another name, nothing is overwritten")
+        raise StoreError(
+            f"{path}: exists already and is no study; give another name, nothing is overwritten"
+        )
     with marker.open("r+b") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -135,7 +137,12 @@ def _make(path: Path, study: Study) -> None:
         dataset = _template(study)
         encoding = {name: _encoding(study, dataset[name]) for name in dataset.variables}
         dataset.to_zarr(
-            draft, mode="w-", zarr_format=_FORMAT, consolidated=True, compute=False, encoding=encoding
+            draft,
+            mode="w-",
+            zarr_format=_FORMAT,
+            consolidated=True,
+            compute=False,
+            encoding=encoding,
         )
         with contextlib.suppress(OSError):  # another client was faster: its store is used
             draft.rename(path)
