@@ -17,8 +17,8 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "study = worm_optimizer.commands.study:main",
 ]
 # What pip brings for a worker of a study, which needs no ROS; requirements*.txt pin the versions.
-NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo"]
-STUDY = ["dask", "distributed", "jinja2", "pyarrow", "xarray", "zarr"]
+NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo", "jinja2"]
+STUDY = ["dask", "distributed", "xarray", "zarr"]
 
 setup(
     name=NAME,
@@ -28,7 +28,7 @@ setup(
     maintainer="The worm robot maintainers",
     maintainer_email="maintainers@worm.invalid",
     packages=find_packages(),
-    package_data={NAME: ["config/*", "study/*.html"]},
+    package_data={NAME: ["config/*", "report/*.jinja", "study/*.jinja"]},
     install_requires=NEEDED,
     extras_require={"study": STUDY},
     data_files=[

@@ -16,8 +16,20 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Codes = NDArray[np.int64]
 
-RUNNING = 3  # GaitState.RUNNING
-POWER_VALID = 0  # Power.VALID
+# The values of GaitState.state and of Power.status, for what knows no ROS; a test holds them to worm_msgs.
+INACTIVE, IDLE, RESTING, RUNNING, STOPPING, FAULT = range(6)
+STATE_NAMES = ("inactive", "idle", "resting", "running", "stopping", "fault")
+POWER_VALID = 0
+POWER_STATUS_NAMES = ("valid", "overflow", "not ready", "bus error", "sensor reset")
+
+SAME_ONSET_NS = (
+    100_000_000  # the driver tells a run's onset anew with each cycle, through two clocks
+)
+
+
+def state_name(state: int) -> str:
+    """A value of GaitState.state in words."""
+    return STATE_NAMES[state] if 0 <= state < len(STATE_NAMES) else f"state {state}"
 
 
 def seconds(stamp: Stamps, origin: int) -> Array:
@@ -69,7 +81,10 @@ class PowerSamples:
 
 @dataclass(frozen=True)
 class GaitStates:
-    """What the driver did: `state` as GaitState has it, the gait, and its `onset` (ns since the epoch, 0: unknown)."""
+    """What the driver did: `state` as GaitState has it, the gait, and its `onset` (ns since the epoch, 0: unknown).
+
+    `run` numbers the runs since the driver started; 0 in recordings from before it did.
+    """
 
     stamp: Stamps = field(default_factory=_stamps)
     state: Codes = field(default_factory=_stamps)
@@ -80,11 +95,32 @@ class GaitStates:
     onset: Stamps = field(default_factory=_stamps)
     cycle: Codes = field(default_factory=_stamps)
     cycles: Codes = field(default_factory=_stamps)
+    run: Codes = field(default_factory=_stamps)
+
+    def __post_init__(self) -> None:
+        if self.run.size != self.stamp.size:
+            object.__setattr__(self, "run", np.zeros(self.stamp.size, np.int64))
 
     @property
     def played(self) -> NDArray[np.bool_]:
         """In which states a gait runs whose onset is known, shape (n,)."""
         return (self.state == RUNNING) & (self.onset > 0)
+
+    def rows_of_runs(self) -> list[NDArray[np.int64]]:
+        """The rows of `played` run by run, in the order of their stamps: what is one run is decided here alone.
+
+        By the driver's number of the run (a driver that was started anew counts from 1, and its cycles do, too); in a
+        recording without numbers, by onsets that differ by more than `SAME_ONSET_NS`.
+        """
+        rows = np.flatnonzero(self.played)
+        rows = rows[np.argsort(self.stamp[rows], kind="stable")]
+        if not rows.size:
+            return []
+        restarted = np.diff(self.cycle[rows]) < 0
+        moved = np.abs(np.diff(self.onset[rows])) > SAME_ONSET_NS
+        number = self.run[rows]
+        another = (np.diff(number) != 0) | np.where(number[1:] > 0, restarted, moved)
+        return np.split(rows, np.flatnonzero(another) + 1)
 
 
 @dataclass(frozen=True)

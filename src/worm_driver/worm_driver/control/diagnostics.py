@@ -172,6 +172,11 @@ def gait_report(player: PlayerState, *, active: bool, homed: bool) -> Report:
     )
 
 
+def network_report(words: str, *, is_local: bool) -> Report:
+    """On who can hear the driver."""
+    return Report("driver: network", Level.OK if is_local else Level.WARN, words)
+
+
 def offline_report(failure: Exception | None) -> Report:
     """While nothing is open: why, if opening it failed."""
     level = Level.OK if failure is None else Level.ERROR

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Everything that a configured driver holds: the robot in its loop, the power sensor in its own. ROS is unknown."""
 
+import contextlib
 import math
+import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,11 +20,15 @@ from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibrat
 from worm_driver.servos import serial_port
 from worm_driver.servos.bus_types import BusCounters
 from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, clock_of
 
 #: per cycle, that an adapter may hold back: the state's and the health register's
 _ANSWERS = 2
 #: s, for which snapshots may pile up before the robot is held
 _UNHEARD = 3.0
+#: snapshots that may pile up before a virtual robot's time waits for whoever takes them, and for how long at most (s)
+_BACKLOG = 250
+_BACKLOG_PATIENCE = 10.0
 
 
 @dataclass
@@ -60,27 +66,27 @@ class Hardware:
         self.samples: deque[PowerSample] = deque()
         self._wake = wake
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
-        sensor = _open_sensor(settings.power)
-        self._power = (
-            None if sensor is None else PowerLoop(sensor, settings.period, self._on_sample)
-        )
-        try:
-            bus = ServoBus.open(settings.port, settings.baud_rate)
-            try:
-                self._check_latency(bus.port.latency)
-                self.robot = Robot(settings, bus, self._valid_samples, tracker_ready)
-            except BaseException:
-                bus.close()
-                raise
-        except BaseException:
+        self._power: PowerLoop | None = None
+        with contextlib.ExitStack() as opened:
+            # Before the servos: whoever takes part in a virtual robot's time may wait by that alone.
+            sensor = _open_sensor(settings.power)
             if sensor is not None:
-                sensor.device.close()
-            raise
-        self._bus = bus
-        self._seen = _Seen(bus.counters, Counter())
-        self.loop = ControlLoop(self.robot, self._on_snapshot)
+                opened.callback(sensor.device.close)
+            self.clock = clock_of(settings.port, SERIAL)
+            opened.callback(self.clock.close)
+            self._bus = ServoBus.open(settings.port, settings.baud_rate, clock=self.clock)
+            opened.callback(self._bus.close)
+            self._check_latency(self._bus.port.latency)
+            self.robot = Robot(
+                settings, self._bus, self._valid_samples, tracker_ready, clock=self.clock
+            )
+            opened.pop_all()
+        self._seen = _Seen(self._bus.counters, Counter())
+        self.loop = ControlLoop(self.robot, self._on_snapshot, self.clock)
         self.loop.start()
-        if self._power is not None:
+        if sensor is not None:
+            clock = clock_of(settings.power.i2c_bus, I2C)
+            self._power = PowerLoop(sensor, settings.period, self._on_sample, clock)
             self._power.start()
 
     @property
@@ -129,6 +135,7 @@ class Hardware:
         if not ended:
             problems.append("the servo bus thread hangs: the servos stop by their bus watchdog")
         self._bus.close()
+        self.clock.close()
         return problems
 
     def report(self, latest: Snapshot) -> list[Report]:
@@ -176,6 +183,14 @@ class Hardware:
             )
             self.robot.fail(snapshot.command_time, reason)
         self._wake()
+        if self.clock.patience:
+            self._wait_for_listener()
+
+    def _wait_for_listener(self) -> None:
+        """A virtual robot's time does not run away from whoever takes the snapshots."""
+        end = time.monotonic() + _BACKLOG_PATIENCE
+        while len(self.snapshots) > _BACKLOG and time.monotonic() < end:
+            time.sleep(0.002)
 
     def _oldest(self, newest: Snapshot) -> Snapshot:
         """The one that waits for longest; the newest where another thread has just taken them all."""

@@ -5,6 +5,7 @@
 """
 
 import math
+import os
 import time
 from collections.abc import Callable
 
@@ -17,7 +18,7 @@ from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import Gait, GaitLimits
 from worm_driver.gait.gait_player import Observation, Phase, PlayerState
 from worm_driver.servos import servo_setup as servos
-from worm_driver.servos.registers import COMMON
+from worm_driver.servos.registers import COMMON, WATCHDOG_EXPIRED
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.state_reader import StateReader
@@ -41,6 +42,7 @@ class Robot:
         valid_power_samples: counts the valid power samples since the start.
         tracker_ready: whether the tracker sees the robot, or there is none to wait for.
         clock: s, monotonic.
+        load: of the computer, as its load average.
 
     Attributes:
         unreleased: what failed at the last release, in words: a servo may still have its torque.
@@ -57,6 +59,7 @@ class Robot:
         valid_power_samples: Callable[[], int] = lambda: 0,
         tracker_ready: Callable[[], bool] = lambda: True,
         clock: Callable[[], float] = time.monotonic,
+        load: Callable[[], float] = lambda: os.getloadavg()[0],
     ):
         self.settings = settings
         self.bus = bus
@@ -64,12 +67,15 @@ class Robot:
         self.active = False
         self.unreleased: list[str] = []
         self._clock = clock
+        self._load = load
         self._tracker_ready = tracker_ready
         self._valid_power_samples = valid_power_samples
         self._idle_from = 0
         self._hold_ticks: dict[int, int] = {}
         self._counts = Counts()
         self._last_step: float | None = None
+        self._last_look = -math.inf
+        self._away = 0.0
         with bus.patient():
             self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
             self.fins = tuple(servos.identify(bus, fin.servo) for fin in settings.fins)
@@ -114,8 +120,7 @@ class Robot:
             raise HomingError("homing needs the torque off: deactivate the driver first")
         self.homed = False
         with self.bus.patient():
-            for servo in self.cables:
-                servos.home(self.bus, servo)
+            servos.home(self.bus, self.cables)
         self.homed = True
 
     def reboot(self) -> tuple[int, ...]:
@@ -139,6 +144,7 @@ class Robot:
         """
         with self.bus.patient():
             self._check_fitness()
+        self._reader.learn_clocks()
         cable = self._measured_cable()
         if not -self.settings.max_stroke - _PAYOUT_TOLERANCE <= cable <= _PAYOUT_TOLERANCE:
             raise HomingError(
@@ -154,7 +160,7 @@ class Robot:
         self._reader.forget_suspects()
         run = self.player.run
         self.player = PlayerState(since=now, length_change=cable, run=run)
-        self._counts, self._last_step, self.active = Counts(), None, True
+        self._counts, self._last_step, self._away, self.active = Counts(), None, 0.0, True
         self.unreleased = []
 
     def _check_fitness(self) -> None:
@@ -260,14 +266,21 @@ class Robot:
         self._last_step = now
         if not self.active:
             return
+        if gap > self.settings.watchdog:
+            self._away = gap
+            if gait_player.moving(self.player):
+                self.fail(now, self._lateness())
         before = self.player.phase
         samples = self._valid_power_samples()
         idle_samples = samples - self._idle_from
         seen = Observation(self._fins_set(), idle_samples, self._tracker_ready())
         settings = self.settings.player
-        self.player = gait_player.step(self.player, now, seen, settings, gap)
+        self.player = gait_player.step(self.player, now, seen, settings)
         if self.player.phase is Phase.RESTING and before is not Phase.RESTING:
             self._idle_from = samples
+
+    def _lateness(self) -> str:
+        return supervision.lateness(self._away, self.settings.watchdog, self._load())
 
     def _send_goals(self) -> None:
         goals = self._cable_goals()
@@ -290,14 +303,17 @@ class Robot:
             for servo, state in zip(self.servos, self._states, strict=True)
             if state is SILENT
         )
-        self._counts = supervision.silence(self._counts, silent, now)
+        ended = self._clock()
+        watched = supervision.watched_time(ended - self._last_look, self.settings.period)
+        self._counts = supervision.silence(self._counts, silent, watched)
+        self._last_look = ended
         if not self.active or self.player.phase is Phase.FAULT:
             return
         reason = (
             self._fault_of_suspect()
             or self._fold(before)
             or supervision.fault_in_counts(
-                self._count_deviations(), self.settings.limits, self._clock(), self._reader.problems
+                self._count_deviations(), self.settings.limits, self._reader.problems
             )
         )
         if reason is not None:
@@ -328,24 +344,15 @@ class Robot:
         servo = next((servo for servo in self.servos if servo.number == suspect), None)
         if servo is None:
             return None
-        self.bus.unsettle()
-        return self._fault_of(servo)
-
-    def _fault_of(self, servo: Servo) -> str | None:
-        def value(name: str) -> int:
-            return self.bus.read(servo.number, servo[name])
-
-        try:
-            health = Health(
-                value("torque_enable"),
-                value("led"),
-                value("hardware_error_status"),
-                value("bus_watchdog"),
-            )
-        except BusError:
+        names = ("torque_enable", "led", "hardware_error_status", "bus_watchdog")
+        found = self._reader.look(servo, names)
+        if found is None:
             return None  # a servo that does not answer is counted as such
+        health = Health(*(found[name] for name in names))
         is_cable = servo in self.cables
         self.homed = self.homed and not (is_cable and not health.led)
+        if health.watchdog == WATCHDOG_EXPIRED and self._away:
+            return self._lateness()
         return supervision.fault_in_health(servo.number, health, is_cable=is_cable)
 
     def _fold(self, before: tuple[ServoState, ...]) -> str | None:

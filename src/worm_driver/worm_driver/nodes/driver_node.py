@@ -6,6 +6,7 @@ an escaped exception bring the gait to rest and release the servos.
 """
 
 import math
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -18,19 +19,21 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.utilities import get_rmw_implementation_identifier
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from worm_driver.control.diagnostics import offline_report
+from worm_driver.control.diagnostics import network_report, offline_report
 from worm_driver.control.hardware import Hardware
 from worm_driver.control.telemetry import Snapshot
 from worm_driver.errors import ConfigurationError, DriverError, StoppedError
 from worm_driver.nodes import driver_messages, driver_parameters
 from worm_driver.nodes.driver_messages import ClockPair
-from worm_driver.nodes.driver_process import Ending, ros_process, spare_pauses
 from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.side_node import SideNode
+from worm_msgs import network
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker
+from worm_msgs.ros_process import Ending, ros_process, spare_pauses
 
 T = TypeVar("T")
 
@@ -57,6 +60,7 @@ class DriverNode(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("driver")
         driver_parameters.declare(self)
+        self._reach = network.reach(os.environ, get_rmw_implementation_identifier())
         self._hardware: Hardware | None = None
         self._latest: Snapshot | None = None
         self._shown: tuple[object, ...] | None = None
@@ -353,6 +357,7 @@ class DriverNode(LifecycleNode):
         else:
             reports = hardware.report(latest)
             self._check_loop(hardware)
+        reports.append(network_report(str(self._reach), is_local=self._reach.is_local))
         self._diagnostics.publish(driver_messages.diagnostics(reports, stamp))
 
     def _check_loop(self, hardware: Hardware) -> None:

@@ -142,7 +142,6 @@ def settings(node: Node) -> DriverSettings:
             rest_samples=10 if value("i2c_bus") else 0,
             return_speed=value("return_speed_m_s"),
             rest_timeout=value("rest_duration_s") + 2.0,
-            stall_time=value("bus_watchdog_s"),
         ),
         limits=Limits(
             max_current=value("limits.max_servo_current_A"),

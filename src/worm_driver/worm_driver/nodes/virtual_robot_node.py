@@ -6,7 +6,6 @@ import logging
 import math
 import sys
 import threading
-from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -15,8 +14,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
+from rosgraph_msgs.msg import Clock
 
-from worm_driver.nodes.driver_process import ros_process
 from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import SettingsError, load_settings
@@ -29,8 +28,11 @@ from worm_driver.virtual_robot.wire.faults import (
     parse_fault,
 )
 from worm_msgs.msg import BodyLength, Tracker
+from worm_msgs.ros_process import ros_process
 from worm_msgs.srv import InjectFault
 
+_DEPTH = 500  # of samples that may wait for a subscriber whose machine is busy
+_CLOCK_PERIOD = 0.05  # s of the robot's time between two messages on /clock
 _REST_SAMPLES = 30  # at the start, whose mean is the initial length that the camera goes by
 # Python hands the interpreter over after 5 ms by default, too late for an answer on the bus.
 _SWITCH_INTERVAL = 0.0002  # s
@@ -42,25 +44,28 @@ log = logging.getLogger("virtual_robot")
 class VirtualRobotNode(Node):
     """Publishes what the camera sees, and takes faults."""
 
-    def __init__(self, robot: VirtualRobot, directory: Path) -> None:
+    def __init__(self, robot: VirtualRobot, directory: Path, rate: float | None) -> None:
         super().__init__("virtual_robot")
-        self.endpoints = Endpoints(robot, directory, self._take_samples)
-        self._samples: deque[TrackerSample] = deque()
+        epoch_ns = self.get_clock().now().nanoseconds
+        self.endpoints = Endpoints(
+            robot,
+            directory,
+            self._take_samples,
+            rate=rate,
+            epoch_ns=epoch_ns,
+            on_time=self._tell_time,
+        )
         self._lengths_at_rest: list[float] = []
-        self._tracker = self.create_publisher(Tracker, "tracker", 10)
-        self._length = self.create_publisher(BodyLength, "body_length/measured", 10)
-        self._arrival = self.create_guard_condition(self._publish_samples)
+        self._tracker = self.create_publisher(Tracker, "tracker", _DEPTH)
+        self._length = self.create_publisher(BodyLength, "body_length/measured", _DEPTH)
+        self._time = self.create_publisher(Clock, "/clock", 10) if rate is not None else None
+        self._next_tick = 0.0
         self.create_service(InjectFault, "inject_fault", self._inject)
 
     def _take_samples(self, samples: list[TrackerSample]) -> None:
-        """In the serving thread: hands over to the executor's."""
-        self._samples.extend(samples)
-        self._arrival.trigger()
-
-    def _publish_samples(self) -> None:
-        while self._samples:
-            sample = self._samples.popleft()
-            stamp = self._stamp(sample).to_msg()
+        """In the serving thread, as the other one may be late."""
+        for sample in samples:
+            stamp = self._stamp(sample.time).to_msg()
             message = Tracker(
                 rear_position=sample.rear_position, front_position=sample.front_position
             )
@@ -79,8 +84,18 @@ class VirtualRobotNode(Node):
         message.header.stamp = stamp
         self._length.publish(message)
 
-    def _stamp(self, sample: TrackerSample) -> Time:
-        age = self.endpoints.now() - sample.time
+    def _tell_time(self, now: float) -> None:
+        """In the serving thread: the robot's time, for whoever uses it (use_sim_time)."""
+        if self._time is not None and now >= self._next_tick:
+            self._next_tick = now + _CLOCK_PERIOD
+            self._time.publish(Clock(clock=self._stamp(now).to_msg()))
+
+    def _stamp(self, time: float) -> Time:
+        """The ROS time of the robot's time (s); in real time that of the machine, which may be set."""
+        endpoints = self.endpoints
+        if endpoints.shares_time:
+            return Time(nanoseconds=endpoints.epoch_ns + round(time * 1e9))
+        age = endpoints.now() - time
         return self.get_clock().now() - Duration(nanoseconds=round(age * 1e9))
 
     def _inject(
@@ -129,7 +144,30 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
         metavar="NAME[:KEY=VALUE,…][@SECONDS]",
         help="keys: target (a servo's id), duration (s), count, value; may be repeated",
     )
+    time = parser.add_mutually_exclusive_group()
+    time.add_argument(
+        "--rate",
+        type=_rate,
+        default=1.0,
+        metavar="X",
+        help="virtual seconds per second at most, 0: as fast as possible (default 1). The robot's time waits for the "
+        "driver, so that nothing depends on how fast or busy the machine is",
+    )
+    time.add_argument(
+        "--real-time",
+        dest="rate",
+        action="store_const",
+        const=None,
+        help="its time is the machine's, as a real robot's: to measure how well the driver keeps its deadlines",
+    )
     return parser.parse_args(arguments)
+
+
+def _rate(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value >= 0.0):
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 0 on")
+    return value or math.inf
 
 
 def _make_robot(arguments: argparse.Namespace) -> VirtualRobot:
@@ -147,9 +185,9 @@ def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
         failures.append(error)
 
 
-def _run(robot: VirtualRobot, directory: Path, ended: Callable[[], bool]) -> None:
+def _run(robot: VirtualRobot, options: argparse.Namespace, ended: Callable[[], bool]) -> None:
     """Serves until the process is asked to end. Raises what the serving thread raised."""
-    node = VirtualRobotNode(robot, directory)
+    node = VirtualRobotNode(robot, options.directory, options.rate)
     failures: list[Exception] = []
     serving = threading.Thread(target=_serve, args=(node, failures), name="serving")
     executor = SingleThreadedExecutor()
@@ -157,7 +195,7 @@ def _run(robot: VirtualRobot, directory: Path, ended: Callable[[], bool]) -> Non
     try:
         node.endpoints.open()
         serving.start()
-        sys.stdout.write(f"ready: {directory}\n")
+        sys.stdout.write(f"ready: {options.directory}\n")
         sys.stdout.flush()
         while serving.is_alive() and not ended():
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
@@ -188,7 +226,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
         with ros_process(given) as ended:
-            _run(robot, options.directory, ended)
+            _run(robot, options, ended)
     except DirectoryError as error:
         return _refuse(error)
     except Exception:

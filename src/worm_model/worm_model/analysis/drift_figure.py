@@ -5,32 +5,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 
+from worm_model.analysis.plot_style import (
+    BLUE,
+    GREY,
+    SKY,
+    VERMILION,
+    new_figure,
+    save_figure,
+    symbol,
+)
 from worm_model.identification.drift import Chart, Rule, State
 from worm_model.parameters import SYMBOLS, UNITS
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-BLUE, ORANGE, SKY, GREY = "#0072B2", "#D55E00", "#56B4E9", "0.35"  # Okabe and Ito
 MOST_LABELS = 16  # names of bags along the axis
 SCALES = {"m": (1e3, "mm")}  # by unit: factor and unit that are drawn
 
 
 def draw_health(names: Sequence[str], charts: Sequence[Chart], path: Path) -> None:
     """Writes the figure, its format by the name's ending; ``names`` of the bags in the charts' order."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
     width = min(max(7.5, 2.5 + 0.55 * len(names)), 16.0)
-    figure, rows = plt.subplots(
-        len(charts), 1, figsize=(width, 1.9 * len(charts) + 1.2), sharex=True, layout="constrained"
-    )
+    figure = new_figure(width, 1.9 * len(charts) + 1.2)
+    rows = figure.subplots(len(charts), 1, sharex=True)
     for axes, chart in zip(np.atleast_1d(rows), charts, strict=True):
         _draw(axes, chart, names)
     every = -(-len(names) // MOST_LABELS)
@@ -42,8 +41,7 @@ def draw_health(names: Sequence[str], charts: Sequence[Chart], path: Path) -> No
         "bag, in the order of time; bars: 95 % interval of each\n"
         "squares: beyond a control limit; diamonds: part of a run that trends"
     )
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def _draw(axes: Axes, chart: Chart, names: Sequence[str]) -> None:
@@ -64,17 +62,17 @@ def _draw(axes: Axes, chart: Chart, names: Sequence[str]) -> None:
             marker,
             ms=9,
             mfc="none",
-            mec=ORANGE,
+            mec=VERMILION,
             mew=1.6,
             zorder=4,
         )
-    axes.set_ylabel(f"{SYMBOLS[chart.key]}" + (f" ({unit})" if unit != "1" else ""))
+    axes.set_ylabel(symbol(SYMBOLS[chart.key]) + (f" ({unit})" if unit != "1" else ""))
     axes.margins(y=0.15)
     title = f"{chart.key}: {chart.state.value}"
     if chart.began is not None:
         title += f" since {names[chart.began]}"
     trouble = chart.state in (State.OUT, State.TRENDING)
-    axes.set_title(title, loc="left", fontsize=10, color=ORANGE if trouble else "black")
+    axes.set_title(title, loc="left", fontsize=10, color=VERMILION if trouble else "black")
 
 
 def _draw_limits(axes: Axes, chart: Chart, scale: float) -> None:

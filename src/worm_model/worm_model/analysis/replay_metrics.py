@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.analysis.run_metrics import root_mean_square
 from worm_model.run import RUNNING, Run
 from worm_model.simulation.quadrature import accumulated
 from worm_model.twin.offline_replay import Replay, Series
@@ -109,27 +110,20 @@ def _end(run: Run) -> int:
 
 def _residuals(series: Series, start: int, end: int) -> Residuals:
     inside = (series["stamp_ns"] >= start) & (series["stamp_ns"] < end)
-    values = {name: _finite(series[name][inside]) for name in ("rear_position", "length", "power")}
+    x1, length, power = (series[name][inside] for name in ("rear_position", "length", "power"))
     return Residuals(
-        x1_residual=_mean(values["rear_position"]),
-        x1_rmse=_root_mean_square(values["rear_position"]),
-        length_residual=_mean(values["length"]),
-        length_rmse=_root_mean_square(values["length"]),
-        power_residual=_mean(values["power"]),
-        power_rmse=_root_mean_square(values["power"]),
+        x1_residual=_mean(x1),
+        x1_rmse=root_mean_square(x1),
+        length_residual=_mean(length),
+        length_rmse=root_mean_square(length),
+        power_residual=_mean(power),
+        power_rmse=root_mean_square(power),
     )
 
 
-def _finite(values: Array) -> Array:
-    return values[np.isfinite(values)]
-
-
 def _mean(values: Array) -> float:
-    return float(values.mean()) if len(values) else math.nan
-
-
-def _root_mean_square(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else math.nan
 
 
 def _energy_error(run: Run, replay: Replay, start: int) -> float:

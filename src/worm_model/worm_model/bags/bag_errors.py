@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from worm_model.errors import InputError
 
-class BagError(ValueError):
+
+class BagError(InputError):
     """A bag cannot be read or written; the message is one line that says what is missing and what to do."""
 
 

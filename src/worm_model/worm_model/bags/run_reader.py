@@ -171,6 +171,7 @@ def _gait_states(columns: Columns | None) -> GaitStates:
         onset=_stamp(columns, "onset"),
         cycle=_numbers(columns, "cycle", np.int64),
         cycles=_numbers(columns, "cycles", np.int64),
+        **({"run": _numbers(columns, "run", np.int64)} if "run" in columns.numbers else {}),
     )
 
 

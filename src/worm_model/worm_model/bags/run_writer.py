@@ -97,5 +97,6 @@ def _gait_states(run: Run) -> tuple[str, Stamps, Numbers]:
         "onset.nanosec": np.asarray(states.onset) % 10**9,
         "cycle": states.cycle,
         "cycles": states.cycles,
+        "run": states.run,
     }
     return "gait_state", states.stamp, numbers

@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,9 +15,17 @@ from worm_model.bags.bag import Bag
 from worm_model.bags.draft import new_folder
 from worm_model.bags.opening import open_bag
 from worm_model.bags.tables import TEXT, Rows, Table, find_tables, read_tables
-from worm_model.commands.command_line import InputError, Parser, new_file, print_json, run_command
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    new_file,
+    notifier,
+    print_result,
+    run_command,
+)
 
 FORMATS = ("csv", "parquet")
+_NOTIFY = notifier("export")
 
 
 class TableWriter(Protocol):
@@ -99,7 +106,7 @@ def export(bag: Bag, output: Path, kind: str, topics: list[str]) -> dict[str, in
     """
     tables, failed = find_tables(bag, topics or bag.topics)
     for name, reason in failed.items():
-        sys.stderr.write(f"export: {name} is left out: {reason}\n")
+        _NOTIFY(f"{name} is left out: {reason}")
     rows: dict[str, int] = {}
     with new_folder(output) as draft, ExitStack() as stack:
         writers: dict[str, TableWriter] = {}
@@ -129,22 +136,16 @@ def _parser() -> Parser:
     parser.add_argument(
         "--topic", action="append", default=[], help="only this one; may be repeated"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_json()
     return parser
 
 
 def _export(options: argparse.Namespace) -> None:
     output = new_file(options.output)
-    with open_bag(options.bag, _notify) as bag:
+    with open_bag(options.bag, _NOTIFY) as bag:
         rows = export(bag, output, options.format, options.topic)
-    if options.json:
-        print_json({"output": str(output), "rows": rows})
-    else:
-        sys.stdout.writelines(f"{output / name}: {count} rows\n" for name, count in rows.items())
-
-
-def _notify(line: str) -> None:
-    sys.stderr.write(f"export: {line}\n")
+    text = "\n".join(f"{output / name}: {count} rows" for name, count in rows.items())
+    print_result(options, {"output": str(output), "rows": rows}, text)
 
 
 def main() -> int:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,17 +15,14 @@ from worm_model.commands.command_line import (
     InputError,
     Parser,
     Progress,
-    add_parameters,
-    new_file,
-    print_json,
+    figure_file,
+    print_result,
     run_command,
 )
 from worm_model.identification.drift import ADVICE, FEWEST_BAGS, Chart, State, chart_of
 from worm_model.identification.drift_estimates import BagEstimates, LeftOut, estimate_bags
 from worm_model.identification.estimate import Estimate
 from worm_model.parameters import UNITS, load_parameter_file
-
-FIGURES = (".png", ".pdf", ".svg")
 
 
 def _parser() -> Parser:
@@ -36,15 +32,15 @@ def _parser() -> Parser:
         "alone and tells which of them drift over the bags, since when, and what to look at.",
     )
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="one run each, any order")
-    parser.add_argument("--figure", metavar="FILE", help="control charts (.png, .pdf or .svg)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_parameters(parser)
+    parser.add_figure()
+    parser.add_json()
+    parser.add_parameters()
     return parser
 
 
 def _health(options: argparse.Namespace) -> None:
     known = load_parameter_file(options.parameters)
-    figure = _figure_file(options.figure) if options.figure else None
+    figure = figure_file(options)
     bags, left_out = estimate_bags(options.bags, known.parameters, Progress("health"))
     if not bags:
         more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
@@ -54,17 +50,7 @@ def _health(options: argparse.Namespace) -> None:
     charts = [chart_of(key, [bag.estimates[key] for bag in bags], known) for key in ADVICE]
     if figure is not None:
         draw_health([bag.name for bag in bags], charts, figure)
-    if options.json:
-        print_json(health_json(bags, left_out, charts))
-    else:
-        sys.stdout.write(describe(bags, left_out, charts) + "\n")
-
-
-def _figure_file(path: str) -> Path:
-    target = new_file(path)
-    if target.suffix.lower() not in FIGURES:
-        raise InputError(f"{path}: give a name that ends in {', '.join(FIGURES)}")
-    return target
+    print_result(options, health_json(bags, left_out, charts), describe(bags, left_out, charts))
 
 
 def health_json(

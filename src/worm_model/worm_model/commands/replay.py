@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -22,9 +21,9 @@ from worm_model.bags.run_writer import encode_stamped
 from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic, offered_qos
 from worm_model.commands.command_line import (
     Parser,
-    add_parameters,
     new_file,
-    print_json,
+    notifier,
+    print_result,
     run_command,
 )
 from worm_model.parameters import Parameters, load_parameters
@@ -34,6 +33,7 @@ from worm_model.twin.offline_replay import Replay, Series, replay_run
 
 INPUTS = ("gait_state", "body_length/commanded", "body_length/measured", "tracker", "power")
 ESTIMATED = 2  # BodyLength.ESTIMATED
+_notify = notifier("replay")
 
 
 def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str) -> None:
@@ -132,8 +132,8 @@ def _parser() -> Parser:
         "--output", metavar="BAG2", help="a new bag with the twin's topics beside the original ones"
     )
     parser.add_argument("--namespace", default="", help="of the robot; default: the one in the bag")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_parameters(parser)
+    parser.add_json()
+    parser.add_parameters()
     return parser
 
 
@@ -149,10 +149,9 @@ def _replay(options: argparse.Namespace) -> None:
         duration = (bag.end - bag.start) * 1e-9
     report = report_replay(run, followed, parameters.pitch)
     elapsed = time.perf_counter() - begin
-    if options.json:
-        print_json(report_json(report, duration, elapsed))
-    else:
-        sys.stdout.write(describe(report, duration, elapsed) + "\n")
+    print_result(
+        options, report_json(report, duration, elapsed), describe(report, duration, elapsed)
+    )
 
 
 def _follow(
@@ -164,10 +163,6 @@ def _follow(
     if output is not None:
         write_replay(bag, output, replay, namespace or namespace_of(bag))
     return replay
-
-
-def _notify(line: str) -> None:
-    sys.stderr.write(f"replay: {line}\n")
 
 
 def main() -> int:

@@ -29,7 +29,7 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.play_clock import Timeline
 from worm_model.commands.command_line import InputError, Parser, number, run_command
 from worm_model.nodes.keyboard import keys_of_terminal, pressed
-from worm_model.nodes.ros_process import ros_process
+from worm_msgs.ros_process import ros_process
 
 LONGEST_WAIT_S = 0.005  # between two looks at services and keys
 MATCHING_S = 3.0  # that a subscriber which cannot be connected is waited for

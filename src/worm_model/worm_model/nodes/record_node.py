@@ -18,7 +18,7 @@ from worm_model.bags.recording_thread import RecordingThread, Sample, Tally
 from worm_model.bags.run_manifest import ManifestError, run_manifest
 from worm_model.bags.topic_selection import SelectionError, TopicSelection
 from worm_model.nodes.raw_subscriptions import RecordNode
-from worm_model.nodes.ros_process import ros_process
+from worm_msgs.ros_process import ros_process
 
 POLL_S = 0.01
 DISCOVERY_S = 0.1

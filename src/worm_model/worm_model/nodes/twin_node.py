@@ -24,7 +24,6 @@ from visualization_msgs.msg import MarkerArray
 
 from worm_model.gait import GaitError
 from worm_model.nodes import twin_messages
-from worm_model.nodes.ros_process import ros_process, spare_pauses
 from worm_model.nodes.scene_markers import marker_array
 from worm_model.parameters import ParameterError, load_parameters
 from worm_model.simulation import warm_up
@@ -34,6 +33,7 @@ from worm_model.twin.records import Notice, Output, Sample, Severity, StateRecor
 from worm_model.twin.scene import LOST_S, Sighting, scene
 from worm_model.twin.twin_status import Level, report
 from worm_msgs.msg import BodyLength, TwinResiduals, TwinState
+from worm_msgs.ros_process import ros_process, spare_pauses
 from worm_msgs.srv import PredictGait
 
 PARAMETER_FILE = "parameter_file"

@@ -15,12 +15,13 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import remove_ros_args
 
-from worm_model.nodes.ros_process import ros_process, spin
+from worm_model.commands.command_line import Parser, run_command
 from worm_model.nodes.twin_messages import gait_sample
-from worm_model.parameters import ParameterError, load_parameters
+from worm_model.parameters import load_parameters
 from worm_model.twin.records import Health, LengthSource
 from worm_model.twin.watch_view import CLEAR, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
+from worm_msgs.ros_process import ros_process, spin
 
 PERIOD_S = 0.2
 NEWEST = QoSProfile(depth=1)
@@ -107,21 +108,19 @@ class WatchNode(Node):
 
 def main() -> int:
     """Draws until Ctrl-C; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="watch", description="Robot and twin, live, as text.")
-    parser.add_argument("--parameters", default="", metavar="FILE", help="default: the paper's")
-    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    try:
-        pitch = load_parameters(options.parameters).pitch
-    except ParameterError as error:
-        sys.stderr.write(f"watch: {error}\n")
-        return 2
+    parser = Parser(prog="watch", description="Robot and twin, live, as text.")
+    parser.add_parameters()
+    return run_command(parser, _watch, remove_ros_args(sys.argv)[1:])
+
+
+def _watch(options: argparse.Namespace) -> None:
+    pitch = load_parameters(options.parameters).pitch
     with ros_process() as ended:
         node = WatchNode(pitch)
         try:
             spin(node, ended)
         finally:
             node.destroy_node()
-    return 0
 
 
 if __name__ == "__main__":

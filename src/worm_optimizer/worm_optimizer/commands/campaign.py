@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from ament_index_python.packages import get_package_share_directory
 
@@ -16,23 +15,22 @@ from worm_model.commands.command_line import (
     FAILED,
     InputError,
     Parser,
-    add_parameters,
-    number,
-    print_json,
+    notifier,
+    print_result,
+    run_command,
 )
-from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import load_parameter_file
-from worm_optimizer.commands import arguments
-from worm_optimizer.commands.report import read_gaits, report_json
+from worm_optimizer.commands.search_options import shown_progress
 from worm_optimizer.operation.campaign_plan import make_plan, write_promises
 from worm_optimizer.operation.campaign_runs import Robot, run_gaits
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.session import FAILURES, Narrator, work_folder
 from worm_optimizer.operation.system import SystemFileError, load_system_file
-from worm_optimizer.report.build import Report, build_report
-from worm_optimizer.report.identification_part import add_identification, identification_of
-from worm_optimizer.report.recorded import RecordedGait
-from worm_optimizer.report.text import describe
+from worm_optimizer.report.agreement import agreement_json, describe
+from worm_optimizer.report.identification_parts import add_identification, identification_of
+from worm_optimizer.report.page import Report, build_report
+from worm_optimizer.report.recorded_gait import RecordedGait
+from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.search.cache import Cache, default_directory
 from worm_optimizer.search.search_settings import Settings
 
@@ -41,7 +39,7 @@ _MODES = ("virtual", "robot")
 
 def main() -> int:
     """Entry point of the executable campaign."""
-    return arguments.run(_parser(), _campaign)
+    return run_command(_parser(), _campaign)
 
 
 def _parser() -> Parser:
@@ -65,11 +63,11 @@ def _parser() -> Parser:
         metavar="FOLDER",
         help="a new folder for bags and report (default: bags/campaign_TIME)",
     )
-    add("--margin", type=number, metavar="M", help="robustness margin in m (default: at the cliff)")
-    add("--direction", type=int, default=FORWARD, choices=(FORWARD, REVERSE), help="default 1")
-    add("--json", action="store_true", help="print one JSON object")
+    parser.add_number("--margin", "M", "robustness margin in m; default: at the cliff")
+    parser.add_direction()
     add_identification(parser)
-    add_parameters(parser)
+    parser.add_json()
+    parser.add_parameters()
     return parser
 
 
@@ -83,7 +81,7 @@ def _campaign(options: argparse.Namespace) -> int:
         raise InputError(f"{folder}: exists already; give another name with --output")
     say = Narrator("campaign")
     settings, cache = Settings(margin=options.margin), Cache.at(default_directory())
-    shown = arguments.shown_progress("front")
+    shown = shown_progress("front")
     plan = make_plan(content, settings, options.direction, cache, shown)
     folder.mkdir(parents=True)
     write_promises(plan, folder)
@@ -95,7 +93,8 @@ def _campaign(options: argparse.Namespace) -> int:
         print(f"campaign: {error}", file=sys.stderr)  # noqa: T201
         return FAILED
     say("comparing")
-    recorded = read_gaits([folder / name for name in plan.gaits], options.parameters)
+    bags = [folder / name for name in plan.gaits]
+    recorded = read_recorded_gaits(bags, options.parameters, notifier("campaign"))
     title = f"Validation campaign ({options.mode} robot)"
     report = Report(title, recorded, plan.optimisation, identification=identification)
     _print(options, recorded, folder, build_report(report, folder / "report"))
@@ -124,8 +123,5 @@ def _robot(options: argparse.Namespace) -> Robot:
 def _print(
     options: argparse.Namespace, gaits: Sequence[RecordedGait], folder: Path, page: Path
 ) -> None:
-    if options.json:
-        content: dict[str, Any] = {"folder": str(folder), "page": str(page), **report_json(gaits)}
-        print_json(content)
-        return
-    arguments.say(f"{describe(gaits)}\n\nrecordings  {folder}\nreport      {page}")
+    content = {"folder": str(folder), "page": str(page), **agreement_json(gaits)}
+    print_result(options, content, f"{describe(gaits)}\n\nrecordings  {folder}\nreport      {page}")

@@ -9,28 +9,32 @@ import sys
 from pathlib import Path
 
 from worm_model.commands.command_line import (
+    BAD_INPUT,
     FAILED,
     InputError,
     Parser,
     Progress,
-    add_parameters,
     new_file,
-    print_json,
+    notifier,
+    print_result,
+    run_command,
 )
-from worm_optimizer.commands import arguments
-from worm_optimizer.study.plan import Study, StudyError, load_study
+from worm_optimizer.study.plan import Study, load_study
 
 try:
-    from worm_optimizer.study.engine import ClusterError, LostError
+    from worm_optimizer.study.engine import LostError
+    from worm_optimizer.study.fleet import read_fleet
+    from worm_optimizer.study.fleet_page import write_fleet_page
     from worm_optimizer.study.page import write_page
-    from worm_optimizer.study.run import Estimate, estimate, run_study
-    from worm_optimizer.study.store import StoreError
+    from worm_optimizer.study.run import Counts, Estimate, estimate, run_study
 except ModuleNotFoundError as error:  # the optional set, which a robot goes without
-    sys.stderr.write(
-        f"study: {error.name} is not installed: start it as ./worm study, or "
-        "pip install -r requirements-study.txt -c constraints.txt\n"
+    notifier("study")(
+        f"{error.name} is not installed: start it as ./worm study, or "
+        "pip install -r requirements-study.txt -c constraints.txt"
     )
-    sys.exit(2)
+    sys.exit(BAD_INPUT)
+
+_say = notifier("study")
 
 
 def _parser() -> Parser:
@@ -62,24 +66,21 @@ def _parser() -> Parser:
     add(
         "--dry-run", action="store_true", help="only tell points, gaits and an estimate of the time"
     )
-    add("--json", action="store_true", help="print one JSON object")
-    add_parameters(parser)
+    parser.add_json()
+    parser.add_parameters()
     return parser
 
 
-def _say(line: str) -> None:
-    sys.stderr.write(f"study: {line}\n")
-
-
-def _study(options: argparse.Namespace) -> int | None:
+def _study(options: argparse.Namespace) -> None:
     if (options.study is None) == (options.bags is None):
         raise InputError("give either STUDY.yaml or --bags FOLDER")
     if options.workers is not None and not (options.workers >= 1 and not options.scheduler):
         raise InputError("--workers: give at least 1, and not beside --scheduler")
     page = new_file(options.page) if options.page else None
     if options.bags is not None:
-        return _fleet(options, page)
-    return _points(options, page)
+        _fleet(options, page)
+    else:
+        _points(options, page)
 
 
 def _points(options: argparse.Namespace, page: Path | None) -> None:
@@ -90,32 +91,42 @@ def _points(options: argparse.Namespace, page: Path | None) -> None:
         return
     if options.output is None:
         raise InputError("--output is missing: name the study's output, e.g. STUDY.zarr")
-    bar = Progress("study")
     where = options.output, options.scheduler, options.workers
-    counts = run_study(study, *where, _say, bar)
+    counts = run_study(study, *where, _say, Progress("study"))
     if page is not None:
         write_page(options.output, study, page)
-    told = {**dataclasses.asdict(counts), "output": str(options.output)}
-    if options.json:
-        print_json(told)
-        return
-    arguments.say(
-        f"{counts.done} of {counts.points} points in {options.output}, {counts.failed} of them failed"
-    )
+    _tell(options, counts)
+
+
+def _fleet(options: argparse.Namespace, page: Path | None) -> None:
+    """All bags of a folder."""
+    if options.output is None or options.output.suffix != ".parquet":
+        raise InputError("--output: name the fleet's table, e.g. FLEET.parquet")
+    where = options.output, options.scheduler, options.workers
+    counts = read_fleet(options.bags, options.parameters, *where, _say, Progress("bags"))
+    if page is not None:
+        write_fleet_page(options.output, options.parameters, page)
+    _tell(options, counts)
+
+
+def _tell(options: argparse.Namespace, counts: Counts) -> None:
+    content = {**dataclasses.asdict(counts), "output": str(options.output)}
+    what = "bags" if options.bags else "points"
+    text = f"{counts.done} of {counts.points} {what} in {options.output}"
     if counts.failed:
-        arguments.say("the variable reason says why a point failed")
+        text += f"; {counts.failed} of them failed, their reason says why"
+    print_result(options, content, text)
 
 
 def _tell_plan(study: Study, cost: Estimate, options: argparse.Namespace) -> None:
     """What a study would take."""
-    blocks = len(study.blocks)
-    if options.json:
-        sizes = {"blocks": blocks, "block_points": study.block_points, **dataclasses.asdict(cost)}
-        print_json({"points": study.size, "done": 0, "failed": 0, "output": None, **sizes})
-        return
-    arguments.say(
-        f"{study.size} points in {blocks} blocks of {study.block_points}: about {cost.gaits:.2g} gaits, "
-        f"{_duration(cost.seconds)} with {cost.workers} workers as fast as this machine"
+    sizes = {"blocks": len(study.blocks), "block_points": study.block_points}
+    content = {"points": study.size, "done": 0, "failed": 0, "output": None, **sizes}
+    print_result(
+        options,
+        {**content, **dataclasses.asdict(cost)},
+        f"{study.size} points in {sizes['blocks']} blocks of {study.block_points}: about "
+        f"{cost.gaits:.2g} gaits, {_duration(cost.seconds)} with {cost.workers} workers as fast as this machine",
     )
 
 
@@ -129,13 +140,12 @@ def _duration(seconds: float) -> str:
 def main() -> int:
     """Entry point of the executable study."""
 
-    def translated(options: argparse.Namespace) -> int | None:
+    def told(options: argparse.Namespace) -> int | None:
         try:
-            return _study(options)
-        except (StudyError, StoreError, ClusterError) as error:
-            raise InputError(str(error)) from None
+            _study(options)
         except LostError as error:
             _say(str(error))
             return FAILED
+        return None
 
-    return arguments.run(_parser(), translated)
+    return run_command(_parser(), told)

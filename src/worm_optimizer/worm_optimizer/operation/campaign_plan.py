@@ -13,8 +13,8 @@ from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.cache import Cache
 from worm_optimizer.search.front import Report, load_front, make_front, scanned_price
+from worm_optimizer.search.gait_request import three_gaits
 from worm_optimizer.search.search_settings import Settings
-from worm_optimizer.search.selection import three_gaits
 
 PROMISES = "promised.json"
 

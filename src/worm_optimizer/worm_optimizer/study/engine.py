@@ -20,6 +20,7 @@ from typing import Any
 
 from distributed import Client, Future, KilledWorker, LocalCluster, wait
 
+from worm_model.errors import InputError
 from worm_optimizer.study.version import identity
 
 _AHEAD = 2  # pieces for each worker that are handed out: one in work, one waiting
@@ -29,7 +30,7 @@ _CONNECT = 10.0  # s
 Say = Callable[[str], None]
 
 
-class ClusterError(ValueError):
+class ClusterError(InputError):
     """The cluster cannot be used; the message says why and what to do."""
 
 

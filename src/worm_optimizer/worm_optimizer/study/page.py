@@ -31,7 +31,8 @@ _COUPLED = {
     "spool_radius_m": "Of the spool only speed and force of the servos are considered, not winding or inertia.",
 }
 _ALWAYS = (
-    "Every figure is the model's, for the groove phase of the point; a robot that starts elsewhere in a groove gains other grooves.",
+    "Every figure is the model's, for the groove phase of the point; a robot that starts elsewhere in a groove gains "
+    "other grooves.",
     "Designs that differ by less than the parameters' own uncertainty (success_probability) are not told apart by it.",
 )
 
@@ -83,7 +84,7 @@ def write_page(output: Path, study: Study, page: Path) -> None:
 
 def render(page: Path, **content: object) -> None:
     """Fills the template; raises FileExistsError rather than overwrite a page."""
-    text = (Path(__file__).parent / "page.html").read_text(encoding="utf-8")
+    text = (Path(__file__).parent / "study.html.jinja").read_text(encoding="utf-8")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     with page.open("x", encoding="utf-8") as file:
         file.write(environment.from_string(text).render(**content))
@@ -93,7 +94,12 @@ def png(figure: Figure) -> str:
     """A figure as base64 text of a PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-    return base64.b64encode(buffer.getvalue()).decode()
+    return encoded(buffer.getvalue())
+
+
+def encoded(content: bytes) -> str:
+    """Bytes as base64 text."""
+    return base64.b64encode(content).decode()
 
 
 def _lead(summary: Summary) -> list[str]:

@@ -21,9 +21,9 @@ import yaml
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from worm_model.parameters import UNITS, ParameterError, ParameterFile, load_parameter_file
+from worm_model.errors import InputError
+from worm_model.parameters import UNITS, ParameterFile, load_parameter_file
 from worm_optimizer.search.gait_map import MapSettings
-from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.search_settings import ScanSettings
 from worm_optimizer.search.servo_limits import DrivenBy, load_driver_file, servo_model
 
@@ -64,7 +64,7 @@ _LIMITED = 4.0  # times as long, with limits that only a simulated cycle can tel
 _PHASES = 65  # evaluations of a gait for any_phase: itself, and at every phase
 
 
-class StudyError(ValueError):
+class StudyError(InputError):
     """A study's description cannot be used; the message names the key, says why and what to write."""
 
 
@@ -214,7 +214,7 @@ def load_study(path: str | Path, parameters: str = "") -> Study:
         raise StudyError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise StudyError(f"{path}: is not a text file") from None
-    except (StudyError, OptimizerError, ParameterError) as error:
+    except InputError as error:
         raise StudyError(f"{path}: {error}") from None
 
 

@@ -10,7 +10,7 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from worm_optimizer.report.style import BLUE, GREY, VERMILION, finish, new_figure
+from worm_model.analysis.plot_style import BLUE, GREY, VERMILION, finish, new_figure
 from worm_optimizer.study.summary import Column, Summary
 
 Array = NDArray[np.float64]
@@ -48,23 +48,23 @@ def pictures(summary: Summary) -> list[Picture]:
         made.append(
             Picture(
                 _over_two(summary, first, second),
-                f"Cruising gait: over {label(first)} and {label(second)}; of the other quantities, each square "
-                "(or dot, where the points are sampled) shows the point with the lowest cost of transport. The star is the best design.",
+                f"Over {label(first)} and {label(second)}. Where other quantities vary as well, each place shows the "
+                f"best of its points: {summary.goal}. The star is the best design.",
             )
         )
     if summary.best is not None and varied:
         made.append(
             Picture(
                 _neighbours(summary),
-                "The best design and its neighbours: points that differ from it in one quantity alone (dots on a "
-                "line), or all points, where the study samples.",
+                "The best design (star) and its neighbours: points that differ from it in one quantity alone, on a "
+                "line; all points, grey, where none do.",
             )
         )
     if len(varied) > 2:
         made.append(
             Picture(
                 _parallel(summary),
-                "Parallel coordinates: a line a point, coloured by the cost of transport of its cruising gait; "
+                f"Parallel coordinates: a line a point, coloured by {label(summary.figures[0])}; "
                 "the best design is the broad one.",
             )
         )
@@ -114,8 +114,8 @@ def _neighbours(summary: Summary) -> Figure:
     panels = figure.subplots(len(columns), len(varied), squeeze=False, sharex="col", sharey="row")
     for k, quantity in enumerate(varied):
         others = [other.values for j, other in enumerate(varied) if j != k]
-        alone = np.all([values == values[best] for values in others], axis=0) if others else None
-        rows = np.flatnonzero(alone) if others else np.arange(quantity.values.size)
+        alike = [values == values[best] for values in others]
+        rows = np.flatnonzero(np.all([np.ones(quantity.values.size, dtype=bool), *alike], axis=0))
         sampled = rows.size < 2
         if sampled:
             rows = np.arange(quantity.values.size)

@@ -11,8 +11,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from worm_model.gait import FORWARD, GaitError
-from worm_model.parameters import KEYS, ParameterError, ParameterFile, Parameters
+from worm_model.errors import InputError
+from worm_model.gait import FORWARD
+from worm_model.parameters import KEYS, ParameterFile, Parameters
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
 from worm_model.simulation.simulator import SimulationError, cost_of_transport
 from worm_optimizer.robustness.chance import PromiseTask
@@ -27,9 +28,8 @@ from worm_optimizer.robustness.uncertainty import (
 from worm_optimizer.search.actuator_limits import ActuatorLimits
 from worm_optimizer.search.front import thinned
 from worm_optimizer.search.gait_map import build_map
+from worm_optimizer.search.gait_request import GaitRequest, Objective, RequestStatus, select
 from worm_optimizer.search.margin import PriceOfRobustness, price_of_robustness, scan
-from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.selection import Objective, Request, select
 from worm_optimizer.search.servo_limits import (
     DrivenBy,
     limits_of,
@@ -48,7 +48,7 @@ REQUESTS = {
 }
 
 
-class PointError(ValueError):
+class PointError(InputError):
     """A point cannot be computed; the message says why."""
 
 
@@ -146,7 +146,7 @@ def compute_block(study: Study, points: Array) -> Results:
     for row, point in enumerate(points):
         try:
             found = compute_point(study, dict(zip(study.varied, point.tolist(), strict=True)))
-        except (ParameterError, OptimizerError, GaitError, PointError, SimulationError) as error:
+        except (InputError, SimulationError) as error:
             results["state"][row] = FAILED
             results["reason"][row] = " ".join(str(error).split())[:REASON_LENGTH]
             continue
@@ -171,8 +171,8 @@ class _FrontGait:
 def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
     """The variables of one point, by name; ``values`` by name as in `Study.varied`.
 
-    Raises `ParameterError`, `OptimizerError`, `GaitError`, `PointError` or `SimulationError` if the point is not
-    admissible. What does not exist (a front where no gait moves) is left out, and stays NaN.
+    Raises `InputError` or `SimulationError` if the point is not admissible. What does not exist (a front where no
+    gait moves) is left out, and stays NaN.
     """
     asked = {**study.fixed, **values}
     content = content_of(study, asked)
@@ -334,15 +334,18 @@ def _chosen(
     if not len(front):
         return columns
     cost = cost_of_transport(front.speed, front.power, parameters.mass)
-    rows = (front.stroke, front.frequency, front.speed, front.power, cost, front.branch)
-    gaits = [_FrontGait(*map(float, row), margin) for row in zip(*rows, strict=True)]
-    wanted = [Request(objective) for objective in THREE_GAITS]
+    rows = (
+        *(front.stroke, front.frequency, front.speed, front.power, cost, front.branch),
+        np.full(len(front), margin),
+    )
+    gaits = [_FrontGait(*map(float, row)) for row in zip(*rows, strict=True)]
+    wanted = [GaitRequest(objective) for objective in THREE_GAITS]
     wanted += [
-        Request(objective, asked[key]) for key, objective in REQUESTS.items() if key in asked
+        GaitRequest(objective, asked[key]) for key, objective in REQUESTS.items() if key in asked
     ]
     for place, request in enumerate(wanted):
-        choice = select(cast("Sequence[Prediction]", gaits), request)
-        if not choice.refusal:
+        answer = select(cast("Sequence[Prediction]", gaits), request)
+        if answer.status is RequestStatus.DONE:
             for name, column in columns.items():
-                column[place] = getattr(choice.prediction, name)
+                column[place] = getattr(answer.prediction, name)
     return columns

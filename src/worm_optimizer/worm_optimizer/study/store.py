@@ -26,6 +26,7 @@ import numpy as np
 import xarray
 import zarr
 
+from worm_model.errors import InputError
 from worm_model.parameters import format_parameter_file
 from worm_optimizer.study.plan import PARAMETER_FILE, QUANTITY_UNITS, Study
 from worm_optimizer.study.point import (
@@ -43,7 +44,7 @@ _NEW = int(zarr.__version__.split(".")[0]) >= 3  # the release for Python 3.10 i
 _DIMENSION_UNITS = {"front_gait": "1", "gait": "", "scan_margin": "m"}
 
 
-class StoreError(ValueError):
+class StoreError(InputError):
     """An output cannot be used for this study; the message says why and what to do."""
 
 

@@ -9,10 +9,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
 
-from worm_driver.nodes.driver_process import ros_process  # noqa: E402
-
-DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-
+from worm_msgs.ros_process import ros_process  # noqa: E402
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
@@ -51,18 +48,6 @@ def test_every_further_signal_is_told(ros_domain):
             assert len(told) == max(0, count - 1)
             os.kill(os.getpid(), signal.SIGTERM)
     assert len(told) == 2
-
-
-@pytest.mark.parametrize(("given", "wanted"), [(None, "LOCALHOST"), ("SUBNET", "SUBNET")])
-def test_discovery_stays_on_the_machine_unless_somebody_opens_it(
-    ros_domain, monkeypatch, given, wanted
-):
-    monkeypatch.setenv(DISCOVERY, "unset, and put back after the test")
-    monkeypatch.delenv(DISCOVERY)
-    if given is not None:
-        monkeypatch.setenv(DISCOVERY, given)
-    with ros_process(["test"]):
-        assert os.environ[DISCOVERY] == wanted
 
 
 def test_what_is_raised_inside_gets_out_with_ros_ended(ros_domain):

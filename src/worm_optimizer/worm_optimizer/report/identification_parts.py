@@ -4,37 +4,49 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from worm_model.commands.command_line import InputError, Parser
+import markdown2
+import numpy as np
+from matplotlib.figure import Figure
+
+from worm_model.analysis.plot_style import BLUE, GREY, new_figure, symbol
+from worm_model.commands.command_line import Parser
+from worm_model.errors import InputError
 from worm_model.identification import bellows, fin
 from worm_model.identification.bellows import Array, BellowsFit, fit_bellows
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.identification_report import FIGURE_TITLES, FIGURES, PAGE
+from worm_model.identification.identification_report import (
+    FIGURE_TITLES,
+    FIGURES,
+    FIGURES_HEADING,
+    PAGE,
+)
 from worm_model.identification.inputs import read_bench_test
-from worm_model.parameters import ParameterFile, load_parameter_file
+from worm_model.parameters import PAPER, SYMBOLS, ParameterFile, load_parameter_file
 
 _SUFFIX = ".png"
 _Fit = TypeVar("_Fit")
 
 
 @dataclass(frozen=True)
-class Identification:
+class IdentificationParts:
     """Parts that are None or empty are left out.
 
     ``content`` is a parameter file and ``source`` where it lies; ``bellows_fit`` and ``fin_fit`` are fits of bench
-    tests; ``text`` is the report that identification wrote, and ``figures`` its images (PNG) by title.
+    tests; ``report`` is the report that identification wrote, as HTML, and ``figures`` its images (PNG) by title.
     """
 
     content: ParameterFile | None = None
     source: str = ""
     bellows_fit: BellowsFit | None = None
     fin_fit: FinFit | None = None
-    text: str = ""
+    report: str = ""
     figures: Mapping[str, bytes] = field(default_factory=dict)
 
 
@@ -52,7 +64,7 @@ def add_identification(parser: Parser) -> None:
     parser.add_argument("--fin", type=Path, metavar="CSV", help="displacement_m, force_N")
 
 
-def identification_of(options: argparse.Namespace) -> Identification | None:
+def identification_of(options: argparse.Namespace) -> IdentificationParts | None:
     """The parts that are asked for, None where none is; raises InputError or ParameterError if one is no good."""
     folders = [path for path in options.identification if path.is_dir()]
     files = [path for path in options.identification if not path.is_dir()]
@@ -60,13 +72,13 @@ def identification_of(options: argparse.Namespace) -> Identification | None:
         return None
     if len(folders) > 1 or len(files) > 1:
         raise InputError("--identification: give one parameter file and one folder at most")
-    text, figures = _read_folder(folders)
-    return Identification(
+    report, figures = _read_folder(folders)
+    return IdentificationParts(
         content=load_parameter_file(str(files[0])) if files else None,
         source=str(files[0]) if files else "",
         bellows_fit=_fit("--bellows", options.bellows, bellows.COLUMNS, fit_bellows),
         fin_fit=_fit("--fin", options.fin, fin.COLUMNS, fit_fin),
-        text=text,
+        report=report,
         figures=figures,
     )
 
@@ -84,7 +96,7 @@ def _fit(
 
 
 def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
-    """Text and figures of a report of identify, the bench tests first."""
+    """Text (HTML) and figures of a report of identify, the bench tests first."""
     if not folders:
         return "", {}
     folder = folders[0]
@@ -100,4 +112,44 @@ def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
         FIGURE_TITLES.get(name, name.replace("_", " ")): images[name].read_bytes()
         for name in ordered
     }
-    return page.read_text(encoding="utf-8"), figures
+    return _as_html(page.read_text(encoding="utf-8")), figures
+
+
+def _as_html(markdown: str) -> str:
+    """Headings, tables and lists of the report, below the page's own headings; its images are shown apart."""
+    text = markdown.partition(f"## {FIGURES_HEADING}")[0]
+    text = re.sub(r"(?m)^#+ ", "### ", text)
+    html = str(markdown2.markdown(text, extras=["tables"], safe_mode="escape"))
+    return html.replace("<table>", '<div class="wide"><table>').replace(
+        "</table>", "</table></div>"
+    )
+
+
+def parameters_figure(content: ParameterFile) -> Figure:
+    """Each parameter that has an interval, as a ratio to the paper's value."""
+    values, paper = content.parameters.as_dict(), PAPER.as_dict()
+    keys = [key for key in values if key in content.intervals]
+    ratio = np.array([values[key] / paper[key] for key in keys])
+    bounds = np.array([content.intervals[key] for key in keys]) / np.array(
+        [[paper[key]] for key in keys]
+    )
+    figure = new_figure(8.0, 1.2 + 0.32 * len(keys))
+    axes = figure.subplots()
+    rows = np.arange(len(keys))
+    axes.axvline(1.0, color=GREY, linestyle="--", label="the paper's value")
+    axes.errorbar(
+        ratio,
+        rows,
+        xerr=[np.maximum(ratio - bounds[:, 0], 0.0), np.maximum(bounds[:, 1] - ratio, 0.0)],
+        color=BLUE,
+        marker="o",
+        linestyle="none",
+        capsize=4,
+        label="identified, 95 %",
+    )
+    axes.set_yticks(rows, [f"{key} ({symbol(SYMBOLS[key])})" for key in keys])
+    axes.invert_yaxis()
+    axes.set_xlabel("value over the paper's (1)")
+    axes.grid(visible=True, axis="x", linewidth=0.4)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+    return figure
