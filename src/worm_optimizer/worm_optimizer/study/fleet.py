@@ -34,6 +34,7 @@ from worm_optimizer.study.version import identity
 READ, FAILED = "read", "failed"
 _IDENTITY = b"worm_fleet"  # of the table's metadata
 _STORAGE = (".mcap", ".db3")
+_RECOVERED = "_recovered"  # ends the name of what `recover` makes
 _HEALTH = tuple(f"{key}{part}" for key in ADVICE for part in ("", "_low", "_high"))
 _TEXTS = ("bag", "gait", "state", "reason", "start", "parameters", "notes")
 _NUMBERS = (
@@ -66,7 +67,7 @@ def bags_below(folder: Path) -> list[Path]:
         raise InputError(
             f"{folder}: holds no bag (a folder with metadata.yaml, or a file *.mcap, *.db3)"
         )
-    return sorted(closed | loose)
+    return sorted(found)
 
 
 def bag_rows(path: str, name: str, parameters: str) -> list[Row]:
