@@ -11,8 +11,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.report import Row
 from distributed import Client
+
+from benchmarks.report import Row
 from worm_optimizer.study.engine import connected, spread
 from worm_optimizer.study.plan import Study, parse_study
 from worm_optimizer.study.point import compute_block
@@ -69,11 +70,13 @@ def run() -> list[Row]:
             through(client, warm)  # imports and compiled kernels
             seconds[workers] = through(client, short), through(client, long)
     here = alone(long)
-    blocks = math.ceil(_POINTS / _BLOCK)
+    math.ceil(_POINTS / _BLOCK)
     cores = os.cpu_count()
     what = f"{_POINTS} fronts in {math.ceil(_POINTS / _BLOCK)} blocks"
     return [
-        Row("the batch simulator alone", f"{here:.2f} s", "", f"{what}, one process, {cores} cores"),
+        Row(
+            "the batch simulator alone", f"{here:.2f} s", "", f"{what}, one process, {cores} cores"
+        ),
         Row("one worker", f"{seconds[1][1]:.2f} s", "", f"{what}, to the last byte on disk"),
         Row("two workers", f"{seconds[2][1]:.2f} s", "", "the same"),
         Row(

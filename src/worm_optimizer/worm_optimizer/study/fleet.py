@@ -63,7 +63,10 @@ def bags_below(folder: Path) -> list[Path]:
         for path in folder.rglob(f"*{ending}")
         if path.parent not in closed
     }
-    if not closed | loose:
+    # what was recovered from a bag stands beside it, and reading the bag itself is enough
+    copies = {bag.with_name(f"{bag.name}{_RECOVERED}") for bag in closed | loose}
+    found = (closed | loose) - copies
+    if not found:
         raise InputError(
             f"{folder}: holds no bag (a folder with metadata.yaml, or a file *.mcap, *.db3)"
         )

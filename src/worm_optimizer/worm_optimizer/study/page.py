@@ -112,13 +112,21 @@ def _lead(summary: Summary) -> list[str]:
     ]
     if summary.best is None:
         return [*lines, f"No point has {summary.goal}."]
-    design = ", ".join(
-        f"{label(column)} {shown(column)[summary.best]:.4g}" for column in summary.varied
+    lines.append(f"Best is {summary.goal}: {_told(summary, summary.best)}")
+    if summary.own is not None and summary.own != summary.best:
+        lines.append(
+            f"The robot of the parameter file, for comparison: {_told(summary, summary.own)}"
+        )
+    return lines
+
+
+def _told(summary: Summary, row: int) -> str:
+    """A design and what was found of it, in words."""
+    design, found = (
+        ", ".join(f"{label(column)} {shown(column)[row]:.4g}" for column in columns)
+        for columns in (summary.varied, summary.figures)
     )
-    found = ", ".join(
-        f"{label(column)} {shown(column)[summary.best]:.4g}" for column in summary.figures
-    )
-    return [*lines, f"Best is {summary.goal}: {design}. There: {found}."]
+    return f"{design}. There: {found}."
 
 
 def _best_table(summary: Summary) -> Table:

@@ -31,13 +31,15 @@ class Column:
 class Summary:
     """Of the points that are done: what ``varied``, the ``figures`` found, ``rank`` (0 is best), index of the ``best``.
 
-    ``goal`` says in words what best means. ``failed`` counts reasons; ``still`` are points at which no gait moves.
+    ``own`` is the index of the point that is the parameter file itself, None where there is none; ``goal`` says in words
+    what best means. ``failed`` counts reasons; ``still`` are points at which no gait moves.
     """
 
     varied: tuple[Column, ...]
     figures: tuple[Column, ...]
     rank: NDArray[np.int64]
     best: int | None
+    own: int | None
     goal: str
     points: int
     done: int
@@ -66,12 +68,23 @@ def summarise(path: Path, study: Study) -> Summary:
         figures=figures,
         rank=rank,
         best=int(np.argmin(rank)) if known.any() else None,
+        own=_own(varied, study),
         goal=goal,
         points=study.size,
         done=int(np.count_nonzero(state != OPEN)),
         failed=Counter(str(reason) for reason in reasons),
         still=int(done.size - np.count_nonzero(known)),
     )
+
+
+def _own(varied: tuple[Column, ...], study: Study) -> int | None:
+    """The point whose varied parameters are those of the one parameter file."""
+    values = study.files[0][1].parameters.as_dict()
+    if len(study.files) > 1 or not all(column.name in values for column in varied):
+        return None
+    same = [np.isclose(column.values, values[column.name], rtol=1e-9) for column in varied]
+    rows = np.flatnonzero(np.all(same, axis=0)) if same else np.empty(0)
+    return int(rows[0]) if rows.size else None
 
 
 def _figures(data: xarray.Dataset, study: Study) -> tuple[tuple[Column, ...], str]:

@@ -70,15 +70,18 @@ def test_blocks_cover_the_points_once_and_grow_with_the_points():
     study = dataclasses.replace(parse_study(SMALL, HERE), block_points=4)
     assert study.blocks == [slice(0, 4), slice(4, 6)]
     many = parse_study(
-        changed(vary={"slack": {"from": 0.001, "to": 0.01, "count": 10_000}}, block_points=None), HERE
+        changed(vary={"slack": {"from": 0.001, "to": 0.01, "count": 10_000}}, block_points=None),
+        HERE,
     )
-    assert 1 < many.block_points
+    assert many.block_points > 1
     assert len(many.blocks) >= 20
 
 
 def test_a_title_or_a_comment_changes_nothing_that_counts():
     study = parse_study(SMALL, HERE)
-    assert parse_study(SMALL.replace("title: small", "title: other"), HERE).identity == study.identity
+    assert (
+        parse_study(SMALL.replace("title: small", "title: other"), HERE).identity == study.identity
+    )
     assert parse_study(SMALL.replace("0.012", "0.011"), HERE).identity != study.identity
 
 
@@ -105,8 +108,10 @@ WRONG = {
     "hardware: driver is missing": {"hardware": {"servo_model": "XL330-M288"}},
     "vary: nothing varies": {"vary": None},
     "vary: makes 100000000 points": {
-        "vary": {"slack": {"from": 0.001, "to": 0.01, "count": 10_000},
-                 "gain": {"from": 0.5, "to": 0.9, "count": 10_000}}
+        "vary": {
+            "slack": {"from": 0.001, "to": 0.01, "count": 10_000},
+            "gain": {"from": 0.5, "to": 0.9, "count": 10_000},
+        }
     },
     "the file: no such key as 'varies'; did you mean vary": {"varies": {}},
     "block_points: 0 is not a whole number": {"block_points": 0},

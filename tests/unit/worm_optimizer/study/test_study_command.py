@@ -32,14 +32,18 @@ def test_a_study_on_this_machine_and_its_page(tmp_path, monkeypatch, capsys):
     assert json.loads(out) == {"points": 6, "done": 6, "failed": 3, "output": str(output)}
     assert "100%" in err
     before = contents(output)
-    status, out, _ = run(monkeypatch, capsys, *words, "--page", str(page))  # nothing is left to compute
+    status, out, _ = run(
+        monkeypatch, capsys, *words, "--page", str(page)
+    )  # nothing is left to compute
     assert status == 0
     assert contents(output) == before
     text = page.read_text()
     assert "the highest speed at 2.6 W" in text
     assert "less than half the pitch" in text
     assert "whether it stays so over a run is not modelled" in text
-    assert text.count("data:image/png;base64,") == 1  # one quantity varies among the points that are done
+    assert (
+        text.count("data:image/png;base64,") == 1
+    )  # one quantity varies among the points that are done
     status, _, err = run(monkeypatch, capsys, *words, "--page", str(page))
     assert status == 2
     assert "exists already" in err
