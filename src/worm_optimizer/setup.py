@@ -17,7 +17,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "study = worm_optimizer.commands.study:main",
 ]
 # What pip brings for a worker of a study, which needs no ROS; requirements*.txt pin the versions.
-NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo", "jinja2"]
+NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo", "jinja2", "markdown2"]
 STUDY = ["dask", "distributed", "xarray", "zarr"]
 
 setup(

@@ -136,4 +136,4 @@ def _failed_table(failed: Sequence[Row]) -> list[Table]:
     if not failed:
         return []
     rows = [[str(row["bag"]), str(row["reason"])] for row in failed]
-    return [Table("Bags that could not be used", ("bag", "reason"), rows)]
+    return [Table("Bags that could not be used", ("bag", "reason"), rows, words=True)]

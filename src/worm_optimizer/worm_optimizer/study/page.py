@@ -39,11 +39,12 @@ _ALWAYS = (
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a title."""
+    """Rows of text under a title; ``words`` if the cells hold words rather than numbers."""
 
     title: str
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
+    words: bool = False
 
 
 @dataclass(frozen=True)
@@ -140,4 +141,4 @@ def _failed_table(summary: Summary) -> list[Table]:
     if not summary.failed:
         return []
     rows = [[reason, str(count)] for reason, count in summary.failed.most_common(_BEST)]
-    return [Table("Points that are not admissible", ["reason", "points"], rows)]
+    return [Table("Points that are not admissible", ["reason", "points"], rows, words=True)]

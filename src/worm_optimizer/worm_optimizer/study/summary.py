@@ -31,7 +31,7 @@ class Column:
 class Summary:
     """Of the points that are done: what ``varied``, the ``figures`` found, ``rank`` (0 is best), index of the ``best``.
 
-    ``own`` is the index of the point that is the parameter file itself, None where there is none; ``goal`` says in words
+    ``own`` is the index of the point that is the parameter file itself, None if none is; ``goal`` says in words
     what best means. ``failed`` counts reasons; ``still`` are points at which no gait moves.
     """
 
