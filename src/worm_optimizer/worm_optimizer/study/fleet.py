@@ -52,6 +52,10 @@ SCHEMA = pa.schema(
 Row = dict[str, Any]
 
 
+class UnseenError(RuntimeError):
+    """A worker does not see a bag; the message is its path."""
+
+
 def bags_below(folder: Path) -> list[Path]:
     """All bags below a folder: those with a metadata.yaml, and recordings without one; raises `InputError` if none."""
     if not folder.is_dir():
@@ -76,10 +80,10 @@ def bags_below(folder: Path) -> list[Path]:
 def bag_rows(path: str, name: str, parameters: str) -> list[Row]:
     """The rows of one bag; ``name`` is what the table calls it, ``parameters`` the text of a parameter file's path.
 
-    Raises FileNotFoundError if this machine does not see the bag.
+    Raises `UnseenError` if this machine does not see the bag.
     """
     if not Path(path).exists():
-        raise FileNotFoundError(path)
+        raise UnseenError(path)
     empty: Row = {**dict.fromkeys(_TEXTS, ""), **dict.fromkeys(_NUMBERS, math.nan), "bag": name}
     notes: list[str] = []
     try:
@@ -201,7 +205,7 @@ def _read(
             draft.rename(files[place])
             done += 1
             progress(done / bags)
-    except FileNotFoundError as error:
+    except UnseenError as error:
         raise InputError(
             f"a worker does not see {error}: put the bags where all workers see them, or leave --scheduler out"
         ) from None
