@@ -31,5 +31,6 @@ setup(
         (f"share/{NAME}/security/policies", sorted(glob("security/policies/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
+    extras_require={"test": ["pytest"]},  # colcon test takes pytest for it
     entry_points={"console_scripts": EXECUTABLES},
 )

@@ -37,5 +37,6 @@ setup(
         (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
+    extras_require={"test": ["pytest"]},  # colcon test takes pytest for it
     entry_points={"console_scripts": EXECUTABLES},
 )

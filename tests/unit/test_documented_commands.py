@@ -27,7 +27,7 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
         ("worm_model", name): ()
         for name in (
             *("evaluate_gait", "export", "health", "identify", "import_lab"),
-            *("phase_map", "recover", "replay"),
+            *("bags", "phase_map", "recover", "replay"),
         )
     },
     ("worm_optimizer", "optimize"): SMALL_FRONT,

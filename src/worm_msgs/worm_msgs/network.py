@@ -31,9 +31,13 @@ _BINDINGS: Mapping[str, Mapping[str, str]] = {
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(_FAST_DDS),
         "FASTDDS_DEFAULT_PROFILES_FILE": str(_FAST_DDS),
         "SKIP_DEFAULT_XML": "1",  # else a file of the working folder may open it again
+        # The profile says it all; for LOCALHOST the rmw adds a transport of its own, with sockets on every address.
+        _RANGE: "SYSTEM_DEFAULT",
     },
-    "rmw_cyclonedds": {"CYCLONEDDS_URI": _CYCLONE_DDS},
+    "rmw_cyclonedds": {"CYCLONEDDS_URI": _CYCLONE_DDS, _RANGE: "LOCALHOST"},
 }
+#: the bindings that are somebody's decision for the network when they hold something else
+_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "CYCLONEDDS_URI")
 
 
 class NetworkError(Exception):
@@ -74,14 +78,17 @@ def reach(environment: Mapping[str, str], middleware: str) -> Reach:
     if decided not in ("", "0", "1"):
         raise NetworkError(f"{DECISION} is {decided!r}: 1 lets ROS onto the network, 0 does not")
     binding = _binding(middleware)
+    ours = any(known.items() <= environment.items() for known in _BINDINGS.values())
+    profiles = {name: (binding or {}).get(name) for name in _PROFILES}
     openers = {
         DECISION: decided == "1",
-        _RANGE: environment.get(_RANGE) in ("SUBNET", "SYSTEM_DEFAULT"),
+        _RANGE: environment.get(_RANGE) == "SUBNET"
+        or (environment.get(_RANGE) == "SYSTEM_DEFAULT" and not ours),
         "ROS_STATIC_PEERS": _leaves_the_machine(environment.get("ROS_STATIC_PEERS", "")),
         "ROS_DISCOVERY_SERVER": _leaves_the_machine(environment.get("ROS_DISCOVERY_SERVER", "")),
         **{
-            name: name != "SKIP_DEFAULT_XML" and environment.get(name, ours) not in ("", ours)
-            for name, ours in (binding or {}).items()
+            name: value is not None and environment.get(name, value) not in ("", value)
+            for name, value in profiles.items()
         },
     }
     opener = next((name for name, opens in openers.items() if opens), "")
@@ -101,16 +108,21 @@ def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
     Raises:
         NetworkError: as reach.
     """
-    found = reach(environment, middleware)
+    found, binding = reach(environment, middleware), _binding(middleware) or {}
     if found.is_local:
-        environment.update(_binding(middleware) or {})
-        environment.setdefault(_RANGE, "LOCALHOST")
-    elif environment.get(DECISION) == "1":
-        if environment.get(_RANGE) in (None, "LOCALHOST"):
-            environment[_RANGE] = "SUBNET"
-        for name, ours in (_binding(middleware) or {}).items():
-            if environment.get(name) == ours:
-                del environment[name]
+        silent = environment.get(_RANGE) == "OFF"  # hears nobody at all, and shall not
+        environment.update({n: v for n, v in binding.items() if n != _RANGE or not silent})
+        return found
+    inherited = {n: v for n, v in binding.items() if n != _RANGE}
+    if (
+        binding and inherited.items() <= environment.items()
+    ):  # from a process that was kept on this machine
+        for name in inherited:
+            del environment[name]
+        if environment.get(_RANGE) == binding[_RANGE]:
+            del environment[_RANGE]
+    if environment.get(DECISION) == "1" and environment.get(_RANGE, "LOCALHOST") == "LOCALHOST":
+        environment[_RANGE] = "SUBNET"
     return found
 
 

@@ -6,8 +6,10 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import re
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 
@@ -15,34 +17,41 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from worm_msgs import network
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: s, after a signal nothing happens for at most so long
 SPIN_S = 0.1
+#: s, in which further signals are the same Ctrl-C: a terminal and launch may both pass it on
+_SAME_PRESS_S = 1.5
 
 
 class Ending:
     """Whether a process was asked to end: call it.
 
     Attributes:
-        again: called by every signal after the first one, in the signal's handler.
+        again: called by every later SIGINT, in its handler: an impatient person's. SIGTERM is how launch and
+            systemd escalate by themselves.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.again: Callable[[], None] = lambda: None
-        self._asked = False
+        self._clock = clock
+        self._first: float | None = None
 
     def __call__(self) -> bool:
         """Whether it was asked to end."""
-        return self._asked
+        return self._first is not None
 
-    def on_signal(self, _: int, __: FrameType | None) -> None:
+    def on_signal(self, number: int, _: FrameType | None) -> None:
         """The handler."""
-        if self._asked:
+        now = self._clock()
+        if self._first is None:
+            self._first = now
+        elif number == signal.SIGINT and now - self._first > _SAME_PRESS_S:
             self.again()
-        self._asked = True
 
 
 @contextlib.contextmanager
@@ -56,7 +65,8 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Ending]:
         arguments: the command line with the program's name; None for that of the process.
 
     Raises:
-        SystemExit: the middleware cannot be kept on this machine; the reason is on standard error.
+        SystemExit: the middleware cannot be kept on this machine, or a ROS argument cannot be used; the reason is on
+            standard error.
     """
     try:
         heard = network.bind(os.environ, rclpy.get_rmw_implementation_identifier())
@@ -66,10 +76,13 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Ending]:
     if not heard.is_local:
         _say(str(heard))
     ending = Ending()
-    rclpy.init(
-        args=None if arguments is None else list(arguments),
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
+    try:
+        rclpy.init(
+            args=None if arguments is None else list(arguments),
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+    except RuntimeError as error:  # of rcl, whose classes have no public name
+        raise _refuse_arguments(error) from None
     before = {number: signal.signal(number, ending.on_signal) for number in SIGNALS}
     try:
         yield ending
@@ -78,6 +91,25 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Ending]:
         for number, handler in before.items():
             # A process that was asked ends now: another Ctrl-C must not turn that into a failure.
             signal.signal(number, signal.SIG_IGN if ending() else handler)
+
+
+def own_arguments(arguments: Sequence[str]) -> list[str]:
+    """A command line without its ROS arguments.
+
+    Raises:
+        SystemExit: one of them cannot be used, such as a file of parameters; the reason is on standard error.
+    """
+    try:
+        return list(remove_ros_args(list(arguments)))
+    except RuntimeError as error:  # as above
+        raise _refuse_arguments(error) from None
+
+
+def _refuse_arguments(error: Exception) -> SystemExit:
+    """Says rcl's message in one line, without the places in its source."""
+    words = " ".join(re.sub(r",? at [./]\S+:\d+", "", str(error)).split())
+    print(f"ROS arguments: {words}", file=sys.stderr)  # noqa: T201 (what every process says)
+    return SystemExit(2)
 
 
 def spare_pauses() -> None:

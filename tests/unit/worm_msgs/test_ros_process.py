@@ -9,7 +9,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
 
-from worm_msgs.ros_process import ros_process  # noqa: E402
+from worm_msgs.ros_process import Ending, own_arguments, ros_process  # noqa: E402
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
@@ -40,14 +40,35 @@ def test_a_process_that_was_not_asked_gets_its_signals_back(ros_domain):
     assert [signal.getsignal(number) for number in SIGNALS] == before
 
 
-def test_every_further_signal_is_told(ros_domain):
-    told: list[int] = []
-    with ros_process(["test"]) as ended:
-        ended.again = lambda: told.append(1)
-        for count in range(3):
-            assert len(told) == max(0, count - 1)
-            os.kill(os.getpid(), signal.SIGTERM)
-    assert len(told) == 2
+def test_only_a_later_ctrl_c_is_an_impatient_persons():
+    """launch and systemd escalate with SIGTERM by themselves; a terminal and launch pass one Ctrl-C on twice."""
+    now, told = [10.0], []
+    ending = Ending(lambda: now[0])
+    ending.again = lambda: told.append(now[0])
+    for time, number in (
+        (10.0, signal.SIGINT),
+        (11.0, signal.SIGINT),
+        (20.0, signal.SIGTERM),
+        (30.0, signal.SIGHUP),
+    ):
+        now[0] = time
+        ending.on_signal(number, None)
+    assert ending()
+    assert told == []
+    for time in (40.0, 41.0):
+        now[0] = time
+        ending.on_signal(signal.SIGINT, None)
+    assert told == [40.0, 41.0]
+
+
+def test_a_ros_argument_that_cannot_be_used_is_one_line_and_status_2(ros_domain, capsys):
+    arguments = ["test", "--ros-args", "--params-file", "/nope"]
+    for use in (lambda: own_arguments(arguments), lambda: ros_process(arguments).__enter__()):
+        with pytest.raises(SystemExit) as error:
+            use()
+        assert error.value.code == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "/nope" in line
 
 
 def test_what_is_raised_inside_gets_out_with_ros_ended(ros_domain):

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from worm_driver.clock import Clock, MachineClock
+from worm_driver.control.real_time import NOT_ASKED, VIRTUAL, ask_for_urgency
 from worm_driver.control.robot import Robot
 from worm_driver.control.telemetry import Snapshot
 from worm_driver.control.timing import DeadlineGrid, PeriodMeter, TimingReport
@@ -36,6 +37,7 @@ class PeriodicThread:
         period: s.
         step: called with the time (s, monotonic); False ends the thread.
         at_end: called in the thread when it ends, also by an exception.
+        at_start: called in the thread before its first step.
         clock: which it goes by; None: the machine's.
     """
 
@@ -45,12 +47,13 @@ class PeriodicThread:
         period: float,
         step: Callable[[float], bool],
         at_end: Callable[[], None] = lambda: None,
+        at_start: Callable[[], None] = lambda: None,
         clock: Clock | None = None,
     ):
         self._clock: Clock = MachineClock() if clock is None else clock
         self.failure: Exception | None = None
         self._step = step
-        self._at_end = at_end
+        self._at_start, self._at_end = at_start, at_end
         self._ending = threading.Event()
         self._meter = PeriodMeter(period)
         self._report = self._meter.report()
@@ -81,6 +84,7 @@ class PeriodicThread:
 
     def _run(self) -> None:
         try:
+            self._at_start()
             self._cycles()
         except Exception as error:  # noqa: BLE001 (whatever it was, the robot must be released, and the node told)
             self.failure = error
@@ -116,11 +120,15 @@ class ControlLoop:
         robot: which the loop owns from now on.
         on_snapshot: called in the loop's thread after each cycle; must be quick and must not raise.
         clock: which the thread goes by; None: the machine's.
+
+    Attributes:
+        urgency: what the thread has of the real-time priority in the robot's settings.
     """
 
     def __init__(
         self, robot: Robot, on_snapshot: Callable[[Snapshot], None], clock: Clock | None = None
     ):
+        self.urgency = NOT_ASKED
         self._clock: Clock = MachineClock() if clock is None else clock
         self._robot = robot
         self._on_snapshot = on_snapshot
@@ -128,7 +136,12 @@ class ControlLoop:
         self._leaving: str | None = None
         self.release_problems: list[str] = []
         self._thread = PeriodicThread(
-            "servo_bus", robot.settings.period, self._cycle, self._at_end, self._clock
+            "servo_bus",
+            robot.settings.period,
+            self._cycle,
+            self._at_end,
+            self._at_start,
+            self._clock,
         )
 
     def start(self) -> None:
@@ -228,8 +241,15 @@ class ControlLoop:
             except Exception as error:  # noqa: BLE001 (the one who asked gets it)
                 command.answer.set_exception(error)
 
+    def _at_start(self) -> None:
+        if self._clock.epoch_ns is not None:
+            self.urgency = VIRTUAL
+            return
+        self.urgency = ask_for_urgency(self._robot.settings.real_time_priority)
+
     def _at_end(self) -> None:
         self.release_problems = self._robot.release()
+        self._clock.close()  # a thread that has ended must not keep a virtual robot's time
         self._serve(math.inf)
 
 

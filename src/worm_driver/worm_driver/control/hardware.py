@@ -44,7 +44,6 @@ class Hardware:
 
     Args:
         settings: of the robot.
-        wake: called from the threads when there is something in ``snapshots`` or ``samples``.
         tracker_ready: whether the tracker sees the robot, or there is none to wait for.
 
     Attributes:
@@ -58,13 +57,12 @@ class Hardware:
     def __init__(
         self,
         settings: DriverSettings,
-        wake: Callable[[], None],
         tracker_ready: Callable[[], bool] = lambda: True,
     ):
         self.settings = settings
+        self._longest_stroke = settings.max_stroke  # that a run may have been begun with
         self.snapshots: deque[Snapshot] = deque()
         self.samples: deque[PowerSample] = deque()
-        self._wake = wake
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
         self._power: PowerLoop | None = None
         with contextlib.ExitStack() as opened:
@@ -72,10 +70,11 @@ class Hardware:
             sensor = _open_sensor(settings.power)
             if sensor is not None:
                 opened.callback(sensor.device.close)
+            self._bus = ServoBus.open(settings.port, settings.baud_rate)
+            opened.callback(self._bus.close)
             self.clock = clock_of(settings.port, SERIAL)
             opened.callback(self.clock.close)
-            self._bus = ServoBus.open(settings.port, settings.baud_rate, clock=self.clock)
-            opened.callback(self._bus.close)
+            self._bus.port.go_by(self.clock)
             self._check_latency(self._bus.port.latency)
             self.robot = Robot(
                 settings, self._bus, self._valid_samples, tracker_ready, clock=self.clock
@@ -99,8 +98,18 @@ class Hardware:
     @property
     def release_time(self) -> float:
         """s, which a release takes at most."""
-        travel = self.settings.max_stroke + 0.02
+        travel = self._longest_stroke + 0.02
         return math.pi / 2 * travel / self.settings.player.return_speed + 1.0
+
+    def take(self, settings: DriverSettings) -> str:
+        """Goes on with other limits; returns what follows for the run that is being played, in words."""
+        self._longest_stroke = max(self._longest_stroke, settings.max_stroke)
+        self.settings = settings
+        return self.loop.ask(lambda now: self.robot.take(now, settings))
+
+    def rest_line(self) -> str:
+        """How long it may take to end; the launch file reads it, to be patient for as long."""
+        return f"asked to end, it is at rest within {self.release_time:.1f} s"
 
     def description(self) -> list[str]:
         """What was found, one line each."""
@@ -118,6 +127,9 @@ class Hardware:
             lines.append(
                 f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, not 1: install the udev rule"
             )
+        if self.robot.left_on:
+            lines.append(self.robot.left_on)
+        lines.append(self.rest_line())
         if not self.robot.homed:
             lines.append("not homed: bring the robot to its initial length, then call home")
         return lines
@@ -135,7 +147,6 @@ class Hardware:
         if not ended:
             problems.append("the servo bus thread hangs: the servos stop by their bus watchdog")
         self._bus.close()
-        self.clock.close()
         return problems
 
     def report(self, latest: Snapshot) -> list[Report]:
@@ -145,9 +156,11 @@ class Hardware:
         self._seen = _Seen(counters, power)
         timer = serial_port.latency_timer_ms(self.settings.port)
         reports = [
-            diagnostics.gait_report(latest.player, active=latest.active, homed=robot.homed),
+            diagnostics.gait_report(
+                latest.player, active=latest.active, homed=robot.homed, left_on=robot.left_on
+            ),
             diagnostics.bus_report(self.settings.port, counters, seen.counters, timer),
-            diagnostics.timing_report(self.loop.report(), self.settings.period),
+            diagnostics.timing_report(self.loop.report(), self.settings.period, self.loop.urgency),
         ]
         if robot.unreleased:
             reports.append(diagnostics.release_report(robot.unreleased))
@@ -182,7 +195,6 @@ class Hardware:
                 f"the node has not listened for {unheard:.0f} s: the service stop would not work"
             )
             self.robot.fail(snapshot.command_time, reason)
-        self._wake()
         if self.clock.patience:
             self._wait_for_listener()
 

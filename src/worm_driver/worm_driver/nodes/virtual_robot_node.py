@@ -6,14 +6,13 @@ import logging
 import math
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.time import Time
-from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 
 from worm_driver.virtual_robot.camera import TrackerSample
@@ -28,7 +27,7 @@ from worm_driver.virtual_robot.wire.faults import (
     parse_fault,
 )
 from worm_msgs.msg import BodyLength, Tracker
-from worm_msgs.ros_process import ros_process
+from worm_msgs.ros_process import Ending, own_arguments, ros_process
 from worm_msgs.srv import InjectFault
 
 _DEPTH = 500  # of samples that may wait for a subscriber whose machine is busy
@@ -37,6 +36,7 @@ _REST_SAMPLES = 30  # at the start, whose mean is the initial length that the ca
 # Python hands the interpreter over after 5 ms by default, too late for an answer on the bus.
 _SWITCH_INTERVAL = 0.0002  # s
 _SIGNAL_LATENCY = 0.1  # s, after which a signal is noticed at the latest
+_QUIET = 0.5  # s without an instruction, after which nobody works with the robot any more
 
 log = logging.getLogger("virtual_robot")
 
@@ -185,9 +185,10 @@ def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
         failures.append(error)
 
 
-def _run(robot: VirtualRobot, options: argparse.Namespace, ended: Callable[[], bool]) -> None:
-    """Serves until the process is asked to end. Raises what the serving thread raised."""
+def _run(robot: VirtualRobot, options: argparse.Namespace, ended: Ending) -> None:
+    """Serves until the process is asked to end, and the driver has. Raises what the serving thread raised."""
     node = VirtualRobotNode(robot, options.directory, options.rate)
+    ended.again = node.endpoints.stop
     failures: list[Exception] = []
     serving = threading.Thread(target=_serve, args=(node, failures), name="serving")
     executor = SingleThreadedExecutor()
@@ -197,7 +198,8 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: Callable[[], b
         serving.start()
         sys.stdout.write(f"ready: {options.directory}\n")
         sys.stdout.flush()
-        while serving.is_alive() and not ended():
+        # Where all are asked to end at once, the robot is there until the driver has let go of it.
+        while serving.is_alive() and not (ended() and node.endpoints.quiet_for(_QUIET)):
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
     finally:
         node.endpoints.stop()
@@ -218,7 +220,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns the exit status."""
     logging.basicConfig(stream=sys.stderr, format="virtual_robot: %(message)s")
     given = sys.argv if arguments is None else ["virtual_robot", *arguments]
-    options = _parse_arguments(remove_ros_args(given)[1:])
+    options = _parse_arguments(own_arguments(given)[1:])
     try:
         robot = _make_robot(options)
     except (SettingsError, FaultError) as error:

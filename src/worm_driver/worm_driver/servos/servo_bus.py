@@ -80,6 +80,10 @@ class BusPort(PortHandler):
         self._clock: Clock = MachineClock() if clock is None else clock
         self._left_over = 0
 
+    def go_by(self, clock: Clock) -> None:
+        """Has the thread that uses the port go by another clock, before the first exchange."""
+        self._clock = clock
+
     def getCurrentTime(self) -> float:  # noqa: N802 (the SDK's name)
         """Now, ms: immune to a step of the wall clock."""
         return self._clock() * 1e3
@@ -223,7 +227,6 @@ class ServoBus:
         baud_rate: int,
         latency: float | None = None,
         retries: int = 1,
-        clock: Clock | None = None,
     ) -> "ServoBus":
         """Opens a serial port exclusively.
 
@@ -233,19 +236,21 @@ class ServoBus:
             latency: s, how long the adapter may hold an answer back; None: as long as its latency timer says
                 once the port is open, for opening asks the adapter to be quick.
             retries: how often a failed exchange is repeated.
-            clock: which the thread that uses the bus goes by; None: the machine's.
 
         Raises:
             PortError: it is missing, forbidden or in use; the message says what to do.
-            ConfigurationError: the SDK does not know the baud rate.
+            ConfigurationError: the SDK does not know the baud rate, or the path is no serial device.
         """
-        port = BusPort(path, baud_rate, clock=clock)
+        if reason := serial_port.why_no_port(path):
+            raise ConfigurationError(reason)
+        port = BusPort(path, baud_rate)
         try:
             if not port.openPort():
                 raise ConfigurationError(
                     f"baud rate {baud_rate} is not one that the SDK can set: see addr 8 (baud_rate)"
                 )
-        except OSError as error:  # SerialException is one
+        # SerialException is an OSError; termios.error is none
+        except (OSError, termios.error) as error:
             raise PortError(serial_port.explain_open_failure(path, error)) from error
         if latency is None:
             latency = (serial_port.latency_timer_ms(path) or 1) * 1e-3
@@ -258,14 +263,14 @@ class ServoBus:
             self.port.closePort()
 
     @contextlib.contextmanager
-    def patient(self) -> Iterator[None]:
+    def patient(self, retries: int = _PATIENT_RETRIES) -> Iterator[None]:
         """For set-up, where an answer counts more than its time.
 
         Failed exchanges are repeated more often; and the first question, like each one after a failure, waits until no
         older answer can be on its way.
         """
         before = self.retries, self._quiet
-        self.retries, self._quiet = max(self.retries, _PATIENT_RETRIES), _LATEST
+        self.retries, self._quiet = max(self.retries, retries), _LATEST
         self._settled = False
         try:
             yield

@@ -179,17 +179,37 @@ def prepare(
         store(bus, servo, name, raw)
 
 
+def cable_settings(servo: Servo, limit: float) -> dict[str, int]:
+    """What a cable servo is set to beside its mode: its own limit (see own_limit) of the current."""
+    if not servo.model.measures_current:
+        return {}
+    return {"current_limit": to_raw(servo["current_limit"], limit)}
+
+
 def prepare_cable(bus: ServoBus, servo: Servo, limit: float) -> None:
     """As prepare, for a cable servo: extended position mode, and its own limit (see own_limit) of the current."""
-    settings = {}
-    if servo.model.measures_current:
-        settings["current_limit"] = to_raw(servo["current_limit"], limit)
-    prepare(bus, servo, EXTENDED_POSITION_MODE, settings)
+    prepare(bus, servo, EXTENDED_POSITION_MODE, cable_settings(servo, limit))
 
 
 def prepare_fin(bus: ServoBus, servo: Servo) -> None:
     """As prepare, for a fin servo: position mode."""
     prepare(bus, servo, POSITION_MODE)
+
+
+def held_position(bus: ServoBus, servo: Servo, limit: float) -> int | None:
+    """Where (ticks from home) a cable servo stands that an earlier driver left with its torque on; None for no such.
+
+    Only one that is homed and set up as prepare_cable does; of another the position means nothing.
+    """
+    wanted = {
+        "operating_mode": EXTENDED_POSITION_MODE,
+        "drive_mode": 0,
+        "led": 1,
+        "torque_enable": 1,
+    }
+    wanted |= cable_settings(servo, limit)
+    found = registers(bus, servo, *wanted, "present_position")
+    return found["present_position"] if wanted.items() <= found.items() else None
 
 
 def is_homed(bus: ServoBus, servo: Servo) -> bool:
@@ -232,36 +252,38 @@ def _set_zero(bus: ServoBus, servo: Servo) -> None:
         )
 
 
-def limit_motion(bus: ServoBus, servo: Servo, speed: float, limit: float = 1.0) -> None:
-    """Sets what the servo itself keeps to once it is enabled; disarms the bus watchdog, which would refuse it.
+def limit_motion(
+    bus: ServoBus, servo: Servo, speed: float, watchdog: float, limit: float = 1.0
+) -> None:
+    """Sets what the servo itself keeps to once it is enabled: speed, output, and the bus watchdog.
 
     Args:
         bus: where the servo is.
-        servo: with its torque off.
+        servo: with its torque off, or left on by an earlier driver.
         speed: rad/s.
+        watchdog: s without packets.
         limit: ratio of the load, see own_limit; means nothing where the servo measures its current.
 
     Raises:
         BusError: it does not answer, or refuses.
     """
     number, profile = servo.number, servo["profile_velocity"]
-    bus.write(number, servo["bus_watchdog"], 0)
+    bus.write(number, servo["bus_watchdog"], 0)  # one that has expired refuses all else
+    bus.write(number, servo["bus_watchdog"], to_raw(servo["bus_watchdog"], watchdog))
     bus.write(number, profile, max(1, to_raw(profile, min(speed, servo.velocity_limit))))
     if not servo.model.measures_current:
         most = bus.read(number, servo["pwm_limit"])
         bus.write(number, servo["goal_pwm"], min(most, to_raw(servo["goal_pwm"], limit)))
 
 
-def enable(bus: ServoBus, servo: Servo, watchdog: float) -> None:
-    """Torque on, holding the present position, with the bus watchdog (s without packets) armed before. Raises BusError.
+def enable(bus: ServoBus, servo: Servo) -> None:
+    """Torque on, holding the present position, after limit_motion has armed the bus watchdog. Raises BusError.
 
     As short as can be: the servos that are enabled already wait for their first goal.
     """
-    number, register = servo.number, servo["bus_watchdog"]
-    position = bus.read(number, servo["present_position"])
-    bus.write(number, servo["goal_position"], position)
-    bus.write(number, register, to_raw(register, watchdog))
-    bus.write(number, servo["torque_enable"], 1)
+    position = bus.read(servo.number, servo["present_position"])
+    bus.write(servo.number, servo["goal_position"], position)
+    bus.write(servo.number, servo["torque_enable"], 1)
 
 
 def disable(bus: ServoBus, servo: Servo) -> None:
@@ -270,20 +292,23 @@ def disable(bus: ServoBus, servo: Servo) -> None:
     bus.write(servo.number, servo["bus_watchdog"], 0)
 
 
-def release_all(bus: ServoBus, servos: tuple[Servo, ...]) -> list[str]:
-    """Takes the torque off every servo, whatever fails on the way.
+def release_all(bus: ServoBus, servos: Sequence[Servo]) -> list[str]:
+    """Takes the torque off every servo, whatever fails on the way, and looks whether it is.
 
     Returns:
-        what failed, in words; empty when every servo has acknowledged.
+        what failed, in words; empty when every servo says that its torque is off.
     """
     problems = []
     try:
         bus.torque_off_all()  # at once and without an answer; what follows makes sure
     except BusError as error:
         return [str(error)]
-    for servo in servos:
-        try:
-            disable(bus, servo)
-        except BusError as error:
-            problems.append(str(error))
+    with bus.patient(retries=2):
+        for servo in servos:
+            try:
+                disable(bus, servo)
+                if registers(bus, servo, "torque_enable")["torque_enable"]:
+                    problems.append(f"servo {servo.number} says that its torque is on")
+            except BusError as error:
+                problems.append(str(error))
     return problems

@@ -17,21 +17,18 @@ from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
 from worm_model.analysis.plot_style import (
-    BLUE,
     CYCLE,
     MM,
-    VERMILION,
     Style,
     finish,
     letter,
     new_figure,
     shade,
 )
-from worm_model.analysis.replay_metrics import CycleReport
 
 Array = NDArray[np.float64]
 
-_WIDTH, _HEIGHT = 8.5, 1.75  # inches; the height is that of a panel of weight 1
+WIDTH, _HEIGHT = 8.5, 1.75  # inches; the height is that of a panel of weight 1
 _TIME = "time since the gait's onset (s)"
 
 
@@ -129,30 +126,6 @@ def run_style(number: int) -> dict[str, Any]:
     return {"color": CYCLE[number % len(CYCLE)], "linewidth": 1.5}
 
 
-def cycles_figure(cycles: Sequence[CycleReport]) -> Figure:
-    """Grooves gained and residuals against the twin, cycle by cycle."""
-    figure = new_figure(_WIDTH, 2.9)
-    panels = figure.subplots(1, 4)
-    number = np.arange(1, len(cycles) + 1)
-    measured, twin = ([getattr(c, f) for c in cycles] for f in ("measured_grooves", "grooves"))
-    panels[0].bar(number - 0.2, measured, 0.4, color=BLUE, label="measured")
-    panels[0].bar(number + 0.2, twin, 0.4, color=VERMILION, hatch="//", label="twin")
-    finish(panels[0], "grooves gained (1)")
-    for axes, name, scale, label in (
-        (panels[1], "x1_rmse", MM, "x1 residual (mm rms)"),
-        (panels[2], "length_rmse", MM, "length residual (mm rms)"),
-        (panels[3], "power_rmse", 1.0, "power residual (W rms)"),
-    ):
-        axes.bar(number, [scale * getattr(c.residuals, name) for c in cycles], color=BLUE)
-        finish(axes, label)
-    for axes in panels:
-        axes.set_xlabel("cycle")
-        axes.set_xticks(number)
-        axes.grid(visible=False, axis="x")
-    letter(panels)
-    return figure
-
-
 def _positions(curves: Curves, pitch: float) -> _Panel:
     note = "horizontal lines: the pipe's ridges"
     return _Panel("rear module x1 (mm)", curves, MM, 3.0, note, pitch)
@@ -164,7 +137,7 @@ def _residuals(curves: Curves, unit: str, scale: float) -> _Panel:
 
 def _figure(frame: Frame, contents: Sequence[_Panel]) -> Figure:
     weights = [content.weight for content in contents]
-    figure = new_figure(_WIDTH, 0.8 + 0.5 * _HEIGHT * sum(weights))
+    figure = new_figure(WIDTH, 0.8 + 0.5 * _HEIGHT * sum(weights))
     if frame.title:
         figure.suptitle(frame.title, fontsize="medium")
     panels = list(

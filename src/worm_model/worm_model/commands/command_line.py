@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
 
-__all__ = ["BAD_INPUT", "DONE", "FAILED", "InputError", "Parser", "Progress", "run_command"]
+__all__ = ["BAD_INPUT", "DONE", "FAILED", "InputError", "Parser", "ProgressLine", "run_command"]
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 
@@ -34,9 +34,9 @@ class Parser(argparse.ArgumentParser):
         self, name: str, unit: str, meaning: str, default: float | None = None, **more: Any
     ) -> None:
         """Adds an option for a finite number; its help names the default, if there is one."""
-        told = "" if default is None else f" (default: {default:g})"
+        suffix = "" if default is None else f" (default: {default:g})"
         self.add_argument(
-            name, type=number, default=default, metavar=unit, help=f"{meaning}{told}", **more
+            name, type=number, default=default, metavar=unit, help=f"{meaning}{suffix}", **more
         )
 
     def add_direction(self) -> None:
@@ -166,7 +166,7 @@ def _finite(content: Any) -> Any:
     return content
 
 
-class Progress:
+class ProgressLine:
     """A progress line on standard error: a bar on a terminal, a line every tenth elsewhere."""
 
     WIDTH = 40

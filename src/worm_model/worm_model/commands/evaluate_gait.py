@@ -8,7 +8,7 @@ import argparse
 from worm_model.commands.command_line import (
     InputError,
     Parser,
-    Progress,
+    ProgressLine,
     new_file,
     print_result,
     run_command,
@@ -74,7 +74,7 @@ def _evaluate_table(options: argparse.Namespace, parameters: Parameters) -> None
     if options.output is None:
         raise InputError("--gaits needs --output, the file that the results go to")
     output = new_file(options.output)
-    overrides, table = evaluate_table(read_gaits(options.gaits), parameters, Progress("gaits"))
+    overrides, table = evaluate_table(read_gaits(options.gaits), parameters, ProgressLine("gaits"))
     write_table(output, table, overrides, parameters)
     count = int(table.speed.size)
     content = {"output": str(output), "gaits": count}

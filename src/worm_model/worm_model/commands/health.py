@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.analysis.drift_figure import draw_health
 from worm_model.commands.command_line import (
     InputError,
     Parser,
-    Progress,
+    ProgressLine,
     figure_file,
     print_result,
     run_command,
 )
 from worm_model.identification.drift import ADVICE, FEWEST_BAGS, Chart, State, chart_of
 from worm_model.identification.drift_estimates import BagEstimates, LeftOut, estimate_bags
+from worm_model.identification.drift_figure import draw_health
 from worm_model.identification.estimate import Estimate
 from worm_model.parameters import UNITS, load_parameter_file
 
@@ -41,7 +41,7 @@ def _parser() -> Parser:
 def _health(options: argparse.Namespace) -> None:
     known = load_parameter_file(options.parameters)
     figure = figure_file(options)
-    bags, left_out = estimate_bags(options.bags, known.parameters, Progress("health"))
+    bags, left_out = estimate_bags(options.bags, known.parameters, ProgressLine("health"))
     if not bags:
         more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
         raise InputError(
@@ -148,18 +148,18 @@ def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
 
 def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]:
     """What limits the verdicts as a whole."""
-    found = []
+    remarks = []
     few = [chart.key for chart in charts if chart.state is State.TOO_FEW]
     if few:
-        found.append(
+        remarks.append(
             f"too few bags for limits of {', '.join(few)}: give at least {FEWEST_BAGS}, or a parameter file with "
             "their intervals (worm_model identify writes one)"
         )
     if len({bag.gait for bag in bags}) > 1:
-        found.append(
+        remarks.append(
             "the bags hold different gaits: what the model leaves out differs between gaits, and may look like drift"
         )
-    return found
+    return remarks
 
 
 def _without_name(bag: BagEstimates) -> list[str]:

@@ -10,19 +10,23 @@ from pathlib import Path
 from worm_model.commands.command_line import (
     InputError,
     Parser,
-    Progress,
+    ProgressLine,
     new_file,
     print_result,
     run_command,
 )
 from worm_model.identification.advice import Advice, advise
-from worm_model.identification.given import Given, given_by_file, given_by_folder
 from worm_model.identification.identification_report import (
     error_table,
     parameter_table,
     write_report,
 )
 from worm_model.identification.inputs import Inputs, read_inputs, read_recordings
+from worm_model.identification.reference_values import (
+    ReferenceValues,
+    reference_by_file,
+    reference_by_folder,
+)
 from worm_model.identification.results import parameter_file, summary
 from worm_model.identification.stages import Identification, identify
 from worm_model.parameters import ParameterFile, load_parameter_file, write_parameter_file
@@ -75,20 +79,22 @@ class _Reporter:
     """One progress line for each stage."""
 
     def __init__(self) -> None:
-        self._stage, self._line = "", Progress("")
+        self._stage, self._line = "", ProgressLine("")
 
     def __call__(self, stage: str, done: float) -> None:
         if stage != self._stage:
-            self._stage, self._line = stage, Progress(stage)
+            self._stage, self._line = stage, ProgressLine(stage)
         self._line(done)
 
 
-def _reference(options: argparse.Namespace, inputs: Inputs) -> Given:
+def _reference(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
     if options.parameters:
-        return given_by_file(load_parameter_file(options.parameters), Path(options.parameters).name)
+        return reference_by_file(
+            load_parameter_file(options.parameters), Path(options.parameters).name
+        )
     if inputs.folder is not None:
-        return given_by_folder(inputs.folder)
-    return given_by_file(ParameterFile(), "the paper")
+        return reference_by_folder(inputs.folder)
+    return reference_by_file(ParameterFile(), "the paper")
 
 
 def _describe(result: Identification, advice: Advice) -> str:

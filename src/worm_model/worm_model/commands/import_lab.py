@@ -6,6 +6,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
+
 from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.lab_logs import LabRun, LabSettings, read_lab_run
 from worm_model.bags.run_writer import write_run
@@ -98,15 +100,18 @@ def _run(options: argparse.Namespace) -> None:
     )
     output = new_file(options.output)
     lab = import_lab(options.folder, output, settings, options.namespace)
+    positions = [lab.run.tracker.rear_position, lab.run.tracker.front_position]
     counts = {
         "commanded": len(lab.run.commanded.stamp),
         "tracker": len(lab.run.tracker.stamp),
-        "occluded": int((lab.run.tracker.rear_position != lab.run.tracker.rear_position).sum()),
+        "occluded": int(np.isnan(positions).any(axis=0).sum()),
         "power": len(lab.run.power.stamp),
     }
     content = {"bag": str(output), "initial_length": lab.initial_length, **counts}
-    told = ", ".join(f"{count} {name}" for name, count in counts.items())
-    print_result(options, content, f"{output}: {told}; initial length {lab.initial_length:.4f} m")
+    summary = ", ".join(f"{count} {name}" for name, count in counts.items())
+    print_result(
+        options, content, f"{output}: {summary}; initial length {lab.initial_length:.4f} m"
+    )
 
 
 def main() -> int:

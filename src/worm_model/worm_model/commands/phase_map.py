@@ -12,7 +12,7 @@ from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,
     Parser,
-    Progress,
+    ProgressLine,
     figure_file,
     print_result,
     run_command,
@@ -69,7 +69,9 @@ def _map(options: argparse.Namespace) -> None:
     # (−d/2, d/2]: the lower end is the upper end of the next groove
     phase = np.linspace(-0.5 * pitch, 0.5 * pitch, options.points + 1)[1:]
     stroke = np.linspace(options.lowest, options.highest, options.points)
-    content = compute_phase_map(parameters, options.frequency, stroke, phase, Progress("phase map"))
+    content = compute_phase_map(
+        parameters, options.frequency, stroke, phase, ProgressLine("phase map")
+    )
     if figure is not None:
         save_figure(phase_map_figure(content), figure)
     result = {

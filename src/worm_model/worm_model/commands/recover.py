@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 from worm_model.bags.recovery import recover
@@ -30,6 +31,8 @@ def _recover(options: argparse.Namespace) -> None:
         "lost_bytes": report.lost_bytes,
         "damaged_chunks": report.damaged_chunks,
         "unreadable": report.unreadable,
+        "lost": [asdict(lost) for lost in report.lost],
+        "complaints": report.complaints,
     }
     print_result(options, content, str(report))
 

@@ -11,13 +11,11 @@ from typing import Any
 
 from worm_model.analysis.replay_metrics import CycleReport, ReplayReport, report_replay
 from worm_model.bags.bag import Bag
-from worm_model.bags.bag_writer import ROSBAG2_RECORD, BagWriter
-from worm_model.bags.blocks import block_of_topics, merge_into
-from worm_model.bags.definitions import parse_ahead, topic_of
+from worm_model.bags.message_block import Message
+from worm_model.bags.message_types import parse_ahead, topic_of
 from worm_model.bags.opening import open_bag
-from worm_model.bags.payloads import Payloads
 from worm_model.bags.run_reader import namespace_of, read_run
-from worm_model.bags.run_writer import encode_stamped
+from worm_model.bags.run_writer import stamped_messages, write_beside
 from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic, offered_qos
 from worm_model.commands.command_line import (
     Parser,
@@ -45,26 +43,13 @@ def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str) -> None
         BagError: the output exists or cannot be written.
     """
     live = {find_topic(bag.topics.values(), name, namespace) for name in TWIN_TOPICS}
-    kept = [topic for topic in bag.topics.values() if topic not in live]
-    own = {
-        name: topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
-        for name in TWIN_TOPICS
-    }
-    with BagWriter(output) as writer:
-        for attached in bag.attachments():
-            writer.add_attachment(attached)
-        for record in bag.records:
-            if record.name != ROSBAG2_RECORD:
-                writer.add_metadata(record.name, dict(record.values))
-        for topic in [*kept, *own.values()]:
-            writer.add_topic(topic)
-        twins = block_of_topics({own[name].name: _messages(name, replay) for name in TWIN_TOPICS})
-        for block in merge_into(bag.blocks([topic.name for topic in kept]), twins):
-            writer.write_block(block)
+    kept = [topic.name for topic in bag.topics.values() if topic not in live]
+    write_beside(bag, output, kept, [_messages(name, replay, namespace) for name in TWIN_TOPICS])
 
 
-def _messages(name: str, replay: Replay) -> Payloads:
+def _messages(name: str, replay: Replay, namespace: str) -> list[Message]:
     """Messages of one of the twin's topics; their stamp is taken for the time of reception."""
+    topic = topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
     series: Series = {
         "twin/state": replay.states,
         "twin/residuals": replay.residuals,
@@ -76,7 +61,7 @@ def _messages(name: str, replay: Replay) -> Payloads:
         texts["message"] = replay.messages
     if name == "body_length/estimated":
         numbers["source"] = ESTIMATED
-    return encode_stamped(TYPES[name], series["stamp_ns"], numbers, texts)
+    return stamped_messages(topic, series["stamp_ns"], numbers, texts)
 
 
 def report_json(report: ReplayReport, duration: float, elapsed: float) -> dict[str, Any]:

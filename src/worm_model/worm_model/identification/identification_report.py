@@ -91,8 +91,8 @@ def _summary(result: Identification) -> str:
     dates = sorted({run.recording.date for run in result.runs if run.recording.date})
     when = f", recorded {dates[0]} to {dates[-1]}" if dates else ", of unknown date"
     return (
-        f"{len(result.runs)} runs{when}. Given values: {result.given.source}. {code_version()}, seed {result.seed}. "
-        "Intervals are 95 %."
+        f"{len(result.runs)} runs{when}. Given values: {result.reference.source}. {code_version()}, "
+        f"seed {result.seed}. Intervals are 95 %."
     )
 
 
@@ -139,15 +139,15 @@ def _open_ends(result: Identification, advice: Advice) -> str:
     return "\n\n".join(part for part in (together, f"What next: {advice.text}.") if part)
 
 
-def error_table(found: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str:
+def error_table(errors: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str:
     """Errors of each run; in brackets those of the paper's table."""
-    if not found:
+    if not errors:
         return "One run alone: none can be left out."
     lines = [
         "| run | x1 (mm) | ΔL (mm) | power (W) | energy (%) |",
         "| --- | ---: | ---: | ---: | ---: |",
     ]
-    for name, error in found.items():
+    for name, error in errors.items():
         cells = [
             _number(form, factor * getattr(error, field))
             + (f" ({_number(form, factor * getattr(paper[name], field))})" if name in paper else "")
@@ -162,7 +162,7 @@ def _number(form: str, value: float) -> str:
 
 
 def nuisance_text(result: Identification) -> str:
-    """What was found on the way, and of each run."""
+    """Friction, scatter and weights that are no parameters, and each run's own numbers."""
     locomotion, scatter = result.locomotion, result.locomotion.fit.scatter
     rear, front = (
         f"{value:.2f} ± {1.96 * deviation:.2f} N"

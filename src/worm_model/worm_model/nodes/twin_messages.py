@@ -10,6 +10,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from worm_model.gait import Gait, GaitError
@@ -26,6 +27,7 @@ from worm_model.twin.records import (
     StateRecord,
     TrackerSample,
 )
+from worm_model.twin.scene import FRAME
 from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.msg import (
     BodyLength,
@@ -90,6 +92,9 @@ def gait_sample(message: Any) -> GaitSample:
     )
 
 
+#: of urdf/worm.urdf: x1, and x2 - x1
+JOINTS = ("rear_position", "body_length")
+
 #: topic -> (message type, conversion); what the twin listens to
 INPUTS: Mapping[str, tuple[type, Any]] = {
     "gait_state": (GaitState, gait_sample),
@@ -105,7 +110,9 @@ INPUTS: Mapping[str, tuple[type, Any]] = {
 
 def state_message(record: StateRecord) -> TwinState:
     """The record as TwinState."""
-    return _filled(TwinState(), record)
+    message = _filled(TwinState(), record)
+    message.header.frame_id = FRAME
+    return message
 
 
 def residuals_message(record: ResidualRecord) -> TwinResiduals:
@@ -116,6 +123,15 @@ def residuals_message(record: ResidualRecord) -> TwinResiduals:
 def length_message(record: LengthRecord) -> BodyLength:
     """The record as BodyLength, source ESTIMATED."""
     return _filled(BodyLength(source=BodyLength.ESTIMATED), record)
+
+
+def joint_state(record: StateRecord) -> JointState:
+    """Where the modules are, as the joints of urdf/worm.urdf (m)."""
+    return JointState(
+        header=Header(stamp=time_message(record.stamp_ns)),
+        name=list(JOINTS),
+        position=[record.rear_position, record.front_position - record.rear_position],
+    )
 
 
 def _filled(message: Any, record: Any) -> Any:
@@ -170,8 +186,15 @@ def fill_forecast(response: Any, found: Forecast) -> Any:
 # --- settings ----------------------------------------------------------------------------------------
 
 
-def declare_settings(node: Any) -> None:
-    """Declares every setting as a ROS parameter with its range and description."""
+PARAMETER_FILE = "parameter_file"
+
+
+def rows() -> list[tuple[str, Any, ParameterDescriptor]]:
+    """Name, default and descriptor of every parameter."""
+    text = "the model's parameters (YAML); empty: the paper's"
+    result: list[tuple[str, Any, ParameterDescriptor]] = [
+        (PARAMETER_FILE, "", ParameterDescriptor(description=text))
+    ]
     for row in dataclasses.fields(TwinSettings):
         limits = FloatingPointRange(
             from_value=row.metadata["low"], to_value=row.metadata["high"], step=0.0
@@ -180,7 +203,8 @@ def declare_settings(node: Any) -> None:
             description=row.metadata["text"], floating_point_range=[limits]
         )
         default: Any = row.default
-        node.declare_parameter(row.name, float(default), descriptor)
+        result.append((row.name, float(default), descriptor))
+    return result
 
 
 def settings_of(node: Any) -> TwinSettings:

@@ -13,13 +13,14 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from worm_model.gait import GaitError
@@ -33,10 +34,10 @@ from worm_model.twin.records import Notice, Output, Sample, Severity, StateRecor
 from worm_model.twin.scene import LOST_S, Sighting, scene
 from worm_model.twin.twin_status import Level, report
 from worm_msgs.msg import BodyLength, TwinResiduals, TwinState
-from worm_msgs.ros_process import ros_process, spare_pauses
+from worm_msgs.node_command import declare, run_node
+from worm_msgs.ros_process import Ending, spare_pauses
 from worm_msgs.srv import PredictGait
 
-PARAMETER_FILE = "parameter_file"
 POLL_S = 0.002
 POLLS_PER_SPIN = 5  # how often the executor gets its turn
 MARKER_PERIOD_S = 0.1
@@ -75,9 +76,7 @@ class TwinNode(Node):
 
     def __init__(self) -> None:
         super().__init__("twin")
-        text = "the model's parameters (YAML); empty: the paper's"
-        self.declare_parameter(PARAMETER_FILE, "", ParameterDescriptor(description=text))
-        twin_messages.declare_settings(self)
+        declare(self, twin_messages.rows)
         self._twin = self._make_twin()
         self._state = self._twin.start()
         group = _Polled()
@@ -86,6 +85,7 @@ class TwinNode(Node):
             for topic, (kind, convert) in twin_messages.INPUTS.items()
         ]
         self._states = self.create_publisher(TwinState, "twin/state", BURST)
+        self._joints = self.create_publisher(JointState, "twin/joint_states", 10)
         self._residuals = self.create_publisher(TwinResiduals, "twin/residuals", BURST)
         self._lengths = self.create_publisher(BodyLength, "body_length/estimated", BURST)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -140,6 +140,8 @@ class TwinNode(Node):
             self._lengths.publish(twin_messages.length_message(length))
         for state in output.states:
             self._states.publish(twin_messages.state_message(state))
+        if output.states and self._joints.get_subscription_count():
+            self._joints.publish(twin_messages.joint_state(output.states[-1]))
         for residuals in output.residuals:
             self._residuals.publish(twin_messages.residuals_message(residuals))
         for notice in output.notices:
@@ -157,12 +159,12 @@ class TwinNode(Node):
     # --- parameters -----------------------------------------------------------------------------
 
     def _make_twin(self) -> Twin:
-        parameters = load_parameters(self.get_parameter(PARAMETER_FILE).value)
+        parameters = load_parameters(self.get_parameter(twin_messages.PARAMETER_FILE).value)
         return Twin(parameters, twin_messages.settings_of(self))
 
     def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         for parameter in parameters:
-            if parameter.name == PARAMETER_FILE:
+            if parameter.name == twin_messages.PARAMETER_FILE:
                 try:
                     load_parameters(parameter.value)
                 except ParameterError as error:
@@ -200,9 +202,11 @@ class TwinNode(Node):
 
     def _publish_diagnostics(self) -> None:
         found = report(self._state, time.monotonic() - self._heard)
+        robot = self.get_namespace().strip("/")
         status = DiagnosticStatus(
             level=_LEVELS[found.level],
-            name="twin: model",
+            name=f"{robot}/twin: model".lstrip("/"),
+            hardware_id=robot,
             message=found.message,
             values=[KeyValue(key=key, value=value) for key, value in found.values],
         )
@@ -225,19 +229,19 @@ def _spin(node: TwinNode, ended: Callable[[], bool]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the twin until SIGINT or SIGTERM; returns the exit status."""
+    about = "Follows the robot with the model, compares, and says what has changed."
+    return run_node("twin_node", about, twin_messages.rows, _run, (ParameterError,), arguments)
+
+
+def _run(ended: Ending) -> None:
     warm_up.main()  # nothing may compile between two samples
-    with ros_process(arguments) as ended:
-        try:
-            node = TwinNode()
-        except ParameterError as error:
-            sys.stderr.write(f"twin: {error}\n")
-            return 2
-        spare_pauses()
-        try:
-            _spin(node, ended)
-        finally:
-            node.destroy_node()
-    return 0
+    node = TwinNode()
+    spare_pauses()
+    node.get_logger().info("twin ready")
+    try:
+        _spin(node, ended)
+    finally:
+        node.destroy_node()
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.utilities import remove_ros_args
 
 from worm_model.commands.command_line import Parser, run_command
 from worm_model.nodes.twin_messages import gait_sample
@@ -21,7 +20,7 @@ from worm_model.parameters import load_parameters
 from worm_model.twin.records import Health, LengthSource
 from worm_model.twin.watch_view import CLEAR, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
-from worm_msgs.ros_process import ros_process, spin
+from worm_msgs.ros_process import own_arguments, ros_process, spin
 
 PERIOD_S = 0.2
 NEWEST = QoSProfile(depth=1)
@@ -110,7 +109,7 @@ def main() -> int:
     """Draws until Ctrl-C; returns the exit status."""
     parser = Parser(prog="watch", description="Robot and twin, live, as text.")
     parser.add_parameters()
-    return run_command(parser, _watch, remove_ros_args(sys.argv)[1:])
+    return run_command(parser, _watch, own_arguments(sys.argv)[1:])
 
 
 def _watch(options: argparse.Namespace) -> None:

@@ -27,9 +27,10 @@ from worm_model.commands.command_line import (
 )
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.twin.offline_replay import replay_run
+from worm_optimizer.operation.bring_up import Say
 from worm_optimizer.operation.demo_comparison import Comparison, compare
 from worm_optimizer.operation.demo_figure import draw_run
-from worm_optimizer.operation.demo_run import Say, drive
+from worm_optimizer.operation.demo_run import drive
 from worm_optimizer.operation.demo_table import comparison_table
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.session import FAILURES, Narrator, work_folder

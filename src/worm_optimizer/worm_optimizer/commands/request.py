@@ -80,8 +80,8 @@ def _request(options: argparse.Namespace) -> None:
     if figure is not None:
         save_figure(front_figure(front, {"nearest" if unreachable else "gait": gait}), figure)
     if unreachable:
-        told = {"error": answer.message, "nearest": asdict(gait)}
-        print_result(options, told, f"the nearest that is there:\n{describe(gait)}")
+        refusal = {"error": answer.message, "nearest": asdict(gait)}
+        print_result(options, refusal, f"the nearest that is there:\n{describe(gait)}")
         raise InputError(answer.message)
     print_result(options, asdict(gait), describe(gait))
 

@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from worm_model.commands.command_line import Parser, Progress, number
+from worm_model.commands.command_line import Parser, ProgressLine, number
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search import front as pipeline
 from worm_optimizer.search.cache import Cache, default_directory
@@ -95,7 +95,7 @@ def cache_of(options: argparse.Namespace) -> Cache:
 
 def shown_progress(title: str) -> pipeline.Report:
     """A report that shows its progress on standard error."""
-    bar = Progress(title)
+    bar = ProgressLine(title)
     return lambda progress: bar(progress.fraction)
 
 

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -20,7 +18,8 @@ from rclpy.task import Future
 from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
 from worm_msgs.action import OptimizeGaits, ScanMargin
-from worm_msgs.ros_process import ros_process, spin
+from worm_msgs.node_command import declare, run_node
+from worm_msgs.ros_process import Ending, spin
 from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes import (
     optimizer_messages,
@@ -35,7 +34,7 @@ from worm_optimizer.search.front import (
     load_current,
     store_current,
 )
-from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus, request_of, select
+from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus, answer, request_of
 from worm_optimizer.search.margin import PriceOfRobustness
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.worker import FrontJob, Job, Outcome, ScanJob, Ticket, WorkQueue
@@ -59,7 +58,7 @@ class OptimizerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("optimizer")
-        optimizer_parameters.declare(self)
+        declare(self, optimizer_parameters.rows)
         self._settings = optimizer_parameters.node_settings(self)
         self._cache = Cache.at(optimizer_parameters.cache_directory(self))
         self._queue = WorkQueue()
@@ -94,6 +93,10 @@ class OptimizerNode(Node):
         self._absences = dict.fromkeys(_NAMES, _computing(0.0, "starting"))
         self._load_fronts()
         missing = set(_NAMES) - set(self._fronts)
+        if missing:
+            self.get_logger().info(
+                "computing a front for these parameters, which takes about a minute; it is kept for the next start"
+            )
         if is_symmetric(content.parameters):
             missing &= {FORWARD}  # the reverse front comes with it
         for direction in sorted(missing, reverse=True):
@@ -121,16 +124,16 @@ class OptimizerNode(Node):
             self._note_absence(direction, GaitAnswer(RequestStatus.NO_FRONT, message))
             self.get_logger().error(f"{_NAMES[direction]}: {message}")
 
-    def _note_absence(self, direction: int, answer: GaitAnswer) -> None:
+    def _note_absence(self, direction: int, absence: GaitAnswer) -> None:
         symmetric = is_symmetric(self._content.parameters)
-        self._absences |= dict.fromkeys(_NAMES if symmetric else [direction], answer)
+        self._absences |= dict.fromkeys(_NAMES if symmetric else [direction], absence)
 
     def _take_front(self, front: RobustFront) -> None:
         """Answers requests from a front from now on."""
         self._fronts[front.direction] = front
         self.get_logger().info(
-            f"{_NAMES[front.direction]}: {len(front.predictions)} gaits at a margin of "
-            f"{1e3 * front.margin:.2f} mm ({front.reason}), hypervolume "
+            f"optimizer ready, {_NAMES[front.direction]}: front of margin "
+            f"{1e3 * front.margin:.1f} mm, {len(front.predictions)} gaits ({front.reason}), hypervolume "
             f"{100.0 * front.hypervolume_share:.2f} % of the true front's, of {front.source}"
         )
 
@@ -153,22 +156,13 @@ class OptimizerNode(Node):
     def _request_gait(
         self, request: RequestGait.Request, response: RequestGait.Response
     ) -> RequestGait.Response:
-        return optimizer_messages.fill_response(response, self._answer_of(request))
-
-    def _answer_of(self, request: RequestGait.Request) -> GaitAnswer:
         try:
-            gait_request = request_of(request.objective, request.speed, request.power)
-            direction = optimizer_messages.direction_of(request.direction)
+            asked = request_of(request.objective, request.speed, request.power)
         except OptimizerError as error:
-            return GaitAnswer(RequestStatus.INVALID, str(error))
-        front = self._fronts.get(direction)
-        if front is None:
-            return self._absences[direction]
-        answer = select(front.predictions, gait_request)
-        if answer.status is RequestStatus.DONE and answer.prediction is not None:
-            origin = f"margin {1e3 * answer.prediction.margin:.2f} mm, {front.reason}"
-            return replace(answer, message=origin)
-        return answer
+            invalid = GaitAnswer(RequestStatus.INVALID, str(error))
+            return optimizer_messages.fill_response(response, invalid)
+        gait = answer(self._fronts, self._absences, request.direction, asked)
+        return optimizer_messages.fill_response(response, gait)
 
     # --- actions --------------------------------------------------------------------------------
 
@@ -262,35 +256,41 @@ class OptimizerNode(Node):
         self._diagnostics.publish(array)
 
     def _status_of(self, direction: int) -> DiagnosticStatus:
-        status = DiagnosticStatus(name=f"optimizer: {_NAMES[direction]} front")
+        robot = self.get_namespace().strip("/")
+        name = f"{robot}/optimizer: {_NAMES[direction]} front".lstrip("/")
+        status = DiagnosticStatus(name=name, hardware_id=robot)
         front = self._fronts.get(direction)
         if front is None:
-            answer = self._absences[direction]
-            failed = answer.status is RequestStatus.NO_FRONT
+            absence = self._absences[direction]
+            failed = absence.status is RequestStatus.NO_FRONT
             status.level = DiagnosticStatus.ERROR if failed else DiagnosticStatus.WARN
-            status.message = answer.message
+            status.message = absence.message
             return status
         status.level = DiagnosticStatus.OK
         status.message = f"{len(front.predictions)} gaits"
         status.values = [
-            KeyValue(key="margin [m]", value=f"{front.margin:.6f}"),
-            KeyValue(key="hypervolume share [1]", value=f"{front.hypervolume_share:.5f}"),
-            KeyValue(key="front of", value=front.source),
+            KeyValue(key="margin_m", value=f"{front.margin:.6f}"),
+            KeyValue(key="hypervolume_share", value=f"{front.hypervolume_share:.5f}"),
+            KeyValue(key="source", value=front.source),
         ]
         return status
 
 
 def main() -> int:
     """Runs the node until it is told to stop; 2 if its parameters cannot work."""
-    with ros_process() as ended:
-        try:
-            node = OptimizerNode()
-        except (OptimizerError, ParameterError, OSError) as error:
-            print(f"optimizer_node: {error}", file=sys.stderr)  # noqa: T201 - before there is a node to log
-            return 2
-        try:
-            spin(node, ended)
-        finally:
-            node.close()
-            node.destroy_node()
-    return 0
+    return run_node(
+        "optimizer_node",
+        "Answers requests for gaits from robust fronts, and computes new fronts.",
+        optimizer_parameters.rows,
+        _run,
+        (OptimizerError, ParameterError),
+    )
+
+
+def _run(ended: Ending) -> None:
+    node = OptimizerNode()
+    try:
+        spin(node, ended)
+    finally:
+        node.close()
+        node.destroy_node()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
@@ -17,15 +18,11 @@ _CACHE = SettingRow(
 )
 
 
-def declare(node: Node) -> None:
-    """Declares all parameters. Only the parameter file can be changed while the node runs."""
-    node.declare_parameter(
-        PARAMETER_FILE,
-        "",
-        ParameterDescriptor(description="Parameter file; empty: the paper's values."),
-    )
-    for row in (_CACHE, *SETTINGS):
-        node.declare_parameter(row.parameter, row.default, _descriptor(row))
+def rows() -> list[tuple[str, Any, ParameterDescriptor]]:
+    """Name, default and descriptor of all. Only the parameter file can be changed while the node runs."""
+    about = ParameterDescriptor(description="Parameter file; empty: the paper's values.")
+    settings = [(row.parameter, row.default, _descriptor(row)) for row in (_CACHE, *SETTINGS)]
+    return [(PARAMETER_FILE, "", about), *settings]
 
 
 def cache_directory(node: Node) -> Path:

@@ -15,7 +15,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from worm_model.analysis.plot_style import BLUE, GREY, new_figure, symbol
-from worm_model.commands.command_line import Parser
 from worm_model.errors import InputError
 from worm_model.identification import bellows, fin
 from worm_model.identification.bellows import Array, BellowsFit, fit_bellows
@@ -50,7 +49,7 @@ class IdentificationParts:
     figures: Mapping[str, bytes] = field(default_factory=dict)
 
 
-def add_identification(parser: Parser) -> None:
+def add_identification(parser: argparse.ArgumentParser) -> None:
     """Adds what names the parts of an identification."""
     parser.add_argument(
         "--identification",
@@ -117,9 +116,9 @@ def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
 
 def _as_html(markdown: str) -> str:
     """Headings, tables and lists of the report, below the page's own headings; its images are shown apart."""
-    text = markdown.partition(f"## {FIGURES_HEADING}")[0]
+    text = re.sub(r"\A# .*\n", "", markdown.partition(f"## {FIGURES_HEADING}")[0])
     text = re.sub(r"(?m)^#+ ", "### ", text)
-    html = str(markdown2.markdown(text, extras=["tables"], safe_mode="escape"))
+    html = str(markdown2.markdown(text, extras=["code-friendly", "tables"], safe_mode="escape"))
     return html.replace("<table>", '<div class="wide"><table>').replace(
         "</table>", "</table></div>"
     )

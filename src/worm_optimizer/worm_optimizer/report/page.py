@@ -123,8 +123,15 @@ def _facts(gaits: Sequence[RecordedGait]) -> dict[str, str]:
             for gait in gaits
         ]
         facts[name] = ", ".join(dict.fromkeys(value for value in values if value))
+    facts["date"] = _span_of_dates(facts["date"])
     facts["parameters"] = ", ".join(dict.fromkeys(gait.parameter_source for gait in gaits))
     return {name: text or "not recorded" for name, text in facts.items()} if gaits else {}
+
+
+def _span_of_dates(text: str) -> str:
+    """From the first to the last of some dates (ISO 8601, in UTC), to the minute."""
+    dates = sorted(date[:16].replace("T", " ") for date in text.split(", ") if date)
+    return " to ".join(dict.fromkeys((*dates[:1], *dates[-1:]))) + (" UTC" if dates else "")
 
 
 def _failures(gaits: Sequence[RecordedGait]) -> Iterator[str]:

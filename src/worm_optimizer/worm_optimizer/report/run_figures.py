@@ -7,8 +7,17 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from worm_model.analysis.plot_style import EFFECTIVE
+from worm_model.analysis.plot_style import (
+    BLUE,
+    EFFECTIVE,
+    MM,
+    VERMILION,
+    finish,
+    letter,
+    new_figure,
+)
 from worm_model.analysis.run_curves import (
     energy_curves,
     length_curves,
@@ -17,23 +26,24 @@ from worm_model.analysis.run_curves import (
     value_at_onset,
 )
 from worm_model.analysis.run_plots import (
+    WIDTH,
     Curve,
     Frame,
     comparison_figure,
-    cycles_figure,
     energy_figure,
     length_figure,
     motion_figure,
     run_style,
 )
 from worm_model.run import seconds
-from worm_model.simulation.simulator import simulate
+from worm_model.simulation.simulator import Motions, simulate
 from worm_optimizer.report.agreement import title_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 
 RIDGES = 5  # that the paper's runs traverse
 _BEFORE = 1.0  # s of rest that the figures begin with, and end with
 _MODEL_SAMPLES = 2000
+_MODEL = "model, by the command alone"
 
 
 def draw_motion(gait: RecordedGait) -> Figure:
@@ -53,14 +63,35 @@ def draw_energy(gait: RecordedGait) -> Figure:
     onset = gait.played.onset
     powers = power_curves(gait.run, gait.replay, onset)
     energies, residuals = energy_curves(gait.run, gait.replay, onset)
-    power, energy = _model_curves(gait)
-    passed = ridges_passed_at(gait)
-    return energy_figure(_frame(gait, passed), [*powers, power], [*energies, energy], residuals)
+    time, model = _model_of(gait)
+    powers = [*powers, Curve(_MODEL, time, model.power, EFFECTIVE)]
+    energies = [*energies, Curve(_MODEL, time, model.energy, EFFECTIVE)]
+    return energy_figure(_frame(gait, ridges_passed_at(gait)), powers, energies, residuals)
 
 
 def draw_cycles(gait: RecordedGait) -> Figure:
-    """Grooves and rms residuals of each cycle."""
-    return cycles_figure(gait.judged.cycles)
+    """Grooves gained and residuals against the twin, cycle by cycle."""
+    cycles = gait.judged.cycles
+    figure = new_figure(WIDTH, 2.9)
+    panels = figure.subplots(1, 4)
+    number = np.arange(1, len(cycles) + 1)
+    measured, twin = ([getattr(c, f) for c in cycles] for f in ("measured_grooves", "grooves"))
+    panels[0].bar(number - 0.2, measured, 0.4, color=BLUE, label="measured")
+    panels[0].bar(number + 0.2, twin, 0.4, color=VERMILION, hatch="//", label="twin")
+    finish(panels[0], "grooves gained (1)")
+    for axes, name, scale, label in (
+        (panels[1], "x1_rmse", MM, "x1 residual (mm rms)"),
+        (panels[2], "length_rmse", MM, "length residual (mm rms)"),
+        (panels[3], "power_rmse", 1.0, "power residual (W rms)"),
+    ):
+        axes.bar(number, [scale * getattr(c.residuals, name) for c in cycles], color=BLUE)
+        finish(axes, label)
+    for axes in panels:
+        axes.set_xlabel("cycle")
+        axes.set_xticks(number)
+        axes.grid(visible=False, axis="x")
+    letter(panels)
+    return figure
 
 
 RUN_FIGURES: Mapping[str, tuple[Callable[[RecordedGait], Figure], str]] = {
@@ -90,24 +121,21 @@ def draw_overlay(gaits: Sequence[RecordedGait]) -> Figure:
         dashed = {**style, "linestyle": "--", "linewidth": 1.0}
         positions, _ = position_curves(gait.run, gait.replay, onset)
         measured, _ = energy_curves(gait.run, gait.replay, onset)
-        _, model = _model_curves(gait)
-        slope = gait.expected.nominal.speed
-        name, time, direction = title_of(gait.name), positions[0].time, gait.gait.direction
-        advances.append(Curve(name, time, direction * positions[0].values, style))
-        advances.append(Curve("", model.time, slope * model.time, dashed))
+        time, model = _model_of(gait)
+        x1, direction = positions[0], gait.gait.direction
+        advances.append(Curve(title_of(gait.name), x1.time, direction * x1.values, style))
+        advances.append(Curve("", time, direction * model.x1, dashed))
         energies.append(Curve("", measured[0].time, measured[0].values, style))
-        energies.append(Curve("", model.time, model.values, dashed))
+        energies.append(Curve("", time, model.energy, dashed))
     longest = max(_duration(gait) for gait in gaits)
     return comparison_figure(Frame(-_BEFORE, longest + _BEFORE), advances, energies)
 
 
-def _model_curves(gait: RecordedGait) -> tuple[Curve, Curve]:
-    """Power and energy that the model has of the command alone, without any measurement."""
+def _model_of(gait: RecordedGait) -> tuple[NDArray[np.float64], Motions]:
+    """Times (s) and what the model has of the command alone then, without any measurement."""
     trajectory = simulate(gait.expected.nominal.gait, gait.content.parameters, gait.played.cycles)
     time = np.linspace(0.0, trajectory.duration, _MODEL_SAMPLES)
-    model = trajectory.at(time)
-    label = "model, command alone"
-    return Curve(label, time, model.power, EFFECTIVE), Curve(label, time, model.energy, EFFECTIVE)
+    return time, trajectory.at(time)
 
 
 def ridges_passed_at(gait: RecordedGait) -> float:

@@ -32,7 +32,12 @@ T = TypeVar("T")
 # All that results depend on beside their input: any change there is another name. Rather whole folders than a list of
 # files that somebody forgets to extend.
 _SOURCES: Mapping[Path, tuple[str, ...]] = {
-    Path(worm_model.__file__).parent: ("gait.py", "parameters.py", "simulation/**/*.py"),
+    Path(worm_model.__file__).parent: (
+        "errors.py",
+        "gait.py",
+        "parameters.py",
+        "simulation/**/*.py",
+    ),
     Path(__file__).parents[1]: ("search/*.py", "robustness/*.py"),
 }
 _PART = ".part"  # ends the name of a file that is being written
@@ -41,8 +46,8 @@ _ABANDONED = 3600.0  # s after which a file that was never moved into place is n
 
 def sources() -> list[Path]:
     """The source files that decide about a result."""
-    found = (folder.glob(pattern) for folder, patterns in _SOURCES.items() for pattern in patterns)
-    return sorted(path for paths in found for path in paths)
+    files = (folder.glob(pattern) for folder, patterns in _SOURCES.items() for pattern in patterns)
+    return sorted(path for paths in files for path in paths)
 
 
 @functools.cache

@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
+from worm_model.gait import FORWARD, REVERSE
 from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.optimizer_errors import OptimizerError
 
 _TOLERANCE = 1e-9  # relative; a wanted value that was read off a front must be reachable
@@ -74,6 +76,26 @@ def request_of(objective: int, speed: float, power: float) -> GaitRequest:
         raise OptimizerError(f"objective: {objective} is none of {known}") from None
     values = {Objective.MIN_POWER_AT_SPEED: speed, Objective.MAX_SPEED_AT_POWER: power}
     return GaitRequest(known_objective, values.get(known_objective, math.nan))
+
+
+def answer(
+    fronts: Mapping[int, RobustFront],
+    absences: Mapping[int, GaitAnswer],
+    direction: int,
+    request: GaitRequest,
+) -> GaitAnswer:
+    """Answers from the front of a direction; ``absences`` say why there may be none yet."""
+    if direction not in (FORWARD, REVERSE):
+        message = f"direction: {direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
+        return GaitAnswer(RequestStatus.INVALID, message)
+    front = fronts.get(direction)
+    if front is None:
+        return absences[direction]
+    chosen = select(front.predictions, request)
+    if chosen.status is not RequestStatus.DONE or chosen.prediction is None:
+        return chosen
+    margin = 1e3 * chosen.prediction.margin
+    return replace(chosen, message=f"margin {margin:.2f} mm, {front.reason}")
 
 
 def three_gaits(front: Sequence[Prediction]) -> dict[str, Prediction]:

@@ -197,6 +197,7 @@ class Endpoints:
         self._sent = 0
         self._orders: deque[Callable[[float], None]] = deque()
         self._stopped = False
+        self._last_heard = -math.inf  # machine's clock, s
         self._wake_reader, self._wake_writer = socket.socketpair()
 
     def now(self) -> float:
@@ -249,6 +250,10 @@ class Endpoints:
         self._stopped = True
         self._wake_writer.send(b"x")
 
+    def quiet_for(self, duration: float) -> bool:
+        """Whether nothing has come over the servo bus for so long (s of the machine); from any thread."""
+        return self._clock() - self._last_heard > duration
+
     def inject(self, fault: Fault) -> None:
         """Asks for a fault whose start counts from now; from any thread."""
         self._order(lambda now: self._robot.board.add(fault.delayed(now)))
@@ -289,9 +294,12 @@ class Endpoints:
             now = self.time.together(machine, waiting, self._next_event())
         else:
             now = self.time.alone(machine)
+        self._show(now)
+        return now
+
+    def _show(self, now: float) -> None:
         if self._page is not None:
             self._page.time = now
-        return now
 
     def _next_event(self) -> float:
         """The time (s) that must not be passed over."""
@@ -336,6 +344,7 @@ class Endpoints:
             return
         rate, data = self._serial.baud_rate(), self._serial.read()
         self._bytes_received += len(data)
+        self._last_heard = self._clock()
         for answer in self._robot.receive(data, self.now(), rate):
             self._send(answer.data, answer.time, self._serial)
 
@@ -395,6 +404,8 @@ class Endpoints:
 
     def _on_clock(self, clock: ClockConnection) -> None:
         is_new = clock.party is None
+        if is_new:
+            self._show(self.now())  # it is going to look at once
         try:
             wait = clock.read()
         except ConnectionError:

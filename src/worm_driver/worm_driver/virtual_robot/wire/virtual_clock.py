@@ -18,7 +18,7 @@ import struct
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from worm_driver.clock import Clock, MachineClock, Traffic
 
@@ -121,7 +121,7 @@ class VirtualClock:
         self._page = Page(directory / PAGE_NAME)
         self.epoch_ns: int | None = self._page.epoch_ns
         self._number = 0
-        self._orphaned = math.nan  # the machine's time (s) at which the robot went
+        self._offset = math.nan  # s, from the machine's time to this one, once the robot is gone
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.connect(str(directory / SOCKET_NAME))
@@ -133,8 +133,9 @@ class VirtualClock:
 
     def __call__(self) -> float:
         """Now."""
-        gone = 0.0 if math.isnan(self._orphaned) else time.monotonic() - self._orphaned
-        return self._page.time + gone
+        if math.isnan(self._offset):
+            return self._page.time
+        return time.monotonic() + self._offset
 
     def sleep_until(self, due: float) -> None:
         """Returns at a time (s)."""
@@ -148,7 +149,9 @@ class VirtualClock:
         return timeout > 0.0 and self._wait(self() + max(timeout, _SHORTEST), descriptor)
 
     def close(self) -> None:
-        """Takes part no longer; may be repeated."""
+        """Takes part no longer; may be repeated. From then on the time goes on as the machine's does."""
+        if math.isnan(self._offset):
+            self._offset = self._page.time - time.monotonic()
         self._socket.close()
 
     def _wait(self, until: float, descriptor: int | None) -> bool:
@@ -162,8 +165,9 @@ class VirtualClock:
             if descriptor is None:
                 self._await_number(self._number)
                 return False
+            sources: list[Any] = [descriptor, self._socket]
             while True:
-                ready = select.select([descriptor, self._socket.fileno()], [], [])[0]
+                ready = select.select(sources, [], [])[0]
                 if descriptor in ready:
                     return True
                 if self._take_number() == self._number:
@@ -182,8 +186,8 @@ class VirtualClock:
         return int(_WAKE.unpack(received)[0])
 
     def _wait_alone(self, until: float, descriptor: int | None) -> bool:
-        if math.isnan(self._orphaned):
-            self._orphaned = time.monotonic()
+        if math.isnan(self._offset):
+            self._offset = self._page.time - time.monotonic()
         left = max(0.0, until - self())
         return bool(select.select([] if descriptor is None else [descriptor], [], [], left)[0])
 
