@@ -30,13 +30,12 @@ setup(
     packages=find_packages(),
     package_data={NAME: ["config/*", "report/*.jinja", "study/*.jinja"]},
     install_requires=NEEDED,
-    extras_require={"study": STUDY},
+    extras_require={"study": STUDY, "test": ["pytest"]},  # colcon test takes pytest for it
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
-    extras_require={"test": ["pytest"]},  # colcon test takes pytest for it
     entry_points={"console_scripts": EXECUTABLES},
 )

@@ -13,7 +13,7 @@ from worm_model.commands.command_line import (
     FAILED,
     InputError,
     Parser,
-    Progress,
+    ProgressLine,
     new_file,
     notifier,
     print_result,
@@ -92,7 +92,7 @@ def _points(options: argparse.Namespace, page: Path | None) -> None:
     if options.output is None:
         raise InputError("--output is missing: name the study's output, e.g. STUDY.zarr")
     where = options.output, options.scheduler, options.workers
-    counts = run_study(study, *where, _say, Progress("study"))
+    counts = run_study(study, *where, _say, ProgressLine("study"))
     if page is not None:
         write_page(options.output, study, page)
     _tell(options, counts)
@@ -103,7 +103,7 @@ def _fleet(options: argparse.Namespace, page: Path | None) -> None:
     if options.output is None or options.output.suffix != ".parquet":
         raise InputError("--output: name the fleet's table, e.g. FLEET.parquet")
     where = options.output, options.scheduler, options.workers
-    counts = read_fleet(options.bags, options.parameters, *where, _say, Progress("bags"))
+    counts = read_fleet(options.bags, options.parameters, *where, _say, ProgressLine("bags"))
     if page is not None:
         write_fleet_page(options.output, options.parameters, page)
     _tell(options, counts)

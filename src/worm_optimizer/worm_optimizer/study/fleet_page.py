@@ -12,9 +12,9 @@ from typing import Any
 import pyarrow.parquet as parquet
 from matplotlib.figure import Figure
 
-from worm_model.analysis.drift_figure import draw_health
 from worm_model.analysis.plot_style import BLUE, GREY, finish, new_figure
 from worm_model.identification.drift import ADVICE, Chart, State, chart_of
+from worm_model.identification.drift_figure import draw_health
 from worm_model.identification.estimate import Estimate
 from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_optimizer.study.fleet import FAILED, Row
