@@ -84,6 +84,7 @@ class _Crew:
     mine: str = field(default_factory=identity)
     able: set[str] = field(default_factory=set)
     refused: dict[str, str] = field(default_factory=dict)
+    silent: set[str] = field(default_factory=set)  # who has not answered yet and is asked again
 
     def look(self) -> None:
         """Brings the lists up to date."""
@@ -91,6 +92,7 @@ class _Crew:
         self.able &= present
         self.refused = {each: why for each, why in self.refused.items() if each in present}
         new = present - self.able - set(self.refused)
+        self.silent &= new
         if not new:
             return
         answers = self.client.run(identity, workers=sorted(new), on_error="return")
@@ -100,6 +102,9 @@ class _Crew:
             elif isinstance(answer, str | ImportError | AttributeError):
                 self.refused[address] = _refusal(answer, self.mine)
                 self.say(f"worker {address} is refused: {self.refused[address]}")
+            else:
+                self.silent.add(address)
+        self.silent -= self.able | set(self.refused)
 
 
 def _refusal(answer: str | BaseException, mine: str) -> str:
@@ -179,7 +184,10 @@ def spread(
                 address, why = next(iter(crew.refused.items()))
                 raise ClusterError(f"no worker can be used: worker {address}: {why}")
             if not crew.able and not told:
-                say("no worker is there: waiting (Ctrl-C ends this; what is finished stays)")
+                there = (
+                    f"{len(crew.silent)} have not answered yet" if crew.silent else "none is there"
+                )
+                say(f"waiting for workers, {there} (Ctrl-C ends this; what is finished stays)")
             told = not crew.able
             desk.fill()
             if crew.able and not desk.kept:
