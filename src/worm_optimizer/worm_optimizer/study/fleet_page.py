@@ -10,17 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as parquet
-from matplotlib.figure import Figure
 
-from worm_model.analysis.plot_style import BLUE, GREY, finish, new_figure
 from worm_model.identification.drift import ADVICE, Chart, State, chart_of
 from worm_model.identification.drift_figure import draw_health
 from worm_model.identification.estimate import Estimate
 from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_optimizer.study.fleet import FAILED, Row
-from worm_optimizer.study.page import Image, Table, encoded, png, render
-
-_COMPARED = (("speed_m_s", 1e3, "speed (mm/s)"), ("power_W", 1.0, "power (W)"))
+from worm_optimizer.study.page import Image, Table, encoded, render
+from worm_optimizer.study.study_plots import compared_figure, png
 
 
 def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
@@ -35,7 +32,7 @@ def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
     if read:
         images.append(
             Image(
-                png(_compared(read)),
+                encoded(png(compared_figure(read))),
                 "Each gait as measured, over what the model expects of its command.",
             )
         )
@@ -73,20 +70,6 @@ def _health(names: Sequence[str], charts: Sequence[Chart]) -> str:
         file = Path(folder) / "health.png"
         draw_health(names, charts, file)
         return encoded(file.read_bytes())
-
-
-def _compared(read: Sequence[Row]) -> Figure:
-    figure = new_figure(9.0, 4.2)
-    for axes, (key, scale, label) in zip(figure.subplots(1, 2), _COMPARED, strict=True):
-        measured = [scale * row[key] for row in read]
-        expected = [scale * row[f"expected_{key}"] for row in read]
-        ends = [value for value in (*measured, *expected) if math.isfinite(value)] or [0.0]
-        axes.plot([min(ends), max(ends)], [min(ends), max(ends)], color=GREY, linewidth=1.0)
-        axes.plot(expected, measured, "o", color=BLUE, markersize=5, alpha=0.7)
-        axes.set_xlabel(f"expected {label}")
-        finish(axes, f"measured {label}")
-        axes.margins(0.08)
-    return figure
 
 
 def _lead(rows: Sequence[Row], failed: Sequence[Row], charts: Sequence[Chart]) -> list[str]:

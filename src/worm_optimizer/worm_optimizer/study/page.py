@@ -4,18 +4,16 @@
 from __future__ import annotations
 
 import base64
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import jinja2
-from matplotlib.figure import Figure
 
 from worm_optimizer.study.plan import Study
-from worm_optimizer.study.plots import label, pictures, shown
 from worm_optimizer.study.store import open_result
+from worm_optimizer.study.study_plots import label, pictures, png, shown
 from worm_optimizer.study.summary import Summary, summarise
 
 _BEST = 10  # designs in the table
@@ -74,7 +72,7 @@ def write_page(output: Path, study: Study, page: Path) -> None:
         title=study.title,
         lead=_lead(summary),
         tables=[_best_table(summary), *_failed_table(summary)],
-        images=[Image(png(each.figure), each.caption) for each in pictures(summary)],
+        images=[Image(encoded(png(each.figure)), each.caption) for each in pictures(summary)],
         limits=[*(text for key, text in _COUPLED.items() if key in study.varied), *_ALWAYS],
         sources=[
             Source("The study", study.text),
@@ -89,13 +87,6 @@ def render(page: Path, **content: object) -> None:
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     with page.open("x", encoding="utf-8") as file:
         file.write(environment.from_string(text).render(**content))
-
-
-def png(figure: Figure) -> str:
-    """A figure as base64 text of a PNG."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-    return encoded(buffer.getvalue())
 
 
 def encoded(content: bytes) -> str:

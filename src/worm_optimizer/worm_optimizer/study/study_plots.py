@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import io
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +18,7 @@ from worm_optimizer.study.summary import Column, Summary
 
 Array = NDArray[np.float64]
 
+_COMPARED = (("speed_m_s", 1e3, "speed (mm/s)"), ("power_W", 1.0, "power (W)"))  # of a fleet
 _LINES = 400  # of parallel coordinates, beyond which nothing can be told apart
 _SHOWN = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}  # how a person reads these units
 
@@ -177,3 +181,25 @@ def _unit(values: Array) -> Array:
     return (
         (values - low) / (high - low) if high > low else np.where(np.isfinite(values), 0.5, np.nan)
     )
+
+
+def png(figure: Figure) -> bytes:
+    """A figure as a PNG; the same figure makes the same bytes."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def compared_figure(gaits: Sequence[Mapping[str, float]]) -> Figure:
+    """Speed and power of a fleet's gaits as measured, over what the model expects of their command."""
+    figure = new_figure(9.0, 4.2)
+    for axes, (key, scale, text) in zip(figure.subplots(1, 2), _COMPARED, strict=True):
+        measured = [scale * row[key] for row in gaits]
+        expected = [scale * row[f"expected_{key}"] for row in gaits]
+        ends = [value for value in (*measured, *expected) if math.isfinite(value)] or [0.0]
+        axes.plot([min(ends), max(ends)], [min(ends), max(ends)], color=GREY, linewidth=1.0)
+        axes.plot(expected, measured, "o", color=BLUE, markersize=5, alpha=0.7)
+        axes.set_xlabel(f"expected {text}")
+        finish(axes, f"measured {text}")
+        axes.margins(0.08)
+    return figure
