@@ -210,7 +210,8 @@ class Robot:
             cable = self._cable_length_change(self._reader.read()[1])
             if not math.isnan(cable):
                 return cable
-        raise NoReplyError("a cable servo does not answer: check its power and cable")
+        seen = "; ".join(f"servo {servo} {why}" for servo, why in self._reader.problems.items())
+        raise NoReplyError(f"no length of the cable: {seen or 'its servo gives no position'}")
 
     def start(self, now: float, gait: Gait, cycles: int) -> int:
         """Begins a run and returns its number. Raises LimitError."""

@@ -43,6 +43,12 @@ from worm_driver.servos.stuffing import stuff, unstuff
 
 BROADCAST = 254
 
+#: what to look at when a servo is silent: all that explains it, as silence does not say which
+SILENCE_REMEDY = (
+    "check its power, its cable, its id and the baud rate (of a virtual robot: that it runs, and that no fault was "
+    "injected)"
+)
+
 #: s, after which a write is given up: pyserial would wait for ever for an adapter that takes no bytes
 _WRITE_TIMEOUT = 0.05
 #: repetitions of an exchange while setting up
@@ -395,8 +401,7 @@ class ServoBus:
             raise CorruptReplyError(f"servo {servo} answers garbled on {self.port.port_name}")
         self._count(timeouts=1)
         raise NoReplyError(
-            f"servo {servo} does not answer on {self.port.port_name} at {self.port.baudrate} baud: "
-            "check its power, its cable, its id and the baud rate"
+            f"servo {servo} does not answer on {self.port.port_name} at {self.port.baudrate} baud: {SILENCE_REMEDY}"
         )
 
     def _content(self, servo: int, reply: Reply, size: int) -> bytes:
@@ -429,8 +434,8 @@ class ServoBus:
             # termios.error, which is no OSError: the SDK clears the line before it sends
             except (OSError, termios.error) as error:
                 raise PortError(
-                    f"servo bus {self.port.port_name} is gone ({error}): plug it in again, then "
-                    "deactivate, clean up and configure the driver"
+                    f"servo bus {self.port.port_name} is gone ({error}): plug it in again "
+                    "(or start the virtual robot again), then deactivate, clean up and configure the driver"
                 ) from error
             finally:
                 self.port.is_using = False

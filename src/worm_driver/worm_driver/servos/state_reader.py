@@ -8,7 +8,7 @@ from worm_driver.servos import tick_clock
 from worm_driver.servos.bus_types import Reply, error_text
 from worm_driver.servos.encoding import from_raw, unpack_from
 from worm_driver.servos.registers import COMMON, WATCHDOG_EXPIRED
-from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.servos.servo_bus import SILENCE_REMEDY, ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.tick_clock import TickClock
 
@@ -118,7 +118,7 @@ class StateReader:
         for servo in self._servos:
             reply = replies.get(servo.number)
             if reply is None:
-                self.problems[servo.number] = "does not answer intact: check its power and cable"
+                self.problems[servo.number] = f"does not answer intact: {SILENCE_REMEDY}"
             elif reply.error:
                 self.problems[servo.number] = error_text(reply.error)
             else:
