@@ -435,7 +435,8 @@ class ServoBus:
             except (OSError, termios.error) as error:
                 raise PortError(
                     f"servo bus {self.port.port_name} is gone ({error}): plug it in again "
-                    "(or start the virtual robot again), then deactivate, clean up and configure the driver"
+                    "(or start the virtual robot again), then deactivate the driver, or clean it up if it is "
+                    "inactive, and configure it"
                 ) from error
             finally:
                 self.port.is_using = False
