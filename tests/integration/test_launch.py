@@ -168,6 +168,9 @@ def test_two_robots_of_one_launch_file_do_not_mix(launched, probe, tmp_path):
     for name in names:
         assert probe.node.count_publishers(f"/fleet/{name}/twin/state") == 1
         assert probe.node.count_subscribers(f"/fleet/{name}/body_length/commanded") == 1
+        assert probe.node.count_publishers(f"/fleet/{name}/clock") == 1
+        assert probe.node.count_subscribers(f"/fleet/{name}/clock") == 1  # its twin
+    assert probe.node.count_publishers("/clock") == probe.node.count_subscribers("/clock") == 0
     assert probe.node.count_publishers("/worm/tracker") == 0
     probe.wait_for(
         lambda: (

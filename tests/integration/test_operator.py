@@ -2,10 +2,14 @@
 """The operator's calls when answers get lost, against services that are made up."""
 
 import pytest
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.task import Future
 
+from worm_driver.control.diagnostics import Level, Report
+from worm_driver.nodes import driver_messages
 from worm_optimizer.nodes import operator_node
 from worm_optimizer.nodes.operator_node import OperatorError, operator
 
@@ -86,6 +90,23 @@ def test_a_transition_is_not_asked_for_twice(node, services):
     with pytest.raises(OperatorError, match="no answer from driver/change_state"):
         node.deactivate("driver")
     assert made["driver/change_state"][0].calls == 1
+
+
+def test_it_hears_of_the_late_cycles_of_its_own_driver(node, probe):
+    def diagnostics(robot: str, late: int) -> DiagnosticArray:
+        timing = Report("driver: timing", Level.OK, "", values=(("missed_deadlines", str(late)),))
+        return driver_messages.diagnostics([timing], Time(), robot)
+
+    publisher = probe.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+    def heard() -> bool:
+        publisher.publish(diagnostics("worm", 31))
+        publisher.publish(diagnostics("robot7", 99))
+        node.rest(0.05)
+        return node.late_cycles > 0
+
+    probe.wait_for(heard, "word of late cycles")
+    assert node.late_cycles == 31
 
 
 @pytest.mark.parametrize("others", [["driver"], ["driver", "driver_stop"]])

@@ -37,7 +37,7 @@ from worm_msgs.ros_process import Ending, own_arguments, ros_process
 from worm_msgs.srv import InjectFault
 
 _DEPTH = 500  # of samples that may wait for a subscriber whose machine is busy
-_CLOCK_PERIOD = 0.05  # s of the robot's time between two messages on /clock
+_CLOCK_PERIOD = 0.05  # s of the robot's time between two messages on clock
 _FRAME = "pipe"  # x forward along the axis, z up (REP 103)
 _VIRTUAL = "virtual"  # stands for the installed file of the camera
 # Python hands the interpreter over after 5 ms by default, too late for an answer on the bus.
@@ -78,7 +78,7 @@ class VirtualRobotNode(Node):
             self._length = self.create_publisher(BodyLength, "body_length/measured", _DEPTH)
         else:
             self._camera = CameraProcess(camera, robot.settings.seed, self.get_namespace())
-        self._time = self.create_publisher(Clock, "/clock", 10) if rate is not None else None
+        self._time = self.create_publisher(Clock, "clock", 10) if rate is not None else None
         self._next_tick = 0.0
         self.create_service(InjectFault, "inject_fault", self._inject)
 

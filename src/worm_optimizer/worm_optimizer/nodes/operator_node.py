@@ -84,15 +84,16 @@ class OperatorNode(Node):
         self._check = check
         self._named_clients: dict[str, Client] = {}
         self.late_cycles = 0
-        self._simulated_s: float | None = None  # by /clock, where somebody publishes it
+        self._simulated_s: float | None = None  # by the clock of a virtual robot
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self.create_subscription(Clock, "/clock", self._on_clock, 10)
+        self.create_subscription(Clock, "clock", self._on_clock, 10)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        own = self.get_namespace().strip("/")
         for status in message.status:
-            if status.name == "driver: timing":
+            if status.name == f"{own}/driver: timing":
                 values = {value.key: value.value for value in status.values}
                 self.late_cycles = int(values.get("missed_deadlines", 0))
 
@@ -101,7 +102,7 @@ class OperatorNode(Node):
 
     @property
     def robot_time_s(self) -> float:
-        """The time by /clock (s) if somebody publishes it, else the computer's, monotonic."""
+        """The time of the virtual robot in this namespace (s) if there is one, else the computer's, monotonic."""
         return time.monotonic() if self._simulated_s is None else self._simulated_s
 
     def destroy_node(self) -> None:

@@ -136,7 +136,7 @@ class SystemFile:
                 at_rest_within=content.get("at_rest_within", ""),
                 arguments=_arguments(content.get("arguments", ()), values),
                 parameters=_parameters(parameters, values),
-                remappings=dict(content.get("remappings", {})),
+                remappings=_of_mode(content.get("remappings", {}), mode),
             )
         except KeyError as error:
             raise SystemFileError(f"{self.path}: node {name}: no setting or key {error}") from None
@@ -169,10 +169,10 @@ def _parameters(parameters: Mapping[str, Value], values: Mapping[str, str]) -> d
     return {key: value for key, value in filled.items() if value != ""}
 
 
-def _of_mode(parameters: Mapping[str, Any], mode: str) -> dict[str, Value]:
-    """The parameters common to all modes (those with a plain value) and those of one mode."""
-    common = {key: value for key, value in parameters.items() if key not in MODES}
-    return {**common, **parameters.get(mode, {})}
+def _of_mode(rows: Mapping[str, Any], mode: str) -> dict[str, Any]:
+    """The parameters or remappings common to all modes (those with a plain value) and those of one mode."""
+    common = {key: value for key, value in rows.items() if key not in MODES}
+    return {**common, **rows.get(mode, {})}
 
 
 def _is_wanted(content: Mapping[str, Any], values: Mapping[str, str]) -> bool:

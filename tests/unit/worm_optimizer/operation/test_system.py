@@ -47,6 +47,12 @@ def test_a_mode_selects_nodes_and_parameters(tmp_path):
     assert [node.name for node in content.system("replay").nodes] == ["twin"]
 
 
+def test_a_virtual_robots_clock_is_its_own_and_a_replays_is_that_of_ros():
+    content = load_system_file(SHIPPED)
+    remappings = {mode: content.system(mode).node("twin").remappings for mode in MODES}
+    assert remappings == {"robot": {}, "virtual": {"/clock": "clock"}, "replay": {}}
+
+
 def test_a_given_setting_replaces_the_default(tmp_path):
     content = load_system_file(written(tmp_path, MINIMAL))
     assert content.system("robot", port="/dev/b").node("driver").parameters["port"] == "/dev/b"
