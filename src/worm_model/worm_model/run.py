@@ -12,11 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.gait import Gait, GaitError
+
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Codes = NDArray[np.int64]
 
-RUNNING = 3  # GaitState.RUNNING
+RUNNING, STOPPING = 3, 4  # GaitState
 POWER_VALID = 0  # Power.VALID
 
 
@@ -69,7 +71,10 @@ class PowerSamples:
 
 @dataclass(frozen=True)
 class GaitStates:
-    """What the driver did: `state` as GaitState has it, the gait, and its `onset` (ns since the epoch, 0: unknown)."""
+    """What the driver did: `state` as GaitState has it, the gait, and its `onset` (ns since the epoch, 0: unknown).
+
+    `run` is the run's number, 0 where an old recording does not tell.
+    """
 
     stamp: Stamps = field(default_factory=_stamps)
     state: Codes = field(default_factory=_stamps)
@@ -80,6 +85,11 @@ class GaitStates:
     onset: Stamps = field(default_factory=_stamps)
     cycle: Codes = field(default_factory=_stamps)
     cycles: Codes = field(default_factory=_stamps)
+    run: Codes = field(default_factory=_stamps)
+
+    def __post_init__(self) -> None:
+        if len(self.run) != len(self.stamp):
+            object.__setattr__(self, "run", np.zeros(len(self.stamp), np.int64))
 
     @property
     def played(self) -> NDArray[np.bool_]:
@@ -111,3 +121,63 @@ class Run:
     power: PowerSamples = field(default_factory=PowerSamples)
     gait_state: GaitStates = field(default_factory=GaitStates)
     joint_states: JointSamples = field(default_factory=JointSamples)
+
+
+@dataclass(frozen=True)
+class PlayedRun:
+    """A run in a recording: ``onset`` (ns), the gait, ``cycles`` asked for (0: unknown); ``end`` (ns), when it was over.
+
+    ``end`` is that of the last cycle asked for, or of the last sample of any length or of the tracker.
+    """
+
+    number: int
+    onset: int
+    end: int
+    gait: Gait
+    cycles: int
+
+    @property
+    def period_ns(self) -> float:
+        """Duration of a cycle."""
+        return 1e9 * self.gait.period
+
+
+SAME_ONSET_NS = 100_000_000  # the driver states the onset anew with each cycle, through two clocks
+
+
+def is_same_run(run: int, onset: int, other_run: int, other_onset: int) -> bool:
+    """Whether two gait states speak of one run, by its number and its onset (ns).
+
+    Old recordings have no numbers (0), and a driver that starts anew counts anew: only the onset tells these.
+    """
+    return run == other_run and abs(onset - other_onset) <= SAME_ONSET_NS
+
+
+def played_runs(run: Run) -> list[PlayedRun]:
+    """The runs of a recording in their order; a gait that is not admissible is none."""
+    states = run.gait_state
+    lasts = [s.stamp[-1] for s in (run.commanded, run.measured, run.tracker) if len(s.stamp)]
+    recorded_until = int(max(lasts, default=run.origin))
+    found: list[PlayedRun] = []
+    for row in np.flatnonzero(states.played).tolist():
+        number, onset = int(states.run[row]), int(states.onset[row])
+        if found and is_same_run(number, onset, found[-1].number, found[-1].onset):
+            continue
+        try:
+            gait = Gait(
+                float(states.stroke[row]),
+                float(states.frequency[row]),
+                int(states.direction[row]),
+                float(states.margin[row]),
+            )
+        except GaitError:
+            continue
+        cycles = int(states.cycles[row]) if len(states.cycles) else 0
+        asked = onset + round(cycles * 1e9 * gait.period) if cycles else recorded_until
+        over = np.flatnonzero((states.stamp > onset) & ~np.isin(states.state, (RUNNING, STOPPING)))
+        stopped = int(states.stamp[over[0]]) if len(over) else recorded_until
+        ends = min(asked, recorded_until, max(stopped, onset))
+        if stopped + SAME_ONSET_NS >= asked:  # the driver tells of the end a little before or after it
+            ends = min(asked, recorded_until)
+        found.append(PlayedRun(number, onset, ends, gait, cycles))
+    return found

@@ -171,7 +171,13 @@ def _gait_states(columns: Columns | None) -> GaitStates:
         onset=_stamp(columns, "onset"),
         cycle=_numbers(columns, "cycle", np.int64),
         cycles=_numbers(columns, "cycles", np.int64),
+        run=_run_numbers(columns),
     )
+
+
+def _run_numbers(columns: Columns) -> NDArray[np.int64]:
+    """Of gait states; bags from before runs had numbers have none."""
+    return _numbers(columns, "run", np.int64) if "run" in columns.numbers else np.empty(0, np.int64)
 
 
 def _joints(columns: Columns | None) -> JointSamples:

@@ -95,6 +95,7 @@ def _gait_states(run: Run) -> tuple[str, Stamps, Numbers]:
         "gait.margin": states.margin,
         "onset.sec": np.asarray(states.onset) // 10**9,
         "onset.nanosec": np.asarray(states.onset) % 10**9,
+        "run": states.run,
         "cycle": states.cycle,
         "cycles": states.cycles,
     }
