@@ -125,7 +125,7 @@ class Run:
 
 @dataclass(frozen=True)
 class PlayedRun:
-    """A run in a recording: ``onset`` (ns), the gait, ``cycles`` asked for (0: unknown); ``end`` (ns), when it was over.
+    """A run in a recording: ``onset`` (ns), the gait, ``cycles`` asked for (0: unknown), ``end`` (ns).
 
     ``end`` is that of the last cycle asked for, or of the last sample of any length or of the tracker.
     """
@@ -177,7 +177,9 @@ def played_runs(run: Run) -> list[PlayedRun]:
         over = np.flatnonzero((states.stamp > onset) & ~np.isin(states.state, (RUNNING, STOPPING)))
         stopped = int(states.stamp[over[0]]) if len(over) else recorded_until
         ends = min(asked, recorded_until, max(stopped, onset))
-        if stopped + SAME_ONSET_NS >= asked:  # the driver tells of the end a little before or after it
+        if (
+            stopped + SAME_ONSET_NS >= asked
+        ):  # the driver tells of the end a little before or after it
             ends = min(asked, recorded_until)
         found.append(PlayedRun(number, onset, ends, gait, cycles))
     return found

@@ -54,7 +54,7 @@ class CycleReport:
 
 @dataclass(frozen=True)
 class RunReport:
-    """One run of a recording; ``health`` is the worst in it, ``events`` have their times in s since the first sample."""
+    """One run of a recording; ``health`` is the worst in it, ``events`` are at times in s since the first sample."""
 
     played: PlayedRun
     onset: float

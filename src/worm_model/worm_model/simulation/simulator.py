@@ -264,7 +264,10 @@ def play_gait(
 
 
 def _motion_of(state: LocomotionState) -> Motion:
-    grooves, regions = (state.rear_groove, state.front_groove), (state.rear_region, state.front_region)
+    grooves, regions = (
+        (state.rear_groove, state.front_groove),
+        (state.rear_region, state.front_region),
+    )
     return Motion(state.y, state.y_rate, *grooves, *regions)
 
 
@@ -367,7 +370,9 @@ class Locomotion:
         samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
         samples[:, march.TIME] = _ascending(times, knots[0], knots[-1])
         ledger = np.zeros(march.LEDGER_SIZE)
-        after = run.run_sampled(knots, forms, _motion_of(state), self._constants(), ledger, samples, _NO_ROWS)
+        after = run.run_sampled(
+            knots, forms, _motion_of(state), self._constants(), ledger, samples, _NO_ROWS
+        )
         if ledger[march.CHATTER]:
             raise SimulationError(f"at {state.time:g} s: the anchors switch to and fro without end")
         last = knots[-1] - knots[-2] if knots.size > 1 else 0.0

@@ -54,9 +54,11 @@ class CycleSeen:
 
 @dataclass(frozen=True)
 class Finding:
-    """``text`` for people; ``grooves`` along +x by which the robot turned out to be further, ``shift`` (m) by which the
+    """What was found, and how the twin follows it.
 
-    tracker's zero does, ``initial_length`` L0 in m if that was found to be another.
+    ``text`` for people; ``grooves`` along +x by which the robot turned out to be further, ``shift`` (m) by which the
+    tracker's zero does, ``initial_length`` L0 in m if that was found to be another; ``explains_position`` whether
+    it explains the position residuals so far.
     """
 
     code: str

@@ -81,7 +81,9 @@ def row_type(record: type, more: Mapping[str, type] | None = None) -> np.dtype[n
     """The numeric fields of a kind of record as a structured type: int64 where one is a whole number, else float64."""
     fields = {name: kind for name, kind in get_type_hints(record).items() if kind is not str}
     fields |= more or {}
-    return np.dtype([(n, np.int64 if issubclass(k, int) else np.float64) for n, k in fields.items()])
+    return np.dtype(
+        [(n, np.int64 if issubclass(k, int) else np.float64) for n, k in fields.items()]
+    )
 
 
 @dataclass(frozen=True)

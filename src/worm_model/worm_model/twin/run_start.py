@@ -31,7 +31,9 @@ PLAYING = (Activity.RUNNING, Activity.STOPPING)
 LATE_NS = 20_000_000  # an onset heard of later than this is worth a word
 PLAUSIBLE_M = 0.02  # between a measured length at rest and the parameter's
 FEWEST = 5  # samples that make a mean
-GUARD_NS = 100_000_000  # before the onset, as its stamp and the instruments' come from different clocks
+GUARD_NS = (
+    100_000_000  # before the onset, as its stamp and the instruments' come from different clocks
+)
 RELAX_S = 1.0  # in which the body takes its initial length again, and as long to come to rest
 TOLERANCE = 0.3  # of a pitch, that a robot which nobody touched may be off its place
 JOIN_STEP_S = 0.01  # of the commands that a late twin did not hear
@@ -159,7 +161,9 @@ def _at_rest(memory: Memory, onset_ns: int, settings: TwinSettings) -> tuple[flo
     lengths = rows["a"][rows["kind"] == Kind.LENGTH]
     tracker = rows[rows["kind"] == Kind.POSITION]
     length = _mean(lengths)
-    return (_mean(tracker["b"] - tracker["a"]) if math.isnan(length) else length), _mean(tracker["a"])
+    return (_mean(tracker["b"] - tracker["a"]) if math.isnan(length) else length), _mean(
+        tracker["a"]
+    )
 
 
 def _mean(values: np.ndarray) -> float:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import enum
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +59,7 @@ def rows_of_run(run: Run, jump_back_ns: int) -> Rows:
         gaits,
         sample_rows(Kind.COMMAND, run.commanded.stamp, run.commanded.length_change),
         sample_rows(Kind.LENGTH, run.measured.stamp, run.measured.length),
-        sample_rows(
-            Kind.POSITION, tracker.stamp, tracker.rear_position, tracker.front_position
-        ),
+        sample_rows(Kind.POSITION, tracker.stamp, tracker.rear_position, tracker.front_position),
         sample_rows(Kind.POWER, power.stamp, power.valid_power),
     ]
     rows = np.concatenate(topics)
@@ -77,6 +76,6 @@ def _arrival(
     jumps = np.cumsum(jumped)
     reached = stamp.copy()
     borders = np.append(np.flatnonzero(np.append(True, jumped[1:])), len(stamp))[: len(stamp) + 1]
-    for first, last in zip(borders[:-1], borders[1:], strict=True):
+    for first, last in pairwise(borders.tolist()):
         reached[first:last] = np.maximum.accumulate(stamp[first:last])
     return jumps, reached

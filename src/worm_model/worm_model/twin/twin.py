@@ -44,6 +44,7 @@ from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 
 END_NS = 100_000_000  # the driver tells of the end of a cycle with this much of a tolerance
 NOTHING: SampleRows = np.zeros(0, SAMPLE)
+FOREVER_NS = 1 << 62
 
 
 @dataclass
@@ -121,17 +122,13 @@ class Twin:
 
     def start(self) -> TwinState:
         """The state before any sample."""
-        return TwinState(
-            new_memory(self.parameters.initial_length, front_groove(self.parameters))
-        )
+        return TwinState(new_memory(self.parameters.initial_length, front_groove(self.parameters)))
 
     def effective_parameters(self, state: TwinState) -> Parameters:
         """The parameters with the L0 of the state's run."""
         return _with_length(self.parameters, state.initial_length)
 
-    def advance(
-        self, state: TwinState, samples: SampleRows, *, to_the_end: bool = False
-    ) -> Output:
+    def advance(self, state: TwinState, samples: SampleRows, *, to_the_end: bool = False) -> Output:
         """Takes samples (n,) of SAMPLE in the order in which they came.
 
         ``to_the_end`` says that nothing comes after them, so that none waits for its time.
@@ -139,12 +136,10 @@ class Twin:
         waiting = int(state.record["filled"]) - int(state.record["place"])
         room = new_rows(2 * (len(samples) + waiting) + len(state.memory.held) + 8)
         call = _Call(self, state, room)
-        first, why = 0, following.WORD
-        while why != following.DONE:
-            why, first = following.advance(
-                state.memory, samples, first, to_the_end, *call.model(), room
-            )
-            call.answer(why)
+        rules = call.model()[0]
+        call.take(samples, rules.delay + rules.look_ahead)
+        if to_the_end:
+            call.take(NOTHING, -FOREVER_NS)
         states, residuals, lengths = room.counts.tolist()
         return Output(
             room.states[:states],
@@ -169,13 +164,24 @@ class _Call:
         parameters = self.twin.effective_parameters(self.state)
         return _model(parameters, self.state.direction, self.twin.settings)
 
-    def answer(self, why: int) -> None:
+    def take(self, samples: SampleRows, lag_ns: int) -> None:
+        """Admits samples and takes those whose time has come, so far behind the newest."""
+        first, why = 0, following.WORD
+        while why != following.DONE:
+            why, first = following.advance(
+                self.state.memory, samples, first, lag_ns, *self.model(), self.room
+            )
+            if why in (following.WENT_BACK, following.WENT_AHEAD):
+                self.take(NOTHING, -FOREVER_NS)  # the old time to its end
+                self._start_anew("back" if why == following.WENT_BACK else "ahead")
+            else:
+                self._answer(why)
+
+    def _answer(self, why: int) -> None:
         """Decides what the core asks."""
         m = self.state.record
         stamp = int(m["taken_ns"])
-        if why in (following.WENT_BACK, following.WENT_AHEAD):
-            self._start_anew("back" if why == following.WENT_BACK else "ahead")
-        elif why == following.WORD:
+        if why == following.WORD:
             word = word_of(self.state.memory.rows[int(m["place"])])
             m["place"] += 1
             self._hear(word)
@@ -193,7 +199,9 @@ class _Call:
             self.events.append(Event(stamp, Severity.ERROR, text))
         elif why == following.TRACKER_MOVED:
             shift = 1e3 * m["event_value"]
-            text = f"the tracker's positions jumped by {shift:+.0f} mm and stayed: its zero was moved"
+            text = (
+                f"the tracker's positions jumped by {shift:+.0f} mm and stayed: its zero was moved"
+            )
             self._tell(stamp, text, "camera_moved")
 
     def _tell(
@@ -271,11 +279,16 @@ class _Call:
         severity = Severity.WARNING if finding.code else Severity.INFO
         run = int(m["run"])
         self.events.append(
-            Event(stamp, severity, finding.text, finding.code, finding.cycle, run, finding.probability)
+            Event(
+                stamp, severity, finding.text, finding.code, finding.cycle, run, finding.probability
+            )
         )
         if finding.code in ("missed_groove", "gained_groove"):
             number = max(self.state.warnings, default=0) + 1
-            self.state.warnings = {**dict(list(self.state.warnings.items())[-7:]), number: finding.text}
+            self.state.warnings = {
+                **dict(list(self.state.warnings.items())[-7:]),
+                number: finding.text,
+            }
             m["warning"] = number
             m["warned_until"] = int(m["cycle_end_ns"]) + round(gait.period * NANOSECONDS)
 
@@ -334,5 +347,3 @@ def rules_of(settings: TwinSettings) -> Rules:
         length_scale=settings.length_scale_m,
         power_scale=settings.power_scale_W,
     )
-
-

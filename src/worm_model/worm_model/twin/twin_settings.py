@@ -19,7 +19,10 @@ class TwinSettings:
     """How the twin takes its samples; times in s, lengths in m, powers in W. Raises ValueError out of range."""
 
     delay_s: float = _row(
-        0.25, 0.02, 2.0, "samples are taken in order once they are this old; what comes later is left"
+        0.25,
+        0.02,
+        2.0,
+        "samples are taken in order once they are this old; what comes later is left",
     )
     measured_stale_s: float = _row(
         0.2, 0.01, 10.0, "a measured length older than this against the command no longer drives"

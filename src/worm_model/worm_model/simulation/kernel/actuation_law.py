@@ -39,9 +39,7 @@ def answer_to_line(length_change: float, target: float, slope: float, a: Actuato
     The answer to a ramp lags it by τ·slope; what is left of that decays.
     """
     behind = target - a.time_constant * slope
-    return Coefficients(
-        behind, slope, 0.0, 0.0, 0.0, 0.0, length_change - behind, 0.0, 0.0, 0.0
-    )
+    return Coefficients(behind, slope, 0.0, 0.0, 0.0, 0.0, length_change - behind, 0.0, 0.0, 0.0)
 
 
 @inlined

@@ -96,7 +96,7 @@ def _slope(memory: Memory, stamp: int, rules: Rules) -> float:
     s1, s2, s3, s4, y0, y1, y2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     at_start = m.track_ns >= stamp - window
     while at_start or (
-        k < m.filled and rows[k].stamp <= stamp + window and not begins(rows, k)
+        k < m.filled and rows[k].stamp <= stamp + window and not (k > m.place and begins(rows, k))
     ):
         if at_start:
             when, change = m.track_ns, m.track_change
@@ -151,9 +151,7 @@ def put_at_rest(
 def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Constants) -> None:
     """The motion after a duration (s) under a length; the kernel's sample tells of its end."""
     m = memory.record[0]
-    motion = Motion(
-        m.y, m.y_rate, m.rear_groove, m.front_groove, m.rear_region, m.front_region
-    )
+    motion = Motion(m.y, m.y_rate, m.rear_groove, m.front_groove, m.rear_region, m.front_region)
     segment = Segment(0.0, duration, form, Wave(c.mass, 0.0, q))
     motion = step(segment, motion, c, memory.ledger, memory.sample)
     m.y, m.y_rate = motion.y, motion.rate
@@ -219,7 +217,9 @@ def drag_of(c: Constants) -> float:
 
 
 @entry
-def _spend(memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: np.ndarray) -> float:
+def _spend(
+    memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: np.ndarray
+) -> float:
     """Power at a stamp that the motion has come to, with the energy up to it; returns the length's rate in m/s."""
     m, sample = memory.record[0], memory.sample[0]
     rate = sample[LENGTH_RATE]
@@ -274,50 +274,62 @@ def begin_track(
 
 
 @entry
+def _follow_command(memory: Memory, next_command: int, a: Actuator) -> None:
+    """The answer at the sample that is taken; `answered` says whether it came there."""
+    m, row = memory.record[0], memory.rows[memory.record[0].place]
+    m.answered = 1
+    if row.kind == COMMAND:
+        if not m.command_ns:
+            m.command_ns = row.stamp
+        _answer(memory, row.stamp, row.a, a)
+    elif m.command_ns and next_command >= 0:
+        after = memory.rows[next_command]
+        share = (row.stamp - m.command_ns) / (after.stamp - m.command_ns)
+        _answer(memory, row.stamp, m.command + share * (after.a - m.command), a)
+    else:
+        m.answered = 0
+
+
+@entry
 def _follow(
     memory: Memory, rules: Rules, c: Constants, a: Actuator, p: np.ndarray, out: Rows
-) -> tuple[bool, bool, bool]:
-    """Answer and motion at the sample that is taken: (whether the answer, the motion came to it, it drives)."""
+) -> None:
+    """Answer and motion at the sample that is taken.
+
+    `answered` and `arrived` say whether they came there, `drives` whether it is a length that drives.
+    """
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     stamp, until = row.stamp, row.stamp + rules.look_ahead
     next_command = next_of(memory, COMMAND, until)
     next_length = next_of(memory, LENGTH, until)
-    start, before, known = m.command, m.answer, False
-    if row.kind == COMMAND:
-        if not m.command_ns:
-            m.command_ns = stamp
-        _answer(memory, stamp, row.a, a)
-        known = True
-    elif m.command_ns and next_command >= 0:
-        after = memory.rows[next_command]
-        share = (stamp - m.command_ns) / (after.stamp - m.command_ns)
-        _answer(memory, stamp, m.command + share * (after.a - m.command), a)
-        known = True
-    measured = row.kind == LENGTH
+    start, before = m.command, m.answer
+    _follow_command(memory, next_command, a)
     fresh = next_length >= 0 and m.measured_ns > 0
     fresh = fresh and memory.rows[next_length].stamp - m.measured_ns <= rules.stale
-    drives = measured or (row.kind == COMMAND and not fresh)
+    measured = row.kind == LENGTH
+    m.arrived = 1
+    m.drives = 1 if measured or (row.kind == COMMAND and not fresh) else 0
     if measured:
         m.measured_ns = stamp
-    if drives:
+    if m.drives:
         m.source = MEASURED if measured else ESTIMATED
     if not m.moving:
-        if drives:
+        m.arrived = m.drives
+        if m.drives:
             length_change = row.a - m.initial_length if measured else m.answer
             put_at_rest(memory, stamp, length_change, m.source, c)
             publish(memory, _spend(memory, stamp, rules, c, a, p), c, out)
-        return known, bool(m.moving), drives
-    if measured:
+    elif measured:
         _move_along(memory, stamp, stamp, row.a - m.initial_length, c)
-        return known, True, True
-    if row.kind == COMMAND and not fresh:
-        if m.on_estimate:
-            _move_with_answer(memory, stamp, start, m.command, before, c, a)
-        else:
-            _move_along(memory, stamp, stamp, m.answer, c)
+    elif m.drives and not m.on_estimate:
+        _move_along(memory, stamp, stamp, m.answer, c)
         m.on_estimate = 1
-        return known, True, True
-    return known, _follow_between(memory, start, before, known, fresh, next_command, next_length, c, a), False
+    elif m.drives:
+        _move_with_answer(memory, stamp, start, m.command, before, c, a)
+    else:
+        first = next_length >= 0 and (fresh or not m.answered)
+        first = first or (0 <= next_length < next_command)
+        _follow_between(memory, start, before, next_length if first else -1, next_command, c, a)
 
 
 @entry
@@ -325,24 +337,22 @@ def _follow_between(
     memory: Memory,
     start: float,
     before: float,
-    known: bool,
-    fresh: bool,
-    next_command: int,
     next_length: int,
+    next_command: int,
     c: Constants,
     a: Actuator,
-) -> bool:
-    """The motion at a sample that does not drive, on its way to the next one that does; False if none is known."""
+) -> None:
+    """The motion at a sample that does not drive, on its way to the next one that does, as far as one is known.
+
+    ``next_length`` is the measured length that does, −1 if it is the answer to the command.
+    """
     m, rows = memory.record[0], memory.rows
     stamp = rows[m.place].stamp
-    to_length = next_length >= 0 and (
-        fresh or not known or rows[next_length].stamp <= rows[next_command].stamp
-    )
-    if to_length:
+    if next_length >= 0:
         after = rows[next_length]
         _move_along(memory, stamp, after.stamp, after.a - m.initial_length, c)
-    elif not known:
-        return False
+    elif not m.answered:
+        m.arrived = 0
     elif m.on_estimate:
         _move_with_answer(memory, stamp, start, m.command, before, c, a)
     else:
@@ -352,7 +362,6 @@ def _follow_between(
         if m.engaged:
             target = respond(m.answer, m.command, after.a, duration, a)
         _move_along(memory, stamp, after.stamp, target, c)
-    return True
 
 
 @entry
@@ -404,7 +413,7 @@ def _take_next(
     if _gap(memory, rules):
         return PAUSE
     moving = m.moving
-    known, moved, drives = _follow(memory, rules, c, a, p, out)
+    _follow(memory, rules, c, a, p, out)
     if memory.ledger[CHATTER] != 0.0:
         memory.ledger[CHATTER] = 0.0
         put_at_rest(memory, row.stamp, m.length_change, m.source, c)
@@ -417,11 +426,11 @@ def _take_next(
         line.length = c.initial_length + m.answer
         out.counts[2] += 1
         m.estimated_ns = row.stamp
-    if moved and (drives or row.kind > POSITION):
+    if m.arrived and (m.drives or row.kind > POSITION):
         rate = _spend(memory, row.stamp, rules, c, a, p)
-        if drives and moving and row.stamp - m.published_ns >= rules.period:
+        if m.drives and moving and row.stamp - m.published_ns >= rules.period:
             publish(memory, rate, c, out)
-    jumped = judge(memory, known, moved, rules, c, out)
+    jumped = judge(memory, rules, c, out)
     m.taken_ns = row.stamp
     m.place += 1
     return TRACKER_MOVED if jumped else DONE
@@ -432,23 +441,20 @@ def advance(
     memory: Memory,
     samples: np.ndarray,
     first: int,
-    to_the_end: bool,
+    lag: int,
     rules: Rules,
     c: Constants,
     a: Actuator,
     p: np.ndarray,
     out: Rows,
 ) -> tuple[int, int]:
-    """Takes samples from the ``first`` on; returns (why it stops, the sample to go on with).
+    """Admits samples from the ``first`` on and takes those whose time has come, ``lag`` ns behind the newest.
 
-    ``to_the_end`` takes all that has come, however new it is.
+    Returns (why it stops, the sample to go on with).
     """
     m = memory.record[0]
     while True:
-        until = m.present - rules.delay - rules.look_ahead
-        while m.place < m.filled and (
-            memory.rows[m.place].stamp <= until or (to_the_end and first == samples.shape[0])
-        ):
+        while m.place < m.filled and memory.rows[m.place].stamp <= m.present - lag:
             why = _take_next(memory, rules, c, a, p, out)
             if why != DONE:
                 return why, first
@@ -458,6 +464,3 @@ def advance(
         first += 1
         if said != QUIET:
             return WENT_BACK if said == JUMPED_BACK else WENT_AHEAD, first
-
-
-

@@ -114,6 +114,9 @@ def _take(memory: Memory, s: np.ndarray, rules: Rules) -> bool:
         if m.present > 0:
             stamp = max(stamp, m.present - rules.delay)
         stamp = max(stamp, m.taken_ns)
+    elif m.present == 0:  # what the driver said before any instrument did applies from here on
+        for k in range(m.place, m.filled):
+            rows[k].stamp = max(rows[k].stamp, stamp)
     k = _place_of(memory, stamp, row.kind)
     if row.kind != GAIT and k > 0 and rows[k - 1].stamp == stamp and rows[k - 1].kind == row.kind:
         m.counts[DUPLICATE] += 1

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 
-
 from worm_model.simulation.kernel.compiled import entry
 from worm_model.simulation.kernel.march import X1
 from worm_model.simulation.kernel.mode import Constants
@@ -91,7 +90,13 @@ def health_at(memory: Memory, stamp: int) -> int:
 
 @entry
 def _record(
-    memory: Memory, stamp: int, channel: int, residual: float, energy: float, rules: Rules, out: Rows
+    memory: Memory,
+    stamp: int,
+    channel: int,
+    residual: float,
+    energy: float,
+    rules: Rules,
+    out: Rows,
 ) -> None:
     m, row = memory.record[0], out.residuals[out.counts[1]]
     row.stamp_ns = stamp
@@ -181,21 +186,17 @@ def _judge_power(memory: Memory, stamp: int, power: float, rules: Rules, out: Ro
 
 
 @entry
-def judge(
-    memory: Memory, answered: bool, moved: bool, rules: Rules, c: Constants, out: Rows
-) -> bool:
+def judge(memory: Memory, rules: Rules, c: Constants, out: Rows) -> bool:
     """Compares the sample that is being taken, as far as answer and motion came to it; True if the tracker moved."""
     m = memory.record[0]
     row = memory.rows[m.place]
-    if row.kind == LENGTH_SAMPLE and answered:
+    if row.kind == LENGTH_SAMPLE and m.answered:
         residual = row.a - m.initial_length - m.answer
         observe(memory, LENGTH, row.stamp, residual, rules.length_scale)
         _sum_up(memory, row.stamp, LENGTH_SUM, residual)
         _record(memory, row.stamp, LENGTH, residual, math.nan, rules, out)
-    elif row.kind == POSITION_SAMPLE and moved and not math.isnan(row.a):
+    elif row.kind == POSITION_SAMPLE and m.arrived and not math.isnan(row.a):
         return _judge_position(memory, row.stamp, row.a, rules, c, out)
-    elif row.kind > POSITION_SAMPLE and moved:
+    elif row.kind > POSITION_SAMPLE and m.arrived:
         _judge_power(memory, row.stamp, row.a, rules, out)
     return False
-
-

@@ -39,7 +39,7 @@ SUMS = 7
 _WHOLE = """
     present old_in_a_row ahead filled place taken_ns activity
     command_ns engaged
-    measured_ns on_estimate moving motion_ns track_ns source
+    measured_ns on_estimate moving motion_ns track_ns source answered arrived drives
     rear_groove front_groove rear_region front_region switched
     power_ns
     run start_ns end_ns has_gait direction length_seen length_fitted origin_known pose_front moved
@@ -66,7 +66,9 @@ MEMORY = np.dtype(
         ("channel_square", np.float64, (CHANNELS,)),
     ]
 )
-LENGTH_ROW = np.dtype([("stamp_ns", np.int64), ("length", np.float64), ("length_change", np.float64)])
+LENGTH_ROW = np.dtype(
+    [("stamp_ns", np.int64), ("length", np.float64), ("length_change", np.float64)]
+)
 
 
 class Memory(NamedTuple):
