@@ -61,7 +61,7 @@ def _measure(cycles: int) -> list[Row]:
         calls = (
             ("read", read, "", REPEATS),
             ("read, follow, report", report, "1000", REPEATS),
-            ("the same, to a new bag with the twin's topics", publish, "1000", REPEATS),
+            ("the same, to a new bag with the twin's topics", publish, "100", REPEATS),
         )
         return [
             Row(
