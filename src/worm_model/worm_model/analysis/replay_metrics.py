@@ -79,7 +79,7 @@ class ReplayReport:
 def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
     """Judge a replay; `pitch` of the grooves in m."""
     played = played_runs(run)
-    ends = [*(p.onset for p in played[1:]), np.iinfo(np.int64).max]
+    ends = [*(p.onset for p in played[1:]), np.iinfo(np.int64).max][: len(played)]
     runs = tuple(
         _run_report(run, replay, pitch, p, end) for p, end in zip(played, ends, strict=True)
     )

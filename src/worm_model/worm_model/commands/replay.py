@@ -91,7 +91,10 @@ def twin_columns(
             key: np.array([getattr(notice, key) for notice in notices], kind)
             for key, kind in (("run", np.int64), ("cycle", np.int64), ("probability", float))
         }
-        texts = {"code": [n.code for n in notices], "message": [n.text for n in notices]}
+        texts: dict[str, Sequence[str]] = {
+            "code": [n.code for n in notices],
+            "message": [n.text for n in notices],
+        }
         return np.array([n.stamp_ns for n in notices], np.int64), numbers, texts
     series: Series = {
         "twin/state": replay.states,

@@ -100,7 +100,9 @@ INPUTS: Mapping[str, tuple[type, Callable[[Any], Row]]] = {
 
 _STATE = tuple(name for name in STATE_ROW.names or () if name != "stamp_ns")
 _RESIDUALS = tuple(
-    field.name for field in dataclasses.fields(ResidualRecord) if field.name in RESIDUAL_ROW.names
+    field.name
+    for field in dataclasses.fields(ResidualRecord)
+    if field.name in (RESIDUAL_ROW.names or ())
 )[1:]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import enum
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ SAMPLE = np.dtype(
 )
 
 
-def sample_rows(kind: Kind, stamp: NDArray[np.int64], *values: NDArray[np.float64]) -> Rows:
+def sample_rows(kind: Kind, stamp: NDArray[np.int64], *values: NDArray[Any]) -> Rows:
     """Rows of one kind from stamps (n,) in ns and its values, each (n,)."""
     rows = np.zeros(len(stamp), SAMPLE)
     rows["stamp"], rows["kind"], rows["heard"] = stamp, kind, stamp
