@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import pkgutil
 import sys
 from types import ModuleType
 
 import benchmarks
+from benchmarks.mixed_load import mixed_load
 from benchmarks.report import machine, print_rows
 
 
@@ -35,14 +37,22 @@ def main() -> int:
         epilog=f"benchmarks:\n{listing}",
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="which; default: all")
+    parser.add_argument(
+        "--busy",
+        action="store_true",
+        help="beside other work: two demos, a loop that bursts, a writer that syncs 50 MB at a time",
+    )
     options = parser.parse_args()
     unknown = [name for name in options.names if name not in known]
     if unknown:
         parser.error(f"no benchmark {unknown[0]}; there are {', '.join(known)}")
     print(machine())
+    beside = " beside other work" if options.busy else ""
     for name in options.names or known:
-        print(f"{name} …", file=sys.stderr, flush=True)
-        print_rows(f"{name}: {known[name].TITLE}", known[name].run())
+        print(f"{name}{beside} …", file=sys.stderr, flush=True)
+        with mixed_load() if options.busy else contextlib.nullcontext():
+            rows = known[name].run()
+        print_rows(f"{name}{beside}: {known[name].TITLE}", rows)
     return 0
 
 

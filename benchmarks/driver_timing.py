@@ -52,7 +52,8 @@ def _robot_and_driver(folder: Path, changes: Mapping[str, float]) -> Iterator[in
     with ProcessGroup(folder, environment) as group:
         robot = executable_command("worm_driver", "virtual_robot")
         doors = folder / "robot"
-        group.start("robot", [*robot, "--directory", str(doors)]).wait_for_line("^ready", TIMEOUT)
+        command = [*robot, "--real-time", "--directory", str(doors)]
+        group.start("robot", command).wait_for_line("^ready", TIMEOUT)
         parameters = {
             "port": doors / "servo_bus",
             "i2c_bus": doors / "i2c.sock",

@@ -16,9 +16,9 @@ from benchmarks.report import Row, wall_time
 from tests.virtual_campaign import virtual_campaign
 from worm_model.identification.estimate import Estimate
 from worm_model.identification.fingerprint import code_version
-from worm_model.identification.given import MEASURED, given_by_folder
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.inputs import read_inputs
+from worm_model.identification.reference_values import MEASURED, reference_by_folder
 from worm_model.identification.stages import identify
 from worm_model.parameters import KEYS
 
@@ -53,7 +53,7 @@ def case(seed: int) -> Case:
     campaign = virtual_campaign(seed)
     truth = {key: getattr(campaign.truth, key) for key in IDENTIFIED}
     try:
-        result = identify(campaign.inputs, campaign.given, seed)
+        result = identify(campaign.inputs, campaign.reference, seed)
     except IdentificationError as error:
         return Case(seed, truth, {}, str(error))
     return Case(seed, truth, {key: result.estimates[key] for key in IDENTIFIED})
@@ -99,7 +99,7 @@ def timing() -> list[Row]:
 
     def once() -> None:
         inputs = read_inputs([LAB])
-        identify(inputs, given_by_folder(LAB), 0)
+        identify(inputs, reference_by_folder(LAB), 0)
 
     return [
         Row(

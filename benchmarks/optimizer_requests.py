@@ -18,10 +18,9 @@ from worm_msgs.action import OptimizeGaits
 from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes.optimizer_messages import fill_response
 from worm_optimizer.search.cache import Cache
-from worm_optimizer.search.desk import answer, request_of
-from worm_optimizer.search.front import load_served
+from worm_optimizer.search.front import RobustFront, load_current
+from worm_optimizer.search.gait_request import answer, request_of
 from worm_optimizer.search.search_settings import Settings
-from worm_optimizer.search.served import ServedFront
 
 TITLE = "latency of request_gait through the middleware (needs the built workspace)"
 REQUESTS = 2000
@@ -42,12 +41,12 @@ def latencies(probe: Probe, client: Client, count: int) -> np.ndarray:
     return times
 
 
-def answers(front: ServedFront, count: int) -> np.ndarray:
+def answers(front: RobustFront, count: int) -> np.ndarray:
     """Times in ms of what the node's callback does, requests of every kind in turn."""
     times = np.empty(count)
     for k in range(count):
         start = time.perf_counter()
-        told = answer({1: front}, "", 1, request_of(k % 5, 0.004, 3.0))
+        told = answer({1: front}, {}, 1, request_of(k % 5, 0.004, 3.0))
         fill_response(RequestGait.Response(), told)
         times[k] = 1e3 * (time.perf_counter() - start)
     return times
@@ -74,7 +73,7 @@ def _measure(processes: Processes, probe: Probe, folder: Path) -> list[Row]:
     processes.start_node("worm_optimizer", "optimizer_node", cache_directory=cache, margin_m=0.0034)
     client = probe.node.create_client(RequestGait, "request_gait")
     _wait_for_front(probe, client)
-    front = load_served(ParameterFile(), Settings(margin=0.0034), 1, Cache.at(cache))
+    front = load_current(ParameterFile(), Settings(margin=0.0034), 1, Cache.at(cache))
     assert front is not None, "the node has not stored its front"
     idle = latencies(probe, client, REQUESTS)
     goal = OptimizeGaits.Goal(margin=0.002, direction=1, generations=100_000)

@@ -16,9 +16,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from benchmarks.report import Row
 from worm_model.gait import Gait
-from worm_model.nodes.ros_process import spare_pauses
 from worm_msgs.msg import BodyLength, GaitState, TwinState
 from worm_msgs.msg import Gait as GaitMessage
+from worm_msgs.ros_process import spare_pauses
 from worm_msgs.srv import PredictGait
 from worm_optimizer.operation.processes import ProcessGroup, executable_command, wait_for
 

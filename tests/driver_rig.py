@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import serial
 
+from worm_driver.clock import Traffic
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import Robot
 from worm_driver.control.telemetry import Snapshot
@@ -37,6 +38,7 @@ class Clock:
 
     def __init__(self) -> None:
         self.now = 0.0
+        self.traffic = Traffic()
 
     def __call__(self) -> float:
         return self.now
@@ -82,7 +84,7 @@ class Wire:
 
     def wait(self, timeout: float) -> bool:
         self._take()
-        if not self._buffer:
+        if not self._buffer and timeout > 0.0:
             end = self.clock.now + max(timeout, 1e-9)
             self.clock.now = min(end, self._coming[0][0]) if self._coming else end
             self._take()
@@ -110,8 +112,6 @@ class SimulatedPort(BusPort):
         self.tx_time_per_byte = BYTE_TIME * 1e3
 
     def _wait(self, timeout: float) -> bool:
-        if timeout <= 0.0:
-            return False
         self.ser._check()
         return self.ser.wait(timeout)
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.gait_map import MapSettings
 from worm_optimizer.search.nsga2 import SearchSettings
 from worm_optimizer.search.search_settings import ScanSettings, Settings
-from worm_optimizer.search.served import ServedFront
 
 COARSE_MAP = MapSettings(strokes=25, frequencies=9, tolerance=2e-5, followed=1)
 
@@ -19,7 +19,7 @@ QUICK = Settings(
     map=COARSE_MAP,
     scan=ScanSettings(lowest=0.0, highest=4e-3, step=1e-3),
     samples=20,
-    served=12,
+    kept_gaits=12,
 )
 
 
@@ -32,11 +32,11 @@ def made_up(speed: float, power: float, **changes: float) -> Prediction:
     return dataclasses.replace(plain, **changes)
 
 
-def made_up_front(direction: int = 1) -> ServedFront:
+def made_up_front(direction: int = 1) -> RobustFront:
     """Three gaits of which the second has the lowest cost of transport."""
     gaits = [made_up(0.002, 1.4), made_up(0.005, 2.6), made_up(0.008, 4.5)]
     gaits = [dataclasses.replace(gait, direction=direction) for gait in gaits]
-    return ServedFront(direction, 0.0034, "given", "nsga2", 0.999, (), tuple(gaits))
+    return RobustFront(direction, 0.0034, "given", "nsga2", 0.999, (), tuple(gaits))
 
 
 def cache_in(folder: Path) -> Cache:

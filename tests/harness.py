@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
-from worm_optimizer.operation.demo_run import start_nodes
+from worm_optimizer.operation.bring_up import start_nodes
 from worm_optimizer.operation.processes import Process, ProcessGroup, executable_command
 from worm_optimizer.operation.system import SystemFile, load_system_file
 

@@ -60,12 +60,13 @@ class GaitSample:
     gait: Gait | None = None
     onset_ns: int = 0
     run: int = 0
+    cycle: int = 0
 
     def row(self) -> tuple:
         gait = (0.0, 0.0, 0.0, 0.0)
         if self.gait is not None:
             gait = (self.gait.stroke, self.gait.frequency, self.gait.direction, self.gait.margin)
-        told = (self.onset_ns, self.activity, self.run, self.stamp_ns)
+        told = (self.onset_ns, self.activity, self.run, self.cycle, self.stamp_ns)
         return (self.stamp_ns, Kind.GAIT, *told, *gait)
 
 
@@ -73,7 +74,7 @@ Sample = CommandedLength | MeasuredLength | TrackerSample | PowerSample | GaitSa
 
 
 def _row(stamp: int, kind: Kind, a: float, b: float = 0.0) -> tuple:
-    return (stamp, kind, 0, 0, 0, stamp, a, b, 0.0, 0.0)
+    return (stamp, kind, 0, 0, 0, 0, stamp, a, b, 0.0, 0.0)
 
 
 def rows_of(samples: Sequence[Sample]) -> np.ndarray:

@@ -13,9 +13,9 @@ from worm_driver.virtual_robot.offline_run import Run as Rehearsal
 from worm_driver.virtual_robot.offline_run import rehearse, sinusoid
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_model.gait import Gait
-from worm_model.identification.given import READING, Given
 from worm_model.identification.inputs import BenchTest, Inputs
 from worm_model.identification.observed_run import recording_of
+from worm_model.identification.reference_values import READING, ReferenceValues
 from worm_model.parameters import PAPER, Parameters
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
 from worm_model.simulation.simulator import simulate
@@ -44,7 +44,7 @@ class VirtualCampaign:
     """What identification is given, a scale's and a ruler's errors in it, and the true parameters."""
 
     inputs: Inputs
-    given: Given
+    reference: ReferenceValues
     truth: Parameters
 
 
@@ -63,7 +63,7 @@ def virtual_campaign(
         truth = Parameters(**dataclasses.asdict(run.truth))
         recordings.append(recording_of(run_of(run, gait, settings), f"run_{index + 1}"))
     bellows, fin = bench_tests(truth, np.random.default_rng(seed))
-    given = Given(read_off(truth, np.random.default_rng([seed, 1])), {}, "the maker")
+    given = ReferenceValues(read_off(truth, np.random.default_rng([seed, 1])), {}, "the maker")
     return VirtualCampaign(Inputs(tuple(recordings), bellows, fin, None), given, truth)
 
 

@@ -9,7 +9,11 @@ NAME = "worm_driver"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
     "virtual_robot = worm_driver.nodes.virtual_robot_node:main",
     "driver_node = worm_driver.nodes.driver_node:main",
+    "tracker_node = worm_driver.nodes.tracker_node:main",
     "calibrate = worm_driver.commands.calibrate:main",
+    "markers = worm_driver.commands.markers:main",
+    "calibrate_camera = worm_driver.commands.calibrate_camera:main",
+    "track = worm_driver.commands.track:main",
 ]
 
 setup(
@@ -31,5 +35,6 @@ setup(
         (f"share/{NAME}/security/policies", sorted(glob("security/policies/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
+    extras_require={"test": ["pytest"]},  # colcon test takes pytest for it
     entry_points={"console_scripts": EXECUTABLES},
 )

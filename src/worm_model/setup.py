@@ -12,6 +12,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "export = worm_model.commands.export:main",
     "identify = worm_model.commands.identify:main",
     "import_lab = worm_model.commands.import_lab:main",
+    "bags = worm_model.commands.bags:main",
     "recover = worm_model.commands.recover:main",
     "record = worm_model.nodes.record_node:main",
     "play = worm_model.nodes.play_node:main",
@@ -35,8 +36,10 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
         (f"share/{NAME}/rviz", sorted(glob("rviz/*"))),
+        (f"share/{NAME}/urdf", sorted(glob("urdf/*"))),
         (f"share/{NAME}/foxglove", sorted(glob("foxglove/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
+    extras_require={"test": ["pytest"]},  # colcon test takes pytest for it
     entry_points={"console_scripts": EXECUTABLES},
 )

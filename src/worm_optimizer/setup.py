@@ -24,12 +24,13 @@ setup(
     maintainer="The worm robot maintainers",
     maintainer_email="maintainers@worm.invalid",
     packages=find_packages(),
-    package_data={NAME: ["config/*"]},
+    package_data={NAME: ["config/*", "report/*.jinja"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
+    extras_require={"test": ["pytest"]},  # colcon test takes pytest for it
     entry_points={"console_scripts": EXECUTABLES},
 )

@@ -9,7 +9,7 @@ from harness import system_file
 from worm_model.gait import Gait
 from worm_optimizer.commands.report import read_gaits
 from worm_optimizer.operation.campaign_runs import Robot, run_gaits
-from worm_optimizer.report.verdict import agreements, orders
+from worm_optimizer.report.agreement import agreements, orders
 
 pytestmark = pytest.mark.integration
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver node as a process, on the virtual robot as another one."""
 
+import itertools
 import math
 import signal
 import sys
@@ -12,6 +13,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness import LATCHED, TIMEOUT_S
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -35,16 +39,24 @@ def directory(processes, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def real_time_directory(processes, tmp_path: Path) -> Path:
+    """Of a virtual robot whose time is the computer's: it does not wait for a driver that hangs."""
+    path = tmp_path / "robot"
+    robot = processes.start_node(
+        "worm_driver", "virtual_robot", "--real-time", "--directory", str(path)
+    )
+    robot.wait_for_line("^ready: ", TIMEOUT_S)
+    return path
+
+
 def parameters(directory: Path, **changes: object) -> dict[str, object]:
-    """Of a driver on that robot; patient, as a test's machine may be busy with something else."""
+    """Of a driver on that robot, whose time waits where a test's machine is busy with something else."""
     return {
         "port": directory / "servo_bus",
         "i2c_bus": directory / "i2c.sock",
         "cable_servos.spool_radius_m": "[0.025]",
         "home_at_start": "true",
-        "bus_watchdog_s": 1.0,
-        "limits.max_silence_s": 0.8,
-        "limits.max_following_error_m": 0.06,
         **changes,
     }
 
@@ -80,6 +92,11 @@ class Commander:
 
     def result(self, goal, timeout_s: float = TIMEOUT_S):
         return self.probe.result(goal.get_result_async(), "result of the gait", timeout_s)
+
+    def set_parameter(self, name: str, value: object):
+        message = Parameter(name, value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[message])
+        return self.probe.call(SetParameters, "driver/set_parameters", request).results[0]
 
     def trigger(self, name: str) -> Trigger.Response:
         return self.probe.call(Trigger, name, Trigger.Request())
@@ -162,7 +179,7 @@ def test_every_cycle_is_published_with_its_stamp(driver, commander, probe):
     def cycles() -> int:
         """That the driver says it has made, a little while ago."""
         statuses = [s for report in commander.reports for s in report.status]
-        timings = [s for s in statuses if s.name == "driver: timing"]
+        timings = [s for s in statuses if s.name == "worm/driver: timing"]
         return max((int({v.key: v.value for v in s.values}["cycles"]) for s in timings), default=0)
 
     made = probe.wait_for(lambda: cycles() >= 200 and cycles(), "200 cycles")
@@ -182,11 +199,11 @@ def test_diagnostics_name_every_part(driver, commander, probe):
         }
 
     parts = ("gait", "servo bus", "timing", "servo 1", "servo 11", "servo 12", "power sensor")
-    names = {f"driver: {part}" for part in parts}
+    names = {f"worm/driver: {part}" for part in parts}
     probe.wait_for(lambda: set(latest()) == names, "report on every part")
     for part in ("gait", "servo 1", "servo 11", "servo 12", "power sensor"):
-        commander.wait_for_report(f"driver: {part}", DiagnosticStatus.OK, "")
-    timing = {value.key: value.value for value in latest()["driver: timing"].values}
+        commander.wait_for_report(f"worm/driver: {part}", DiagnosticStatus.OK, "")
+    timing = {value.key: value.value for value in latest()["worm/driver: timing"].values}
     assert {"p99_period_error_s", "missed_deadlines", "mean_period_s"} <= set(timing)
 
 
@@ -339,7 +356,7 @@ def test_stop_is_served_while_a_deactivation_returns_to_rest(
 def run_into_a_gait(commander, probe) -> list[BodyLength]:
     lengths = probe.collect(BodyLength, "body_length/cable")
     commander.activate()
-    commander.send(stroke=0.06, cycles=20)
+    commander.goal = commander.send(stroke=0.06, cycles=20)
     probe.wait_for(lambda: lengths and lengths[-1].length_change < -0.02, "contraction")
     return lengths
 
@@ -347,8 +364,11 @@ def run_into_a_gait(commander, probe) -> list[BodyLength]:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_brings_the_gait_to_rest_and_releases(driver, commander, probe, directory, number):
     lengths = run_into_a_gait(commander, probe)
+    result = commander.goal.get_result_async()
     driver.signal(number)
-    assert driver.wait(TIMEOUT_S) == 0
+    assert probe.result(result, "result of the goal").status == ABORTED
+    probe.wait_for(lambda: driver.exit_code is not None, "end of the driver")
+    assert driver.exit_code == 0
     assert torques(directory) == [0, 0, 0]
     assert commander.wait_for_state(GaitState.INACTIVE, "last word").message == "the driver ends"
     probe.wait_for(lambda: abs(lengths[-1].length_change) < 2e-3, "cable at rest")
@@ -372,7 +392,7 @@ def test_shutdown_while_active_releases(driver, commander, probe, directory):
 _SLOW = """
 import sys
 import time
-from worm_driver import driver_node
+from worm_driver.nodes import driver_node
 from worm_driver.errors import BusError
 from worm_driver.control.robot import Robot
 
@@ -399,10 +419,10 @@ def start_script(processes, path: Path, text: str, given: dict[str, object]):
 
 
 def test_an_activation_that_takes_too_long_ends_inactive_and_released(
-    processes, commander, directory, tmp_path
+    processes, commander, real_time_directory, tmp_path
 ):
     deed = "Robot.activate, driver_node._ACTIVATION = slow, 0.2"
-    given = parameters(directory)
+    given = parameters(real_time_directory, **{"bus_watchdog_s": 1.0, "limits.max_silence_s": 0.8})
     start_script(processes, tmp_path / "slow.py", _SLOW.format(deed=deed), given)
     assert commander.change(Transition.TRANSITION_CONFIGURE)
     assert not commander.change(Transition.TRANSITION_ACTIVATE)
@@ -426,7 +446,7 @@ def test_a_deactivation_that_fails_closes_and_releases_all_the_same(
 _SABOTAGE = """
 import sys
 import rclpy
-from worm_driver import driver_node
+from worm_driver.nodes import driver_node
 from worm_driver.gait.gait_player import Phase
 
 class Sabotaged(driver_node.DriverNode):
@@ -484,6 +504,45 @@ def test_after_a_kill_a_new_driver_takes_over(processes, commander, probe, direc
     assert commander.result(goal).status == SUCCEEDED
 
 
+# --- parameters of a running driver ------------------------------------------------------------------
+
+
+def test_limits_take_effect_at_once_and_all_else_is_refused_while_configured(driver, commander):
+    commander.activate()
+    assert commander.set_parameter("limits.max_stroke_m", 0.02).successful
+    answer = commander.result(commander.send(stroke=0.03))
+    assert answer.status == ABORTED
+    assert "limits.max_stroke_m" in answer.result.message
+    refused = commander.set_parameter("port", "/dev/other")
+    assert not refused.successful
+    assert "takes effect at configure" in refused.reason
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.change(Transition.TRANSITION_CLEANUP)
+    assert commander.set_parameter("port", "/dev/other").successful
+
+
+def test_a_run_that_a_new_limit_does_not_allow_ends_at_rest(driver, commander):
+    commander.activate()
+    goal = commander.send(stroke=0.05, frequency=0.2, cycles=60)
+    commander.wait_for_state(GaitState.RUNNING, "running gait")
+    assert commander.set_parameter("limits.max_stroke_m", 0.02).successful
+    assert "cancelled" in commander.result(goal).result.message
+    assert "ends at its next point of rest" in driver.output()
+
+
+def test_a_user_may_change_the_quality_of_service_of_telemetry(
+    processes, directory, commander, probe
+):
+    name = "qos_overrides./worm/power.publisher.reliability"
+    given = parameters(directory, **{name: "best_effort"})
+    processes.start_node("worm_driver", "driver_node", **given)
+    commander.activate()
+    (power,) = probe.node.get_publishers_info_by_topic("/worm/power")
+    (joints,) = probe.node.get_publishers_info_by_topic("/worm/joint_states")
+    assert power.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    assert joints.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+
+
 # --- faults: that they reach the outside ---------------------------------------------------------------
 
 
@@ -496,8 +555,12 @@ def test_a_silent_servo_is_a_fault_that_is_named_and_mended(driver, commander):
     assert answer.status == ABORTED
     assert "fault: servo 1 gives no state" in answer.result.message
     assert "servo 1" in commander.wait_for_state(GaitState.FAULT, "fault").message
-    commander.wait_for_report("driver: gait", DiagnosticStatus.ERROR, "servo 1 gives no state")
-    commander.wait_for_report("driver: servo bus", DiagnosticStatus.WARN, "timeouts")
+    (line,) = [line for line in driver.output().splitlines() if "FAULT: " in line]
+    assert "[ERROR]" in line
+    assert "servo 1 gives no state" in line
+    assert "Mend the cause, then deactivate and activate" in line
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "servo 1 gives no state")
+    commander.wait_for_report("worm/driver: servo bus", DiagnosticStatus.WARN, "timeouts")
     refused = commander.result(commander.send())
     assert "in fault" in refused.result.message
     commander.inject(name="clear")
@@ -512,7 +575,7 @@ def test_an_unplugged_port_is_a_fault_and_a_new_configuration_mends_it(
     run_into_a_gait(commander, probe)
     commander.inject(name="unplugged", duration=1.0)
     assert "is gone" in commander.wait_for_state(GaitState.FAULT, "fault").message
-    commander.wait_for_report("driver: gait", DiagnosticStatus.ERROR, "plug it in again")
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "plug it in again")
     assert commander.change(Transition.TRANSITION_DEACTIVATE)
     assert commander.change(Transition.TRANSITION_CLEANUP)
     probe.wait_for((directory / "servo_bus").is_symlink, "port")
@@ -535,7 +598,7 @@ def test_faults_of_the_power_sensor_are_samples_without_a_value(driver, commande
         commander.inject(name=name)
         found = probe.wait_for(seen(status), f"sample with {words}")
         assert all(math.isnan(sample.power) for sample in found)
-        commander.wait_for_report("driver: power sensor", DiagnosticStatus.WARN, words)
+        commander.wait_for_report("worm/driver: power sensor", DiagnosticStatus.WARN, words)
     count = len(seen(Power.VALID)())
     probe.wait_for(lambda: len(seen(Power.VALID)()) > count + 10, "valid samples")
 
@@ -570,7 +633,7 @@ def test_a_robot_that_is_not_homed_waits_for_its_operator(processes, directory, 
     driver.wait_for_line(
         "cannot activate: the turn count of the cable servo is not known", TIMEOUT_S
     )
-    commander.wait_for_report("driver: gait", DiagnosticStatus.WARN, "not homed")
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.WARN, "not homed")
     assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
     assert commander.trigger("home").success
     assert commander.change(Transition.TRANSITION_ACTIVATE)
@@ -596,7 +659,7 @@ def test_a_failed_configuration_leaves_the_node_unconfigured_and_can_be_repeated
     commander.inject(name="i2c_nack", duration=3600.0)
     assert not commander.change(Transition.TRANSITION_CONFIGURE)
     assert commander.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
-    commander.wait_for_report("driver: gait", DiagnosticStatus.ERROR, "does not acknowledge")
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "does not acknowledge")
     commander.inject(name="clear")
     commander.activate()
 
@@ -610,3 +673,71 @@ def test_a_second_driver_on_the_same_port_is_refused(driver, processes, commande
     second = processes.start_executable("worm_driver", "driver_node", *ros, name="second")
     assert second.wait(TIMEOUT_S) == 1
     second.wait_for_line("in use by another program", TIMEOUT_S)
+
+
+# --- what a driver must survive ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("active", [False, True])
+def test_a_transition_that_the_state_does_not_have_is_refused_and_the_node_lives(
+    driver, commander, active
+):
+    if active:
+        commander.activate()
+    wrong = [Transition.TRANSITION_CLEANUP, Transition.TRANSITION_ACTIVE_SHUTDOWN, 99, 255]
+    if active:
+        wrong = [Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE, 99, 255]
+    before = commander.lifecycle_state()
+    for number in wrong:
+        assert not commander.change(number)
+    assert commander.lifecycle_state() == before
+    driver.wait_for_line("refused: there is no transition 99 .* only: ", TIMEOUT_S)
+    assert commander.change(
+        Transition.TRANSITION_DEACTIVATE if active else Transition.TRANSITION_CONFIGURE
+    )
+
+
+def test_a_deactivation_with_a_dead_line_fails_and_says_what_is_known(driver, commander):
+    commander.activate()
+    commander.inject(fault="no_answer", duration=60.0)
+    assert not commander.change(Transition.TRANSITION_DEACTIVATE)
+    commander.wait_for_report(
+        "driver: gait", DiagnosticStatus.ERROR, "the torque may still be on: servo 1"
+    )
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
+
+
+def test_stop_answers_every_call_of_a_flood(driver, commander, probe):
+    commander.activate()
+    client = probe.node.create_client(Trigger, "stop")
+    probe.wait_for(client.service_is_ready, "service stop")
+    calls = [client.call_async(Trigger.Request()) for _ in range(200)]
+    probe.wait_for(lambda: all(call.done() for call in calls), "answer to every stop")
+    assert all(call.result().success for call in calls)
+
+
+def test_diagnostics_say_who_can_hear_the_driver(driver, commander):
+    commander.wait_for_report("driver: network", DiagnosticStatus.OK, "this machine only")
+
+
+# --- beside other work ---------------------------------------------------------------------------------
+
+
+def test_beside_other_work_no_deadline_is_missed_and_no_servo_is_blamed(
+    driver, commander, processes, probe
+):
+    """With the limits as they are shipped, and more to do than processors: the robot's time waits."""
+    for number in range(4):
+        processes.start(f"work_{number}", [sys.executable, "-c", "while True: pass"])
+    joints = probe.collect(JointState, "joint_states")
+    commander.activate()
+    assert commander.result(commander.send(cycles=2), 100.0).status == SUCCEEDED
+    stamps = [stamp(message) for message in joints]
+    periods = [after - before for before, after in itertools.pairwise(stamps)]
+    assert len(periods) > 300
+    assert periods == pytest.approx([0.01] * len(periods), abs=1e-4)
+    commander.reports.clear()
+    timing = commander.wait_for_report("driver: timing", DiagnosticStatus.OK, "")
+    values = {value.key: value.value for value in timing.values}
+    assert values["missed_deadlines"] == "0"
+    assert "virtual" in values["real_time_priority"]

@@ -23,7 +23,7 @@ SMALL = {
     "scan_highest_m": 0.004,
     "scan_step_m": 0.001,
     "samples": 20,
-    "served_gaits": 12,
+    "kept_gaits": 12,
 }
 
 RESEND_S = 3.0
@@ -252,8 +252,8 @@ def test_diagnostics_tell_what_is_served(start, probe):
 
     probe.wait_for(lambda: DiagnosticStatus.OK in levels(), "healthy status", timeout_s=90.0)
     assert {status.name for status in arrays[-1].status} == {
-        "optimizer: forward front",
-        "optimizer: reverse front",
+        "worm/optimizer: forward front",
+        "worm/optimizer: reverse front",
     }
 
 

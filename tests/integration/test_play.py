@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag played onto topics, and the live twin that listens."""
 
+import shutil
 import signal
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +13,10 @@ from recorded_run import AFTER_S, EPOCH, GAIT, REST_S, simulated_run, write_bag
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.message_block import Topic
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
 from worm_model.parameters import PAPER
 from worm_model.run import Run
 from worm_model.twin.offline_replay import replay_run
@@ -104,6 +109,53 @@ def test_it_starts_in_the_middle_with_what_was_latched(
     expected = RUN.power.stamp[RUN.power.stamp >= EPOCH + 3 * 10**9].tolist()
     probe.wait_for(lambda: len(powers) == len(expected), "the later samples")
     assert [stamp(m) for m in powers] == expected
+
+
+def test_who_comes_late_gets_the_last_state_of_what_is_latched(
+    processes: Processes, probe: Probe, bag: Path
+):
+    """Paused behind the last state: a hundred seconds of silence would follow, of which one state is heard."""
+    clocks = probe.collect(Clock, "/clock")
+    processes.start_executable("worm_model", "play", str(bag), "--rate", "0.5", "--start", "6")
+    start = int(RUN.origin) + 6 * 10**9
+    probe.wait_for(lambda: any(clock(m) > start for m in clocks), "the start")
+    assert probe.call(Trigger, "/player/pause", Trigger.Request()).success
+    states = probe.collect(GaitState, "gait_state", LATCHED)
+    probe.wait_for(lambda: states, "a state")
+    told = len(clocks)
+    probe.wait_for(lambda: len(clocks) > told + 50, "time in which another would have come")
+    last = RUN.gait_state.stamp[start >= RUN.gait_state.stamp][-1]
+    assert [stamp(m) for m in states] == [last]
+
+
+def test_a_bag_of_an_older_definition_is_played_in_the_installed_layout(
+    processes: Processes, probe: Probe, tmp_path: Path
+):
+    """Its gait states come from before runs had numbers; a type that has changed is not played, which is said."""
+    bag = tmp_path / "forward"
+    shutil.copytree(Path(__file__).resolve().parents[2] / "bags" / "forward", bag)
+    states = probe.collect(GaitState, "gait_state", LATCHED)
+    player = processes.start_executable(
+        *("worm_model", "play", str(bag), "--rate", "20", "--topic", "/worm/gait_state")
+    )
+    player.wait_for_line("is from before worm_msgs/msg/GaitState had run", TIMEOUT_S)
+    probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
+    with open_bag(bag) as opened:
+        recorded = read_run(opened).gait_state
+    probe.wait_for(lambda: stamp(states[-1]) == recorded.stamp[-1], "the last state")
+    assert {m.run for m in states} == {0}
+    assert {m.gait.stroke for m in states} <= set(recorded.stroke.tolist())
+
+
+def test_messages_that_are_not_what_is_installed_are_not_played(
+    processes: Processes, tmp_path: Path
+):
+    other = Topic("/worm/power", "worm_msgs/msg/Power", 0, "float32 power\n", "ros2msg", "cdr")
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write(other, b"\0\1\0\0" + bytes(4), 1, 1)
+    player = processes.start_executable("worm_model", "play", str(tmp_path / "bag"))
+    assert player.wait(TIMEOUT_S) == 2
+    assert "/worm/power is not played: power of worm_msgs/msg/Power is not what" in player.output()
 
 
 def test_it_begins_anew_at_the_end_until_it_is_stopped(

@@ -2,9 +2,11 @@
 """The recorder with real publishers over real DDS."""
 
 import json
+import shutil
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from harness import LATCHED, Probe, Processes
@@ -13,11 +15,12 @@ from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
+from std_srvs.srv import Trigger
 
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
-from worm_msgs.msg import Gait, GaitState, Power, Tracker
-from worm_optimizer.operation.processes import executable_command
+from worm_msgs.msg import Gait, GaitState, Power, Tracker, TwinResiduals
+from worm_optimizer.operation.processes import Process, executable_command
 
 ACKNOWLEDGED = Duration(seconds=20)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -64,7 +67,7 @@ def test_topics_of_all_kinds_are_recorded(processes: Processes, probe: Probe, tm
     parameters = tmp_path / "robot.yaml"
     parameters.write_text("pitch: 0.0173\n")
     recorder = processes.start_node(
-        "worm_driver",
+        "worm_model",
         "record",
         *("gait_state", "tracker", "power", "--output", str(tmp_path / "bag"), "--json"),
         *("--parameters", str(parameters), "--seed", "4", "--note", "pipe=B"),
@@ -246,6 +249,105 @@ def test_a_bag_is_split_while_it_is_recorded(processes: Processes, probe: Probe,
     assert recorded(tmp_path / "bag") == [float(i) for i in range(count)]
 
 
+def outcome_of(recorder: Process) -> dict[str, Any]:
+    assert recorder.wait(TIMEOUT_S) == 0
+    return json.loads(next(x for x in recorder.output().splitlines() if x.startswith("{")))
+
+
+def test_it_pauses_splits_stops_and_starts_when_asked(
+    processes: Processes, probe: Probe, tmp_path: Path
+):
+    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
+    recorder = processes.start_node(
+        *("worm_model", "record", "tracker", "-o", str(tmp_path / "bag"), "--json")
+    )
+    recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
+
+    def ask(name: str) -> str:
+        answer = probe.call(Trigger, f"/worm/recorder/{name}", Trigger.Request())
+        assert answer.success, answer.message
+        return str(answer.message)
+
+    publish(positions, range(10))
+    assert ask("pause") == "paused"
+    publish(positions, range(10, 20))
+    ask("resume")
+    publish(positions, range(20, 30))
+    ask("split")
+    publish(positions, range(30, 40))
+    assert "is closed" in ask("stop")
+    publish(positions, range(40, 50))
+    assert "bag_2" in ask("start")
+    publish(positions, range(50, 60))
+    refused = probe.call(Trigger, "/worm/recorder/snapshot", Trigger.Request())
+    assert (refused.success, refused.message) == (
+        False,
+        "there is no ring: record with --snapshot S",
+    )
+    recorder.interrupt()
+    outcome = outcome_of(recorder)
+    assert outcome["bags"] == [str(tmp_path / name) for name in ("bag", "bag_2")]
+    kept = [*range(10), *range(20, 40)]
+    assert recorded(tmp_path / "bag") == [float(i) for i in kept]
+    assert len(list((tmp_path / "bag").glob("*.mcap"))) == 2
+    assert recorded(tmp_path / "bag_2") == [float(i) for i in range(50, 60)]
+
+
+def test_the_last_seconds_are_written_when_the_twin_raises_an_alarm(
+    processes: Processes, probe: Probe, tmp_path: Path
+):
+    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
+    residuals = probe.node.create_publisher(TwinResiduals, "twin/residuals", 1000)
+    recorder = processes.start_node(
+        *("worm_model", "record", "tracker", "twin/residuals", "--snapshot", "60", "--json"),
+        *("-o", str(tmp_path / "bag")),
+    )
+    for topic in ("tracker", "twin/residuals"):
+        recorder.wait_for_line(f"recording /worm/{topic} ", TIMEOUT_S)
+    publish(positions, range(20))
+    residuals.publish(TwinResiduals(health=TwinResiduals.HEALTHY))
+    assert residuals.wait_for_all_acked(ACKNOWLEDGED)
+    assert not list(tmp_path.glob("bag*"))
+    for _ in range(3):  # one alarm, as long as it lasts
+        residuals.publish(TwinResiduals(health=TwinResiduals.FAULTY))
+    recorder.wait_for_line("the twin raises an alarm", TIMEOUT_S)
+    recorder.interrupt()
+    assert outcome_of(recorder)["bags"] == [str(tmp_path / "bag_snapshot_1")]
+    assert recorded(tmp_path / "bag_snapshot_1") == [float(i) for i in range(20)]
+
+
+def test_a_folder_that_is_removed_is_noticed_at_once(
+    processes: Processes, probe: Probe, tmp_path: Path
+):
+    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
+    recorder = processes.start_node("worm_model", "record", "tracker", "-o", str(tmp_path / "bag"))
+    recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
+    publish(positions, range(25))
+    shutil.rmtree(tmp_path / "bag")
+    assert recorder.wait(TIMEOUT_S) == 1
+    assert "was removed while it was recorded: 25 messages are lost" in recorder.last_line()
+    assert "Traceback" not in recorder.output()
+
+
+def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tmp_path: Path):
+    """Also the same gait anew, and however many states a run has."""
+    states = probe.node.create_publisher(GaitState, "gait_state", 1000)
+    recorder = processes.start_node(
+        *("worm_model", "record", "gait_state", "-o", str(tmp_path / "bag"))
+    )
+    recorder.wait_for_line("recording /worm/gait_state ", TIMEOUT_S)
+    gait = Gait(stroke=0.07, frequency=0.2, direction=Gait.FORWARD)
+    for run in (1, 1, 2, 2, 2):
+        states.publish(GaitState(state=GaitState.RUNNING, gait=gait, cycles=5, run=run))
+    assert states.wait_for_all_acked(ACKNOWLEDGED)
+    recorder.interrupt()
+    assert recorder.wait(TIMEOUT_S) == 0
+    with open_bag(tmp_path / "bag") as bag:
+        gaits = [dict(record.values) for record in bag.records if record.name == "worm_gait"]
+        assert read_run(bag).gait_state.run.tolist() == [1, 1, 2, 2, 2]
+    assert [gait["run"] for gait in gaits] == ["1", "2"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -255,6 +357,14 @@ def test_a_bag_is_split_while_it_is_recorded(processes: Processes, probe: Probe,
         (["-a", "--parameters", "no.yaml"], "no.yaml"),
         (["-a", "--output", "."], "exists already"),
         (["-a", "-b", "-1"], "negative"),
+        (["-a", "-d", "-1"], "negative"),
+        (["-a", "--duration", "-3"], "negative"),
+        (["-a", "--duration", "nan"], "finite"),
+        (["-a", "--depth", "-1"], "negative"),
+        (["-a", "--snapshot", "-1"], "negative"),
+        (["a b"], "not a name of a topic"),
+        (["-a", "--note", "pipe=\udcff"], "UTF-8"),
+        (["-a", "--output", "bag\udcff"], "UTF-8"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(processes: Processes, arguments: list[str], words: str):

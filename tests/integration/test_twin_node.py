@@ -119,7 +119,8 @@ def test_live_equals_offline_and_ctrl_c_is_clean(processes: Processes, probe: Pr
         numbers(ros_twin.residuals_message(row, expected.warnings)) for row in expected.residuals
     }
     status = probe.wait_for(
-        lambda: [s for m in diagnostics for s in m.status if s.name == "twin: model"], "diagnostics"
+        lambda: [s for m in diagnostics for s in m.status if s.name == "worm/twin: model"],
+        "diagnostics",
     )
     assert {v.key: v.value for v in status[-1].values}["samples late"] == "0"
     process.interrupt()

@@ -27,7 +27,7 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
         ("worm_model", name): ()
         for name in (
             *("evaluate_gait", "export", "health", "identify", "import_lab"),
-            *("phase_map", "recover", "replay"),
+            *("bags", "phase_map", "recover", "replay"),
         )
     },
     ("worm_optimizer", "optimize"): SMALL_FRONT,
@@ -38,6 +38,10 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
 # Needs a robot or an operator: which test runs it, with real processes where they matter.
 ELSEWHERE = {
     ("worm_driver", "calibrate"): "tests/unit/worm_driver/test_calibrate.py",
+    ("worm_driver", "calibrate_camera"): "tests/unit/worm_driver/commands/test_camera_commands.py",
+    ("worm_driver", "markers"): "tests/unit/worm_driver/commands/test_camera_commands.py",
+    ("worm_driver", "track"): "tests/unit/worm_driver/commands/test_camera_commands.py",
+    ("worm_driver", "tracker_node"): "tests/integration/test_tracker_node.py",
     ("worm_driver", "driver_node"): "tests/integration/test_driver.py",
     ("worm_model", "record"): "tests/integration/test_record.py",
     ("worm_driver", "virtual_robot"): "tests/integration/test_virtual_robot.py",
@@ -48,6 +52,7 @@ ELSEWHERE = {
 }
 NODES = {  # whose only arguments are those of ROS
     ("worm_driver", "driver_node"),
+    ("worm_driver", "tracker_node"),
     ("worm_model", "twin_node"),
     ("worm_optimizer", "optimizer_node"),
 }

@@ -18,6 +18,10 @@ class StoppedError(DriverError):
     """The service stop came in between."""
 
 
+class ReleaseError(DriverError):
+    """A servo did not say that its torque is off."""
+
+
 class HomingError(DriverError):
     """The turn count of a cable servo is not known, so its cable length is not either."""
 

@@ -7,15 +7,21 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from worm_model.errors import InputError
+
 FORWARD: Final = 1
 REVERSE: Final = -1
+
+# The paper's box of gaits (below eq:moo_formulation).
+STROKE_RANGE = (0.01, 0.09)  # m
+FREQUENCY_RANGE = (0.08, 0.4)  # Hz
 
 MAX_STROKE = 1.0  # m; beyond it a stroke is taken for a wrong unit
 MAX_FREQUENCY = 20.0  # Hz
 MAX_MARGIN = 0.1  # m
 
 
-class GaitError(ValueError):
+class GaitError(InputError):
     """A gait is not admissible; the message says why."""
 
 

@@ -18,10 +18,12 @@ from typing import Any
 
 import yaml
 
+from worm_model.errors import InputError
+
 STANDARD_GRAVITY = 9.80665  # m/s², exact by definition (CGPM 1901)
 
 
-class ParameterError(ValueError):
+class ParameterError(InputError):
     """A parameter or a parameter file is not admissible; the message says which and why."""
 
 

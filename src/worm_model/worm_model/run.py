@@ -8,18 +8,41 @@ are SI units, float64 of shape (n,) unless said otherwise. A topic that was not 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from worm_model.gait import Gait, GaitError
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Codes = NDArray[np.int64]
 
-RUNNING, STOPPING = 3, 4  # GaitState
-POWER_VALID = 0  # Power.VALID
+# The values of GaitState.state and of Power.status, for what knows no ROS; a test holds them to worm_msgs.
+INACTIVE, IDLE, RESTING, RUNNING, STOPPING, FAULT = range(6)
+STATE_NAMES = ("inactive", "idle", "resting", "running", "stopping", "fault")
+POWER_VALID = 0
+POWER_STATUS_NAMES = ("valid", "overflow", "not ready", "bus error", "sensor reset")
+
+SAME_ONSET_NS = (
+    100_000_000  # the driver tells a run's onset anew with each cycle, through two clocks
+)
+
+
+def state_name(state: int) -> str:
+    """A value of GaitState.state in words."""
+    return STATE_NAMES[state] if 0 <= state < len(STATE_NAMES) else f"state {state}"
+
+
+def is_another_run(before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) -> Any:
+    """Whether one gait state is of another run than the one before it: what is one run is decided here alone.
+
+    Each is (number of the run, number of the cycle, onset in ns), numbers or arrays of one shape. The driver's number
+    of the run tells (a driver that was started anew counts from 1, and its cycles do, too); in a recording without
+    numbers, onsets that differ by more than `SAME_ONSET_NS` do.
+    """
+    (run, cycle, onset), (next_run, next_cycle, next_onset) = before, after
+    restarted, moved = next_cycle < cycle, abs(next_onset - onset) > SAME_ONSET_NS
+    return (next_run != run) | np.where(next_run > 0, restarted, moved)
 
 
 def seconds(stamp: Stamps, origin: int) -> Array:
@@ -73,7 +96,7 @@ class PowerSamples:
 class GaitStates:
     """What the driver did: `state` as GaitState has it, the gait, and its `onset` (ns since the epoch, 0: unknown).
 
-    `run` is the run's number, 0 where an old recording does not tell.
+    `run` numbers the runs since the driver started; 0 in recordings from before it did.
     """
 
     stamp: Stamps = field(default_factory=_stamps)
@@ -88,13 +111,26 @@ class GaitStates:
     run: Codes = field(default_factory=_stamps)
 
     def __post_init__(self) -> None:
-        if len(self.run) != len(self.stamp):
-            object.__setattr__(self, "run", np.zeros(len(self.stamp), np.int64))
+        for name in ("cycle", "cycles", "run"):  # 0 where a recording does not tell
+            if getattr(self, name).size != self.stamp.size:
+                object.__setattr__(self, name, np.zeros(self.stamp.size, np.int64))
 
     @property
     def played(self) -> NDArray[np.bool_]:
         """In which states a gait runs whose onset is known, shape (n,)."""
         return (self.state == RUNNING) & (self.onset > 0)
+
+    def rows_of_runs(self) -> list[NDArray[np.int64]]:
+        """The rows of `played` run by run, in the order of their stamps; what is one run: `is_another_run`."""
+        rows = np.flatnonzero(self.played)
+        rows = rows[np.argsort(self.stamp[rows], kind="stable")]
+        if not rows.size:
+            return []
+        before, after = (
+            (self.run[part], self.cycle[part], self.onset[part]) for part in (rows[:-1], rows[1:])
+        )
+        another = is_another_run(before, after)
+        return np.split(rows, np.flatnonzero(another) + 1)
 
 
 @dataclass(frozen=True)
@@ -121,65 +157,3 @@ class Run:
     power: PowerSamples = field(default_factory=PowerSamples)
     gait_state: GaitStates = field(default_factory=GaitStates)
     joint_states: JointSamples = field(default_factory=JointSamples)
-
-
-@dataclass(frozen=True)
-class PlayedRun:
-    """A run in a recording: ``onset`` (ns), the gait, ``cycles`` asked for (0: unknown), ``end`` (ns).
-
-    ``end`` is that of the last cycle asked for, or of the last sample of any length or of the tracker.
-    """
-
-    number: int
-    onset: int
-    end: int
-    gait: Gait
-    cycles: int
-
-    @property
-    def period_ns(self) -> float:
-        """Duration of a cycle."""
-        return 1e9 * self.gait.period
-
-
-SAME_ONSET_NS = 100_000_000  # the driver states the onset anew with each cycle, through two clocks
-
-
-def is_same_run(run: int, onset: int, other_run: int, other_onset: int) -> bool:
-    """Whether two gait states speak of one run, by its number and its onset (ns).
-
-    Old recordings have no numbers (0), and a driver that starts anew counts anew: only the onset tells these.
-    """
-    return run == other_run and abs(onset - other_onset) <= SAME_ONSET_NS
-
-
-def played_runs(run: Run) -> list[PlayedRun]:
-    """The runs of a recording in their order; a gait that is not admissible is none."""
-    states = run.gait_state
-    lasts = [s.stamp[-1] for s in (run.commanded, run.measured, run.tracker) if len(s.stamp)]
-    recorded_until = int(max(lasts, default=run.origin))
-    found: list[PlayedRun] = []
-    for row in np.flatnonzero(states.played).tolist():
-        number, onset = int(states.run[row]), int(states.onset[row])
-        if found and is_same_run(number, onset, found[-1].number, found[-1].onset):
-            continue
-        try:
-            gait = Gait(
-                float(states.stroke[row]),
-                float(states.frequency[row]),
-                int(states.direction[row]),
-                float(states.margin[row]),
-            )
-        except GaitError:
-            continue
-        cycles = int(states.cycles[row]) if len(states.cycles) else 0
-        asked = onset + round(cycles * 1e9 * gait.period) if cycles else recorded_until
-        over = np.flatnonzero((states.stamp > onset) & ~np.isin(states.state, (RUNNING, STOPPING)))
-        stopped = int(states.stamp[over[0]]) if len(over) else recorded_until
-        ends = min(asked, recorded_until, max(stopped, onset))
-        if (
-            stopped + SAME_ONSET_NS >= asked
-        ):  # the driver tells of the end a little before or after it
-            ends = min(asked, recorded_until)
-        found.append(PlayedRun(number, onset, ends, gait, cycles))
-    return found

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starts the nodes of config/system.yaml: ros2 launch worm_optimizer worm.launch.py mode:=virtual.
 
-Every setting of system.yaml is a launch argument.
+Every setting of system.yaml is a launch argument. Can be included in another launch file, also under
+a PushRosNamespace, which then stands before ``namespace``.
 """
 
 from __future__ import annotations
 
+import re
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -13,29 +17,51 @@ from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from launch.actions import (
     DeclareLaunchArgument,
     EmitEvent,
+    LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
     Shutdown,
     TimerAction,
 )
 from launch.event_handlers import OnProcessIO
-from launch.events.process import ProcessIO
+from launch.events import matches_action
+from launch.events.process import ProcessExited, ProcessIO
+from launch.substitution import Substitution
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import LifecycleNode, LifecycleTransition, Node
+from launch_ros.actions import LifecycleNode, Node
 from launch_ros.event_handlers import OnStateTransition
-from launch_ros.events import matches_node_name
-from launch_ros.events.lifecycle import ChangeState
+from launch_ros.events.lifecycle import ChangeState, StateTransition
 from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.utilities import prefix_namespace
 from lifecycle_msgs.msg import Transition
 
-from worm_optimizer.operation.system import MODES, NodeDescription, SystemFile, load_system_file
+from worm_optimizer.operation.system import (
+    MODES,
+    NodeDescription,
+    SystemFile,
+    SystemFileError,
+    load_system_file,
+)
 
 # A virtual servo may answer late on a busy computer. A real robot is its operator's after one failure.
 VIRTUAL_ATTEMPTS = 6
 RETRY_PERIOD_S = 1.0
-_FAILURES = {  # transition: from which state to which it ends when it fails
-    Transition.TRANSITION_CONFIGURE: ("configuring", "unconfigured"),
-    Transition.TRANSITION_ACTIVATE: ("activating", "inactive"),
+# A virtual robot's time waits for whoever works with it: on a busy computer its seconds are longer.
+VIRTUAL_SLOWNESS = 8.0
+RESTARTS = 3  # of a node that is not required
+RESTART_DELAY_S = 2.0
+GRACE_S = 5.0  # beyond the time in which a node says it is at rest; launch's own default
+OWN_TIME = ("virtual_robot", "driver", "player")  # they make the time that the others go by
+LEVELS = ("debug", "info", "warn", "error", "fatal")
+
+# How a transition of launch's own ends when it succeeds, and what follows.
+_SUCCESSES = {
+    Transition.TRANSITION_CONFIGURE: ("inactive", Transition.TRANSITION_ACTIVATE),
+    Transition.TRANSITION_ACTIVATE: ("active", None),
+}
+_UNDER_WAY = {
+    Transition.TRANSITION_CONFIGURE: "configuring",
+    Transition.TRANSITION_ACTIVATE: "activating",
 }
 
 SYSTEM_FILE = Path(get_package_share_directory("worm_optimizer"), "config", "system.yaml")
@@ -44,7 +70,21 @@ SYSTEM_FILE = Path(get_package_share_directory("worm_optimizer"), "config", "sys
 def generate_launch_description() -> LaunchDescription:
     """Declare the mode and the settings of system.yaml, then start the nodes of the mode."""
     content = load_system_file(SYSTEM_FILE)
-    arguments = [DeclareLaunchArgument("mode", default_value="virtual", choices=list(MODES))]
+    arguments = [
+        DeclareLaunchArgument("mode", default_value="virtual", choices=list(MODES)),
+        DeclareLaunchArgument(
+            "namespace", default_value=content.namespace, description="of all nodes"
+        ),
+        DeclareLaunchArgument(
+            "log_level", default_value="info", choices=list(LEVELS), description="of all nodes"
+        ),
+        DeclareLaunchArgument(
+            "use_sim_time",
+            default_value="",
+            choices=["", "true", "false"],
+            description="of the nodes that can go by /clock; empty: true in the mode replay alone",
+        ),
+    ]
     arguments += [
         DeclareLaunchArgument(name, default_value=row.default, description=row.description)
         for name, row in content.settings.items()
@@ -53,105 +93,262 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _start(context: LaunchContext, content: SystemFile) -> list[LaunchDescriptionEntity]:
-    settings = {name: LaunchConfiguration(name).perform(context) for name in content.settings}
-    mode = LaunchConfiguration("mode").perform(context)
-    system = content.system(mode, **settings)
-    attempts = VIRTUAL_ATTEMPTS if mode == "virtual" else 1
-    return _start_in_order(system.nodes, system.namespace, attempts)
+    def value(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
 
-
-def _start_in_order(
-    nodes: tuple[NodeDescription, ...], namespace: str, attempts: int
-) -> list[LaunchDescriptionEntity]:
-    """Start nodes up to the first that others wait for, and the others once it is ready."""
-    actions: list[LaunchDescriptionEntity] = []
-    for index, description in enumerate(nodes):
-        node = _node(description, namespace)
-        actions.append(node)
-        if description.lifecycle:
-            actions += _activation(node, f"/{namespace}/{description.name}", attempts)
-        if description.ready:
-            rest = _start_in_order(nodes[index + 1 :], namespace, attempts)
-            return [_when_ready(node, description.ready, rest), *actions]
-    return actions
-
-
-def _node(description: NodeDescription, namespace: str) -> Node:
-    kind = LifecycleNode if description.lifecycle else Node
-    # a typed value, or launch would take the text "1" for a number
-    parameters = {
-        name: ParameterValue(value, value_type=type(value)) if isinstance(value, str) else value
-        for name, value in description.parameters.items()
+    mode, namespace = value("mode"), _full_namespace(context, value("namespace"))
+    # A default is filled in with the namespace by the system file, not here.
+    given = {
+        name: value(name) for name, row in content.settings.items() if value(name) != row.default
     }
-    return kind(
-        package=description.package,
-        executable=description.executable,
-        name=description.name,
-        namespace=namespace,
-        arguments=list(description.arguments),
-        parameters=[parameters],
-        remappings=list(description.remappings.items()),
-        output="screen",
-        on_exit=OpaqueFunction(function=_end_all, args=[description.name]),
-    )
+    system = content.system(mode, namespace, **given)
+    attempts, slowness = (VIRTUAL_ATTEMPTS, VIRTUAL_SLOWNESS) if mode == "virtual" else (1, 1.0)
+    sim_time = _sim_time(mode, value("use_sim_time"))
+    common = _Common(namespace, attempts, slowness, value("log_level"), sim_time)
+    return common.start_in_order(system.nodes)
 
 
-def _end_all(context: LaunchContext, name: str) -> list[LaunchDescriptionEntity]:
-    """End the others when one ends; but not once more while all end already."""
-    return [] if context.is_shutdown else [Shutdown(reason=f"{name} has ended")]
+def _full_namespace(context: LaunchContext, namespace: str) -> str:
+    """The namespace under those that the including launch files have pushed, without the first slash."""
+    pushed = context.launch_configurations.get("ros_namespace", "")
+    return prefix_namespace(pushed, namespace).strip("/")
 
 
-def _activation(
-    node: LifecycleNode, full_name: str, attempts: int
-) -> list[LaunchDescriptionEntity]:
-    """Configure and activate a node, each in so many attempts."""
-    both = LifecycleTransition(
-        lifecycle_node_names=[full_name],
-        transition_ids=[Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE],
-    )
-    again = [
-        _again(node, full_name, transition, *states, attempts - 1)
-        for transition, states in _FAILURES.items()
-    ]
-    return [*again, both]
-
-
-def _again(
-    node: LifecycleNode, full_name: str, transition: int, start: str, goal: str, attempts: int
-) -> RegisterEventHandler:
-    """Ask for a transition again that has failed, which is to be back in the state before it."""
-    change = ChangeState(
-        lifecycle_node_matcher=matches_node_name(full_name), transition_id=transition
-    )
-    left = [attempts]
-
-    def ask(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-        if context.is_shutdown or not left[0]:
-            return []
-        left[0] -= 1
-        return [TimerAction(period=RETRY_PERIOD_S, actions=[EmitEvent(event=change)])]
-
-    return RegisterEventHandler(
-        OnStateTransition(
-            target_lifecycle_node=node,
-            start_state=start,
-            goal_state=goal,
-            entities=[OpaqueFunction(function=ask)],
+def _sim_time(mode: str, given: str) -> dict[str, bool]:
+    """The parameter that all nodes get; a robot's clock is the real one, also a virtual robot's."""
+    if given == "true" and mode != "replay":
+        raise SystemFileError(
+            f"use_sim_time:=true with mode:={mode}: a robot runs in real time; leave use_sim_time out"
         )
-    )
+    return {"use_sim_time": given == "true"} if given else {}
 
 
-def _when_ready(
-    node: Node, ready: str, actions: list[LaunchDescriptionEntity]
-) -> RegisterEventHandler:
-    waiting = [actions]
+class _Common:
+    """What all nodes of one launch share."""
 
-    def on_output(event: ProcessIO) -> list[LaunchDescriptionEntity]:
-        lines = event.text.decode(errors="replace").splitlines()
-        if waiting and any(ready in line for line in lines):
-            return waiting.pop()
+    def __init__(
+        self,
+        namespace: str,
+        attempts: int,
+        slowness: float,
+        log_level: str,
+        sim_time: dict[str, bool],
+    ) -> None:
+        self._namespace = namespace
+        self._attempts = attempts
+        self._log_level = log_level
+        self._sim_time = sim_time
+        self._patience = _Patience(slowness)
+
+    def start_in_order(self, nodes: tuple[NodeDescription, ...]) -> list[LaunchDescriptionEntity]:
+        """Start nodes up to the first that others wait for, and the others once it is ready."""
+        actions: list[LaunchDescriptionEntity] = []
+        for index, description in enumerate(nodes):
+            node = self._node(description)
+            if description.at_rest_within:
+                actions.append(_on_line(node, self._patience.reader(description.at_rest_within)))
+            if description.lifecycle:
+                actions += _Activation(node, self._attempts).entities()
+            else:
+                actions.append(node)
+            if description.ready:
+                rest = _Waiting(description.ready, self, nodes[index + 1 :])
+                return [_on_line(node, rest), *actions]
+        return actions
+
+    def _node(self, description: NodeDescription) -> Node:
+        kind = LifecycleNode if description.lifecycle else Node
+        sim_time = {} if description.name in OWN_TIME else self._sim_time
+        # a typed value, or launch would take the text "1" for a number
+        parameters = {
+            name: ParameterValue(value, value_type=type(value)) if isinstance(value, str) else value
+            for name, value in {**description.parameters, **sim_time}.items()
+        }
+        return kind(
+            package=description.package,
+            executable=description.executable,
+            exec_name=description.name,
+            name=description.name,
+            namespace=f"/{self._namespace}",
+            arguments=list(description.arguments),
+            ros_arguments=["--log-level", self._log_level],
+            parameters=[parameters],
+            remappings=list(description.remappings.items()),
+            output="screen",
+            prefix=_end_with_launch(),
+            sigterm_timeout=[self._patience],
+            on_exit=_AtEnd(description),
+            respawn=not description.required,
+            respawn_delay=RESTART_DELAY_S,
+            respawn_max_retries=RESTARTS,
+        )
+
+
+def _end_with_launch() -> list[Substitution | str]:
+    """What stands before a command so that its process is asked to end when launch dies.
+
+    On SIGTERM, launch itself leaves its processes behind (ros2/launch#666): a gait would run on.
+    """
+    tool = shutil.which("setpriv")  # util-linux
+    own = [f"{tool} --pdeathsig TERM "] if tool else []
+    return [*own, LaunchConfiguration("launch-prefix", default="")]
+
+
+class _Patience(Substitution):
+    """The time (s) after which launch gets impatient with nodes that were asked to end.
+
+    One for all: the virtual robot and the recorder stay for as long as the driver needs them.
+    """
+
+    def __init__(self, slowness: float) -> None:
+        super().__init__()
+        self._slowness = slowness
+        self._rest_s = 0.0
+
+    def reader(self, words: str) -> _LineReader:
+        """Takes the time from the lines in which it stands behind some words, the last one holds."""
+        pattern = re.compile(re.escape(words) + r" ([0-9.]+) s")
+
+        def read(line: str) -> None:
+            match = pattern.search(line)
+            if match:
+                self._rest_s = self._slowness * float(match[1])
+
+        return _LineReader(read)
+
+    def describe(self) -> str:
+        """For launch's introspection."""
+        return "Patience()"
+
+    def perform(self, _: LaunchContext) -> str:
+        """Launch asks when everything is to end."""
+        return f"{self._rest_s + GRACE_S:g}"
+
+
+class _AtEnd:
+    """What follows when a node has ended: a required one ends all, another one is started again."""
+
+    def __init__(self, description: NodeDescription) -> None:
+        self._name = description.name
+        self._required = description.required
+        self._restarts = RESTARTS
+
+    def __call__(
+        self, event: ProcessExited, context: LaunchContext
+    ) -> list[LaunchDescriptionEntity]:
+        if context.is_shutdown:
+            return []
+        what = f"{self._name} has ended with exit status {event.returncode}"
+        if not self._required:
+            return [LogInfo(msg=f"{what}: {self._what_follows()}")]
+        if event.returncode:
+            raise RuntimeError(what)  # launch ends everything, and has exit status 1
+        return [Shutdown(reason=f"{self._name} has ended")]
+
+    def _what_follows(self) -> str:
+        self._restarts -= 1
+        if self._restarts < 0:
+            return "the others run on without it"
+        return f"it starts again in {RESTART_DELAY_S:g} s"
+
+
+class _Activation:
+    """Configures and activates a node after its start, each in so many attempts, and never again.
+
+    The first transition that somebody else asks for, and the last attempt, hand the node over to its
+    operator: torque comes only to who asks for it.
+    """
+
+    def __init__(self, node: LifecycleNode, attempts: int) -> None:
+        self._node = node
+        self._attempts = attempts
+        self._left = attempts
+        self._asked: int | None = None  # for the transition whose end is awaited
+        self._ours = True
+
+    def entities(self) -> list[LaunchDescriptionEntity]:
+        """The node and all that it takes."""
+        watch = OnStateTransition(
+            target_lifecycle_node=self._node,
+            entities=[OpaqueFunction(function=self._on_transition)],
+        )
+        start = OpaqueFunction(function=self._ask, args=[Transition.TRANSITION_CONFIGURE])
+        return [RegisterEventHandler(watch), self._node, start]
+
+    def _ask(self, context: LaunchContext, transition: int) -> list[LaunchDescriptionEntity]:
+        if context.is_shutdown or not self._ours:
+            return []
+        self._asked = transition
+        change = ChangeState(
+            lifecycle_node_matcher=matches_action(self._node), transition_id=transition
+        )
+        return [EmitEvent(event=change)]
+
+    def _on_transition(self, context: LaunchContext) -> list[LaunchDescriptionEntity]:
+        event = context.locals.event
+        if not self._ours or not isinstance(event, StateTransition):
+            return []
+        asked = self._asked
+        if asked is None:  # by somebody else
+            self._ours = False
+            return []
+        if event.goal_state == _UNDER_WAY[asked]:
+            return []
+        self._asked = None
+        goal, following = _SUCCESSES[asked]
+        if event.goal_state != goal:
+            return self._failed(context, asked)
+        self._left = self._attempts
+        self._ours = following is not None
+        return self._ask(context, following) if following is not None else []
+
+    def _failed(self, context: LaunchContext, transition: int) -> list[LaunchDescriptionEntity]:
+        self._left -= 1
+        if context.is_shutdown:
+            return []
+        if self._left:
+            again = OpaqueFunction(function=self._ask, args=[transition])
+            return [TimerAction(period=RETRY_PERIOD_S, actions=[again])]
+        self._ours = False
+        name = self._node.node_name
+        return [
+            LogInfo(
+                msg=f"{name} is yours now: launch does not try again. Mend what it says above, then: "
+                f"ros2 lifecycle set {name} configure, and ros2 lifecycle set {name} activate"
+            )
+        ]
+
+
+class _LineReader:
+    """Calls a function for each whole line of a node's output, in whichever pieces it comes."""
+
+    def __init__(self, read: Callable[[str], list[LaunchDescriptionEntity] | None]) -> None:
+        self._read = read
+        self._rests: dict[bool, str] = {}  # by stream
+
+    def __call__(self, event: ProcessIO) -> list[LaunchDescriptionEntity]:
+        text = self._rests.get(event.from_stdout, "") + event.text.decode(errors="replace")
+        *lines, self._rests[event.from_stdout] = text.split("\n")
+        for line in lines:
+            found = self._read(line)
+            if found:
+                return found
         return []
 
-    return RegisterEventHandler(
-        OnProcessIO(target_action=node, on_stdout=on_output, on_stderr=on_output)
-    )
+
+class _Waiting(_LineReader):
+    """Starts nodes at the first line with some words."""
+
+    def __init__(self, words: str, common: _Common, nodes: tuple[NodeDescription, ...]) -> None:
+        super().__init__(self._start)
+        self._words, self._common, self._nodes = words, common, nodes
+
+    def _start(self, line: str) -> list[LaunchDescriptionEntity]:
+        if self._words not in line:
+            return []
+        nodes, self._nodes = self._nodes, ()
+        return self._common.start_in_order(nodes)
+
+
+def _on_line(node: Node, reader: _LineReader) -> RegisterEventHandler:
+    return RegisterEventHandler(OnProcessIO(target_action=node, on_stdout=reader, on_stderr=reader))

@@ -72,16 +72,31 @@ class Bench:
         wire = Wire(
             self.clock, lambda data, now: [(t.time, t.data) for t in self.robot.receive(data, now)]
         )
-        self.bus = ServoBus(SimulatedPort(wire, self.clock), retries=0)
+        self.port = SimulatedPort(wire, self.clock)
+        self.bus = ServoBus(self.port, retries=0)
         self.start = self.robot.servos[0].motor.position
         self.said: list[str] = []
+        self.questions: list[tuple[str, bool]] = []
         self.calibration = Calibration(self.bus, self.answer, self.said.append, self.wait)
 
     def wait(self, duration: float) -> None:
         self.clock.now += duration
 
-    def answer(self, question: str) -> str:
-        self.clock.now += 1.0
+    def armed(self) -> bool:
+        """Whether every servo with torque has its watchdog armed."""
+        self.robot.advance(self.clock.now)
+        return all(
+            servo.memory["bus_watchdog"] > 0
+            for servo in self.robot.servos
+            if servo.memory["torque_enable"]
+        )
+
+    def answer(self, question: str, meanwhile) -> str:
+        """A person who takes 5 s: longer than any watchdog."""
+        for _ in range(25):
+            self.clock.now += 0.2
+            meanwhile()
+        self.questions.append((question, self.armed()))
         if "LED is lit" in question:
             return "c" if "servo 1 " in question else "f"
         if "auter" in question:
@@ -103,6 +118,27 @@ def test_a_conversation_finds_the_virtual_robots_parameters():
     assert fins[0].forward_angle == pytest.approx(2.3562, abs=0.01)
     assert [servo.memory["torque_enable"] for servo in bench.robot.servos] == [0, 0, 0]
     assert [servo.memory["led"] for servo in bench.robot.servos] == [0, 0, 0]
+    assert all(armed for _, armed in bench.questions)
+
+
+def test_a_conversation_that_is_killed_with_the_torque_on_leaves_it_to_the_watchdog():
+    """Whatever packet is the last one: no servo has its torque without a watchdog."""
+    unarmed: list[int] = []
+    bench = Bench()
+    write = bench.port.writePort
+
+    def watched(packet) -> int:
+        sent = write(packet)
+        unarmed.extend(
+            servo.servo_id
+            for servo in bench.robot.servos
+            if servo.memory["torque_enable"] and servo.memory["bus_watchdog"] <= 0
+        )
+        return sent
+
+    bench.port.writePort = watched
+    calibrate(bench.calibration, turns=0.3, points=4)
+    assert unarmed == []
 
 
 class Killed(Exception):
@@ -116,7 +152,7 @@ def test_a_conversation_that_is_killed_leaves_no_mark_of_a_home():
     servo = rig.robot.cables[0]
     lit: list[int] = []
 
-    def killed(_: str) -> str:
+    def killed(*_: object) -> str:
         lit.append(rig.cable.memory["led"])
         rig.bus.write = lambda *_: None
         raise Killed
@@ -139,7 +175,7 @@ def test_a_blocked_cable_ends_the_conversation():
 def test_nonsense_is_asked_again():
     bench = Bench()
     answers = iter(["x", "", "n"])
-    bench.calibration._ask = lambda _: next(answers)
+    bench.calibration._ask_person = lambda *_: next(answers)
     assert bench.calibration.role(bench.calibration.find_servos()[0]) == "n"
     assert bench.said == ["one of c, f, n, please"] * 2
 
@@ -147,7 +183,7 @@ def test_nonsense_is_asked_again():
 def test_without_servos_it_says_what_to_check():
     clock = Clock()
     bus = ServoBus(SimulatedPort(Wire(clock, lambda *_: []), clock), retries=0)
-    silent = Calibration(bus, lambda _: "", lambda _: None, lambda _: None)
+    silent = Calibration(bus, lambda *_: "", lambda _: None, lambda _: None)
     with pytest.raises(ConfigurationError, match="no servo answers"):
         calibrate(silent, 0.5, 4)
 

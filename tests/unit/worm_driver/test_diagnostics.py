@@ -6,6 +6,7 @@ import pytest
 
 from worm_driver.control import diagnostics
 from worm_driver.control.diagnostics import Level
+from worm_driver.control.real_time import NOT_ASKED
 from worm_driver.control.telemetry import SILENT, ServoState
 from worm_driver.control.timing import TimingReport
 from worm_driver.errors import PortError
@@ -55,12 +56,12 @@ def test_a_slow_latency_timer_is_named_with_the_remedy():
 
 def test_timing_warns_from_two_milliseconds_on():
     good = TimingReport(0.01, 0.0019, 0.02, 1, 1000)
-    assert diagnostics.timing_report(good, 0.01).level is Level.OK
-    late = diagnostics.timing_report(replace(good, p99_error=0.0021), 0.01)
+    assert diagnostics.timing_report(good, 0.01, NOT_ASKED).level is Level.OK
+    late = diagnostics.timing_report(replace(good, p99_error=0.0021), 0.01, NOT_ASKED)
     assert late.level is Level.WARN
     assert "2.10 ms" in late.message
     starting = TimingReport(math.nan, math.nan, math.nan, 0, 1)
-    assert diagnostics.timing_report(starting, 0.01).level is Level.OK
+    assert diagnostics.timing_report(starting, 0.01, NOT_ASKED).level is Level.OK
 
 
 @pytest.mark.parametrize(
@@ -68,6 +69,7 @@ def test_timing_warns_from_two_milliseconds_on():
     [
         ({SampleStatus.VALID: 100}, Level.OK, "ok"),
         ({SampleStatus.VALID: 90, SampleStatus.NOT_READY: 10}, Level.OK, "ok"),
+        ({SampleStatus.VALID: 1, SampleStatus.NOT_READY: 99}, Level.WARN, "same bits"),
         ({SampleStatus.VALID: 90, SampleStatus.OVERFLOW: 10}, Level.WARN, "10 x overflow"),
         ({SampleStatus.VALID: 99, SampleStatus.SENSOR_RESET: 1}, Level.WARN, "1 x sensor reset"),
         ({SampleStatus.BUS_ERROR: 100}, Level.ERROR, "100 x bus error"),
@@ -86,6 +88,8 @@ def test_the_gait():
     assert "servo 1" in diagnostics.gait_report(fault, active=True, homed=True).message
     idle = PlayerState()
     assert diagnostics.gait_report(idle, active=False, homed=True).message == "torque is off"
+    left = diagnostics.gait_report(idle, active=False, homed=True, left_on="torque is on")
+    assert (left.level, left.message) == (Level.WARN, "torque is on")
     assert "not homed" in diagnostics.gait_report(idle, active=False, homed=False).message
 
 

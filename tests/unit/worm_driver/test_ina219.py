@@ -10,6 +10,7 @@ from driver_rig import Clock, DirectSMBus
 from worm_driver.errors import ConfigurationError, PowerSensorError
 from worm_driver.power.i2c import I2CDevice, open_device, swap
 from worm_driver.power.ina219 import (
+    FROZEN,
     INA219,
     POWER_ON_CONFIGURATION,
     RUNNING_CONFIGURATION,
@@ -245,3 +246,13 @@ def test_each_failure_of_the_bus_has_its_words(number, words):
 
     with pytest.raises(PowerSensorError, match=words):
         I2CDevice(Broken({}), "1", 0x40).read(0)
+
+
+def test_a_sensor_that_repeats_the_same_bits_is_not_valid_and_one_that_repeats_a_few_is():
+    registers = {1: 2_000, 2: 3000 << 3 | 0b10, 3: 0, 5: 4194}
+    sensor = INA219(I2CDevice(Words(registers), "1", 0x40), 0.1, 4194)
+    seen = [sensor.sample(i * 0.01).status for i in range(465)]
+    assert seen[: FROZEN - 1] == [SampleStatus.VALID] * (FROZEN - 1)
+    assert set(seen[FROZEN:]) == {SampleStatus.NOT_READY}
+    registers[1] += 1
+    assert sensor.sample(5.0).status is SampleStatus.VALID

@@ -99,7 +99,7 @@ def test_the_state_tells_gait_cycle_and_onset():
 def test_the_level_of_a_diagnostic_is_a_byte():
     """An int would be taken, and published as a random byte."""
     reports = [Report(f"driver: {level.name}", level, "text") for level in Level]
-    array = ros_messages.diagnostics(reports, CLOCKS.stamp(1.0))
+    array = ros_messages.diagnostics(reports, CLOCKS.stamp(1.0), "worm")
     levels = [status.level for status in array.status]
     assert levels == [DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR]
     assert all(isinstance(level, bytes) for level in levels)

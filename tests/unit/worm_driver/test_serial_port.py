@@ -4,7 +4,11 @@ import errno
 import fcntl
 import os
 
+import pytest
+
+from worm_driver.errors import ConfigurationError
 from worm_driver.servos import serial_port
+from worm_driver.servos.servo_bus import ServoBus
 
 TIOCGEXCL = 0x80045440
 
@@ -53,8 +57,38 @@ def test_each_failure_to_open_has_its_remedy(tmp_path):
     assert "udev rule" in serial_port.explain_open_failure(missing, FileNotFoundError())
     (tmp_path / "file").touch()
     file = str(tmp_path / "file")
-    assert "no serial device" in serial_port.explain_open_failure(file, OSError())
     explain = serial_port.explain_open_failure
-    assert "dialout" in explain("/dev/null", PermissionError(errno.EACCES, "no"))
-    assert "lsof /dev/null" in explain("/dev/null", OSError(errno.EWOULDBLOCK, "lock"))
-    assert "bad fd" in explain("/dev/null", OSError(errno.EBADF, "bad fd"))
+    assert "set the parameter port" in explain(file, OSError())
+    master, slave = os.openpty()
+    port = os.ttyname(slave)
+    assert "dialout" in explain(port, PermissionError(errno.EACCES, "no"))
+    assert f"lsof {port}" in explain(port, OSError(errno.EWOULDBLOCK, "lock"))
+    assert "bad fd" in explain(port, OSError(errno.EBADF, "bad fd"))
+    os.close(master)
+    os.close(slave)
+
+
+def test_what_is_no_port_is_refused_before_it_is_opened_in_one_line_with_the_remedy(tmp_path):
+    (tmp_path / "notes.txt").touch()
+    found = {
+        "/dev/null": "no serial device",
+        "/dev/zero": "no serial device",
+        "/dev/tty": "console|terminal",
+        str(tmp_path / "notes.txt"): "a file, not a device",
+        str(tmp_path): "a folder",
+    }
+    for port, words in found.items():
+        with pytest.raises(ConfigurationError, match=words) as refused:
+            ServoBus.open(port, 1_000_000)
+        assert "set the parameter port" in str(refused.value)
+        assert "\n" not in str(refused.value)
+
+
+def test_the_terminal_of_the_driver_itself_is_refused(monkeypatch):
+    master, slave = os.openpty()
+    number = os.fstat(slave).st_rdev
+    assert serial_port.why_no_port(os.ttyname(slave)) == ""
+    monkeypatch.setattr(serial_port, "_own_terminals", lambda: {number})
+    assert "the terminal that this runs in" in serial_port.why_no_port(os.ttyname(slave))
+    os.close(master)
+    os.close(slave)

@@ -9,15 +9,21 @@ from worm_driver.control.supervision import Counts, Health, Limits, fault_in_cou
 LIMITS = Limits(max_silence=0.035, max_current=2.0, following_error=0.015)
 
 
-def test_silence_counts_from_the_first_cycle_and_ends_with_an_answer():
-    counts = supervision.silence(Counts(), [1], 10.0)
-    counts = supervision.silence(counts, [1], 10.02)
-    assert fault_in_counts(counts, LIMITS, 10.03, {}) is None
+def test_silence_adds_up_over_the_looks_and_ends_with_an_answer():
+    counts = supervision.silence(Counts(), [1], 0.017)
+    counts = supervision.silence(counts, [1], 0.017)
     problems = {1: "does not answer intact"}
-    fault = fault_in_counts(counts, LIMITS, 10.036, problems)
+    assert fault_in_counts(counts, LIMITS, problems) is None
+    counts = supervision.silence(counts, [1], 0.002)
+    fault = fault_in_counts(counts, LIMITS, problems)
     assert fault == "servo 1 gives no state for 36 ms: it does not answer intact"
-    counts = supervision.silence(counts, [], 10.04)
-    assert fault_in_counts(counts, LIMITS, 20.0, problems) is None
+    counts = supervision.silence(counts, [], 0.02)
+    assert fault_in_counts(counts, LIMITS, problems) is None
+
+
+def test_the_drivers_own_lateness_is_no_silence_of_a_servo():
+    assert supervision.watched_time(0.014, 0.01) == 0.014
+    assert supervision.watched_time(0.835, 0.01) == 0.02
 
 
 def test_a_peak_of_current_is_no_fault_but_a_blocked_cable_is():
@@ -26,19 +32,19 @@ def test_a_peak_of_current_is_no_fault_but_a_blocked_cable_is():
     for _ in range(4):
         counts = supervision.overload(counts, {1: -2.5, 2: 0.8}, levels)
     peak = supervision.overload(counts, {1: 1.0}, levels)
-    assert fault_in_counts(peak, LIMITS, 0.0, {}) is None
+    assert fault_in_counts(peak, LIMITS, {}) is None
     blocked = supervision.overload(counts, {1: 2.5}, levels)
-    assert "servo 1 is beyond its limit" in fault_in_counts(blocked, LIMITS, 0.0, {})
+    assert "servo 1 is beyond its limit" in fault_in_counts(blocked, LIMITS, {})
 
 
 def test_a_cable_that_does_not_follow_is_a_fault():
     counts = Counts()
     for error in (0.016, -0.016, math.nan, 0.016, 0.016, 0.016):
         counts = supervision.following(counts, error, LIMITS)
-        assert fault_in_counts(counts, LIMITS, 0.0, {}) is None
+        assert fault_in_counts(counts, LIMITS, {}) is None
     for _ in range(2):
         counts = supervision.following(counts, 0.016, LIMITS)
-    assert "15 mm off its command" in fault_in_counts(counts, LIMITS, 0.0, {})
+    assert "15 mm off its command" in fault_in_counts(counts, LIMITS, {})
 
 
 @pytest.mark.parametrize(

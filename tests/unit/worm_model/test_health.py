@@ -14,7 +14,6 @@ from recorded_run import EPOCH, simulated_run, write_bag
 
 from worm_driver.virtual_robot.offline_run import rehearse, sinusoid
 from worm_driver.virtual_robot.virtual_settings import load_settings
-from worm_model.analysis.drift_figure import draw_health
 from worm_model.commands import health as health_command
 from worm_model.gait import Gait
 from worm_model.identification.drift import (
@@ -27,6 +26,7 @@ from worm_model.identification.drift import (
     limits_of_file,
 )
 from worm_model.identification.drift_estimates import estimate_bag, estimate_bags
+from worm_model.identification.drift_figure import draw_health
 from worm_model.identification.estimate import Estimate
 from worm_model.identification.observed_run import recording_of
 from worm_model.parameters import PAPER, ParameterFile

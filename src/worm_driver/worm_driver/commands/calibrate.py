@@ -2,11 +2,13 @@
 """The command ``calibrate``: finds the servos, and asks a person with a ruler for what they cannot tell.
 
 Ids and models come from the bus, signs and spool radii from ruler readings at a few positions, fin angles from fins
-turned by hand. The servos move only after a question was answered, slowly, and are let go on every way out.
+turned by hand. The servos move only after a question was answered, slowly, and are let go on every way out. One that
+has its torque has its bus watchdog armed, which is fed while a question waits for its answer.
 """
 
 import argparse
 import contextlib
+import select
 import signal
 import sys
 import time
@@ -18,7 +20,7 @@ from worm_driver.control.supervision import Limits
 from worm_driver.errors import BusError, ConfigurationError, DriverError
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.calibration import Reading, parameter_text, spool_from
-from worm_driver.servos.encoding import from_raw, to_raw
+from worm_driver.servos.encoding import from_raw
 from worm_driver.servos.registers import MODELS, POSITION_MODE, TICKS_PER_TURN
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
@@ -32,8 +34,12 @@ _PROBE = 256
 _ARRIVED = 20
 #: s, in which a motion must arrive
 _PATIENCE = 20.0
+#: s without packets after which a servo stops by itself, should this command be killed
+_WATCHDOG = 1.0
+#: s, from one packet to the next while a question waits for its answer
+_FEEDING = 0.2
 
-Ask = Callable[[str], str]
+Ask = Callable[[str, Callable[[], object]], str]
 Say = Callable[[str], None]
 
 
@@ -42,14 +48,15 @@ class Calibration:
 
     Args:
         bus: an open bus.
-        ask: puts a question and returns the answer.
+        ask: puts a question and returns the answer; calls what it is given several times a second meanwhile.
         say: tells something.
         wait: lets seconds pass.
     """
 
     def __init__(self, bus: ServoBus, ask: Ask, say: Say, wait: Callable[[float], None]):
         self._bus = bus
-        self._ask = ask
+        self._ask_person = ask
+        self._meanwhile: Callable[[], object] = lambda: None
         self._say = say
         self._wait = wait
 
@@ -73,7 +80,8 @@ class Calibration:
         A lit LED marks a cable servo's home. Position mode is set first: whatever ends this conversation, a
         driver that finds it takes the turns for folded, and puts the mark out.
         """
-        servos.prepare(self._bus, servo, POSITION_MODE)
+        with self._bus.patient():
+            servos.prepare(self._bus, servo, POSITION_MODE)
         self._bus.write(servo.number, servo["led"], 1)
         try:
             question = f"servo {servo.number} ({servo.model.name}), its LED is lit"
@@ -87,9 +95,10 @@ class Calibration:
             f"cable servo {servo.number}: turn the spool by hand until the cable is just taut"
         )
         self._ask("Enter when it is, hands off the robot ")
-        servos.prepare_cable(self._bus, servo, servos.own_limit(servo, Limits()))
-        start = self._bus.read(servo.number, servo["present_position"])
-        self._torque_on(servo, start)
+        with self._bus.patient():
+            servos.prepare_cable(self._bus, servo, servos.own_limit(servo, Limits()))
+            start = servos.registers(self._bus, servo, "present_position")["present_position"]
+        self._torque_on(servo)
         self._move(servo, start + _PROBE)
         shorter = self._choice(
             "the spool has turned a little: is the cable [t]auter or [s]lack? ", "ts"
@@ -113,7 +122,8 @@ class Calibration:
 
     def fin(self, servo: Servo) -> Fin:
         """A fin servo's two angles, read where a person has turned it. Raises DriverError."""
-        servos.prepare_fin(self._bus, servo)
+        with self._bus.patient():
+            servos.prepare_fin(self._bus, servo)
         register = servo["present_position"]
         angles = []
         for way in ("forward", "reverse"):
@@ -122,14 +132,19 @@ class Calibration:
             self._say(f"  {way}: {angles[-1]:.4f} rad")
         return Fin(servo.number, *angles)
 
-    def _torque_on(self, servo: Servo, position: int) -> None:
-        profile = servo["profile_velocity"]
-        self._bus.write(servo.number, profile, to_raw(profile, _SPEED))
-        self._bus.write(servo.number, servo["goal_position"], position)
-        self._bus.write(servo.number, servo["torque_enable"], 1)
+    def _ask(self, question: str) -> str:
+        return self._ask_person(question, self._meanwhile)
+
+    def _torque_on(self, servo: Servo) -> None:
+        """Holds the servo where it is, with its bus watchdog armed before and fed from now on."""
+        with self._bus.patient():
+            servos.limit_motion(self._bus, servo, _SPEED, _WATCHDOG)
+            servos.enable(self._bus, servo)
+        self._meanwhile = lambda: self._bus.read(servo.number, servo["torque_enable"])
 
     def _torque_off(self, servo: Servo) -> None:
-        self._bus.write(servo.number, servo["torque_enable"], 0)
+        self._meanwhile = lambda: None
+        servos.disable(self._bus, servo)
 
     def _move(self, servo: Servo, ticks: int) -> None:
         """Goes there, and waits until it is there. Raises DriverError when it does not arrive."""
@@ -219,7 +234,7 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGHUP, _interrupt)
     try:
         with _bus_let_go_at_the_end(options.port, options.baud_rate) as bus:
-            calibration = Calibration(bus, input, _say, time.sleep)
+            calibration = Calibration(bus, _ask, _say, time.sleep)
             spools, fins = calibrate(calibration, options.turns, options.points)
         text = parameter_text(options.port, options.baud_rate, spools, fins)
         with options.output.open("x", encoding="utf-8") as file:
@@ -232,6 +247,17 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail("given up; the servos are let go, nothing was written", 1)
     _say(f"written: {options.output}")
     return 0
+
+
+def _ask(question: str, meanwhile: Callable[[], object]) -> str:
+    """A line of standard input. Raises EOFError at its end."""
+    print(question, end="", flush=True)  # noqa: T201 (a conversation)
+    while not select.select([sys.stdin], [], [], _FEEDING)[0]:
+        meanwhile()
+    line = sys.stdin.readline()
+    if not line:
+        raise EOFError
+    return line.rstrip("\n")
 
 
 def _say(text: str) -> None:

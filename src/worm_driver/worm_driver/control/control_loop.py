@@ -15,6 +15,8 @@ from concurrent.futures import Future, TimeoutError
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from worm_driver.clock import Clock, MachineClock
+from worm_driver.control.real_time import NOT_ASKED, VIRTUAL, ask_for_urgency
 from worm_driver.control.robot import Robot
 from worm_driver.control.telemetry import Snapshot
 from worm_driver.control.timing import DeadlineGrid, PeriodMeter, TimingReport
@@ -35,6 +37,8 @@ class PeriodicThread:
         period: s.
         step: called with the time (s, monotonic); False ends the thread.
         at_end: called in the thread when it ends, also by an exception.
+        at_start: called in the thread before its first step.
+        clock: which it goes by; None: the machine's.
     """
 
     def __init__(
@@ -43,10 +47,13 @@ class PeriodicThread:
         period: float,
         step: Callable[[float], bool],
         at_end: Callable[[], None] = lambda: None,
+        at_start: Callable[[], None] = lambda: None,
+        clock: Clock | None = None,
     ):
+        self._clock: Clock = MachineClock() if clock is None else clock
         self.failure: Exception | None = None
         self._step = step
-        self._at_end = at_end
+        self._at_start, self._at_end = at_start, at_end
         self._ending = threading.Event()
         self._meter = PeriodMeter(period)
         self._report = self._meter.report()
@@ -77,6 +84,7 @@ class PeriodicThread:
 
     def _run(self) -> None:
         try:
+            self._at_start()
             self._cycles()
         except Exception as error:  # noqa: BLE001 (whatever it was, the robot must be released, and the node told)
             self.failure = error
@@ -85,12 +93,13 @@ class PeriodicThread:
 
     def _cycles(self) -> None:
         period = self._meter.period
-        grid = DeadlineGrid(time.monotonic(), period)
+        clock = self._clock
+        grid = DeadlineGrid(clock(), period)
         due, going = grid.start, True
         while going and not self._ending.is_set():
-            previous, due = due, grid.next_after(time.monotonic())
-            time.sleep(max(0.0, due - time.monotonic()))
-            now = time.monotonic()
+            previous, due = due, grid.next_after(clock())
+            clock.sleep_until(due)
+            now = clock()
             self._meter.cycle(now, skipped=round((due - previous) / period) - 1)
             going = self._step(now)
             if self._meter.cycles % round(1.0 / period) == 0:
@@ -110,15 +119,30 @@ class ControlLoop:
     Args:
         robot: which the loop owns from now on.
         on_snapshot: called in the loop's thread after each cycle; must be quick and must not raise.
+        clock: which the thread goes by; None: the machine's.
+
+    Attributes:
+        urgency: what the thread has of the real-time priority in the robot's settings.
     """
 
-    def __init__(self, robot: Robot, on_snapshot: Callable[[Snapshot], None]):
+    def __init__(
+        self, robot: Robot, on_snapshot: Callable[[Snapshot], None], clock: Clock | None = None
+    ):
+        self.urgency = NOT_ASKED
+        self._clock: Clock = MachineClock() if clock is None else clock
         self._robot = robot
         self._on_snapshot = on_snapshot
         self._commands: deque[_Command] = deque()
         self._leaving: str | None = None
         self.release_problems: list[str] = []
-        self._thread = PeriodicThread("servo_bus", robot.settings.period, self._cycle, self._at_end)
+        self._thread = PeriodicThread(
+            "servo_bus",
+            robot.settings.period,
+            self._cycle,
+            self._at_end,
+            self._at_start,
+            self._clock,
+        )
 
     def start(self) -> None:
         """Starts the thread."""
@@ -143,7 +167,7 @@ class ControlLoop:
 
         A command that could not be carried out for ``patience`` s is stale, and is refused with LimitError.
         """
-        command = _Command(action, time.monotonic() + patience, Future())
+        command = _Command(action, self._clock() + patience, Future())
         self._commands.append(command)
         return command.answer
 
@@ -158,6 +182,7 @@ class ControlLoop:
         What had not begun by then never will; what had is followed at once by ``undo``.
         """
         answer = self.submit(action)
+        timeout = max(timeout, self._clock.patience)
         try:
             return answer.result(timeout)
         except TimeoutError:
@@ -167,6 +192,7 @@ class ControlLoop:
 
     def insist(self, action: Callable[[float], T], timeout: float = 2.0) -> T:
         """As ask, but the action is carried out however late. Raises DriverError."""
+        timeout = max(timeout, self._clock.patience)
         try:
             return self.submit(action, patience=math.inf).result(timeout)
         except TimeoutError:
@@ -185,7 +211,7 @@ class ControlLoop:
 
         ``meanwhile`` is called every few milliseconds.
         """
-        end = time.monotonic() + timeout
+        end = time.monotonic() + max(timeout, self._clock.patience)
         while self.alive and time.monotonic() < end:
             meanwhile()
             time.sleep(0.005)
@@ -215,8 +241,15 @@ class ControlLoop:
             except Exception as error:  # noqa: BLE001 (the one who asked gets it)
                 command.answer.set_exception(error)
 
+    def _at_start(self) -> None:
+        if self._clock.epoch_ns is not None:
+            self.urgency = VIRTUAL
+            return
+        self.urgency = ask_for_urgency(self._robot.settings.real_time_priority)
+
     def _at_end(self) -> None:
         self.release_problems = self._robot.release()
+        self._clock.close()  # a thread that has ended must not keep a virtual robot's time
         self._serve(math.inf)
 
 
@@ -231,14 +264,22 @@ class PowerLoop:
         sensor: a sensor that is set up.
         period: s.
         on_sample: called in the loop's thread with each sample; must be quick and must not raise.
+        clock: which the thread goes by; None: the machine's.
     """
 
-    def __init__(self, sensor: INA219, period: float, on_sample: Callable[[PowerSample], None]):
+    def __init__(
+        self,
+        sensor: INA219,
+        period: float,
+        on_sample: Callable[[PowerSample], None],
+        clock: Clock | None = None,
+    ):
+        self._clock: Clock = MachineClock() if clock is None else clock
         self.valid_samples = 0
         self._errors = 0
         self._sensor = sensor
         self._on_sample = on_sample
-        self._thread = PeriodicThread("power_sensor", period, self._cycle)
+        self._thread = PeriodicThread("power_sensor", period, self._cycle, clock=self._clock)
 
     def start(self) -> None:
         """Starts the thread."""
@@ -246,8 +287,9 @@ class PowerLoop:
 
     def end(self) -> None:
         """Ends the thread and gives the bus back."""
-        self._thread.end(timeout=2.0)
+        self._thread.end(timeout=max(2.0, self._clock.patience))
         self._sensor.device.close()
+        self._clock.close()
 
     def report(self) -> TimingReport:
         """How well the deadlines were kept."""

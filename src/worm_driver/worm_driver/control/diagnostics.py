@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from worm_driver.control.real_time import Urgency
 from worm_driver.control.telemetry import SILENT, ServoState
 from worm_driver.control.timing import TimingReport
 from worm_driver.gait.gait_player import Phase, PlayerState
@@ -95,14 +96,15 @@ def bus_report(
     return Report("driver: servo bus", level, message, port, values)
 
 
-def timing_report(timing: TimingReport, period: float) -> Report:
-    """On the 100 Hz loop."""
+def timing_report(timing: TimingReport, period: float, urgency: Urgency) -> Report:
+    """On the 100 Hz loop, and what its thread has of a real-time priority."""
     if math.isnan(timing.p99_error):
         level, message = Level.OK, "starting"
     elif timing.p99_error > _LATE:
         level, message = (
             Level.WARN,
-            f"p99 of the period error is {timing.p99_error * 1e3:.2f} ms: free the machine",
+            f"p99 of the period error is {timing.p99_error * 1e3:.2f} ms: free the machine"
+            + ("" if urgency.granted else f"; {urgency.words}"),
         )
     else:
         level, message = Level.OK, "ok"
@@ -118,6 +120,7 @@ def timing_report(timing: TimingReport, period: float) -> Report:
             ("max_period_error_s", f"{timing.max_error:.6f}"),
             ("missed_deadlines", str(timing.missed)),
             ("cycles", str(timing.cycles)),
+            ("real_time_priority", urgency.words),
         ),
     )
 
@@ -140,6 +143,11 @@ def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
             ", ".join(f"{count} x {status.value}" for status, count in bad.items())
             + " in the last second"
         )
+    elif counts.get(SampleStatus.VALID, 0) < counts.get(SampleStatus.NOT_READY, 0):
+        level = Level.WARN
+        message = (
+            "it hardly measures anew, or gives the same bits all the time: check its supply and bus"
+        )
     else:
         level, message = Level.OK, "ok"
     values = tuple((status.name.lower(), str(counts.get(status, 0))) for status in SampleStatus)
@@ -152,9 +160,11 @@ def release_report(problems: Sequence[str]) -> Report:
     return Report("driver: release", Level.ERROR, message)
 
 
-def gait_report(player: PlayerState, *, active: bool, homed: bool) -> Report:
-    """On what is being played."""
-    if active and player.phase is Phase.FAULT:
+def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str = "") -> Report:
+    """On what is being played; left_on: what is said of a torque that an earlier driver left on."""
+    if left_on and not active:
+        level, message = Level.WARN, left_on
+    elif active and player.phase is Phase.FAULT:
         level, message = Level.ERROR, player.message
     elif not homed:
         level, message = (
@@ -170,6 +180,11 @@ def gait_report(player: PlayerState, *, active: bool, homed: bool) -> Report:
         "",
         (("homed", str(homed)), ("length_change_m", f"{player.length_change:.5f}")),
     )
+
+
+def network_report(words: str, *, is_local: bool) -> Report:
+    """On who can hear the driver."""
+    return Report("driver: network", Level.OK if is_local else Level.WARN, words)
 
 
 def offline_report(failure: Exception | None) -> Report:

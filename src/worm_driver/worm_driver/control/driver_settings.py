@@ -45,6 +45,7 @@ class DriverSettings:
         watchdog: s without packets after which the servos stop by themselves.
         home_at_start: the robot stands at its initial length when the driver is configured.
         rate: Hz, of commands and telemetry.
+        real_time_priority: of the servo thread (SCHED_FIFO), 0 for none.
     """
 
     port: str
@@ -54,6 +55,7 @@ class DriverSettings:
     watchdog: float = 0.08
     home_at_start: bool = False
     rate: float = 100.0
+    real_time_priority: int = 0
     max_stroke: float = 0.09
     max_frequency: float = 0.4
     max_cable_speed: float = 0.12

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Everything that a configured driver holds: the robot in its loop, the power sensor in its own. ROS is unknown."""
 
+import contextlib
 import math
+import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,11 +20,15 @@ from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibrat
 from worm_driver.servos import serial_port
 from worm_driver.servos.bus_types import BusCounters
 from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, clock_of
 
 #: per cycle, that an adapter may hold back: the state's and the health register's
 _ANSWERS = 2
 #: s, for which snapshots may pile up before the robot is held
 _UNHEARD = 3.0
+#: snapshots that may pile up before a virtual robot's time waits for whoever takes them, and for how long at most (s)
+_BACKLOG = 250
+_BACKLOG_PATIENCE = 10.0
 
 
 @dataclass
@@ -38,7 +44,6 @@ class Hardware:
 
     Args:
         settings: of the robot.
-        wake: called from the threads when there is something in ``snapshots`` or ``samples``.
         tracker_ready: whether the tracker sees the robot, or there is none to wait for.
 
     Attributes:
@@ -52,35 +57,35 @@ class Hardware:
     def __init__(
         self,
         settings: DriverSettings,
-        wake: Callable[[], None],
         tracker_ready: Callable[[], bool] = lambda: True,
     ):
         self.settings = settings
+        self._longest_stroke = settings.max_stroke  # that a run may have been begun with
         self.snapshots: deque[Snapshot] = deque()
         self.samples: deque[PowerSample] = deque()
-        self._wake = wake
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
-        sensor = _open_sensor(settings.power)
-        self._power = (
-            None if sensor is None else PowerLoop(sensor, settings.period, self._on_sample)
-        )
-        try:
-            bus = ServoBus.open(settings.port, settings.baud_rate)
-            try:
-                self._check_latency(bus.port.latency)
-                self.robot = Robot(settings, bus, self._valid_samples, tracker_ready)
-            except BaseException:
-                bus.close()
-                raise
-        except BaseException:
+        self._power: PowerLoop | None = None
+        with contextlib.ExitStack() as opened:
+            # Before the servos: whoever takes part in a virtual robot's time may wait by that alone.
+            sensor = _open_sensor(settings.power)
             if sensor is not None:
-                sensor.device.close()
-            raise
-        self._bus = bus
-        self._seen = _Seen(bus.counters, Counter())
-        self.loop = ControlLoop(self.robot, self._on_snapshot)
+                opened.callback(sensor.device.close)
+            self._bus = ServoBus.open(settings.port, settings.baud_rate)
+            opened.callback(self._bus.close)
+            self.clock = clock_of(settings.port, SERIAL)
+            opened.callback(self.clock.close)
+            self._bus.port.go_by(self.clock)
+            self._check_latency(self._bus.port.latency)
+            self.robot = Robot(
+                settings, self._bus, self._valid_samples, tracker_ready, clock=self.clock
+            )
+            opened.pop_all()
+        self._seen = _Seen(self._bus.counters, Counter())
+        self.loop = ControlLoop(self.robot, self._on_snapshot, self.clock)
         self.loop.start()
-        if self._power is not None:
+        if sensor is not None:
+            clock = clock_of(settings.power.i2c_bus, I2C)
+            self._power = PowerLoop(sensor, settings.period, self._on_sample, clock)
             self._power.start()
 
     @property
@@ -93,8 +98,18 @@ class Hardware:
     @property
     def release_time(self) -> float:
         """s, which a release takes at most."""
-        travel = self.settings.max_stroke + 0.02
+        travel = self._longest_stroke + 0.02
         return math.pi / 2 * travel / self.settings.player.return_speed + 1.0
+
+    def take(self, settings: DriverSettings) -> str:
+        """Goes on with other limits; returns what follows for the run that is being played, in words."""
+        self._longest_stroke = max(self._longest_stroke, settings.max_stroke)
+        self.settings = settings
+        return self.loop.ask(lambda now: self.robot.take(now, settings))
+
+    def rest_line(self) -> str:
+        """How long it may take to end; the launch file reads it, to be patient for as long."""
+        return f"asked to end, it is at rest within {self.release_time:.1f} s"
 
     def description(self) -> list[str]:
         """What was found, one line each."""
@@ -112,6 +127,9 @@ class Hardware:
             lines.append(
                 f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, not 1: install the udev rule"
             )
+        if self.robot.left_on:
+            lines.append(self.robot.left_on)
+        lines.append(self.rest_line())
         if not self.robot.homed:
             lines.append("not homed: bring the robot to its initial length, then call home")
         return lines
@@ -138,9 +156,11 @@ class Hardware:
         self._seen = _Seen(counters, power)
         timer = serial_port.latency_timer_ms(self.settings.port)
         reports = [
-            diagnostics.gait_report(latest.player, active=latest.active, homed=robot.homed),
+            diagnostics.gait_report(
+                latest.player, active=latest.active, homed=robot.homed, left_on=robot.left_on
+            ),
             diagnostics.bus_report(self.settings.port, counters, seen.counters, timer),
-            diagnostics.timing_report(self.loop.report(), self.settings.period),
+            diagnostics.timing_report(self.loop.report(), self.settings.period, self.loop.urgency),
         ]
         if robot.unreleased:
             reports.append(diagnostics.release_report(robot.unreleased))
@@ -175,7 +195,14 @@ class Hardware:
                 f"the node has not listened for {unheard:.0f} s: the service stop would not work"
             )
             self.robot.fail(snapshot.command_time, reason)
-        self._wake()
+        if self.clock.patience:
+            self._wait_for_listener()
+
+    def _wait_for_listener(self) -> None:
+        """A virtual robot's time does not run away from whoever takes the snapshots."""
+        end = time.monotonic() + _BACKLOG_PATIENCE
+        while len(self.snapshots) > _BACKLOG and time.monotonic() < end:
+            time.sleep(0.002)
 
     def _oldest(self, newest: Snapshot) -> Snapshot:
         """The one that waits for longest; the newest where another thread has just taken them all."""

@@ -5,6 +5,7 @@
 """
 
 import math
+import os
 import time
 from collections.abc import Callable
 
@@ -17,7 +18,7 @@ from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import Gait, GaitLimits
 from worm_driver.gait.gait_player import Observation, Phase, PlayerState
 from worm_driver.servos import servo_setup as servos
-from worm_driver.servos.registers import COMMON
+from worm_driver.servos.registers import COMMON, WATCHDOG_EXPIRED
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.state_reader import StateReader
@@ -28,6 +29,10 @@ _FIN_TOLERANCE = 40
 _FIN_STILL = 0.1
 #: readings of the state before an activation, of which one must succeed
 _ATTEMPTS = 5
+#: s, for which the loop's own lateness explains a bus watchdog that has expired: health is read in turn
+_REMEMBERED = 0.5
+#: m, closer to its initial length a robot that is let go does not spring back to speak of
+_SPRINGS_BACK = 2e-3
 #: m, slack beyond the initial length with which the robot may still be activated
 _PAYOUT_TOLERANCE = 0.01
 
@@ -35,15 +40,19 @@ _PAYOUT_TOLERANCE = 0.01
 class Robot:
     """A robot whose servos have answered and are set up, with the torque off.
 
+    A contracted robot that an earlier driver left with its torque on keeps it, as it would spring back: see left_on.
+
     Args:
         settings: of this robot.
         bus: an open bus, which the robot owns from now on.
         valid_power_samples: counts the valid power samples since the start.
         tracker_ready: whether the tracker sees the robot, or there is none to wait for.
         clock: s, monotonic.
+        load: of the computer, as its load average.
 
     Attributes:
         unreleased: what failed at the last release, in words: a servo may still have its torque.
+        left_on: what there is to say of a torque that an earlier driver left on; empty: there is none.
 
     Raises:
         BusError: a servo does not answer.
@@ -57,19 +66,24 @@ class Robot:
         valid_power_samples: Callable[[], int] = lambda: 0,
         tracker_ready: Callable[[], bool] = lambda: True,
         clock: Callable[[], float] = time.monotonic,
+        load: Callable[[], float] = lambda: os.getloadavg()[0],
     ):
         self.settings = settings
         self.bus = bus
         self.player = PlayerState()
         self.active = False
         self.unreleased: list[str] = []
+        self.left_on = ""
         self._clock = clock
+        self._load = load
         self._tracker_ready = tracker_ready
         self._valid_power_samples = valid_power_samples
         self._idle_from = 0
         self._hold_ticks: dict[int, int] = {}
         self._counts = Counts()
-        self._last_step: float | None = None
+        self._last_step = clock()
+        self._last_look = -math.inf
+        self._away, self._away_at = 0.0, -math.inf
         with bus.patient():
             self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
             self.fins = tuple(servos.identify(bus, fin.servo) for fin in settings.fins)
@@ -80,13 +94,33 @@ class Robot:
     def _set_up(self) -> None:
         for servo in self.servos:
             servos.check(self.bus, servo)
-        for servo in self.cables:
-            servos.prepare_cable(self.bus, servo, servos.own_limit(servo, self.settings.limits))
         for servo in self.fins:
             servos.prepare_fin(self.bus, servo)
+        contraction = self._held_contraction()
+        if contraction is not None:
+            self.homed = True
+            self.left_on = (
+                f"the torque is on, as an earlier driver left it, with the robot contracted by "
+                f"{contraction * 1e3:.1f} mm: it would spring back if it were let go; activate to take it over, "
+                "then deactivate to bring it to rest"
+            )
+            return
+        for servo in self.cables:
+            servos.prepare_cable(self.bus, servo, servos.own_limit(servo, self.settings.limits))
         self.homed = all(servos.is_homed(self.bus, servo) for servo in self.cables)
         if self.settings.home_at_start and not self.homed:
             self.home()
+
+    def _held_contraction(self) -> float | None:
+        """By how much (m) servos that were left with their torque on hold the robot contracted; None if they do not."""
+        longest = 0.0
+        for spool, servo in zip(self.settings.spools, self.cables, strict=True):
+            limit = servos.own_limit(servo, self.settings.limits)
+            ticks = servos.held_position(self.bus, servo, limit)
+            if ticks is None:
+                return None
+            longest = max(longest, -spool.length_change(ticks))
+        return longest if longest > _SPRINGS_BACK else None
 
     @property
     def servos(self) -> tuple[Servo, ...]:
@@ -112,10 +146,11 @@ class Robot:
         """Takes the cable's present length as the initial one. Raises HomingError, BusError."""
         if self.active:
             raise HomingError("homing needs the torque off: deactivate the driver first")
+        if self.left_on:
+            raise HomingError(f"homing needs the torque off, and {self.left_on}")
         self.homed = False
         with self.bus.patient():
-            for servo in self.cables:
-                servos.home(self.bus, servo)
+            servos.home(self.bus, self.cables)
         self.homed = True
 
     def reboot(self) -> tuple[int, ...]:
@@ -139,6 +174,7 @@ class Robot:
         """
         with self.bus.patient():
             self._check_fitness()
+        self._reader.learn_clocks()
         cable = self._measured_cable()
         if not -self.settings.max_stroke - _PAYOUT_TOLERANCE <= cable <= _PAYOUT_TOLERANCE:
             raise HomingError(
@@ -149,13 +185,14 @@ class Robot:
             with self.bus.patient():
                 self._enable_all()
         except Exception:
-            servos.release_all(self.bus, self.servos)
+            self.release()
             raise
         self._reader.forget_suspects()
         run = self.player.run
         self.player = PlayerState(since=now, length_change=cable, run=run)
-        self._counts, self._last_step, self.active = Counts(), None, True
-        self.unreleased = []
+        self._counts, self._away_at, self.active = Counts(), -math.inf, True
+        self._last_step = self._clock()
+        self.unreleased, self.left_on = [], ""
 
     def _check_fitness(self) -> None:
         self.homed = all(servos.is_homed(self.bus, servo) for servo in self.cables)
@@ -183,6 +220,19 @@ class Robot:
         self.player = gait_player.start(self.player, now, gait, cycles)
         assert self.player.run is not None
         return self.player.run.number
+
+    def take(self, now: float, settings: DriverSettings) -> str:
+        """Goes on with other limits. A run that they do not allow ends at its next point of rest; says so."""
+        self.settings = settings
+        run = self.player.active_run
+        if run is None:
+            return ""
+        try:
+            self.limits.check(run.gait, run.cycles)
+        except LimitError as error:
+            self.cancel(now)
+            return f"run {run.number} ends at its next point of rest: {error}"
+        return ""
 
     def cancel(self, now: float) -> None:
         """Lets the run end at its next point of rest."""
@@ -219,8 +269,13 @@ class Robot:
         return self.active and self.player.phase is Phase.HOLDING
 
     def release(self) -> list[str]:
-        """Takes the torque off, by all means; returns what failed on the way, in words."""
+        """Takes the torque off, by all means; returns what failed on the way, in words.
+
+        But for a robot that was never taken over and would spring back.
+        """
         self.active = False
+        if self.left_on:
+            return [self.left_on]
         self.unreleased = servos.release_all(self.bus, self.servos)
         return self.unreleased
 
@@ -256,18 +311,25 @@ class Robot:
         )
 
     def _step(self, now: float) -> None:
-        gap = 0.0 if self._last_step is None else now - self._last_step
-        self._last_step = now
+        gap = now - self._last_step
+        self._last_step = max(now, self._last_step)
         if not self.active:
             return
+        if gap > self.settings.watchdog / 2:
+            self._away, self._away_at = gap, now
+        if gap > self.settings.watchdog and gait_player.moving(self.player):
+            self.fail(now, self._lateness())
         before = self.player.phase
         samples = self._valid_power_samples()
         idle_samples = samples - self._idle_from
         seen = Observation(self._fins_set(), idle_samples, self._tracker_ready())
         settings = self.settings.player
-        self.player = gait_player.step(self.player, now, seen, settings, gap)
+        self.player = gait_player.step(self.player, now, seen, settings)
         if self.player.phase is Phase.RESTING and before is not Phase.RESTING:
             self._idle_from = samples
+
+    def _lateness(self) -> str:
+        return supervision.lateness(self._away, self.settings.watchdog, self._load())
 
     def _send_goals(self) -> None:
         goals = self._cable_goals()
@@ -290,14 +352,17 @@ class Robot:
             for servo, state in zip(self.servos, self._states, strict=True)
             if state is SILENT
         )
-        self._counts = supervision.silence(self._counts, silent, now)
+        ended = self._clock()
+        watched = supervision.watched_time(ended - self._last_look, self.settings.period)
+        self._counts = supervision.silence(self._counts, silent, watched)
+        self._last_look = ended
         if not self.active or self.player.phase is Phase.FAULT:
             return
         reason = (
             self._fault_of_suspect()
             or self._fold(before)
             or supervision.fault_in_counts(
-                self._count_deviations(), self.settings.limits, self._clock(), self._reader.problems
+                self._count_deviations(), self.settings.limits, self._reader.problems
             )
         )
         if reason is not None:
@@ -328,24 +393,15 @@ class Robot:
         servo = next((servo for servo in self.servos if servo.number == suspect), None)
         if servo is None:
             return None
-        self.bus.unsettle()
-        return self._fault_of(servo)
-
-    def _fault_of(self, servo: Servo) -> str | None:
-        def value(name: str) -> int:
-            return self.bus.read(servo.number, servo[name])
-
-        try:
-            health = Health(
-                value("torque_enable"),
-                value("led"),
-                value("hardware_error_status"),
-                value("bus_watchdog"),
-            )
-        except BusError:
+        names = ("torque_enable", "led", "hardware_error_status", "bus_watchdog")
+        found = self._reader.look(servo, names)
+        if found is None:
             return None  # a servo that does not answer is counted as such
+        health = Health(*(found[name] for name in names))
         is_cable = servo in self.cables
         self.homed = self.homed and not (is_cable and not health.led)
+        if health.watchdog == WATCHDOG_EXPIRED and self._clock() - self._away_at < _REMEMBERED:
+            return self._lateness()
         return supervision.fault_in_health(servo.number, health, is_cable=is_cable)
 
     def _fold(self, before: tuple[ServoState, ...]) -> str | None:
@@ -362,11 +418,12 @@ class Robot:
         fastest = self.settings.max_cable_speed
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
             limit = servos.own_limit(servo, self.settings.limits)
-            servos.limit_motion(self.bus, servo, fastest / spool.radius, limit)
+            speed = fastest / spool.radius
+            servos.limit_motion(self.bus, servo, speed, self.settings.watchdog, limit)
         for servo in self.fins:
-            servos.limit_motion(self.bus, servo, self.settings.fin_speed)
+            servos.limit_motion(self.bus, servo, self.settings.fin_speed, self.settings.watchdog)
         for servo in self.servos:
-            servos.enable(self.bus, servo, self.settings.watchdog)
+            servos.enable(self.bus, servo)
 
     def _here(self) -> float:
         """Where the cable is, or was asked to be when that is not known (m)."""

@@ -13,7 +13,7 @@ class Limits:
     """When a deviation becomes a fault.
 
     Attributes:
-        max_silence: s without a state of a servo.
+        max_silence: s for which a servo was asked and gave no state; the driver's own lateness does not count.
         max_current: A, of a cable servo.
         max_load: of a cable servo that measures no current, ratio of its strongest.
         overload_cycles: cycles in a row above one of the two.
@@ -31,9 +31,9 @@ class Limits:
 
 @dataclass(frozen=True)
 class Counts:
-    """What has been going on for how many cycles in a row, by servo; and since when servos are silent (s)."""
+    """What has been going on for how many cycles in a row, by servo; and how long servos have been silent (s)."""
 
-    silent_since: Mapping[int, float] = field(default_factory=dict)
+    silence: Mapping[int, float] = field(default_factory=dict)
     overload: Mapping[int, int] = field(default_factory=dict)
     following: int = 0
 
@@ -48,9 +48,26 @@ class Health:
     watchdog: int
 
 
-def silence(counts: Counts, silent: Iterable[int], since: float) -> Counts:
-    """Counts after a cycle that began at a time (s), and in which some servos gave no state."""
-    return replace(counts, silent_since={s: counts.silent_since.get(s, since) for s in silent})
+def silence(counts: Counts, silent: Iterable[int], watched: float) -> Counts:
+    """Counts after a look at which some servos gave no state, and which stands for a time (s), see watched_time."""
+    return replace(counts, silence={s: counts.silence.get(s, 0.0) + watched for s in silent})
+
+
+def watched_time(elapsed: float, period: float) -> float:
+    """For how long (s) a look at the servos stands, which ended ``elapsed`` s after the one before.
+
+    A driver that is not late asks twice within two periods when nobody answers. What went by beyond that is its own
+    lateness, in which no servo was asked.
+    """
+    return min(elapsed, 2.0 * period)
+
+
+def lateness(away: float, watchdog: float, load: float) -> str:
+    """What to say of a loop that left the servos alone for a time (s) beyond their watchdog (s), at a load average."""
+    return (
+        f"the control loop was late by {away * 1e3:.0f} ms, and the servos stop by their watchdog after "
+        f"{watchdog * 1e3:.0f} ms: the computer was busy (load {load:.1f}) or the driver was suspended"
+    )
 
 
 def overload(counts: Counts, efforts: Mapping[int, float], levels: Mapping[int, float]) -> Counts:
@@ -71,17 +88,15 @@ def following(counts: Counts, error: float, limits: Limits) -> Counts:
     )
 
 
-def fault_in_counts(
-    counts: Counts, limits: Limits, now: float, problems: Mapping[int, str]
-) -> str | None:
-    """The fault that the counts amount to at a time (s), in words.
+def fault_in_counts(counts: Counts, limits: Limits, problems: Mapping[int, str]) -> str | None:
+    """The fault that the counts amount to, in words.
 
     problems: why a servo gives no state, by id.
     """
-    for servo, since in counts.silent_since.items():
-        if now - since >= limits.max_silence:
+    for servo, duration in counts.silence.items():
+        if duration >= limits.max_silence:
             why = problems.get(servo, "does not answer")
-            return f"servo {servo} gives no state for {(now - since) * 1e3:.0f} ms: it {why}"
+            return f"servo {servo} gives no state for {duration * 1e3:.0f} ms: it {why}"
     for servo, cycles in counts.overload.items():
         if cycles >= limits.overload_cycles:
             return (

@@ -38,12 +38,18 @@ class GaitLimits:
         max_frequency: Hz.
         max_cable_speed: m/s, already the least of the parameter and of the servos' velocity limits.
         max_cycles: of one run.
+        min_stroke: m, a few steps of the encoder.
+        min_frequency: Hz; a cancelled gait plays its cycle to the end, so a cancel takes at most 1 / min_frequency.
+        max_duration: s, of one run.
     """
 
     max_stroke: float
     max_frequency: float
     max_cable_speed: float
     max_cycles: int = 1000
+    min_stroke: float = 1e-3
+    min_frequency: float = 0.02
+    max_duration: float = 7200.0
 
     def check(self, gait: Gait, cycles: int) -> None:
         """Raises LimitError, which says what is wrong and what would be right."""
@@ -51,21 +57,29 @@ class GaitLimits:
             value = getattr(gait, name)
             if not math.isfinite(value):
                 raise LimitError(f"the gait's {name} is {value}, not a number that can be played")
-        if not 0.0 < gait.stroke <= self.max_stroke:
+        if not self.min_stroke <= gait.stroke <= self.max_stroke:
             raise LimitError(
-                f"stroke {gait.stroke:g} m is outside (0, {self.max_stroke:g}] m (limits.max_stroke_m)"
+                f"stroke {gait.stroke:g} m is outside {self.min_stroke:g} to {self.max_stroke:g} m "
+                "(limits.max_stroke_m)"
             )
-        if not 0.0 < gait.frequency <= self.max_frequency:
+        if not self.min_frequency <= gait.frequency <= self.max_frequency:
             raise LimitError(
-                f"frequency {gait.frequency:g} Hz is outside (0, {self.max_frequency:g}] Hz "
-                "(limits.max_frequency_Hz)"
+                f"frequency {gait.frequency:g} Hz is outside {self.min_frequency:g} to "
+                f"{self.max_frequency:g} Hz (limits.max_frequency_Hz)"
             )
-        if gait.margin < 0.0:
-            raise LimitError(f"margin {gait.margin:g} m is negative")
+        if not 0.0 <= gait.margin <= self.max_stroke:
+            raise LimitError(
+                f"margin {gait.margin:g} m is outside 0 to {self.max_stroke:g} m (limits.max_stroke_m)"
+            )
         if gait.direction not in (FORWARD, REVERSE):
             raise LimitError(f"direction must be 1 (forward) or -1 (reverse), not {gait.direction}")
         if not 1 <= cycles <= self.max_cycles:
             raise LimitError(f"cycles must be 1 to {self.max_cycles}, not {cycles}")
+        if cycles / gait.frequency > self.max_duration:
+            raise LimitError(
+                f"{cycles} cycles at {gait.frequency:g} Hz take {cycles / gait.frequency:.0f} s, a run at most "
+                f"{self.max_duration:.0f} s: ask for {math.floor(self.max_duration * gait.frequency)} cycles"
+            )
         if gait.peak_speed > self.max_cable_speed:
             raise LimitError(
                 f"the cable would reach {gait.peak_speed:.4f} m/s, the robot's limit is "

@@ -148,16 +148,16 @@ def gait_state(snapshot: Snapshot, clocks: ClockPair) -> GaitState:
     return message
 
 
-def diagnostics(reports: Sequence[Report], stamp: Time) -> DiagnosticArray:
-    """Reports as the array that goes on /diagnostics."""
+def diagnostics(reports: Sequence[Report], stamp: Time, robot: str) -> DiagnosticArray:
+    """Reports as the array that goes on /diagnostics, which all robots share: names begin with the robot's."""
     return DiagnosticArray(
         header=Header(stamp=stamp),
         status=[
             DiagnosticStatus(
                 level=_LEVEL[report.level],
-                name=report.name,
+                name=f"{robot}/{report.name}".lstrip("/"),
                 message=report.message,
-                hardware_id=report.hardware_id,
+                hardware_id=report.hardware_id or robot,
                 values=[KeyValue(key=key, value=value) for key, value in report.values],
             )
             for report in reports

@@ -6,31 +6,43 @@ an escaped exception bring the gait to rest and release the servos.
 """
 
 import math
+import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from traceback import format_exception
 from typing import TypeVar
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
 from rclpy.duration import Duration
-from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.utilities import get_rmw_implementation_identifier
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from worm_driver.control.diagnostics import offline_report
+from worm_driver.clock import Clock
+from worm_driver.control.diagnostics import network_report, offline_report, release_report
 from worm_driver.control.hardware import Hardware
 from worm_driver.control.telemetry import Snapshot
-from worm_driver.errors import ConfigurationError, DriverError, StoppedError
+from worm_driver.errors import ConfigurationError, DriverError, ReleaseError, StoppedError
+from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.nodes import driver_messages, driver_parameters
 from worm_driver.nodes.driver_messages import ClockPair
-from worm_driver.nodes.driver_process import Ending, ros_process, spare_pauses
+from worm_driver.nodes.impossible_transitions import refuse_impossible_transitions
 from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.side_node import SideNode
+from worm_msgs import network
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker
+from worm_msgs.node_command import declare, run_node
+from worm_msgs.ros_process import Ending, spare_pauses
 
 T = TypeVar("T")
 
@@ -41,13 +53,26 @@ _SWITCH_INTERVAL = 0.0005
 _FRESH = 0.2
 _DISCOVERY = 5.0
 
-#: s, in which the servos must have been enabled
+#: s, in which the servos must have been enabled, homed, or released
 _ACTIVATION = 5.0
+_SERVICE = 10.0
+_LETTING_GO = 5.0
+
+#: s between two looks at what the threads of the hardware have left: fewer wake-ups than cycles, as each costs the
+#: servo thread the interpreter for a while
+_PUBLISH_PERIOD = 0.04
 
 _DELIVERY = Duration(seconds=0.5)
+#: s, in which a goal's result must have been made, and for which it has to leave: DDS acknowledges no answer
+_ANSWERS = 1.0
+_LINGER = 0.3
 
 #: reliable; deep enough for what piles up while the executor's thread waits for a processor
 _TELEMETRY = QoSProfile(depth=200)
+#: no request is dropped, however many wait: whoever calls stop gets an answer
+_EVERY_CALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+#: a user may change history, depth and reliability: qos_overrides./worm/power.publisher.reliability
+_OPEN = QoSOverridingOptions.with_default_policies()
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -56,30 +81,64 @@ class DriverNode(LifecycleNode):
 
     def __init__(self) -> None:
         super().__init__("driver")
-        driver_parameters.declare(self)
+        declare(self, driver_parameters.rows)
+        self._reach = network.reach(os.environ, get_rmw_implementation_identifier())
         self._hardware: Hardware | None = None
         self._latest: Snapshot | None = None
         self._shown: tuple[object, ...] | None = None
+        self._faulty = False
         self._failure: Exception | None = None
         self._clocks: ClockPair | None = None
+        self._robot_clock: Clock | None = None  # stays after a clean-up, so that stamps go on
         self._born = time.monotonic()
         self._tracked = -math.inf
-        self._joint_states = self.create_publisher(JointState, "joint_states", _TELEMETRY)
-        self._commanded = self.create_publisher(BodyLength, "body_length/commanded", _TELEMETRY)
-        self._cable = self.create_publisher(BodyLength, "body_length/cable", _TELEMETRY)
-        self._power = self.create_publisher(Power, "power", _TELEMETRY)
+        self._joint_states = self.create_publisher(
+            JointState, "joint_states", _TELEMETRY, qos_overriding_options=_OPEN
+        )
+        self._commanded = self.create_publisher(
+            BodyLength, "body_length/commanded", _TELEMETRY, qos_overriding_options=_OPEN
+        )
+        self._cable = self.create_publisher(
+            BodyLength, "body_length/cable", _TELEMETRY, qos_overriding_options=_OPEN
+        )
+        self._power = self.create_publisher(
+            Power, "power", _TELEMETRY, qos_overriding_options=_OPEN
+        )
         self._gait_state = self.create_publisher(GaitState, "gait_state", _LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._action = RunGaitAction(self, lambda: self._hardware)
         self.create_subscription(Tracker, "tracker", self._on_tracker, 100)
         self._side = SideNode(self, "stop")
-        self._side.node.create_service(Trigger, "stop", self._on_stop)
+        self._side.node.create_service(Trigger, "stop", self._on_stop, qos_profile=_EVERY_CALL)
         self._side.start()
         self.create_service(Trigger, "home", self._on_home)
         self.create_service(Trigger, "reboot", self._on_reboot)
-        self._fresh = self.create_guard_condition(self._publish)
-        self.create_timer(1.0, self._publish_diagnostics)
+        refuse_impossible_transitions(self)
+        steady = RosClock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
+        self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
         self._show_inactive("not configured")
+
+    # --- parameters ----------------------------------------------------------------------------
+
+    def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        """What cannot take effect is refused while the robot is open."""
+        fixed = driver_parameters.fixed(parameters)
+        if self._hardware is None or not fixed:
+            return SetParametersResult(successful=True)
+        reason = f"{', '.join(fixed)}: takes effect at configure; deactivate and clean up the driver first"
+        return SetParametersResult(successful=False, reason=reason)
+
+    def _take_parameters(self, _: Sequence[Parameter]) -> None:
+        """What takes effect at once does."""
+        if self._hardware is None:
+            return
+        said = self._hardware.take(driver_parameters.settings(self))
+        if said:
+            self.get_logger().warning(said)
+        self.get_logger().info(self._hardware.rest_line())
 
     # --- lifecycle -----------------------------------------------------------------------------
 
@@ -87,7 +146,8 @@ class DriverNode(LifecycleNode):
         """Opens and checks everything; FAILURE, with the reason in the log and the diagnostics, if it cannot."""
         try:
             settings = driver_parameters.settings(self)
-            self._hardware = Hardware(settings, self._wake, self._tracker_ready)
+            self._hardware = Hardware(settings, self._tracker_ready)
+            self._robot_clock = self._hardware.clock
         except Exception as error:  # noqa: BLE001 (rclpy would drop it without a word)
             return self._failed("configure", error)
         self._failure = None
@@ -107,8 +167,8 @@ class DriverNode(LifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Brings the gait to rest and releases the servos.
 
-        FAILURE where a stop came on the way: the robot holds. ERROR, which releases and closes everything, where
-        the servo bus thread does not respond.
+        FAILURE where a stop came on the way: the robot holds. ERROR, which closes everything, where a servo does not
+        say that its torque is off, or the servo bus thread does not respond.
         """
         try:
             self._release()
@@ -125,35 +185,52 @@ class DriverNode(LifecycleNode):
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Brings the gait to rest, releases the servos and closes everything."""
-        self.close("the driver shuts down")
+        """Brings the gait to rest, releases the servos and closes everything; FAILURE if one may have its torque."""
+        if self.close("the driver shuts down"):
+            return TransitionCallbackReturn.FAILURE
         return super().on_shutdown(state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Releases and closes everything, so that the driver can be configured again."""
-        self.close("a transition failed")
+        self.close(f"a transition failed: {self._failure}")
         super().on_error(state)
         return TransitionCallbackReturn.SUCCESS
 
-    def close(self, reason: str) -> None:
-        """Brings the robot to rest, releases and closes it; needs no ROS, and is harmless when nothing is open."""
+    def close(self, reason: str) -> list[str]:
+        """Brings the robot to rest, releases and closes it; needs no ROS, and is harmless when nothing is open.
+
+        Returns what failed, in words: a servo may still have its torque.
+        """
         hardware = self._hardware
         if hardware is None:
-            return
+            return []
         problems = hardware.close(reason, self._publish)
         self._hardware = self._latest = None
+        self._tracked = -math.inf  # another robot's clock may come
         for problem in problems:
             self.get_logger().error(f"on release: {problem}")
         if self.context.ok():
             self._publish_all(hardware)
             self._action.abandon(reason)
-            self._show_inactive(reason)
+            self._show_inactive("; ".join((reason, *problems)))
             self._deliver()
+        return problems
 
     def _deliver(self) -> None:
         """Waits until those who listen have the last words, for they are lost with the node."""
         for publisher in (self._joint_states, self._cable, self._power, self._gait_state):
             publisher.wait_for_all_acked(_DELIVERY)
+
+    def answer_goals(self, executor: SingleThreadedExecutor) -> None:
+        """Serves until those who wait for the result of a goal have it, for they would wait for ever."""
+        if not self._action.busy:
+            return
+        end = time.monotonic() + _ANSWERS
+        while self._action.busy and time.monotonic() < end:
+            executor.spin_once(timeout_sec=0.05)
+        linger = time.monotonic() + _LINGER
+        while time.monotonic() < linger:
+            executor.spin_once(timeout_sec=0.05)
 
     def let_go(self) -> None:
         """Cuts a release short: the torque goes at once. Safe in a signal handler."""
@@ -174,6 +251,14 @@ class DriverNode(LifecycleNode):
             raise self._failure or DriverError("it cannot be configured")
         self.trigger_activate()
 
+    def tell_what_it_waits_for(self) -> None:
+        """A driver that nobody has configured says so."""
+        if self._hardware is None:
+            name = f"{self.get_namespace().rstrip('/')}/{self.get_name()}"
+            self.get_logger().info(
+                f"waiting for configure: ros2 lifecycle set {name} configure, then activate (autostart: both at once)"
+            )
+
     def _failed(self, what: str, error: Exception) -> TransitionCallbackReturn:
         self._failure = error
         words = str(error) if isinstance(error, DriverError) else "".join(format_exception(error))
@@ -187,21 +272,22 @@ class DriverNode(LifecycleNode):
         hardware.loop.ask(robot.activate, _ACTIVATION, undo=lambda _: robot.release())
 
     def _release(self) -> None:
-        """Raises StoppedError, DriverError."""
+        """Raises StoppedError, ReleaseError, DriverError."""
         hardware = self._opened()
         self._do(
             lambda hardware, now: hardware.robot.begin_release(now, "the driver is deactivated")
         )
-        end = time.monotonic() + hardware.release_time
-        while not self._do(lambda hardware, _: hardware.robot.released) and time.monotonic() < end:
+        end = hardware.clock() + hardware.release_time
+        while not self._do(lambda hardware, _: hardware.robot.released) and hardware.clock() < end:
             if self._do(lambda hardware, _: hardware.robot.holding):
                 raise StoppedError(
                     "the service stop was called on the way to rest: the robot holds, with its torque "
                     "on; deactivate it again to let go"
                 )
             self._publish()
-        for problem in self._do(lambda hardware, _: hardware.robot.release()):
-            self.get_logger().error(f"on release: {problem}")
+        problems = self._do(lambda hardware, _: hardware.robot.release(), _LETTING_GO)
+        if problems:
+            raise ReleaseError(release_report(problems).message)
 
     # --- services ------------------------------------------------------------------------------
 
@@ -244,16 +330,16 @@ class DriverNode(LifecycleNode):
         done: str,
     ) -> Trigger.Response:
         try:
-            self._do(action)
+            self._do(action, _SERVICE)
             response.success, response.message = True, done
         except DriverError as error:
             response.success, response.message = False, str(error)
         return response
 
-    def _do(self, action: Callable[[Hardware, float], T]) -> T:
-        """Has something done between two cycles. Raises DriverError."""
+    def _do(self, action: Callable[[Hardware, float], T], timeout: float = 2.0) -> T:
+        """Has something done between two cycles, within a time (s). Raises DriverError."""
         hardware = self._opened()
-        return hardware.loop.ask(lambda now: action(hardware, now))
+        return hardware.loop.ask(lambda now: action(hardware, now), timeout)
 
     def _opened(self) -> Hardware:
         if self._hardware is None:
@@ -261,13 +347,6 @@ class DriverNode(LifecycleNode):
         return self._hardware
 
     # --- telemetry -----------------------------------------------------------------------------
-
-    def _wake(self) -> None:
-        """From the I/O thread: there is something to publish. Without a ROS context there is nothing to wake."""
-        try:
-            self._fresh.trigger()
-        except RuntimeError:
-            return
 
     def _publish(self) -> None:
         if self._hardware is not None and self.context.ok():
@@ -278,6 +357,9 @@ class DriverNode(LifecycleNode):
 
         The robot goes by the monotonic clock: stamps jump with the ROS clock, motion and figures do not.
         """
+        clock = self._robot_clock
+        if clock is not None and clock.epoch_ns is not None:
+            return ClockPair(clock.epoch_ns)  # a virtual robot's, which is both
         clocks = ClockPair.read(lambda: self.get_clock().now().nanoseconds)
         step = 0.0 if self._clocks is None else clocks.step_since(self._clocks)
         if step:
@@ -325,35 +407,60 @@ class DriverNode(LifecycleNode):
             run and (run.number, run.onset, run.cycle(snapshot.command_time)),
         )
         if shown != self._shown:
+            self._tell_fault(player)
             self._shown = shown
             self._gait_state.publish(driver_messages.gait_state(snapshot, clocks))
+
+    def _tell_fault(self, player: PlayerState) -> None:
+        """A fault is an error in the log, once, with its cause and what to do."""
+        is_fault = player.phase is Phase.FAULT
+        if is_fault and not self._faulty:
+            self.get_logger().error(
+                f"FAULT: {player.message}. The cable holds where it is. Mend the cause, then deactivate and "
+                "activate; after a hardware error deactivate, reboot, home, activate"
+            )
+        self._faulty = is_fault
 
     def _show_inactive(self, reason: str) -> None:
         self._shown = None
         message = GaitState(state=GaitState.INACTIVE, message=reason)
-        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.stamp = self._now()
         self._gait_state.publish(message)
+
+    def _now(self) -> Time:
+        """The stamp of what is told now."""
+        clock = self._robot_clock
+        if clock is not None and clock.epoch_ns is not None:
+            return ClockPair(clock.epoch_ns).stamp(clock())
+        stamp: Time = self.get_clock().now().to_msg()
+        return stamp
 
     def _tracker_ready(self) -> bool:
         """Whether samples come in, or so long did not that there is no tracker (discovery may take 3 s)."""
-        return time.monotonic() - self._tracked < _FRESH or (
+        return self._robot_time() - self._tracked < _FRESH or (
             math.isinf(self._tracked) and time.monotonic() - self._born > _DISCOVERY
         )
 
+    def _robot_time(self) -> float:
+        return time.monotonic() if self._robot_clock is None else self._robot_clock()
+
     def _on_tracker(self, message: Tracker) -> None:
-        self._tracked = time.monotonic()
+        self._tracked = self._robot_time()
         clocks = self._read_clocks()
         self._action.on_position(clocks.monotonic(message.header.stamp), message.rear_position)
 
     def _publish_diagnostics(self) -> None:
-        stamp = self.get_clock().now().to_msg()
+        stamp = self._now()
         hardware, latest = self._hardware, self._latest
         if hardware is None or latest is None:
             reports = [offline_report(self._failure)]
         else:
             reports = hardware.report(latest)
             self._check_loop(hardware)
-        self._diagnostics.publish(driver_messages.diagnostics(reports, stamp))
+        reports.append(network_report(str(self._reach), is_local=self._reach.is_local))
+        self._diagnostics.publish(
+            driver_messages.diagnostics(reports, stamp, self.get_namespace().strip("/"))
+        )
 
     def _check_loop(self, hardware: Hardware) -> None:
         if not hardware.loop.alive:
@@ -364,37 +471,32 @@ class DriverNode(LifecycleNode):
 def main(args: list[str] | None = None) -> int:
     """Runs the driver until SIGINT, SIGTERM or SIGHUP; the servos are released on every way out.
 
-    A first signal brings the robot to rest, a second one lets go at once.
+    A first signal brings the robot to rest, a later Ctrl-C lets go at once.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL)
+    about = "Plays gaits on the robot and publishes what it measures, as a lifecycle node."
     try:
-        with ros_process(args) as ended:
-            _run(ended)
-    except (ConfigurationError, ParameterException) as error:
-        return _say(error, 2)
+        return run_node("driver", about, driver_parameters.rows, _run, (ConfigurationError,), args)
     except DriverError as error:
-        return _say(error, 1)
-    return 0
+        print(f"driver: {error}", file=sys.stderr)  # noqa: T201 (the command's own words)
+        return 1
 
 
 def _run(ended: Ending) -> None:
     node = DriverNode()
     ended.again = node.let_go
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
     try:
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
         spare_pauses()
         node.autostart()
+        node.tell_what_it_waits_for()
         while not ended():
             executor.spin_once(timeout_sec=0.05)
     finally:
         node.close("the driver ends")
+        node.answer_goals(executor)
         node.destroy_node()
-
-
-def _say(error: Exception, status: int) -> int:
-    print(f"driver: {error}", file=sys.stderr)  # noqa: T201 (the command's own words)
-    return status
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver's ROS parameters: names, descriptions, ranges and defaults in one table, and the settings they make."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,15 +18,25 @@ from worm_driver.servos.transmission import Fin, Spool
 
 @dataclass(frozen=True)
 class _Row:
-    """One parameter: its default gives the type; range is None where there is none (texts, flags, arrays)."""
+    """One parameter: its default gives the type; range is None where there is none (texts, flags, arrays).
+
+    One that is ``live`` takes effect at once, any other when the driver is configured.
+    """
 
     name: str
     default: Any
     description: str
     range: tuple[float, float] | None = None
 
+    @property
+    def live(self) -> bool:
+        return self.name.startswith("limits.") or self.name in _LIVE
+
     def descriptor(self) -> ParameterDescriptor:
-        descriptor = ParameterDescriptor(name=self.name, description=self.description)
+        when = "at once" if self.live else "at configure, and is refused until the next cleanup"
+        descriptor = ParameterDescriptor(
+            name=self.name, description=f"{self.description} Takes effect {when}."
+        )
         if self.range is None:
             return descriptor
         low, high = self.range
@@ -40,6 +51,7 @@ class _Row:
         return descriptor
 
 
+_LIVE = {"rest_duration_s", "return_speed_m_s"}
 _ROWS = (
     _Row("autostart", False, "Configure and activate by itself, without a lifecycle manager."),
     _Row(
@@ -48,12 +60,20 @@ _ROWS = (
     _Row("port", "/dev/worm_bus", "Serial device of the servo bus."),
     _Row("baud_rate", 1_000_000, "bit/s, as set in the servos.", (9600, 4_000_000)),
     _Row("rate_Hz", 100.0, "Rate of commands and telemetry.", (10.0, 100.0)),
+    _Row(
+        "real_time_priority",
+        40,
+        "SCHED_FIFO of the servo thread, with locked memory; 0: none.",
+        (0, 99),
+    ),
     _Row("bus_watchdog_s", 0.08, "Silence after which the servos stop by themselves.", (0.04, 2.0)),
     _Row(
         "home_at_start", False, "Take the length at configuring as the initial one, if not homed."
     ),
     _Row(
-        "i2c_bus", "1", "Number or device of the I2C bus, socket of a virtual robot; empty: none."
+        "i2c_bus",
+        "1",
+        "Number or device of the I2C bus, socket of a virtual robot; empty or none: no sensor.",
     ),
     _Row("i2c_address", 0x40, "Address of the INA219.", (0x40, 0x4F)),
     _Row("ina219.shunt_resistance_ohm", 0.1, "Resistance of the shunt.", (1e-4, 10.0)),
@@ -94,10 +114,16 @@ _ROWS = (
 )
 
 
-def declare(node: Node) -> None:
-    """Declares every parameter. A wrong type or range in the overrides raises rclpy's exceptions."""
-    for row in _ROWS:
-        node.declare_parameter(row.name, row.default, row.descriptor())
+def rows() -> list[tuple[str, Any, ParameterDescriptor]]:
+    """Name, default and descriptor of every parameter."""
+    return [(row.name, row.default, row.descriptor()) for row in _ROWS]
+
+
+def fixed(parameters: Sequence[Parameter]) -> list[str]:
+    """The names of those that do not take effect before the driver is configured anew."""
+    live = {row.name for row in _ROWS if row.live}
+    known = {row.name for row in _ROWS}
+    return [p.name for p in parameters if p.name in known - live]
 
 
 def settings(node: Node) -> DriverSettings:
@@ -106,12 +132,14 @@ def settings(node: Node) -> DriverSettings:
     def value(name: str) -> Any:
         return node.get_parameter(name).value
 
+    i2c_bus = "" if value("i2c_bus") == "none" else value("i2c_bus")
     return DriverSettings(
         port=value("port"),
         baud_rate=value("baud_rate"),
         watchdog=value("bus_watchdog_s"),
         home_at_start=value("home_at_start"),
         rate=value("rate_Hz"),
+        real_time_priority=value("real_time_priority"),
         spools=tuple(
             Spool(*row)
             for row in _rows(
@@ -132,17 +160,16 @@ def settings(node: Node) -> DriverSettings:
         max_cable_speed=value("limits.max_cable_speed_m_s"),
         fin_speed=value("fin_servos.speed_rad_s"),
         power=PowerSettings(
-            value("i2c_bus"),
+            i2c_bus,
             value("i2c_address"),
             value("ina219.shunt_resistance_ohm"),
             value("ina219.max_current_A"),
         ),
         player=PlayerSettings(
             rest_duration=value("rest_duration_s"),
-            rest_samples=10 if value("i2c_bus") else 0,
+            rest_samples=10 if i2c_bus else 0,
             return_speed=value("return_speed_m_s"),
             rest_timeout=value("rest_duration_s") + 2.0,
-            stall_time=value("bus_watchdog_s"),
         ),
         limits=Limits(
             max_current=value("limits.max_servo_current_A"),

@@ -55,6 +55,7 @@ class RunGaitAction:
         self._hardware = hardware
         # The last one is being played, those before it still wait for the tracker.
         self._runs: list[_Current] = []
+        self._open = 0
         self._server = ActionServer(
             node,
             RunGait,
@@ -85,6 +86,11 @@ class RunGaitAction:
             if current.ended is not None and not current.done.done():
                 self._end_when_seen(current, current.ended, snapshot.command_time)
 
+    @property
+    def busy(self) -> bool:
+        """Whether a goal has no result yet."""
+        return self._open > 0
+
     def abandon(self, reason: str) -> None:
         """Ends the goals of runs that nothing plays any more."""
         for current in self._runs:
@@ -105,8 +111,10 @@ class RunGaitAction:
             self._node.get_logger().warning(f"gait refused: {error}")
             goal.abort()
             return _no_result(str(error))
+        self._open += 1
         outcome = await current.done
         self._runs.remove(current)
+        self._open -= 1
         return self._finish(current, outcome)
 
     def _begin(self, goal: ServerGoalHandle, gait: Gait, cycles: int) -> _Current:
@@ -131,7 +139,7 @@ class RunGaitAction:
         body = hardware.settings.body if hardware is not None else None
         if body is None:
             goal.abort()
-            return _no_result("the driver was cleaned up during the run")
+            return _no_result("the driver was closed during the run, its figures are lost")
         result = _result(outcome, figures(outcome, current.record, body))
         if outcome.ending is Ending.COMPLETED:
             goal.succeed()

@@ -8,7 +8,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 #: s, in which the thread notices that it is to end
-_PATIENCE = 0.1
+_PATIENCE = 0.5
 
 
 class SideNode:

@@ -6,18 +6,22 @@ import logging
 import math
 import sys
 import threading
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.time import Time
-from rclpy.utilities import remove_ros_args
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Header
 
-from worm_driver.nodes.driver_process import ros_process
+from worm_driver.nodes.virtual_camera_node import CameraProcess
+from worm_driver.tracking.initial_length import InitialLength
 from worm_driver.virtual_robot.camera import TrackerSample
+from worm_driver.virtual_robot.camera_images import DEFAULT_FILE as CAMERA_FILE
+from worm_driver.virtual_robot.camera_images import load_camera_settings
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import SettingsError, load_settings
 from worm_driver.virtual_robot.wire.endpoints import DirectoryError, Endpoints
@@ -29,58 +33,98 @@ from worm_driver.virtual_robot.wire.faults import (
     parse_fault,
 )
 from worm_msgs.msg import BodyLength, Tracker
+from worm_msgs.ros_process import Ending, own_arguments, ros_process
 from worm_msgs.srv import InjectFault
 
-_REST_SAMPLES = 30  # at the start, whose mean is the initial length that the camera goes by
+_DEPTH = 500  # of samples that may wait for a subscriber whose machine is busy
+_CLOCK_PERIOD = 0.05  # s of the robot's time between two messages on /clock
+_FRAME = "pipe"  # x forward along the axis, z up (REP 103)
+_VIRTUAL = "virtual"  # stands for the installed file of the camera
 # Python hands the interpreter over after 5 ms by default, too late for an answer on the bus.
 _SWITCH_INTERVAL = 0.0002  # s
 _SIGNAL_LATENCY = 0.1  # s, after which a signal is noticed at the latest
+_QUIET = 0.5  # s without an instruction, after which nobody works with the robot any more
 
 log = logging.getLogger("virtual_robot")
 
 
 class VirtualRobotNode(Node):
-    """Publishes what the camera sees, and takes faults."""
+    """Publishes what the camera sees, and takes faults.
 
-    def __init__(self, robot: VirtualRobot, directory: Path) -> None:
+    camera: file of the camera whose images are published in the place of the positions; None: positions are.
+    """
+
+    def __init__(
+        self,
+        robot: VirtualRobot,
+        directory: Path,
+        rate: float | None,
+        camera: Path | None = None,
+    ) -> None:
         super().__init__("virtual_robot")
-        self.endpoints = Endpoints(robot, directory, self._take_samples)
-        self._samples: deque[TrackerSample] = deque()
-        self._lengths_at_rest: list[float] = []
-        self._tracker = self.create_publisher(Tracker, "tracker", 10)
-        self._length = self.create_publisher(BodyLength, "body_length/measured", 10)
-        self._arrival = self.create_guard_condition(self._publish_samples)
+        epoch_ns = self.get_clock().now().nanoseconds
+        self.endpoints = Endpoints(
+            robot,
+            directory,
+            self._take_samples,
+            rate=rate,
+            epoch_ns=epoch_ns,
+            on_time=self._tell_time,
+        )
+        self._initial_length = InitialLength()
+        self._camera: CameraProcess | None = None
+        if camera is None:
+            self._tracker = self.create_publisher(Tracker, "tracker", _DEPTH)
+            self._length = self.create_publisher(BodyLength, "body_length/measured", _DEPTH)
+        else:
+            self._camera = CameraProcess(camera, robot.settings.seed, self.get_namespace())
+        self._time = self.create_publisher(Clock, "/clock", 10) if rate is not None else None
+        self._next_tick = 0.0
         self.create_service(InjectFault, "inject_fault", self._inject)
 
+    def close(self) -> None:
+        """Ends the camera."""
+        if self._camera is not None:
+            self._camera.close()
+
     def _take_samples(self, samples: list[TrackerSample]) -> None:
-        """In the serving thread: hands over to the executor's."""
-        self._samples.extend(samples)
-        self._arrival.trigger()
+        """In the serving thread, as the other one may be late."""
+        for sample in samples:
+            stamp = self._stamp(sample.time)
+            if self._camera is None:
+                self._publish(sample, Header(stamp=stamp.to_msg(), frame_id=_FRAME))
+            else:
+                places = sample.rear_position, sample.front_position
+                self._camera.expose(stamp.nanoseconds, *places)
 
-    def _publish_samples(self) -> None:
-        while self._samples:
-            sample = self._samples.popleft()
-            stamp = self._stamp(sample).to_msg()
-            message = Tracker(
-                rear_position=sample.rear_position, front_position=sample.front_position
+    def _publish(self, sample: TrackerSample, header: Header) -> None:
+        self._tracker.publish(
+            Tracker(
+                header=header,
+                rear_position=sample.rear_position,
+                front_position=sample.front_position,
             )
-            message.header.stamp = stamp
-            self._tracker.publish(message)
-            if not math.isnan(sample.length):  # a hidden marker gives no length
-                self._publish_length(sample.length, stamp)
-
-    def _publish_length(self, length: float, stamp: object) -> None:
-        if len(self._lengths_at_rest) < _REST_SAMPLES:
-            self._lengths_at_rest.append(length)
-        initial = sum(self._lengths_at_rest) / len(self._lengths_at_rest)
-        message = BodyLength(
-            source=BodyLength.MEASURED, length=length, length_change=length - initial
         )
-        message.header.stamp = stamp
-        self._length.publish(message)
+        if math.isnan(sample.length):  # a hidden marker gives no length
+            return
+        change = self._initial_length.change(sample.length)
+        source, length = BodyLength.MEASURED, sample.length
+        self._length.publish(
+            BodyLength(header=header, source=source, length=length, length_change=change)
+        )
 
-    def _stamp(self, sample: TrackerSample) -> Time:
-        age = self.endpoints.now() - sample.time
+    def _tell_time(self, now: float) -> None:
+        """In the serving thread: the robot's time, for whoever uses it (use_sim_time)."""
+        if self._time is not None and now >= self._next_tick:
+            self._next_tick = now + _CLOCK_PERIOD
+            self._time.publish(Clock(clock=self._stamp(now).to_msg()))
+
+    def _stamp(self, time: float) -> Time:
+        """The ROS time of the robot's time (s); in real time that of the machine, which may be set."""
+        endpoints = self.endpoints
+        if endpoints.shares_time:
+            return Time(nanoseconds=endpoints.epoch_ns + round(time * 1e9))
+        age = endpoints.now() - time
         return self.get_clock().now() - Duration(nanoseconds=round(age * 1e9))
 
     def _inject(
@@ -107,6 +151,11 @@ class VirtualRobotNode(Node):
         return response
 
 
+def _camera_file(text: str) -> Path:
+    """The file that --camera names."""
+    return Path(str(CAMERA_FILE)) if text == _VIRTUAL else Path(text)
+
+
 def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     faults = "\n".join(f"  {name:18}{kind}" for name, kind in KINDS.items())
     parser = argparse.ArgumentParser(
@@ -123,19 +172,53 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument("--seed", type=int, metavar="N", help="default: the parameter file's")
     parser.add_argument(
+        "--camera",
+        nargs="?",
+        type=_camera_file,
+        const=_camera_file(_VIRTUAL),
+        metavar="FILE",
+        help="publish images of this rig in the place of positions; default: the installed one",
+    )
+    parser.add_argument(
         "--fault",
         action="append",
         default=[],
         metavar="NAME[:KEY=VALUE,…][@SECONDS]",
         help="keys: target (a servo's id), duration (s), count, value; may be repeated",
     )
+    time = parser.add_mutually_exclusive_group()
+    time.add_argument(
+        "--rate",
+        type=_rate,
+        default=1.0,
+        metavar="X",
+        help="virtual seconds per second at most, 0: as fast as possible (default 1). The robot's time waits for the "
+        "driver, so that nothing depends on how fast or busy the machine is",
+    )
+    time.add_argument(
+        "--real-time",
+        dest="rate",
+        action="store_const",
+        const=None,
+        help="its time is the machine's, as a real robot's: to measure how well the driver keeps its deadlines",
+    )
     return parser.parse_args(arguments)
+
+
+def _rate(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value >= 0.0):
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 0 on")
+    return value or math.inf
 
 
 def _make_robot(arguments: argparse.Namespace) -> VirtualRobot:
     settings = load_settings(arguments.parameters)
     if arguments.seed is not None:
         settings = settings.with_seed(arguments.seed)
+    if arguments.camera is not None:  # whose images have noise of their own
+        load_camera_settings(arguments.camera)
+        settings = replace(settings, tracker=replace(settings.tracker, noise=0.0))
     return VirtualRobot(settings, FaultBoard(parse_fault(text) for text in arguments.fault))
 
 
@@ -147,9 +230,10 @@ def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
         failures.append(error)
 
 
-def _run(robot: VirtualRobot, directory: Path, ended: Callable[[], bool]) -> None:
-    """Serves until the process is asked to end. Raises what the serving thread raised."""
-    node = VirtualRobotNode(robot, directory)
+def _run(robot: VirtualRobot, options: argparse.Namespace, ended: Ending) -> None:
+    """Serves until the process is asked to end, and the driver has. Raises what the serving thread raised."""
+    node = VirtualRobotNode(robot, options.directory, options.rate, options.camera)
+    ended.again = node.endpoints.stop
     failures: list[Exception] = []
     serving = threading.Thread(target=_serve, args=(node, failures), name="serving")
     executor = SingleThreadedExecutor()
@@ -157,15 +241,17 @@ def _run(robot: VirtualRobot, directory: Path, ended: Callable[[], bool]) -> Non
     try:
         node.endpoints.open()
         serving.start()
-        sys.stdout.write(f"ready: {directory}\n")
+        sys.stdout.write(f"ready: {options.directory}\n")
         sys.stdout.flush()
-        while serving.is_alive() and not ended():
+        # Where all are asked to end at once, the robot is there until the driver has let go of it.
+        while serving.is_alive() and not (ended() and node.endpoints.quiet_for(_QUIET)):
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
     finally:
         node.endpoints.stop()
         if serving.ident is not None:
             serving.join()
         node.endpoints.close()
+        node.close()
         node.destroy_node()
     if failures:
         raise failures[0]
@@ -180,7 +266,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns the exit status."""
     logging.basicConfig(stream=sys.stderr, format="virtual_robot: %(message)s")
     given = sys.argv if arguments is None else ["virtual_robot", *arguments]
-    options = _parse_arguments(remove_ros_args(given)[1:])
+    options = _parse_arguments(own_arguments(given)[1:])
     try:
         robot = _make_robot(options)
     except (SettingsError, FaultError) as error:
@@ -188,7 +274,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
         with ros_process(given) as ended:
-            _run(robot, options.directory, ended)
+            _run(robot, options, ended)
     except DirectoryError as error:
         return _refuse(error)
     except Exception:

@@ -8,7 +8,7 @@ after a brown-out, which is looked at with every sample.
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from worm_driver.errors import ConfigurationError, PowerSensorError
 from worm_driver.power.i2c import I2CDevice, swap
@@ -24,6 +24,10 @@ SHUNT_LSB_V = 10e-6
 BUS_LSB_V = 4e-3
 #: full scale of the shunt voltage at +-320 mV
 SHUNT_FULL_SCALE = 32_000
+
+#: samples with the same bits in a row from which on the chip is taken to have stopped measuring: a quiet supply
+#: repeats a few, and seldom so many at 0.1 mA and 4 mV a step
+FROZEN = 100
 
 _OVERFLOW_BIT = 0b01
 _READY_BIT = 0b10
@@ -61,7 +65,7 @@ class PowerSample:
         return self.bus_voltage * self.current
 
 
-@dataclass(frozen=True)
+@dataclass
 class INA219:
     """The sensor on its shunt.
 
@@ -74,6 +78,8 @@ class INA219:
     device: I2CDevice
     shunt_resistance: float
     calibration: int
+    _bits: tuple[int, int] = field(default=(-1, -1), init=False)
+    _repeats: int = field(default=0, init=False)
 
     def start(self) -> None:
         """Resets the chip, checks that it is one and how its bytes travel, and sets it up.
@@ -135,8 +141,16 @@ class INA219:
         self.device.read(POWER)  # clears the ready bit
         if bus & _OVERFLOW_BIT or abs(shunt) >= SHUNT_FULL_SCALE:
             return PowerSample(time, SampleStatus.OVERFLOW)
+        if self._is_frozen((bus, shunt)):
+            return PowerSample(time, SampleStatus.NOT_READY)
         current = shunt * SHUNT_LSB_V / self.shunt_resistance
         return PowerSample(time, SampleStatus.VALID, (bus >> 3) * BUS_LSB_V, current)
+
+    def _is_frozen(self, bits: tuple[int, int]) -> bool:
+        """Whether the chip has given the same bits for so long that they are no new measurements."""
+        self._repeats = self._repeats + 1 if bits == self._bits else 1
+        self._bits = bits
+        return self._repeats >= FROZEN
 
 
 def calibration_for(shunt_resistance: float, max_current: float) -> int:

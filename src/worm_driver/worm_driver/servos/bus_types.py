@@ -30,11 +30,13 @@ class Reply:
         data: the block that was asked for, in register order.
         alert: the servo reports a hardware error (see hardware_error_status).
         error: error number of the status packet, 0 for none.
+        received: s, monotonic, when its last byte had come.
     """
 
     data: bytes
     alert: bool
     error: int
+    received: float
 
 
 @dataclass(frozen=True)

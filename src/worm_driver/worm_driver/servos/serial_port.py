@@ -12,6 +12,11 @@ from pathlib import Path
 _SYSFS = Path("/sys/bus/usb-serial/devices")
 #: majors of the slave side of pseudo-terminals (Linux, Documentation/admin-guide/devices.txt)
 _PTY_MAJORS = range(136, 144)
+#: majors of /dev/null and its kind, of virtual consoles and serial ports, and of /dev/tty, /dev/console and /dev/ptmx
+_MEMORY_MAJORS = (1,)
+_CONSOLE_MAJORS = (4, 5)
+#: minor from which on a device of a console's major is a serial port
+_SERIAL_MINORS = 64
 
 
 def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:
@@ -28,6 +33,39 @@ def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:
 def latency_timer_path(port: str, sysfs: Path = _SYSFS) -> Path:
     """Where that number is, ms, to be read and written."""
     return sysfs / Path(port).resolve().name / "latency_timer"
+
+
+def why_no_port(port: str) -> str:
+    """One line on why a path that exists can be no servo bus, with the remedy; empty where it may be one."""
+    try:
+        found = Path(port).stat()
+    except OSError:
+        return ""  # opening it says why
+    remedy = (
+        "set the parameter port to the adapter's device (/dev/worm_bus, or see /dev/serial/by-id)"
+    )
+    if not stat.S_ISCHR(found.st_mode):
+        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a file, not a device"
+        return f"servo bus {port} is {kind}: {remedy}"
+    if os.major(found.st_rdev) in _MEMORY_MAJORS:
+        return f"servo bus {port} is no serial device: {remedy}"
+    if os.major(found.st_rdev) in _CONSOLE_MAJORS and os.minor(found.st_rdev) < _SERIAL_MINORS:
+        return f"servo bus {port} is a console of this computer: {remedy}"
+    if found.st_rdev in _own_terminals():
+        return f"servo bus {port} is the terminal that this runs in: {remedy}"
+    return ""
+
+
+def _own_terminals() -> set[int]:
+    """Device numbers of the terminals that this process reads from and writes to, or belongs to."""
+    found = set()
+    for descriptor in (0, 1, 2):
+        with contextlib.suppress(OSError):
+            if os.isatty(descriptor):
+                found.add(os.fstat(descriptor).st_rdev)
+    with contextlib.suppress(OSError):
+        found.add(Path("/dev/tty").stat().st_rdev)
+    return found
 
 
 def refuse_other_openers(descriptor: int) -> None:
@@ -53,8 +91,8 @@ def explain_open_failure(port: str, error: Exception) -> str:
             f"servo bus {port} does not exist: plug the adapter in, install the udev rule "
             "(99-worm.rules makes /dev/worm_bus), or set the parameter port"
         )
-    if not stat.S_ISCHR(Path(port).stat().st_mode):
-        return f"servo bus {port} is no serial device: set the parameter port"
+    if reason := why_no_port(port):
+        return reason
     if isinstance(error, PermissionError) or number == errno.EACCES:
         return (
             f"no permission for servo bus {port}: sudo usermod -aG dialout $USER, then log in again"

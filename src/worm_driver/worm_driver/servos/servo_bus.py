@@ -8,6 +8,7 @@ What version 4.1.0 of the SDK does behind its caller's back is put right here:
   ``BusPort``;
 - it takes a late answer for the answer to the next question: after a failed exchange the next question waits for a
   quiet line, an answer must have the length asked for, and ``tick_clock`` checks the servo's own time in a block;
+- it gives up by the clock without a look at what has come: a process that was held up reads that first;
 - its GroupSyncRead forgets error and alert bytes, and loses good answers with a missing one: ``sync_read``;
 - its busy flag sticks after an exception, and is no lock: ``_exchange``;
 - it opens a port that another program uses: ``BusPort.setupPort``.
@@ -19,13 +20,13 @@ import os
 import select
 import termios
 import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import serial
 from dynamixel_sdk import COMM_SUCCESS, COMM_TX_FAIL, PortHandler, Protocol2PacketHandler
 
+from worm_driver.clock import Clock, MachineClock
 from worm_driver.errors import (
     BusError,
     ConfigurationError,
@@ -46,6 +47,10 @@ BROADCAST = 254
 _WRITE_TIMEOUT = 0.05
 #: repetitions of an exchange while setting up
 _PATIENT_RETRIES = 8
+#: s, after which no answer is taken to be on its way any more, while setting up; shorter than the servos' bus watchdog
+_LATEST = 0.06
+#: bytes that may be read of a question whose time is over: more than have come while the process was held up is babble
+_LEFT_OVER = 4096
 # Where things stand in a packet; stuffing covers all from the instruction on.
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
 _ALERT = 0x80
@@ -58,7 +63,7 @@ class BusPort(PortHandler):
         path: serial device.
         baud_rate: bit/s.
         latency: s, how long the adapter may hold an answer back.
-        clock: s, monotonic.
+        clock: which the thread that uses the port goes by; None: the machine's.
     """
 
     def __init__(
@@ -66,12 +71,17 @@ class BusPort(PortHandler):
         path: str,
         baud_rate: int,
         latency: float = 0.001,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Clock | None = None,
     ):
         super().__init__(path)
         self.is_open = False
         self.baudrate = baud_rate
         self.latency = latency
+        self._clock: Clock = MachineClock() if clock is None else clock
+        self._left_over = 0
+
+    def go_by(self, clock: Clock) -> None:
+        """Has the thread that uses the port go by another clock, before the first exchange."""
         self._clock = clock
 
     def getCurrentTime(self) -> float:  # noqa: N802 (the SDK's name)
@@ -80,7 +90,12 @@ class BusPort(PortHandler):
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
         """Starts the wait for an answer of a length."""
-        self.setPacketTimeoutMillis(self.answer_time(packet_length) * 1e3)
+        self.begin_wait(self.answer_time(packet_length))
+
+    def begin_wait(self, duration: float) -> None:
+        """Starts a wait of a duration (s)."""
+        self._left_over = _LEFT_OVER
+        self.setPacketTimeoutMillis(duration * 1e3)
 
     def answer_time(self, packet_length: int) -> float:
         """How long (s) an answer may take: its time on the wire, twice the latency, and 2 ms."""
@@ -90,6 +105,11 @@ class BusPort(PortHandler):
     def remaining(self) -> float:
         """What is left of the wait, s; 0 when it is over."""
         return max(0.0, self.packet_timeout - self.getTimeSinceStart()) * 1e-3
+
+    @property
+    def expects(self) -> bool:
+        """Whether an answer may still come, or has come unread while the process was held up."""
+        return self.remaining > 0.0 or (self._left_over > 0 and self._wait(0.0))
 
     def isPacketTimeout(self) -> bool:  # noqa: N802
         """Whether the wait is over."""
@@ -102,9 +122,13 @@ class BusPort(PortHandler):
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Up to ``length`` bytes; sleeps until some are there or the wait is over."""
-        if length <= 0 or not self._wait(self.remaining):
+        remaining = self.remaining
+        if length <= 0 or self._left_over <= 0 or not self._wait(remaining):
             return b""
-        return self.ser.read(length)
+        data = self._read(length)
+        if remaining <= 0.0:
+            self._left_over -= len(data)
+        return data
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
         """Sends all bytes. Raises OSError when the device takes none for too long."""
@@ -113,19 +137,25 @@ class BusPort(PortHandler):
         while left:
             if not select.select([], [device], [], _WRITE_TIMEOUT)[1]:
                 raise OSError(errno.ETIMEDOUT, "it takes no bytes")
-            left = left[os.write(device, left) :]
+            count = os.write(device, left)
+            self._clock.traffic.written += count
+            left = left[count:]
         return len(packet)
 
-    def discard_until_quiet(self, longest: float) -> None:
-        """Throws bytes away until none came for the quiet time, for at most ``longest`` s."""
+    def discard_until_quiet(self, quiet: float, longest: float) -> None:
+        """Throws bytes away until none came for a time (s), for at most ``longest`` s."""
         end = self._clock() + longest
-        while self._clock() < end and self._wait(self.quiet_time):
-            self.ser.read(4096)
+        while self._clock() < end and self._wait(quiet):
+            self._read(4096)
+
+    def _read(self, length: int) -> bytes:
+        data: bytes = self.ser.read(length)
+        self._clock.traffic.read += len(data)
+        return data
 
     def _wait(self, timeout: float) -> bool:
-        if timeout <= 0.0:
-            return False
-        return bool(select.select([self.ser.fileno()], [], [], timeout)[0])
+        """Whether bytes are there within a time (s), at once for 0."""
+        return self._clock.wait_readable(self.ser.fileno(), timeout)
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
         """Opens the device for this process alone."""
@@ -189,10 +219,14 @@ class ServoBus:
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _garbled: bool = False
     _settled: bool = False
+    _quiet: float = 0.0
 
     @staticmethod
     def open(
-        path: str, baud_rate: int, latency: float | None = None, retries: int = 1
+        path: str,
+        baud_rate: int,
+        latency: float | None = None,
+        retries: int = 1,
     ) -> "ServoBus":
         """Opens a serial port exclusively.
 
@@ -205,15 +239,18 @@ class ServoBus:
 
         Raises:
             PortError: it is missing, forbidden or in use; the message says what to do.
-            ConfigurationError: the SDK does not know the baud rate.
+            ConfigurationError: the SDK does not know the baud rate, or the path is no serial device.
         """
+        if reason := serial_port.why_no_port(path):
+            raise ConfigurationError(reason)
         port = BusPort(path, baud_rate)
         try:
             if not port.openPort():
                 raise ConfigurationError(
                     f"baud rate {baud_rate} is not one that the SDK can set: see addr 8 (baud_rate)"
                 )
-        except OSError as error:  # SerialException is one
+        # SerialException is an OSError; termios.error is none
+        except (OSError, termios.error) as error:
             raise PortError(serial_port.explain_open_failure(path, error)) from error
         if latency is None:
             latency = (serial_port.latency_timer_ms(path) or 1) * 1e-3
@@ -226,13 +263,19 @@ class ServoBus:
             self.port.closePort()
 
     @contextlib.contextmanager
-    def patient(self) -> Iterator[None]:
-        """Repeats failed exchanges more often: for set-up, where an answer counts more than its time."""
-        before, self.retries = self.retries, max(self.retries, _PATIENT_RETRIES)
+    def patient(self, retries: int = _PATIENT_RETRIES) -> Iterator[None]:
+        """For set-up, where an answer counts more than its time.
+
+        Failed exchanges are repeated more often; and the first question, like each one after a failure, waits until no
+        older answer can be on its way.
+        """
+        before = self.retries, self._quiet
+        self.retries, self._quiet = max(self.retries, retries), _LATEST
+        self._settled = False
         try:
             yield
         finally:
-            self.retries = before
+            self.retries, self._quiet = before
 
     def ping(self, servo: int) -> Identity:
         """Model number and firmware of a servo. Raises BusError."""
@@ -243,10 +286,14 @@ class ServoBus:
 
     def read(self, servo: int, register: Register) -> int:
         """A register's raw value. Raises BusError."""
+        return unpack(register, self.read_block(servo, register.address, register.size))
+
+    def read_block(self, servo: int, start: int, size: int) -> bytes:
+        """A block of the control table. Raises BusError."""
         packet = [0] * 14
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 7, 2
-        packet[8:12] = [*register.address.to_bytes(2, "little"), register.size, 0]
-        return unpack(register, self._command(servo, packet, register.size))
+        packet[8:12] = [*start.to_bytes(2, "little"), *size.to_bytes(2, "little")]
+        return self._command(servo, packet, size)
 
     def write(self, servo: int, register: Register, raw: int) -> None:
         """Sets a register, acknowledged by the servo. Raises BusError."""
@@ -288,12 +335,12 @@ class ServoBus:
             self._check_sent(
                 handler.syncReadTx(self.port, start, size, list(servos), len(servos), False)
             )
-            self.port.setPacketTimeoutMillis(self.answer_time(size, len(servos)) * 1e3)
-            while len(replies) < len(servos) and self.port.remaining > 0.0:
+            self.port.begin_wait(self.answer_time(size, len(servos)))
+            while len(replies) < len(servos) and self.port.expects:
                 packet = self._receive(handler)
                 if packet is None:
                     continue
-                servo, reply = packet[_ID], _reply(packet)
+                servo, reply = packet[_ID], self._reply(packet)
                 if servo in servos and (len(reply.data) == size or reply.error):
                     replies.setdefault(servo, reply)
                 else:
@@ -340,10 +387,10 @@ class ServoBus:
             self._check_sent(handler.txPacket(self.port, packet))
             self.port.setPacketTimeout(11 + size)
             self._garbled = False
-            while self.port.remaining > 0.0:
+            while self.port.expects:
                 answer = self._receive(handler)
                 if answer is not None and answer[_ID] == servo:
-                    return self._content(servo, _reply(answer), size)
+                    return self._content(servo, self._reply(answer), size)
         if self._garbled:
             raise CorruptReplyError(f"servo {servo} answers garbled on {self.port.port_name}")
         self._count(timeouts=1)
@@ -393,9 +440,14 @@ class ServoBus:
         """An exchange with answers: begins on a quiet line."""
         with self._exchange() as handler:
             if not self._settled:
-                self.port.discard_until_quiet(longest=5 * self.port.quiet_time)
+                quiet = max(self._quiet, self.port.quiet_time)
+                self.port.discard_until_quiet(quiet, longest=5 * quiet)
                 self._settled = True
             yield handler
+
+    def _reply(self, packet: Sequence[int]) -> Reply:
+        error, now = packet[_ERROR], self.port.getCurrentTime() * 1e-3
+        return Reply(bytes(packet[_PARAMETERS:-2]), bool(error & _ALERT), error & ~_ALERT, now)
 
     def _check_sent(self, result: int) -> None:
         if result != COMM_SUCCESS:
@@ -405,8 +457,3 @@ class ServoBus:
     def _count(self, **more: int) -> None:
         now = self.counters
         self.counters = replace(now, **{name: getattr(now, name) + n for name, n in more.items()})
-
-
-def _reply(packet: Sequence[int]) -> Reply:
-    error = packet[_ERROR]
-    return Reply(bytes(packet[_PARAMETERS:-2]), bool(error & _ALERT), error & ~_ALERT)

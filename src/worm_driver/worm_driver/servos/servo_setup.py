@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """One servo at a time: who is it, is it fit, and setting it up. Used outside of the 100 Hz cycle.
 
+What is decided by is read twice on a quiet line, and what changes a meaning (mode, limits, home) is read back so: an
+answer that is late must not pass for the one to this question. The bus is to be patient meanwhile.
+
 The led register of a cable servo is the mark of its home: lit while the turn count is valid. It is RAM, so a reboot
 or a power cut, which fold the turn count, put it out, whoever was watching.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 from worm_driver.control.supervision import Limits
-from worm_driver.errors import BusError, ConfigurationError, HomingError
-from worm_driver.servos.encoding import from_raw, to_raw
+from worm_driver.errors import BusError, ConfigurationError, CorruptReplyError, HomingError
+from worm_driver.servos.encoding import from_raw, to_raw, unpack_from
 from worm_driver.servos.registers import (
     EXTENDED_POSITION_MODE,
     MODELS,
@@ -22,6 +25,12 @@ from worm_driver.servos.registers import (
 )
 from worm_driver.servos.servo_bus import ServoBus
 
+#: pairs of readings, of which one must agree
+_PAIRS = 4
+#: raw, by which two readings of a measured register may differ
+_UNSTEADY = {"present_position": 3, "present_input_voltage": 3}
+#: ticks, by which a servo may stand off 0 after homing: a robot that was just let go still creeps
+_HOME_TOLERANCE = 10
 #: ticks, homing offset the servos accept (e-manual, homing offset)
 _HOMING_OFFSET_LIMIT = 1_044_479
 
@@ -72,29 +81,57 @@ def identify(bus: ServoBus, number: int) -> Servo:
             f"update it to {model.minimum_firmware} or later with Dynamixel Wizard"
         )
 
-    def value(name: str) -> float:
-        return from_raw(model[name], bus.read(number, model[name]))
+    names = ("velocity_limit", "min_voltage_limit", "max_voltage_limit", "temperature_limit")
+    found = _registers(bus, number, model, names)
+    speed, low, high, temperature = (from_raw(model[name], found[name]) for name in names)
+    return Servo(number, model, identity.firmware, speed, (low, high), temperature)
 
-    return Servo(
-        number,
-        model,
-        identity.firmware,
-        value("velocity_limit"),
-        (value("min_voltage_limit"), value("max_voltage_limit")),
-        value("temperature_limit"),
+
+def registers(bus: ServoBus, servo: Servo, *names: str) -> Mapping[str, int]:
+    """Raw values by name, as two readings on a quiet line agree on them. Raises BusError."""
+    return _registers(bus, servo.number, servo.model, names)
+
+
+def _registers(
+    bus: ServoBus, number: int, model: ServoModel, names: Sequence[str]
+) -> Mapping[str, int]:
+    rows = [model[name] for name in names]
+    start, end = min(row.address for row in rows), max(row.end for row in rows)
+
+    def read() -> dict[str, int]:
+        block = bus.read_block(number, start, end - start)
+        return {row.name: unpack_from(row, block, start) for row in rows}
+
+    for _ in range(_PAIRS):
+        bus.unsettle()
+        first, second = read(), read()
+        if all(abs(first[n] - second[n]) <= _UNSTEADY.get(n, 0) for n in names):
+            return second
+    raise CorruptReplyError(
+        f"servo {number} gives another {', '.join(names)} each time it is asked"
     )
+
+
+def store(bus: ServoBus, servo: Servo, name: str, raw: int) -> None:
+    """Sets a register that others are understood by, and makes sure of it. Raises BusError."""
+    bus.write(servo.number, servo[name], raw)
+    found = registers(bus, servo, name)[name]
+    if found != raw:
+        raise CorruptReplyError(
+            f"servo {servo.number} has {found} in {name}, not the {raw} that was written: try again"
+        )
 
 
 def check(bus: ServoBus, servo: Servo) -> None:
     """Raises ConfigurationError when a servo reports a fault, or its supply is out of range."""
-    status = bus.read(servo.number, servo["hardware_error_status"])
+    found = registers(bus, servo, "hardware_error_status", "present_input_voltage")
+    status = found["hardware_error_status"]
     if status:
         raise ConfigurationError(
             f"servo {servo.number} reports {hardware_error_text(status)}: mend the cause, then call the "
             "service reboot"
         )
-    register = servo["present_input_voltage"]
-    voltage = from_raw(register, bus.read(servo.number, register))
+    voltage = from_raw(servo["present_input_voltage"], found["present_input_voltage"])
     low, high = servo.voltage_range
     if not low <= voltage <= high:
         raise ConfigurationError(
@@ -132,19 +169,26 @@ def prepare(
     bus.write(servo.number, servo["torque_enable"], 0)
     bus.write(servo.number, servo["status_return_level"], 2)
     wanted = {"return_delay_time": 0, "drive_mode": 0, "operating_mode": mode, **settings}
-    for name, raw in wanted.items():
-        if bus.read(servo.number, servo[name]) != raw:
-            bus.write(servo.number, servo[name], raw)
-            if name in ("drive_mode", "operating_mode"):
-                bus.write(servo.number, servo["led"], 0)
+    found = registers(bus, servo, "torque_enable", *wanted)
+    if found["torque_enable"]:
+        raise CorruptReplyError(f"servo {servo.number} keeps its torque: switch its supply off")
+    differing = {name: raw for name, raw in wanted.items() if found[name] != raw}
+    if differing.keys() & {"drive_mode", "operating_mode"}:
+        store(bus, servo, "led", 0)
+    for name, raw in differing.items():
+        store(bus, servo, name, raw)
+
+
+def cable_settings(servo: Servo, limit: float) -> dict[str, int]:
+    """What a cable servo is set to beside its mode: its own limit (see own_limit) of the current."""
+    if not servo.model.measures_current:
+        return {}
+    return {"current_limit": to_raw(servo["current_limit"], limit)}
 
 
 def prepare_cable(bus: ServoBus, servo: Servo, limit: float) -> None:
     """As prepare, for a cable servo: extended position mode, and its own limit (see own_limit) of the current."""
-    settings = {}
-    if servo.model.measures_current:
-        settings["current_limit"] = to_raw(servo["current_limit"], limit)
-    prepare(bus, servo, EXTENDED_POSITION_MODE, settings)
+    prepare(bus, servo, EXTENDED_POSITION_MODE, cable_settings(servo, limit))
 
 
 def prepare_fin(bus: ServoBus, servo: Servo) -> None:
@@ -152,85 +196,119 @@ def prepare_fin(bus: ServoBus, servo: Servo) -> None:
     prepare(bus, servo, POSITION_MODE)
 
 
+def held_position(bus: ServoBus, servo: Servo, limit: float) -> int | None:
+    """Where (ticks from home) a cable servo stands that an earlier driver left with its torque on; None for no such.
+
+    Only one that is homed and set up as prepare_cable does; of another the position means nothing.
+    """
+    wanted = {
+        "operating_mode": EXTENDED_POSITION_MODE,
+        "drive_mode": 0,
+        "led": 1,
+        "torque_enable": 1,
+    }
+    wanted |= cable_settings(servo, limit)
+    found = registers(bus, servo, *wanted, "present_position")
+    return found["present_position"] if wanted.items() <= found.items() else None
+
+
 def is_homed(bus: ServoBus, servo: Servo) -> bool:
     """Whether a cable servo's position 0 is the cable's home. Raises BusError."""
-    return bus.read(servo.number, servo["led"]) == 1
+    return registers(bus, servo, "led")["led"] == 1
 
 
-def home(bus: ServoBus, servo: Servo) -> None:
-    """Makes the present position of a cable servo 0, and marks it as homed. Torque must be off.
+def home(bus: ServoBus, cables: Sequence[Servo]) -> None:
+    """Makes the present positions of all cable servos 0, and marks them as homed. Torque must be off.
+
+    The marks go out before anything else is written and come back after everything was read back: whatever fails, no
+    servo is marked whose 0 is not the home.
 
     Raises:
-        HomingError: the servo did not take it.
-        BusError: it does not answer.
+        HomingError: a servo did not take it.
+        BusError: one does not answer.
     """
-    offset_register, position_register = servo["homing_offset"], servo["present_position"]
-    offset = bus.read(servo.number, offset_register)
-    offset -= bus.read(servo.number, position_register)
+    for servo in cables:
+        store(bus, servo, "led", 0)
+    for servo in cables:
+        _set_zero(bus, servo)
+    for servo in cables:
+        store(bus, servo, "led", 1)
+
+
+def _set_zero(bus: ServoBus, servo: Servo) -> None:
+    found = registers(bus, servo, "homing_offset", "present_position")
+    offset = found["homing_offset"] - found["present_position"]
     if abs(offset) > _HOMING_OFFSET_LIMIT:
         raise HomingError(
             f"servo {servo.number} is too many turns from its encoder's zero: call the service reboot, "
             "which folds it to one turn, then home"
         )
-    bus.write(servo.number, offset_register, offset)
-    position = bus.read(servo.number, position_register)
-    if abs(position) > 3:
-        raise HomingError(f"servo {servo.number} stands at {position} ticks after homing, not at 0")
-    bus.write(servo.number, servo["led"], 1)
+    bus.write(servo.number, servo["homing_offset"], offset)
+    found = registers(bus, servo, "homing_offset", "present_position")
+    if found["homing_offset"] != offset or abs(found["present_position"]) > _HOME_TOLERANCE:
+        raise HomingError(
+            f"servo {servo.number} stands at {found['present_position']} ticks after homing, not at 0: "
+            "was the robot moved? Call home again"
+        )
 
 
-def limit_motion(bus: ServoBus, servo: Servo, speed: float, limit: float = 1.0) -> None:
-    """Sets what the servo itself keeps to once it is enabled; disarms the bus watchdog, which would refuse it.
+def limit_motion(
+    bus: ServoBus, servo: Servo, speed: float, watchdog: float, limit: float = 1.0
+) -> None:
+    """Sets what the servo itself keeps to once it is enabled: speed, output, and the bus watchdog.
 
     Args:
         bus: where the servo is.
-        servo: with its torque off.
+        servo: with its torque off, or left on by an earlier driver.
         speed: rad/s.
+        watchdog: s without packets.
         limit: ratio of the load, see own_limit; means nothing where the servo measures its current.
 
     Raises:
         BusError: it does not answer, or refuses.
     """
     number, profile = servo.number, servo["profile_velocity"]
-    bus.write(number, servo["bus_watchdog"], 0)
+    bus.write(number, servo["bus_watchdog"], 0)  # one that has expired refuses all else
+    bus.write(number, servo["bus_watchdog"], to_raw(servo["bus_watchdog"], watchdog))
     bus.write(number, profile, max(1, to_raw(profile, min(speed, servo.velocity_limit))))
     if not servo.model.measures_current:
         most = bus.read(number, servo["pwm_limit"])
         bus.write(number, servo["goal_pwm"], min(most, to_raw(servo["goal_pwm"], limit)))
 
 
-def enable(bus: ServoBus, servo: Servo, watchdog: float) -> None:
-    """Torque on, holding the present position, with the bus watchdog (s without packets) armed. Raises BusError.
+def enable(bus: ServoBus, servo: Servo) -> None:
+    """Torque on, holding the present position, after limit_motion has armed the bus watchdog. Raises BusError.
 
     As short as can be: the servos that are enabled already wait for their first goal.
     """
-    number, register = servo.number, servo["bus_watchdog"]
-    position = bus.read(number, servo["present_position"])
-    bus.write(number, servo["goal_position"], position)
-    bus.write(number, servo["torque_enable"], 1)
-    bus.write(number, register, to_raw(register, watchdog))
+    position = bus.read(servo.number, servo["present_position"])
+    bus.write(servo.number, servo["goal_position"], position)
+    bus.write(servo.number, servo["torque_enable"], 1)
 
 
 def disable(bus: ServoBus, servo: Servo) -> None:
-    """Disarms the bus watchdog and takes the torque off. Raises BusError."""
-    bus.write(servo.number, servo["bus_watchdog"], 0)
+    """Takes the torque off, and then disarms the bus watchdog. Raises BusError."""
     bus.write(servo.number, servo["torque_enable"], 0)
+    bus.write(servo.number, servo["bus_watchdog"], 0)
 
 
-def release_all(bus: ServoBus, servos: tuple[Servo, ...]) -> list[str]:
-    """Takes the torque off every servo, whatever fails on the way.
+def release_all(bus: ServoBus, servos: Sequence[Servo]) -> list[str]:
+    """Takes the torque off every servo, whatever fails on the way, and looks whether it is.
 
     Returns:
-        what failed, in words; empty when every servo has acknowledged.
+        what failed, in words; empty when every servo says that its torque is off.
     """
     problems = []
     try:
         bus.torque_off_all()  # at once and without an answer; what follows makes sure
     except BusError as error:
         return [str(error)]
-    for servo in servos:
-        try:
-            disable(bus, servo)
-        except BusError as error:
-            problems.append(str(error))
+    with bus.patient(retries=2):
+        for servo in servos:
+            try:
+                disable(bus, servo)
+                if registers(bus, servo, "torque_enable")["torque_enable"]:
+                    problems.append(f"servo {servo.number} says that its torque is on")
+            except BusError as error:
+                problems.append(str(error))
     return problems

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from worm_driver.control.telemetry import SILENT, STATE_SIZE, STATE_START, ServoState, decode
 from worm_driver.servos import tick_clock
 from worm_driver.servos.bus_types import Reply, error_text
-from worm_driver.servos.encoding import unpack_from
+from worm_driver.servos.encoding import from_raw, unpack_from
 from worm_driver.servos.registers import COMMON, WATCHDOG_EXPIRED
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
@@ -15,8 +15,10 @@ from worm_driver.servos.tick_clock import TickClock
 #: one of these registers is read per cycle beside the state, in turn: none of them lies in the state's block
 _HEALTH = tuple(COMMON[name] for name in ("torque_enable", "hardware_error_status", "bus_watchdog"))
 
+#: the block that holds all of a servo's health, and its clock
+_HEALTH_START, _HEALTH_END = COMMON["torque_enable"].address, COMMON["realtime_tick"].end
 #: exchanges from which a servo's clock is learnt
-_FIRST_ANSWERS = 5
+_FIRST_ANSWERS = 3
 
 
 class StateReader:
@@ -37,13 +39,12 @@ class StateReader:
         self._bus = bus
         self._servos = tuple(servos)
         self._ids = [servo.number for servo in servos]
-        self._tolerance = bus.answer_time(STATE_SIZE, len(servos)) + bus.port.quiet_time / 2
         self._clocks: dict[int, TickClock] = {}
         self._suspects: set[int] = set()
         self._alerts: set[int] = set()
         self._turn = 0
         self.problems: dict[int, str] = {}
-        self._learn_clocks()
+        self.learn_clocks()
 
     def read(self) -> tuple[float, tuple[ServoState, ...]]:
         """When the servos were asked (s, monotonic), and their states; SILENT without a fresh answer.
@@ -75,17 +76,39 @@ class StateReader:
         """Servos whose last answer said that they have a hardware error."""
         return frozenset(self._alerts)
 
-    def _learn_clocks(self) -> None:
-        answers: dict[int, list[tuple[float, float]]] = {number: [] for number in self._ids}
-        for _ in range(_FIRST_ANSWERS):
-            self._bus.unsettle()
-            asked, replies = self._bus.sync_read(STATE_START, STATE_SIZE, self._ids)
-            for servo in self._servos:
-                reply = replies.get(servo.number)
-                if reply is not None and not reply.error:
-                    tick = decode(servo.model, reply.data).tick
-                    answers[servo.number].append((asked, tick))
-        self._clocks = {n: tick_clock.begin(found) for n, found in answers.items() if found}
+    def learn_clocks(self) -> None:
+        """Learns the servos' clocks anew, from questions that each wait until no older answer can come.
+
+        Raises:
+            BusError: the port is gone.
+        """
+        self._clocks.clear()
+        with self._bus.patient():
+            for _ in range(_FIRST_ANSWERS):
+                self._bus.unsettle()
+                self._ask()
+        self.forget_suspects()
+
+    def look(self, servo: Servo, names: Sequence[str]) -> Mapping[str, int] | None:
+        """Registers of a servo's health by name, asked now on a quiet line; None without a fresh answer.
+
+        All in one block with the servo's clock, so that a late answer is never taken for a fault.
+
+        Raises:
+            BusError: the port is gone.
+        """
+        self._bus.unsettle()
+        size = _HEALTH_END - _HEALTH_START
+        asked, replies = self._bus.sync_read(_HEALTH_START, size, [servo.number])
+        reply = replies.get(servo.number)
+        if reply is None or reply.error:
+            return None
+        found = {
+            name: unpack_from(servo[name], reply.data, _HEALTH_START)
+            for name in ("realtime_tick", *names)
+        }
+        tick = from_raw(servo["realtime_tick"], found["realtime_tick"])
+        return found if self._is_fresh(servo.number, asked, reply.received, tick) else None
 
     def _ask(self) -> tuple[float, Mapping[int, ServoState]]:
         asked, replies = self._bus.sync_read(STATE_START, STATE_SIZE, self._ids)
@@ -98,28 +121,28 @@ class StateReader:
                 self.problems[servo.number] = "does not answer intact: check its power and cable"
             elif reply.error:
                 self.problems[servo.number] = error_text(reply.error)
-            elif self._is_fresh(servo.number, asked, state := decode(servo.model, reply.data)):
-                states[servo.number] = state
             else:
-                self.problems[servo.number] = "answers late"
+                state = decode(servo.model, reply.data)
+                if self._is_fresh(servo.number, asked, reply.received, state.tick):
+                    states[servo.number] = state
+                else:
+                    self.problems[servo.number] = "answers late"
         return asked, states
 
-    def _is_fresh(self, servo: int, asked: float, state: ServoState) -> bool:
+    def _is_fresh(self, servo: int, asked: float, received: float, tick: float) -> bool:
         """Whether the servo's clock shows an answer to be one to this question.
 
         A clock that jumped belongs to a servo that has restarted; its answer counts from the next time on.
         """
         clock = self._clocks.get(servo)
-        lag = tick_clock.RESTART if clock is None else tick_clock.lag(clock, asked, state.tick)
-        if clock is None or abs(lag) >= tick_clock.RESTART:
-            self._clocks[servo] = tick_clock.begin([(asked, state.tick)])
+        if clock is None or abs(tick_clock.jump(clock, tick, received)) >= tick_clock.RESTART:
+            self._clocks[servo] = tick_clock.begin(tick, received)
             self._suspects.add(servo)
             return False
-        if abs(lag) > self._tolerance:
+        self._clocks[servo] = clock = tick_clock.update(clock, tick, received)
+        if tick_clock.age(clock, tick, asked) > tick_clock.RESOLUTION:
             self._bus.note_stale()
-            self._suspects.add(servo)
             return False
-        self._clocks[servo] = tick_clock.update(clock, asked, state.tick)
         return True
 
     def _note_alerts(self, replies: Mapping[int, Reply]) -> None:

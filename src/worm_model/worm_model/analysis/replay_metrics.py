@@ -10,7 +10,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.run import PlayedRun, Run, played_runs
+from worm_model.analysis.run_metrics import (
+    END_TOLERANCE_NS,
+    PlayedGait,
+    played_gaits,
+    root_mean_square,
+)
+from worm_model.run import RUNNING, STOPPING, Run
 from worm_model.simulation.quadrature import accumulated
 from worm_model.twin.offline_replay import Replay, Series
 from worm_model.twin.records import Event, Health
@@ -56,7 +62,7 @@ class CycleReport:
 class RunReport:
     """One run of a recording; ``health`` is the worst in it, ``events`` are at times in s since the first sample."""
 
-    played: PlayedRun
+    played: PlayedGait
     onset: float
     cycles: tuple[CycleReport, ...]
     events: tuple[tuple[float, Event], ...]
@@ -78,13 +84,13 @@ class ReplayReport:
 
 def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
     """Judge a replay; `pitch` of the grooves in m."""
-    played = played_runs(run)
+    played = played_gaits(run.gait_state)
     ends = [*(p.onset for p in played[1:]), np.iinfo(np.int64).max][: len(played)]
     runs = tuple(
         _run_report(run, replay, pitch, p, end) for p, end in zip(played, ends, strict=True)
     )
     start = played[-1].onset if played else run.origin
-    end = played[-1].end if played else _last(run)
+    end = _end(run, played[-1]) if played else _last(run)
     return ReplayReport(
         residuals=_residuals(replay.residuals, start, end + 1),
         energy_error=_energy_error(run, replay, start),
@@ -98,9 +104,22 @@ def _last(run: Run) -> int:
     return int(max(lasts, default=run.origin))
 
 
-def _run_report(run: Run, replay: Replay, pitch: float, played: PlayedRun, until: int) -> RunReport:
+def _end(run: Run, played: PlayedGait) -> int:
+    """Stamp (ns) at which a run was over, as far as it was recorded: its last cycle asked for, or an earlier stop."""
+    states, last = run.gait_state, _last(run)
+    asked = played.cycle_window(1, played.cycles).end if played.cycles else last
+    over = states.stamp[(states.stamp > played.onset) & ~np.isin(states.state, (RUNNING, STOPPING))]
+    stopped = int(over.min(initial=last))
+    if stopped + END_TOLERANCE_NS >= asked:  # told a little before or after it
+        return min(asked, last)
+    return min(max(stopped, played.onset), last)
+
+
+def _run_report(
+    run: Run, replay: Replay, pitch: float, played: PlayedGait, until: int
+) -> RunReport:
     """A run; ``until`` (ns) is when the next one begins."""
-    onset, end, period = played.onset, played.end, played.period_ns
+    onset, end, period = played.onset, _end(run, played), 1e9 * played.gait.period
     count = max(math.ceil((end - onset) / period - 1e-6), 0)
     borders = [onset + round(k * period) for k in range(count + 1)]
     stamp = replay.residuals["stamp_ns"]
@@ -124,27 +143,20 @@ def _run_report(run: Run, replay: Replay, pitch: float, played: PlayedRun, until
 
 def _residuals(series: Series, start: int, end: int) -> Residuals:
     inside = (series["stamp_ns"] >= start) & (series["stamp_ns"] < end)
-    values = {name: _finite(series[name][inside]) for name in ("rear_position", "length", "power")}
+    x1, length, power = (series[name][inside] for name in ("rear_position", "length", "power"))
     return Residuals(
-        x1_residual=_mean(values["rear_position"]),
-        x1_rmse=_root_mean_square(values["rear_position"]),
-        length_residual=_mean(values["length"]),
-        length_rmse=_root_mean_square(values["length"]),
-        power_residual=_mean(values["power"]),
-        power_rmse=_root_mean_square(values["power"]),
+        x1_residual=_mean(x1),
+        x1_rmse=root_mean_square(x1),
+        length_residual=_mean(length),
+        length_rmse=root_mean_square(length),
+        power_residual=_mean(power),
+        power_rmse=root_mean_square(power),
     )
 
 
-def _finite(values: Array) -> Array:
-    return values[np.isfinite(values)]
-
-
 def _mean(values: Array) -> float:
-    return float(values.mean()) if len(values) else math.nan
-
-
-def _root_mean_square(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else math.nan
 
 
 def _energy_error(run: Run, replay: Replay, start: int) -> float:

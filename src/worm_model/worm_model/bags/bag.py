@@ -3,53 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Protocol
-
-import yaml
+from typing import Protocol
 
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.blocks import MessageBlock
-from worm_model.bags.payloads import Payloads
+from worm_model.bags.bag_metadata import METADATA_FILE as METADATA_FILE
+from worm_model.bags.message_block import Message, Messages, Topic
 
-METADATA_FILE = "metadata.yaml"
-METADATA_ROOT = "rosbag2_bagfile_information"
-YAML_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the one in C is ten times faster
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic of a bag.
-
-    Attributes:
-        name: full name.
-        type_name: ``package/msg/Type``.
-        count: number of messages.
-        definition: text of the type with all that it needs, empty if the bag has none.
-        definition_format: ``ros2msg`` or ``ros2idl``.
-        encoding: of messages; only ``cdr`` can be decoded.
-        metadata: of the channel: ``offered_qos_profiles`` (YAML) and ``topic_type_hash``.
-    """
-
-    name: str
-    type_name: str
-    count: int
-    definition: str
-    definition_format: str
-    encoding: str
-    metadata: tuple[tuple[str, str], ...] = ()
-
-
-class Message(NamedTuple):
-    """A message of a bag, undecoded. Times in ns since the epoch."""
-
-    topic: str
-    log_time: int
-    data: bytes
-    publish_time: int
+Notify = Callable[[str], None]
+_log = logging.getLogger("worm_model.bags")
 
 
 @dataclass(frozen=True)
@@ -73,8 +39,8 @@ class Storage(Protocol):
     """What a bag needs of the files that it lies in."""
 
     @property
-    def topics(self) -> tuple[Topic, ...]:
-        """Topics, by name."""
+    def channels(self) -> tuple[Topic, ...]:
+        """Topics with their layouts; one whose layout changes occurs several times."""
         ...
 
     @property
@@ -91,12 +57,8 @@ class Storage(Protocol):
         """Files kept inside."""
         ...
 
-    def blocks(self, topics: frozenset[str]) -> Iterator[MessageBlock]:
+    def blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
         """Messages of some topics by rising log time, lazily."""
-        ...
-
-    def payloads(self, topics: frozenset[str]) -> dict[str, Payloads]:
-        """All messages of some topics, by topic."""
         ...
 
     def close(self) -> None:
@@ -110,12 +72,29 @@ class Bag:
     Args:
         path: directory or file that the bag was opened by.
         storage: the files behind it.
+        notify: told in one line what is odd about the bag.
+
+    Attributes:
+        channels: topics with their layouts.
+        topics: by name, with the layout that was last and the messages of all.
     """
 
-    def __init__(self, path: Path, storage: Storage) -> None:
+    def __init__(self, path: Path, storage: Storage, notify: Notify = _log.warning) -> None:
         self.path = path
+        self.notify = notify
         self._storage = storage
-        self.topics = {topic.name: topic for topic in storage.topics}
+        self.channels = storage.channels
+        self.topics: dict[str, Topic] = {}
+        for channel in sorted(self.channels, key=lambda c: c.name):
+            known = self.topics.get(channel.name)
+            count = channel.count + (known.count if known else 0)
+            self.topics[channel.name] = replace(channel, count=count)
+        bare = [c.name for c in self.channels if c.count and not c.definition]
+        if bare:
+            notify(
+                f"{path}: {', '.join(bare)} carry no definition; the installed ones are taken, "
+                "if type hash and length of the messages allow it"
+            )
 
     def __enter__(self) -> Bag:
         return self
@@ -171,52 +150,14 @@ class Bag:
             BagError: a topic does not exist, or the file turns out to be damaged.
         """
         for block in self.blocks(topics):
-            names = [block.names[index] for index in block.topic.tolist()]
-            log_time, publish_time = block.log_time.tolist(), block.publish_time.tolist()
-            yield from map(Message, names, log_time, block.payloads.messages(), publish_time)
+            yield from block
 
-    def blocks(self, topics: Iterable[str] | None = None) -> Iterator[MessageBlock]:
+    def blocks(self, topics: Iterable[str] | None = None) -> Iterator[Messages]:
         """As `messages`, many at a time: each block begins no earlier than the one before it ends."""
-        return self._storage.blocks(self._wanted(topics))
-
-    def payloads(self, topics: Iterable[str]) -> dict[str, Payloads]:
-        """All messages of some topics at once, by topic: fast, and as large as the topics are.
-
-        Raises:
-            BagError: as `messages`.
-        """
-        return self._storage.payloads(self._wanted(topics))
-
-    def _wanted(self, topics: Iterable[str] | None) -> frozenset[str]:
         wanted = frozenset(self.topics if topics is None else topics)
         unknown = sorted(wanted - self.topics.keys())
         if unknown:
             raise BagError(
-                f"{self.path} has no topic {unknown[0]}; it has {', '.join(sorted(self.topics))}"
+                f"{self.path} has no topic {unknown[0]}; it has {', '.join(self.topics) or 'none'}"
             )
-        return wanted
-
-
-def read_metadata(directory: Path) -> dict[str, Any]:
-    """Content of a bag's metadata.yaml below its root key.
-
-    Raises:
-        BagError: it is missing or not rosbag2's.
-    """
-    path = directory / METADATA_FILE
-    try:
-        document = yaml.load(path.read_text(encoding="utf-8"), Loader=YAML_LOADER)
-    except FileNotFoundError:
-        raise BagError(f"{path} is missing; worm_model recover {directory} makes one") from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise BagError(f"{path} cannot be read: {reason}") from None
-    content = document.get(METADATA_ROOT) if isinstance(document, dict) else None
-    files = content.get("relative_file_paths") if isinstance(content, dict) else None
-    if (
-        not isinstance(content, dict)
-        or not isinstance(files, list)
-        or not all(isinstance(name, str) for name in files)
-    ):
-        raise BagError(f"{path} is not rosbag2's: no {METADATA_ROOT} with relative_file_paths")
-    return content
+        return self._storage.blocks(wanted) if wanted else iter(())

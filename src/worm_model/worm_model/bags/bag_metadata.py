@@ -1,41 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""rosbag2's ``metadata.yaml``, version 9 (ROS 2 Jazzy), as plain data."""
+"""rosbag2's ``metadata.yaml``, version 9 (ROS 2 Jazzy): the one place that reads and writes it, and YAML of bags."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from textwrap import indent
 from typing import Any
 
 import yaml
 
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.message_block import Topic
+
+METADATA_FILE = "metadata.yaml"
+METADATA_ROOT = "rosbag2_bagfile_information"
 VERSION = 9
-ROOT = "rosbag2_bagfile_information"
-
-
-@dataclass(frozen=True)
-class RecordedTopic:
-    """A topic as a bag knows it.
-
-    Attributes:
-        name: full topic name, beginning with ``/``.
-        type_name: ``package/msg/Type``.
-        schema: ``ros2msg`` text of the type and all that it needs.
-        type_hash: RIHS01 hash of the type, empty when it is not known.
-        offered_qos: QoS profiles of the publishers as rosbag2 version 9 writes them.
-    """
-
-    name: str
-    type_name: str
-    schema: str
-    type_hash: str = ""
-    offered_qos: tuple[Mapping[str, Any], ...] = ()
-
-    def qos_yaml(self) -> str:
-        """The QoS profiles as a YAML list; empty when none are known, which readers take for none."""
-        return yaml.safe_dump(list(self.offered_qos), sort_keys=False) if self.offered_qos else ""
+LARGEST_YAML = 16 << 20  # bytes; a bag of a thousand files and topics has a tenth of that
+DEEPEST_YAML = 32  # levels; metadata.yaml has eight
+MOST_ALIASES = 10_000  # what repeats QoS profiles by reference has a few a topic
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the one in C is ten times faster
+_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 @dataclass
@@ -61,71 +48,154 @@ class Extent:
         }
 
 
-@dataclass
-class BagSummary:
-    """What metadata.yaml tells of a bag."""
+# --- reading --------------------------------------------------------------------------------------
 
-    total: Extent = field(default_factory=Extent)
-    files: dict[str, Extent] = field(default_factory=dict)
-    topics: dict[str, RecordedTopic] = field(default_factory=dict)
-    counts: dict[str, int] = field(default_factory=dict)
-    custom: dict[str, str] = field(default_factory=dict)
-    ros_distro: str = "jazzy"
 
-    def document(self) -> dict[str, Any]:
-        """The content of metadata.yaml below its root key."""
-        return {
+def load_yaml(text: str) -> Any:
+    """Content of YAML that a stranger may have written.
+
+    Raises:
+        yaml.YAMLError, ValueError: it is not YAML, or too large, deep or entangled to be that of a bag.
+    """
+    if len(text) > LARGEST_YAML:
+        raise ValueError(f"{len(text)} bytes are more than the {LARGEST_YAML} of any bag")
+    depth = aliases = 0
+    for event in yaml.parse(text, Loader=_LOADER):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        aliases += isinstance(event, yaml.AliasEvent)
+        if depth > DEEPEST_YAML or aliases > MOST_ALIASES:
+            raise ValueError("it is nested deeper, or refers to itself more often, than any bag")
+        if isinstance(event, yaml.ScalarEvent) and event.value == "<<" and event.implicit[0]:
+            raise ValueError("it merges keys (<<), which no bag does")
+    return yaml.load(text, Loader=_LOADER)
+
+
+def read_metadata(directory: Path) -> dict[str, Any]:
+    """Content of a bag's metadata.yaml below its root key.
+
+    Raises:
+        BagError: it is missing or not rosbag2's.
+    """
+    path = directory / METADATA_FILE
+    try:
+        if path.stat().st_size > LARGEST_YAML:
+            raise ValueError(f"{path.stat().st_size} bytes are more than any bag's")
+        document = load_yaml(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BagError(f"{path} is missing; worm_model recover {directory} makes one") from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise BagError(f"{path} cannot be read: {reason}") from None
+    content = document.get(METADATA_ROOT) if isinstance(document, dict) else None
+    files = content.get("relative_file_paths") if isinstance(content, dict) else None
+    if (
+        not isinstance(content, dict)
+        or not isinstance(files, list)
+        or not all(isinstance(name, str) for name in files)
+    ):
+        raise BagError(f"{path} is not rosbag2's: no {METADATA_ROOT} with relative_file_paths")
+    return content
+
+
+def declared_counts(content: Mapping[str, Any]) -> dict[str, int]:
+    """Number of messages by topic that metadata.yaml declares; empty where it does not."""
+    found: dict[str, int] = {}
+    topics = content.get("topics_with_message_count")
+    for entry in topics if isinstance(topics, list) else ():
+        try:
+            name, count = entry["topic_metadata"]["name"], entry["message_count"]
+            found[str(name)] = found.get(str(name), 0) + int(count)
+        except (KeyError, TypeError, ValueError):
+            continue
+    return found
+
+
+def qos_profiles(text: str) -> list[Any]:
+    """QoS profiles of a channel; empty where its text is not a list of them."""
+    try:
+        profiles = load_yaml(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return []
+    return profiles if isinstance(profiles, list) else []
+
+
+# --- writing --------------------------------------------------------------------------------------
+
+
+class _Dumper(_DUMPER):
+    """Repeats an object that occurs several times, where YAML would refer to its first occurrence."""
+
+    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - of any
+        return True
+
+
+def dump_yaml(document: Any) -> str:
+    """YAML text without references."""
+    text: str = yaml.dump(document, Dumper=_Dumper, sort_keys=False)
+    return text
+
+
+def metadata_text(
+    total: Extent,
+    topics: Iterable[tuple[Topic, int]],
+    files: Mapping[str, Extent],
+    custom: Mapping[str, str],
+    ros_distro: str = "jazzy",
+) -> str:
+    """The content of metadata.yaml below its root key, which the MCAP record "rosbag2" repeats."""
+    return dump_yaml(
+        {
             "version": VERSION,
             "storage_identifier": "mcap",
-            **self.total.fields(),
+            **total.fields(),
             "topics_with_message_count": [
-                {"topic_metadata": _topic(topic), "message_count": self.counts.get(name, 0)}
-                for name, topic in self.topics.items()
+                {"topic_metadata": _describe(topic), "message_count": count}
+                for topic, count in topics
             ],
             "compression_format": "",
             "compression_mode": "",
-            "relative_file_paths": list(self.files),
-            "files": [{"path": name, **extent.fields()} for name, extent in self.files.items()],
-            "custom_data": dict(self.custom),
-            "ros_distro": self.ros_distro,
+            "relative_file_paths": list(files),
+            "files": [{"path": name, **extent.fields()} for name, extent in files.items()],
+            "custom_data": dict(custom),
+            "ros_distro": ros_distro,
         }
-
-    def text(self) -> str:
-        """The content of metadata.yaml below its root key, as the MCAP record "rosbag2" repeats it."""
-        return yaml.safe_dump(self.document(), sort_keys=False)
+    )
 
 
-def _topic(topic: RecordedTopic) -> dict[str, Any]:
+def _describe(topic: Topic) -> dict[str, Any]:
     return {
         "name": topic.name,
         "type": topic.type_name,
-        "serialization_format": "cdr",
-        "offered_qos_profiles": [dict(profile) for profile in topic.offered_qos],
+        "serialization_format": topic.encoding,
+        "offered_qos_profiles": qos_profiles(topic.offered_qos),
         "type_description_hash": topic.type_hash,
     }
 
 
-def write_metadata(directory: Path, summary: BagSummary) -> None:
-    """Write metadata.yaml so that a crash leaves the old or the new one, whole.
+def write_metadata(directory: Path, text: str, synchronise: Callable[[int], None]) -> None:
+    """Write metadata.yaml from what is below its root key; a crash leaves the old or the new one, whole.
+
+    Args:
+        synchronise: brings an open file, given by its descriptor, to the disk.
 
     Raises:
         OSError: the disk is full or gone.
     """
-    target = directory / "metadata.yaml"
-    draft = directory / "metadata.yaml.tmp"
-    with draft.open("w", encoding="utf-8") as stream:
-        yaml.safe_dump({ROOT: summary.document()}, stream, sort_keys=False)
+    unfinished = directory / f"{METADATA_FILE}.tmp"
+    with unfinished.open("w", encoding="utf-8") as stream:
+        stream.write(f"{METADATA_ROOT}:\n{indent(text, '  ')}")
         stream.flush()
-        os.fsync(stream.fileno())
-    draft.replace(target)
-    sync_directory(directory)
+        synchronise(stream.fileno())
+    unfinished.replace(directory / METADATA_FILE)
+    sync_directory(directory, synchronise)
 
 
-def sync_directory(directory: Path) -> None:
+def sync_directory(directory: Path, synchronise: Callable[[int], None] | None = None) -> None:
     """Make the names in a directory survive a power cut."""
-    handle = os.open(directory, os.O_RDONLY)
+    handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(handle)
+        (synchronise or os.fsync)(handle)
     finally:
         os.close(handle)
 

@@ -1,42 +1,277 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes whole rosbag2 bags (MCAP): the same messages give the same bytes, and a bag is there whole or not at all."""
+"""Writes rosbag2 bags (MCAP): the one place that does, for the recorder, too."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import fcntl
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, suppress
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from pathlib import Path
-from textwrap import indent
 from types import TracebackType
-from typing import Any
+from typing import BinaryIO
 
-import numpy as np
-import yaml
+from mcap.writer import CompressionType, Writer
 
-from worm_model.bags.bag import (
-    METADATA_FILE,
-    METADATA_ROOT,
-    YAML_LOADER,
-    AttachedFile,
-    Message,
-    Topic,
-)
-from worm_model.bags.bag_errors import UnwritableError
-from worm_model.bags.blocks import MessageBlock
-from worm_model.bags.draft import new_folder
-from worm_model.bags.mcap_writer import CHUNK_BYTES, McapWriter
-from worm_model.bags.payloads import payloads_of
+from worm_model.bags.bag import AttachedFile, Bag
+from worm_model.bags.bag_errors import BagError, UnwritableError
+from worm_model.bags.bag_metadata import Extent, metadata_text, write_metadata
+from worm_model.bags.message_block import Message, Topic
+from worm_model.bags.whole_folder import new_folder
 
-METADATA_VERSION = 9  # ROS 2 Jazzy's
-WAITING = 1000  # single messages that are put together
+COMPRESSIONS = {
+    "none": CompressionType.NONE,
+    "lz4": CompressionType.LZ4,
+    "zstd": CompressionType.ZSTD,
+}
 LIBRARY = "worm_model"
-YAML_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the one in C is faster
-ROSBAG2_RECORD = "rosbag2"
+ROSBAG2_RECORD = "rosbag2"  # metadata record with a copy of metadata.yaml
+
+
+@dataclass(frozen=True)
+class WriteOptions:
+    """How to write.
+
+    Attributes:
+        compression: of chunks: ``none`` (rosbag2's default), ``lz4`` or ``zstd``.
+        chunk_bytes: a chunk is closed at this size even if no synchronisation is due.
+        split_bytes: begin a new file at about this size; 0: never.
+        split_s: begin a new file after this span of log time, s; 0: never.
+
+    Raises:
+        BagError: one of them makes no sense.
+    """
+
+    compression: str = "zstd"
+    chunk_bytes: int = 768 * 1024
+    split_bytes: int = 0
+    split_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.compression not in COMPRESSIONS:
+            raise BagError(
+                f"unknown compression {self.compression!r}; choose from {', '.join(COMPRESSIONS)}"
+            )
+        if not (self.split_bytes >= 0 and 0.0 <= self.split_s < float("inf")):
+            raise BagError("a file cannot be split at a negative size or time; 0 means never")
+
+
+class BagFiles:
+    """MCAP files of a bag and its metadata.yaml in a folder that exists. Not thread-safe.
+
+    Args:
+        directory: where they lie.
+        name: of the bag, with which the names of its files begin.
+        options: how to write.
+        custom: rosbag2's `custom_data`: text by key.
+        ros_distro: for metadata.yaml.
+        synchronise: brings an open file, given by its descriptor, to the disk.
+
+    Raises:
+        OSError: in all methods, as the disk raises it; what was synchronised stays.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        name: str,
+        options: WriteOptions | None = None,
+        custom: Mapping[str, str] | None = None,
+        ros_distro: str = "jazzy",
+        synchronise: Callable[[int], None] = os.fsync,
+    ) -> None:
+        self.directory = directory
+        self._synchronise = synchronise
+        self.custom = dict(custom or {})
+        self.counts: Counter[Topic] = Counter()
+        self._name = name
+        self._options = options or WriteOptions()
+        self._ros_distro = ros_distro
+        self._total = Extent()
+        self._extents: dict[str, Extent] = {}
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._attachments: list[AttachedFile] = []
+        self._closed_bytes = 0
+        self._file = self._open()
+
+    @property
+    def size(self) -> int:
+        """Bytes of the files so far, without the open chunk."""
+        return self._closed_bytes + self._file.size
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the open file still has its name: nobody has removed or moved it."""
+        return self._file.is_there
+
+    @property
+    def messages(self) -> int:
+        """Number of messages so far."""
+        return self._total.count
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Keep a record; the last one of each name is repeated in every file that follows."""
+        self._metadata[name] = dict(values)
+        self._file.mcap.add_metadata(name, dict(values))
+
+    def add_attachment(self, attached: AttachedFile) -> None:
+        """Keep a file inside every file; it gets no date, so that the bytes do not depend on the day."""
+        self._attachments.append(attached)
+        self._file.attach(attached)
+
+    def add_topic(self, topic: Topic) -> None:
+        """Make a topic known; one without messages is kept, too."""
+        topic = replace(topic, count=0)
+        self.counts.setdefault(topic, 0)
+        self._file.channel(topic)
+
+    def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int) -> None:
+        """Append a message; times in ns since the epoch."""
+        if self._file.is_full(self._options, log_time):
+            self.split()
+        topic = topic if topic in self.counts else replace(topic, count=0)
+        self._file.write(topic, data, log_time, publish_time)
+        self._total.add(log_time)
+        self.counts[topic] += 1
+
+    def split(self) -> None:
+        """Go on in a new file."""
+        self._file.finish(self._text({}))
+        self._closed_bytes += self._file.size
+        self._file = self._open()
+        self.describe()
+
+    def sync(self) -> None:
+        """Bring all messages to the disk."""
+        self._file.sync()
+
+    def describe(self) -> None:
+        """Write metadata.yaml as of now."""
+        write_metadata(self.directory, self._text(self._extents), self._synchronise)
+
+    def finish(self) -> None:
+        """Write what is left, the index and the final metadata.yaml."""
+        self._file.finish(self._text({}))
+        self.describe()
+
+    def abandon(self) -> None:
+        """Let go of the open file as it is, as a crash would."""
+        with suppress(OSError):  # what a full disk did not take is still in its buffer
+            self._file.stream.close()
+
+    def _text(self, files: Mapping[str, Extent]) -> str:
+        """Content of metadata.yaml; the copy inside a file names no files: bags of any name have the same bytes."""
+        counts: dict[str, tuple[Topic, int]] = {}
+        for topic, count in self.counts.items():
+            _, before = counts.get(topic.name, (topic, 0))
+            counts[topic.name] = topic, before + count
+        return metadata_text(self._total, counts.values(), files, self.custom, self._ros_distro)
+
+    def _open(self) -> _OpenFile:
+        name = f"{self._name}_{len(self._extents)}.mcap"
+        extent = self._extents.setdefault(name, Extent())
+        file = _OpenFile(self.directory / name, self._options, extent, self._synchronise)
+        file.mcap.start("ros2", LIBRARY)
+        file.mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": self._text({})})
+        for record, values in self._metadata.items():
+            file.mcap.add_metadata(record, values)
+        for attached in self._attachments:
+            file.attach(attached)
+        file.sync()
+        return file
+
+
+class _OpenFile:
+    """One MCAP file of a bag; locked, so that a reader can tell one in the making from an abandoned one."""
+
+    def __init__(
+        self,
+        path: Path,
+        options: WriteOptions,
+        extent: Extent,
+        synchronise: Callable[[int], None],
+    ) -> None:
+        self.path = path
+        self._synchronise = synchronise
+        self.stream: BinaryIO = path.open("xb")
+        fcntl.flock(self.stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until the writer closes or dies
+        self.mcap = Writer(
+            self.stream,
+            chunk_size=options.chunk_bytes,
+            compression=COMPRESSIONS[options.compression],
+        )
+        self._extent = extent
+        self._schemas: dict[tuple[str, str], int] = {}
+        self._channels: dict[Topic, int] = {}
+        self._size_at_end = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far; what is in the open chunk is not."""
+        return self._size_at_end if self.stream.closed else self.stream.tell()
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the file still has its name."""
+        try:
+            return os.path.samestat(os.fstat(self.stream.fileno()), self.path.stat())
+        except OSError:
+            return False
+
+    def is_full(self, options: WriteOptions, log_time: int) -> bool:
+        """Whether a message of that log time (ns) belongs into the next file."""
+        if not self._extent.count:
+            return False  # a file has at least one message
+        by_size = 0 < options.split_bytes <= self.size
+        by_time = 0 < options.split_s * 1e9 <= log_time - self._extent.first
+        return by_size or by_time
+
+    def attach(self, attached: AttachedFile) -> None:
+        """Keep a file inside."""
+        self.mcap.add_attachment(0, 0, attached.name, attached.media_type, attached.data)
+
+    def channel(self, topic: Topic) -> int:
+        """Number of a topic; schema and channel go before its first message."""
+        known = self._channels.get(topic)
+        if known is not None:
+            return known
+        schema = (topic.type_name, topic.definition)
+        if topic.type_name and schema not in self._schemas:
+            self._schemas[schema] = self.mcap.register_schema(
+                topic.type_name, topic.definition_format, topic.definition.encode()
+            )
+        self._channels[topic] = self.mcap.register_channel(
+            topic.name, topic.encoding, self._schemas.get(schema, 0), dict(topic.metadata)
+        )
+        return self._channels[topic]
+
+    def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int) -> None:
+        """Append a message."""
+        self.mcap.add_message(self.channel(topic), log_time, data, publish_time)
+        self._extent.add(log_time)
+
+    def sync(self) -> None:
+        """Close the open chunk and bring it to the disk."""
+        self.mcap.flush()
+        self._synchronise(self.stream.fileno())
+
+    def finish(self, text: str) -> None:
+        """Write the index and close."""
+        self.mcap.flush()
+        self.mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": text})
+        self.mcap.finish()
+        self.stream.flush()
+        self._synchronise(self.stream.fileno())
+        self._size_at_end = self.stream.tell()
+        self.stream.close()
 
 
 class BagWriter:
     """A bag in the making; a context manager that leaves the bag, or nothing after an exception.
+
+    The same messages give the same bytes.
 
     Args:
         directory: the bag, which must not exist.
@@ -49,20 +284,16 @@ class BagWriter:
 
     def __init__(self, directory: Path, custom: Mapping[str, str] | None = None) -> None:
         self.directory = directory
-        self._file = f"{directory.name}_0.mcap"
-        self._custom = dict(custom or {})
-        self._topics: dict[str, Topic] = {}
-        self._schemas: dict[tuple[str, str], int] = {}
-        self._channels: dict[str, int] = {}
-        self._waiting: list[Message] = []
-        self._waiting_bytes = 0
         with ExitStack() as resources:
             try:
-                self._draft = resources.enter_context(new_folder(directory))
-                self._stream = (self._draft / self._file).open("xb")
-                self._mcap = McapWriter(self._stream, LIBRARY)
-                provisional = self._text(self._topics_text(), [])
-                self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": provisional})
+                unfinished = resources.enter_context(new_folder(directory))
+                self._files = BagFiles(
+                    unfinished,
+                    directory.name,
+                    custom=custom,
+                    synchronise=lambda _: None,  # the folder is, once it is whole
+                )
+                resources.callback(self._files.abandon)
             except OSError as error:
                 raise UnwritableError(f"{directory} cannot be written: {error.strerror}") from None
             self._resources = resources.pop_all()
@@ -77,8 +308,10 @@ class BagWriter:
         trace: TracebackType | None,
     ) -> None:
         try:
-            with self._resources:  # ends with what is raised in it: then the draft is thrown away
-                self._close(error)
+            with self._resources:  # ends with what is raised in it: then the folder is thrown away
+                if error is not None:
+                    raise error
+                self._files.finish()
         except UnwritableError:
             raise
         except OSError as failure:
@@ -86,132 +319,34 @@ class BagWriter:
                 f"{self.directory} cannot be written: {failure.strerror}"
             ) from failure
 
-    def _close(self, error: BaseException | None) -> None:
-        try:
-            if error is not None:
-                raise error
-            self._finish()
-        finally:
-            self._mcap.close()
-            with suppress(OSError):  # what a full disk did not take is still in its buffer
-                self._stream.close()
-
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Keep a metadata record."""
-        self._mcap.add_metadata(name, values)
+        self._files.add_metadata(name, values)
 
     def add_attachment(self, attached: AttachedFile) -> None:
-        """Keep a file inside; it gets no date, so that the bytes do not depend on the day."""
-        self._mcap.add_attachment(attached.name, attached.media_type, attached.data)
+        """Keep a file inside."""
+        self._files.add_attachment(attached)
 
     def add_topic(self, topic: Topic) -> None:
-        """Make a topic known before its first message; one without messages is kept too."""
-        if topic.name in self._topics:
-            return
-        key = (topic.type_name, topic.definition)
-        if key not in self._schemas:
-            self._schemas[key] = self._mcap.add_schema(
-                topic.type_name, topic.definition_format, topic.definition.encode()
-            )
-        self._channels[topic.name] = self._mcap.add_channel(
-            topic.name, topic.encoding, self._schemas[key], dict(topic.metadata)
-        )
-        self._topics[topic.name] = topic
+        """Make a topic known before its first message; one without messages is kept, too."""
+        self._files.add_topic(topic)
 
-    def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
-        """Append a message of a known topic; times in ns since the epoch."""
-        if topic not in self._channels:
-            raise KeyError(topic)
-        self._waiting.append(Message(topic, log_time, data, publish_time))
-        self._waiting_bytes += len(data)
-        if len(self._waiting) >= WAITING or self._waiting_bytes >= CHUNK_BYTES:
-            self._write_waiting()
+    def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int) -> None:
+        """Append a message; times in ns since the epoch."""
+        self._files.write(topic, data, log_time, publish_time)
 
-    def write_block(self, block: MessageBlock) -> None:
-        """Append messages of known topics."""
-        self._write_waiting()
-        channels = np.array([self._channels[name] for name in block.names], dtype=np.int64)
-        self._mcap.write(channels[block.topic], block.payloads, block.publish_time)
+    def write_all(self, messages: Iterable[Message]) -> int:
+        """Append messages, each with its own definition; returns how many."""
+        count = 0
+        for message in messages:
+            self._files.write(message.channel, message.data, message.log_time, message.publish_time)
+            count += 1
+        return count
 
-    def _write_waiting(self) -> None:
-        messages, self._waiting, self._waiting_bytes = self._waiting, [], 0
-        channel = np.array([self._channels[m.topic] for m in messages], dtype=np.int64)
-        payloads = payloads_of([m.data for m in messages], [m.log_time for m in messages])
-        publish_time = np.array([m.publish_time for m in messages], dtype=np.uint64)
-        self._mcap.write(channel, payloads, publish_time)
-
-    def _finish(self) -> None:
-        self._write_waiting()
-        self._mcap.end_chunk()  # which is compressed meanwhile
-        topics = self._topics_text()
-        inside, beside = self._text(topics, []), self._text(topics, [self._file])
-        self._mcap.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": inside})
-        self._mcap.finish()
-        self._stream.close()
-        text = f"{METADATA_ROOT}:\n{indent(beside, '  ')}"
-        (self._draft / METADATA_FILE).write_text(text, encoding="utf-8")
-
-    def _text(self, topics: str, files: list[str]) -> str:
-        """Content of metadata.yaml below its root key.
-
-        The copy inside the file does not know the file's name: bags of any name have the same bytes.
-        """
-        statistics = self._mcap.statistics()
-        first, last = statistics.message_start_time, statistics.message_end_time
-        extent = {
-            "duration": {"nanoseconds": last - first},
-            "starting_time": {"nanoseconds_since_epoch": first},
-            "message_count": statistics.message_count,
-        }
-        head = {"version": METADATA_VERSION, "storage_identifier": "mcap", **extent}
-        tail = {
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": files,
-            "files": [{"path": name, **extent} for name in files],
-            "custom_data": self._custom,
-            "ros_distro": "jazzy",
-        }
-        return _dump(head) + topics + _dump(tail)
-
-    def _topics_text(self) -> str:
-        """The topics in metadata.yaml, which are most of it."""
-        counts = self._mcap.statistics().channel_message_counts
-        topics = [
-            {
-                "topic_metadata": _describe(topic),
-                "message_count": counts.get(self._channels[name], 0),
-            }
-            for name, topic in self._topics.items()
-        ]
-        return _dump({"topics_with_message_count": topics})
-
-
-class _Dumper(YAML_DUMPER):
-    """Repeats an object that occurs several times, where YAML would refer to its first occurrence."""
-
-    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - of any
-        return True
-
-
-def _dump(document: dict[str, Any]) -> str:
-    return yaml.dump(document, Dumper=_Dumper, sort_keys=False)
-
-
-def _describe(topic: Topic) -> dict[str, Any]:
-    metadata = dict(topic.metadata)
-    return {
-        "name": topic.name,
-        "type": topic.type_name,
-        "serialization_format": topic.encoding,
-        "offered_qos_profiles": _profiles(metadata.get("offered_qos_profiles", "")),
-        "type_description_hash": metadata.get("topic_type_hash", ""),
-    }
-
-
-@lru_cache(maxsize=64)
-def _profiles(text: str) -> Any:
-    try:
-        return yaml.load(text, Loader=YAML_LOADER) or []
-    except yaml.YAMLError:
-        return []  # of a foreign writer: the channel keeps its text
+    def copy_records(self, bag: Bag) -> None:
+        """Keep what a bag has beside its messages."""
+        for attached in bag.attachments():
+            self.add_attachment(attached)
+        for record in bag.records:
+            if record.name != ROSBAG2_RECORD:
+                self.add_metadata(record.name, dict(record.values))

@@ -1,389 +1,369 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CDR messages to and from columns of numbers, thousands at a time.
+"""CDR messages to columns of numbers, thousands at a time, and columns to messages.
 
 All messages of a topic whose strings and sequences have the same lengths have the same layout: their numbers lie at
-the same offsets and are taken out, or put in, as columns of one array. Only the first message of each layout is walked
-through field by field. Encoding is plain CDR (XCDR1, as ROS 2 uses it): numbers are aligned to their size, counted
-from behind the four bytes of the encapsulation header.
+the same offsets and are taken out as columns of one array. Only the first message of each layout is walked through
+field by field; the deserialisers of `rosbags`, which make an object of every message, take 4 µs for each, ten times
+too long for a replay of a thousand times real time. Encoding is theirs. The format is plain CDR (XCDR1, as ROS 2 uses
+it): numbers are aligned to their size, counted from behind the four bytes of the encapsulation header.
 """
 
 from __future__ import annotations
 
-import re
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
+from rosbags.serde import SerdeError
+from rosbags.typesys.store import Typestore
 
-from worm_model.bags.bag_errors import BagError
-from worm_model.bags.payloads import Bytes, Integers, Payloads, Times, groups, payloads_of
+from worm_model.bags.bag_errors import BagError, DefinitionError
+from worm_model.bags.message_block import Bytes, Integers, Messages, Topic
+from worm_model.bags.message_types import Types, parse_types, typestore, with_definition
 
 HEADER_BYTES = 4
+PADDING_BYTES = 3  # that a middleware may append to a message
 BIG, LITTLE = b"\x00\x00", b"\x00\x01"  # representation identifiers of plain CDR
-LITTLE_HEADER = LITTLE + b"\x00\x00"
 _CODES = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1"} | {
     f"{kind}{bits}": f"{kind[0]}{bits // 8}"
     for kind in ("int", "uint", "float")
     for bits in (8, 16, 32, 64)
 }
 
-_CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
-_UNREADABLE = (TypesysError, ValueError, KeyError, IndexError, RecursionError)
 
-Fields = list[tuple[str, Any]]
-Types = Mapping[str, Fields]
-
-
-def parse_types(type_name: str, definition: str, definition_format: str) -> Types:
-    """Fields of a type and of all that it needs.
-
-    Raises:
-        BagError: the definition cannot be read.
-    """
-    try:
-        if definition_format == "ros2idl":
-            return _idl_fields(definition)
-        try:
-            return _msg_fields(type_name, without_comments(definition))
-        except _UNREADABLE:
-            return _msg_fields(type_name, definition)
-    except _UNREADABLE as error:
-        reason = " ".join(str(error).split())
-        raise BagError(f"the definition of {type_name} cannot be read: {reason}") from None
-
-
-@lru_cache(maxsize=256)  # the parser takes its time for every line
-def _msg_fields(type_name: str, definition: str) -> Types:
-    return _fields(get_types_from_msg(definition, type_name))
-
-
-@lru_cache(maxsize=256)
-def _idl_fields(definition: str) -> Types:
-    found: dict[str, Any] = {}
-    for part in definition.split("=" * 80 + "\n"):
-        idl = part.split("\n", 1)[1] if part.startswith("IDL:") else part
-        found.update(get_types_from_idl(idl) if idl.strip() else {})
-    return _fields(found)
-
-
-def _fields(found: Mapping[str, Any]) -> Types:
-    return {name: list(fields) for name, (_, fields) in found.items()}
-
-
-def without_comments(definition: str) -> str:
-    """The lines of a definition that matter for the layout: no comments, no constants."""
-    lines = (line.split("#", 1)[0].strip() for line in definition.splitlines())
-    return "\n".join(line for line in lines if line and not _CONSTANT.match(line)) + "\n"
-
-
-@dataclass
-class _Cursor:
-    """Where the walk through a message is, and what it has found. Offsets are from the first byte of the message.
-
-    Attributes:
-        numbers: (code, offset, count) by path; count None for a single number.
-        texts: (offset, length) of the characters by path, without their terminator.
-        words: (offset, value) of the lengths.
-    """
-
-    position: int = HEADER_BYTES
-    numbers: dict[str, tuple[str, int, int | None]] = field(default_factory=dict)
-    texts: dict[str, tuple[int, int]] = field(default_factory=dict)
-    words: list[tuple[int, int]] = field(default_factory=list)
-
-    def align(self, size: int) -> None:
-        self.position += -(self.position - HEADER_BYTES) % size
-
-    def advance(self, size: int) -> None:
-        self.position += size
-
-    def number(self, path: str, code: str, count: int | None) -> None:
-        size = np.dtype(code).itemsize
-        if count != 0:  # nothing is aligned for no elements
-            self.align(size)
-        self.numbers[path] = (code, self.position, count)
-        self.advance(size * (1 if count is None else count))
-
-    def word(self, path: str, empty: int) -> int:
-        """Length of a string (terminator included) or sequence; `empty` is that of one that is not given."""
-        self.align(4)
-        value = self.length(path, empty)
-        self.words.append((self.position, value))
-        self.advance(4)
-        return value
-
-    def text(self, path: str) -> None:
-        length = self.word(path, empty=1)
-        self.texts[path] = (self.position, max(length - 1, 0))
-        self.advance(length)
-
-    def length(self, path: str, empty: int) -> int:
-        """Value of a length word, `empty` where nothing is known of it."""
-        raise NotImplementedError
-
-
-@dataclass
-class _ReadCursor(_Cursor):
-    """Takes lengths from a message, and never leaves it."""
-
-    data: bytes = b""
-    order: str = "<"
-
-    def advance(self, size: int) -> None:
-        self.position += size
-        if self.position > len(self.data):
-            raise BagError("a message is shorter than its type says")
-
-    def length(self, path: str, empty: int) -> int:  # noqa: ARG002 - a message says all lengths
-        if self.position + 4 > len(self.data):
-            raise BagError("a message is shorter than its type says")
-        value: int = struct.unpack_from(f"{self.order}I", self.data, self.position)[0]
-        return value
-
-
-@dataclass
-class _WriteCursor(_Cursor):
-    """Takes lengths from what is to be written: texts, and counts of sequences."""
-
-    lengths: Mapping[str, int] = field(default_factory=dict)
-
-    def length(self, path: str, empty: int) -> int:
-        return self.lengths.get(path, empty)
-
-
-def _walk(types: Types, type_name: str, prefix: str, cursor: _Cursor) -> None:
-    if type_name not in types:
-        raise BagError(f"the definition of {type_name} is missing")
-    if not types[type_name]:
-        cursor.advance(1)  # an empty message is a byte long
-    for name, description in types[type_name]:
-        _walk_field(types, description, f"{prefix}{name}", cursor)
-
-
-def _walk_field(types: Types, description: Any, path: str, cursor: _Cursor) -> None:
-    kind, argument = description
-    if kind == Nodetype.NAME:
-        _walk(types, argument, f"{path}.", cursor)
-    elif kind == Nodetype.BASE:
-        _walk_base(argument[0], path, None, cursor)
-    else:
-        element, size = argument
-        count = size if kind == Nodetype.ARRAY else cursor.word(path, empty=0)
-        if element[0] == Nodetype.BASE and element[1][0] in _CODES:
-            _walk_base(element[1][0], path, count, cursor)
-        else:
-            for index in range(count):
-                _walk_field(types, element, f"{path}[{index}]", cursor)
-
-
-def _walk_base(base: str, path: str, count: int | None, cursor: _Cursor) -> None:
-    if base in _CODES:
-        cursor.number(path, _CODES[base], count)
-    elif base == "string":
-        cursor.text(path)
-    else:
-        raise BagError(f"{path} is a {base}, which cannot be decoded")
+# --- decoding -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Fields of many messages, one array a field.
+    """All fields of messages by path, such as ``header.stamp.sec`` or ``status[0].message``.
 
     Attributes:
-        numbers: by path such as ``header.stamp.sec``; shape (messages,) or, for arrays, (messages, count). A field that
-            some messages lack (sequences of differing lengths) is an object array with None where it is missing.
-        texts: by path, one string a message; None where it is missing.
+        numbers: shape (messages,), or (messages, elements) for an array. Where messages lack the field, or differ in
+            the length of an array, an array of objects: None, a Python number, or an array.
+        texts: one a message, None where a message lacks the field.
     """
 
-    numbers: dict[str, NDArray[Any]]
-    texts: dict[str, list[str | None]]
+    numbers: dict[str, NDArray[Any]] = field(default_factory=dict)
+    texts: dict[str, list[str | None]] = field(default_factory=dict)
 
 
-def decode(messages: Payloads, type_name: str, types: Types) -> Columns:
-    """Columns of messages of one type.
+class ColumnBuilder:
+    """Puts messages together that come part by part, in layouts and by definitions that may differ."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._numbers: dict[str, list[tuple[Integers, NDArray[Any]]]] = {}
+        self._texts: dict[str, list[tuple[Integers, list[str]]]] = {}
+
+    def add(self, messages: Messages) -> None:
+        """Append messages, each read by the definition of its own channel.
+
+        Raises:
+            BagError: one cannot be decoded, or is longer or shorter than its definition says.
+        """
+        for index in np.unique(messages.channel).tolist():
+            topic, rows = messages.channels[index], np.flatnonzero(messages.channel == index)
+            try:
+                self._add_channel(messages, rows, topic)
+            except BagError as error:
+                raise BagError(f"{topic.name}: {error}") from None
+        self.count += len(messages)
+
+    def _add_channel(self, messages: Messages, waiting: Integers, topic: Topic) -> None:
+        types = types_of(topic)
+        while len(waiting):
+            first = int(waiting[0])
+            layout = _Layout(messages.payload(first), topic.type_name, types)
+            candidates = waiting[messages.size[waiting] == messages.size[first]]
+            data = messages.payloads(candidates)
+            same = layout.fits(data)
+            rows = candidates[same] + self.count
+            for path, values in layout.numbers(data[same]):
+                self._numbers.setdefault(path, []).append((rows, values))
+            for path, texts in layout.texts(data[same]):
+                self._texts.setdefault(path, []).append((rows, texts))
+            waiting = np.setdiff1d(waiting, candidates[same], assume_unique=True)
+
+    def columns(self) -> Columns:
+        """All that was added."""
+        numbers = {path: _joined(parts, self.count) for path, parts in self._numbers.items()}
+        texts: dict[str, list[str | None]] = {}
+        for path, parts in self._texts.items():
+            column = texts.setdefault(path, [None] * self.count)
+            for rows, values in parts:
+                for row, value in zip(rows.tolist(), values, strict=True):
+                    column[row] = value
+        return Columns(numbers, texts)
+
+
+def types_of(topic: Topic) -> Types:
+    """Fields of a topic's type, by the definition inside the bag, or by the installed one if it has none.
 
     Raises:
-        BagError: a message is not plain CDR, or not of that type.
+        BagError: it is not CDR, or its definition is missing or cannot be read.
     """
-    columns = Columns({}, {})
-    waiting = np.arange(len(messages))
-    while len(waiting):
-        template = messages.message(int(waiting[0]))
-        cursor = _template_cursor(template, type_name, types)
-        candidates = waiting[messages.size[waiting] == len(template)]
-        block = messages.rows(candidates)
-        same = _same_layout(block, cursor, template)
-        _take(columns, cursor, block[same], candidates[same], len(messages))
-        waiting = np.setdiff1d(waiting, candidates[same], assume_unique=True)
-    return columns
+    if topic.encoding != "cdr":
+        raise BagError(f"it is encoded as {topic.encoding!r}; only cdr can be decoded")
+    topic = with_definition(topic)
+    return parse_types(topic.type_name, topic.definition, topic.definition_format)
 
 
-def _template_cursor(template: bytes, type_name: str, types: Types) -> _ReadCursor:
-    if template[:2] not in (BIG, LITTLE):
-        raise BagError(
-            f"a message of {type_name} is not plain CDR: it begins with {template[:4]!r}"
-        )
-    cursor = _ReadCursor(data=template, order="<" if template[:2] == LITTLE else ">")
-    _walk(types, type_name, "", cursor)
-    return cursor
+def _joined(parts: list[tuple[Integers, NDArray[Any]]], total: int) -> NDArray[Any]:
+    """A column of plain numbers where all messages agree in its shape, of objects elsewhere."""
+    shapes = {values.shape[1:] for _, values in parts}
+    if len(shapes) == 1 and sum(len(rows) for rows, _ in parts) == total:
+        kind = np.result_type(*(values for _, values in parts))
+        column = np.empty((total, *shapes.pop()), kind)
+        for rows, values in parts:
+            column[rows] = values
+        return column
+    column = np.full(total, None, dtype=object)
+    for rows, values in parts:
+        items = values.tolist() if values.ndim == 1 else values
+        for row, value in zip(rows.tolist(), items, strict=True):
+            column[row] = value
+    return column
 
 
-def _same_layout(block: Bytes, cursor: _Cursor, template: bytes) -> NDArray[np.bool_]:
-    """Which rows have the representation and all lengths of the template."""
-    fixed = [0, 1] + [offset + i for offset, _ in cursor.words for i in range(4)]
-    expected = np.frombuffer(template, np.uint8)[fixed]
-    same: NDArray[np.bool_] = (block[:, fixed] == expected).all(axis=1)
-    return same
+class _Layout:
+    """Where the fields of a message lie, by walking through it."""
+
+    def __init__(self, message: bytes, type_name: str, types: Types) -> None:
+        if message[:2] not in (BIG, LITTLE):
+            raise BagError(f"a message is not plain CDR: it begins with {message[:4]!r}")
+        self._message = message
+        self._types = types
+        self._order = "<" if message[:2] == LITTLE else ">"
+        self._position = HEADER_BYTES
+        self._numbers: dict[str, tuple[np.dtype[Any], int, int | None]] = {}
+        self._texts: dict[str, tuple[int, int]] = {}
+        self._words: list[int] = []  # offsets of lengths
+        self._walk(type_name, "")
+        surplus = len(message) - self._position
+        if surplus > PADDING_BYTES:
+            raise BagError(f"a message is {surplus} bytes longer than its definition says")
+
+    def fits(self, data: Bytes) -> NDArray[np.bool_]:
+        """Which of some messages of the same size, a row each, have the same representation and lengths."""
+        fixed = [0, 1] + [offset + i for offset in self._words for i in range(4)]
+        expected = np.frombuffer(self._message, np.uint8)[fixed]
+        same: NDArray[np.bool_] = (data[:, fixed] == expected).all(axis=1)
+        return same
+
+    def numbers(self, data: Bytes) -> Iterator[tuple[str, NDArray[Any]]]:
+        """Columns of messages of this layout."""
+        for path, (kind, offset, count) in self._numbers.items():
+            size = kind.itemsize * (1 if count is None else count)
+            raw = np.ascontiguousarray(data[:, offset : offset + size])
+            values = raw.view(kind) if size else np.empty((len(data), 0), kind)
+            values = values.astype(kind.newbyteorder("="))
+            yield path, values.reshape(len(data)) if count is None else values
+
+    def texts(self, data: Bytes) -> Iterator[tuple[str, list[str]]]:
+        """Texts of messages of this layout; most often all are the same."""
+        for path, (offset, length) in self._texts.items():
+            characters = data[:, offset : offset + length]
+            if (characters == characters[0]).all():
+                yield path, [characters[0].tobytes().decode(errors="replace")] * len(data)
+            else:
+                yield path, [row.tobytes().decode(errors="replace") for row in characters]
+
+    def _advance(self, size: int, alignment: int) -> int:
+        """Position of something of a size, behind which the walk goes on."""
+        self._position += -(self._position - HEADER_BYTES) % alignment
+        position = self._position
+        self._position += size
+        if self._position > len(self._message):
+            raise BagError("a message is shorter than its definition says")
+        return position
+
+    def _word(self) -> int:
+        """Length of a string (terminator included) or sequence."""
+        offset = self._advance(4, 4)
+        self._words.append(offset)
+        length: int = struct.unpack_from(f"{self._order}I", self._message, offset)[0]
+        return length
+
+    def _walk(self, type_name: str, prefix: str) -> None:
+        if not self._types[type_name]:
+            self._advance(1, 1)  # an empty message is a byte long
+        for name, description in self._types[type_name]:
+            self._walk_field(description, f"{prefix}{name}")
+
+    def _walk_field(self, description: Any, path: str) -> None:
+        kind, argument = description
+        if kind == Nodetype.NAME:
+            self._walk(argument, f"{path}.")
+        elif kind == Nodetype.BASE:
+            self._walk_base(argument[0], path, None)
+        else:
+            element, size = argument
+            count = size if kind == Nodetype.ARRAY else self._word()
+            if element[0] == Nodetype.BASE and element[1][0] in _CODES:
+                self._walk_base(element[1][0], path, count)
+            else:
+                for index in range(count):
+                    self._walk_field(element, f"{path}[{index}]")
+
+    def _walk_base(self, base: str, path: str, count: int | None) -> None:
+        if base == "string":
+            length = self._word()
+            self._texts[path] = self._advance(length, 1), max(length - 1, 0)
+        elif base in _CODES:
+            kind = np.dtype(f"{self._order}{_CODES[base]}")
+            elements = 1 if count is None else count
+            offset = self._advance(kind.itemsize * elements, kind.itemsize if elements else 1)
+            self._numbers[path] = kind, offset, count
+        else:
+            raise BagError(f"{path} is of type {base}, which cannot be decoded")
 
 
-def _take(
-    columns: Columns,
-    cursor: _ReadCursor,
-    block: Bytes,
-    rows: NDArray[np.int64],
-    total: int,
-) -> None:
-    for path, (code, offset, count) in cursor.numbers.items():
-        dtype = np.dtype(code)
-        size = dtype.itemsize * (1 if count is None else count)
-        raw = np.ascontiguousarray(block[:, offset : offset + size])
-        stored = dtype.newbyteorder("<" if cursor.order == "<" else ">")
-        values = raw.view(stored).astype(dtype)
-        if count is None:
-            values = values.reshape(len(rows))
-        _place(columns.numbers, path, values, rows, total)
-    for path, (offset, length) in cursor.texts.items():
-        texts = columns.texts.setdefault(path, [None] * total)
-        for row, text in zip(rows, _texts(block[:, offset : offset + length]), strict=True):
-            texts[row] = text
-
-
-def _texts(characters: Bytes) -> list[str]:
-    """A text a row; most often all are the same."""
-    if (characters == characters[0]).all():
-        return [characters[0].tobytes().decode(errors="replace")] * len(characters)
-    return [row.tobytes().decode(errors="replace") for row in characters]
-
-
-def _place(
-    found: dict[str, NDArray[Any]],
-    path: str,
-    values: NDArray[Any],
-    rows: NDArray[np.int64],
-    total: int,
-) -> None:
-    """Put the values of some rows into a column, which has a plain shape as long as all rows agree on it."""
-    if len(rows) == total:
-        found[path] = values
-        return
-    if path not in found:
-        found[path] = np.full(total, None, dtype=object)
-    column = found[path]
-    for row, value in zip(rows, values, strict=True):
-        column[row] = value
-    if all(value is not None for value in column) and len({np.shape(v) for v in column}) == 1:
-        found[path] = np.array(list(column), dtype=values.dtype)
+# --- encoding -------------------------------------------------------------------------------------
 
 
 def encode(
-    log_time: Integers | Times,
-    type_name: str,
-    types: Types,
-    numbers: Mapping[str, NDArray[Any] | float],
-    texts: Mapping[str, str | Sequence[str]],
-) -> Payloads:
-    """Messages of one type from columns; what is not given is zero or empty.
+    topic: Topic, count: int, numbers: Mapping[str, Any], texts: Mapping[str, Any]
+) -> list[bytes]:
+    """Messages of a topic from columns; what is not given is zero or empty.
 
     Args:
-        log_time: of each message, ns since the epoch, shape (count,).
-        numbers: by path; one value for all messages, shape (count,), or (count, k) for a sequence of k numbers.
-        texts: by path; one text for all messages, or one a message. A sequence of texts is given by its elements'
-            paths, ``name[0]`` and so on.
+        topic: with its definition.
+        count: number of messages.
+        numbers: by path; one value for all messages, shape (count,), or (count, k) for an array of k numbers.
+        texts: by path; one text for all messages, or one a message.
 
     Raises:
         BagError: the type has no such field.
     """
-    count = len(log_time)
-    constant, varying = {}, {}
-    for path, text in texts.items():
-        if isinstance(text, str):
-            constant[path] = np.frombuffer(text.encode(), np.uint8).reshape(1, -1)
+    store = typestore(topic.type_name, topic.definition, topic.definition_format)
+    message: Any = default_message(store, topic.type_name)
+    setters: list[tuple[Callable[[Any], None], Sequence[Any]]] = []
+    for path, value in [*numbers.items(), *texts.items()]:
+        setter = _setter(message, path)
+        if isinstance(value, str) or np.ndim(value) == 0:
+            setter(value.item() if isinstance(value, np.generic) else value)
         else:
-            varying[path] = payloads_of(list(map(str.encode, text)), log_time)
-    blocks: list[Bytes] = []
-    offset, size = np.empty(count, np.int64), np.empty(count, np.int64)
-    filled = 0
-    for rows in _alike(count, [text.size for text in varying.values()]):
-        part = {p: v[rows] if isinstance(v, np.ndarray) else v for p, v in numbers.items()}
-        characters = constant | {path: text.rows(rows) for path, text in varying.items()}
-        block = _encode_alike(len(rows), type_name, types, part, characters)
-        size[rows] = block.shape[1]
-        offset[rows] = filled + block.shape[1] * np.arange(len(rows))
-        filled += block.size
-        blocks.append(block.reshape(-1))
-    buffer = np.concatenate([np.empty(0, np.uint8), *blocks])
-    return Payloads(buffer, offset, size, log_time.astype(np.uint64))
+            plain = isinstance(value, np.ndarray) and value.ndim == 1
+            setters.append((setter, value.tolist() if plain else value))
+    messages = []
+    for row in range(count):
+        for setter, values in setters:
+            setter(values[row])
+        messages.append(bytes(store.serialize_cdr(message, topic.type_name)))
+    return messages
 
 
-def _alike(count: int, lengths: Iterable[Integers]) -> Iterator[Integers]:
-    """Rows whose texts have the same lengths, hence one layout; the lengths of a text are of shape (count,)."""
-    layout = np.zeros(count, np.int64)
-    for length in lengths:
-        layout = np.unique(layout, return_inverse=True)[1]  # small numbers, for the product
-        layout = layout * (length.max(initial=0) + 1) + length
-    for _, rows in groups(layout):
-        yield rows
+def _setter(message: Any, path: str) -> Callable[[Any], None]:
+    """Sets a field of a message, as what it was: integers where a column has none but floats."""
+    *parents, name = path.split(".")
+    for parent in parents:
+        message = getattr(message, parent, None)
+    if not hasattr(message, name):
+        raise BagError(f"there is no field {path}")
+    before = getattr(message, name)
+    if isinstance(before, np.ndarray):
+        return lambda value: setattr(message, name, np.asarray(value, before.dtype))
+    if type(before) is int:
+        return lambda value: setattr(message, name, int(value))
+    return lambda value: setattr(message, name, value)
 
 
-def _encode_alike(
-    count: int,
-    type_name: str,
-    types: Types,
-    numbers: Mapping[str, NDArray[Any] | float],
-    texts: Mapping[str, Bytes],
-) -> Bytes:
-    """Messages of one layout, shape (count, bytes of each), from texts of shape (1 or count, length)."""
-    cursor = _WriteCursor(lengths=_lengths(numbers, texts))
-    _walk(types, type_name, "", cursor)
-    unknown = (numbers.keys() - cursor.numbers.keys()) | (texts.keys() - cursor.texts.keys())
-    if unknown:
-        raise BagError(f"{type_name} has no field {sorted(unknown)[0]}")
-    block = np.zeros((count, cursor.position), np.uint8)
-    block[:, :HEADER_BYTES] = np.frombuffer(LITTLE_HEADER, np.uint8)
-    for offset, value in cursor.words:
-        _column(block, "u4", offset, None)[...] = value
-    for path, text in texts.items():
-        offset, length = cursor.texts[path]
-        block[:, offset : offset + length] = text
-    for path, values in numbers.items():
-        _column(block, *cursor.numbers[path])[...] = np.asarray(values)
-    return block
+def default_message(store: Typestore, type_name: str) -> Any:
+    """A message of `rosbags` whose numbers are zero and whose texts and sequences are empty."""
+    fields = store.fielddefs[type_name][1]
+    return store.types[type_name](**{name: _default(store, field) for name, field in fields})
 
 
-def _column(block: Bytes, code: str, offset: int, elements: int | None) -> NDArray[Any]:
-    """A number of each message, shape (count,), or several, shape (count, elements): to be filled in."""
-    dtype = np.dtype(code).newbyteorder("<")
-    shape = (len(block),) if elements is None else (len(block), elements)
-    strides = (block.shape[1], dtype.itemsize)[: len(shape)]
-    return np.ndarray(shape, dtype, block, offset, strides)
+def _default(store: Typestore, description: Any) -> Any:
+    kind, argument = description
+    if kind == Nodetype.NAME:
+        return default_message(store, argument)
+    if kind == Nodetype.BASE:
+        base = argument[0]
+        return "" if base == "string" else np.dtype(_CODES[base]).type(0).item()
+    element, size = argument
+    count = size if kind == Nodetype.ARRAY else 0
+    if element[0] == Nodetype.BASE and element[1][0] in _CODES:
+        return np.zeros(count, _CODES[element[1][0]])
+    return [_default(store, element) for _ in range(count)]
 
 
-def _lengths(
-    numbers: Mapping[str, NDArray[Any] | float], texts: Mapping[str, Bytes]
-) -> dict[str, int]:
-    """Length words of texts (with their terminator) and of sequences (by their columns or elements)."""
-    lengths = {path: text.shape[1] + 1 for path, text in texts.items()}
-    for path, values in numbers.items():
-        if np.ndim(values) == 2:
-            lengths[path] = np.shape(values)[1]
-    for path in texts:
-        if path.endswith("]"):
-            sequence = path.rpartition("[")[0]
-            lengths[sequence] = lengths.get(sequence, 0) + 1
-    return lengths
+def check_length(topic: Topic, data: bytes) -> None:
+    """Compare a message with a definition that did not come with it.
+
+    Raises:
+        BagError: it is longer or shorter than that says.
+    """
+    store = typestore(topic.type_name, topic.definition, topic.definition_format)
+    try:
+        store.deserialize_cdr(data, topic.type_name)
+    except SerdeError:
+        raise BagError(
+            f"{topic.name} carries no definition, and a message of it is not as long as the installed "
+            f"{topic.type_name} says; source the workspace that it was recorded with"
+        ) from None
+
+
+class Converter:
+    """Messages of a definition as those of another one that has further fields, which are zero or empty.
+
+    Args:
+        source, target: topics with their definitions.
+
+    Raises:
+        DefinitionError: the target lacks a field of the source, or has it with another type.
+
+    Attributes:
+        added: the fields that only the target has.
+    """
+
+    def __init__(self, source: Topic, target: Topic) -> None:
+        one, other = types_of(source), types_of(target)
+        self.added: list[str] = []
+        for name in one.keys() & other.keys():
+            before, after = dict(one[name]), dict(other[name])
+            changed = [field for field in before if before[field] != after.get(field)]
+            if changed:
+                raise DefinitionError(
+                    f"{changed[0]} of {name} is not what the installed definition says"
+                )
+            self.added += [field for field in after if field not in before]
+        same_order = all(
+            [f for f, _ in other[n] if f in dict(one[n])] == [f for f, _ in one[n]]
+            for n in one.keys() & other.keys()
+        )
+        if source.type_name not in other:
+            raise DefinitionError(f"it is not a {target.type_name}")
+        self.same = not self.added and same_order
+        self._source, self._target = source, target
+        self._stores = [
+            typestore(t.type_name, t.definition, t.definition_format) for t in (source, target)
+        ]
+
+    def __call__(self, data: bytes) -> bytes:
+        """A message in the target's layout."""
+        if self.same:
+            return data
+        old, new = self._stores
+        message = default_message(new, self._target.type_name)
+        self._copy(old.deserialize_cdr(data, self._source.type_name), message)
+        return bytes(new.serialize_cdr(message, self._target.type_name))
+
+    def _copy(self, source: Any, target: Any) -> None:
+        old, new = self._stores
+        for name, (kind, argument) in old.fielddefs[source.__msgtype__][1]:
+            value = getattr(source, name)
+            if kind == Nodetype.NAME:
+                self._copy(value, getattr(target, name))
+            elif kind != Nodetype.BASE and argument[0][0] == Nodetype.NAME:
+                items = [default_message(new, argument[0][1]) for _ in value]
+                for before, after in zip(value, items, strict=True):
+                    self._copy(before, after)
+                setattr(target, name, items)
+            else:
+                setattr(target, name, value)

@@ -21,8 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.errors import InputError
 from worm_model.gait import FORWARD, Gait, GaitError
 from worm_model.run import (
+    RESTING,
     RUNNING,
     GaitStates,
     LengthSamples,
@@ -33,7 +35,6 @@ from worm_model.run import (
 )
 
 TICKS_PER_TURN = 4096  # Dynamixel X series, ROBOTIS e-manual
-RESTING = 2  # GaitState.RESTING
 FILES = {
     "camera.csv": ("time_s", "x1_m", "x2_m"),
     "power.csv": ("time_s", "bus_voltage_V", "current_A"),
@@ -42,7 +43,7 @@ FILES = {
 GAITS_FILE = "runs.json"
 
 
-class LabError(ValueError):
+class LabError(InputError):
     """A lab's folder cannot be used; the message is one line that says where and why."""
 
 

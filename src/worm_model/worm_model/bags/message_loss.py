@@ -16,14 +16,25 @@ class LossCounter:
 
     Args:
         publishers: number of publishers that the topic has now; asked only when a number is out of turn.
+
+    Attributes:
+        lost: messages that were sent between two that were received.
+        missed: messages that publishers which came later had sent before their first one was received.
     """
 
     def __init__(self, publishers: Callable[[], int]) -> None:
         self._publishers = publishers
+        self._heard = 0
+        self._unheard = 0
         self._last: list[
             int
         ] = []  # last number of each publisher, the least recently heard one first
         self.lost = 0
+        self.missed = 0
+
+    def expect(self, publishers: int) -> None:
+        """So many publishers were there before the recording, whose earlier messages nobody asked for."""
+        self._unheard = max(publishers - self._heard, 0)
 
     def observe(self, sequence: int) -> None:
         """Take note of a received message's sequence number (counted by its publisher, from 1)."""
@@ -40,5 +51,9 @@ class LossCounter:
         if earlier and len(self._last) >= publishers:
             self.lost += sequence - max(earlier) - 1
             self._last.remove(max(earlier))
+        else:
+            self.missed += 0 if self._unheard else sequence - 1
+            self._heard += 1
+            self._unheard = max(self._unheard - 1, 0)
         while len(self._last) >= publishers:  # of publishers that are gone
             self._last.pop(0)

@@ -4,39 +4,39 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
-from worm_model.bags.bag import METADATA_FILE, Bag, read_metadata
+from worm_model.bags.bag import Bag, Notify
 from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
-from worm_model.bags.mcap_file import McapFile
-from worm_model.bags.mcap_storage import McapStorage
+from worm_model.bags.bag_metadata import METADATA_FILE, read_metadata
+from worm_model.bags.mcap_storage import McapFile, McapStorage
+from worm_model.bags.recorder import STATE, UNFINISHED
 from worm_model.bags.recovery import (
     SOURCE,
-    SOURCE_BYTES,
+    SOURCE_SHA256,
+    fingerprint,
     mcap_files,
     open_files,
     recover,
-    total_size,
+    recovered_path,
+    undeclared,
 )
 from worm_model.bags.rosbags_storage import RosbagsStorage
 
-UNFINISHED = "being recorded"  # state that the recorder's provisional metadata.yaml declares
-
-Notify = Callable[[str], None]
 _log = logging.getLogger("worm_model.bags")
 
 
 def open_bag(path: Path, notify: Notify = _log.warning) -> Bag:
     """Open a bag for reading.
 
-    A bag that was not closed (killed recorder, full disk, power cut) is recovered into a new one beside it, which is
-    opened instead; the old one is left as it is.
+    A bag that was not closed (killed recorder, full disk, power cut) or is spoilt is recovered into a new one beside
+    it, which is opened instead; the old one is left as it is.
 
     Args:
         path: a rosbag2 directory, or one file of it (``.mcap``, ``.db3``).
-        notify: told in one line when the bag had to be recovered.
+        notify: told in one line when the bag had to be recovered, and what in it contradicts itself.
 
     Raises:
         BagError: it is missing, empty, foreign, damaged beyond recovery, or still being recorded.
@@ -44,19 +44,18 @@ def open_bag(path: Path, notify: Notify = _log.warning) -> Bag:
     if not path.exists():
         raise BagError(f"{path} does not exist")
     if path.is_file():
-        return (
-            Bag(path, RosbagsStorage(path))
-            if path.suffix == ".db3"
-            else _open_mcap(path, [path], notify)
-        )
+        if path.suffix == ".db3":
+            return Bag(path, RosbagsStorage(path), notify)
+        return _open_mcap(path, [path], notify)
     if not (path / METADATA_FILE).exists():
         return _open_without_metadata(path, notify)
     content = read_metadata(path)
+    files = _named_files(path, content)
     if content.get("storage_identifier") != "mcap" or content.get("compression_mode"):
-        return Bag(path, RosbagsStorage(path))
+        return _compared(Bag(path, RosbagsStorage(path), notify))
     if _is_unfinished(content):
         return _recovered(path, notify)
-    return _open_mcap(path, _named_files(path, content), notify)
+    return _compared(_open_mcap(path, files, notify))
 
 
 def _open_without_metadata(path: Path, notify: Notify) -> Bag:
@@ -70,42 +69,53 @@ def _open_without_metadata(path: Path, notify: Notify) -> Bag:
 
 def _is_unfinished(content: dict[str, Any]) -> bool:
     custom = content.get("custom_data")
-    return isinstance(custom, dict) and custom.get("state") == UNFINISHED
+    return isinstance(custom, dict) and custom.get(STATE) == UNFINISHED
 
 
 def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
-    files = [path / PurePath(name).name for name in content["relative_file_paths"]]
-    missing = [file.name for file in files if not file.is_file()]
+    names = [PurePath(name).name for name in content["relative_file_paths"]]
+    if not names:
+        raise BagError(f"{path} names no files in its {METADATA_FILE}: nothing was recorded")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise BagError(f"{path} names {twice[0]} twice in its {METADATA_FILE}; name it once")
+    missing = [name for name in names if not (path / name).is_file()]
     if missing:
         raise BagError(f"{path} lacks {', '.join(missing)}, which its {METADATA_FILE} names")
-    if not files:
-        raise BagError(f"{path} names no files in its {METADATA_FILE}: nothing was recorded")
-    return files
+    return [path / name for name in names]
+
+
+def _compared(bag: Bag) -> Bag:
+    """The bag; a difference to what its metadata.yaml declares is told."""
+    counts = {topic.name: topic.count for topic in bag.topics.values()}
+    for topic, missing in undeclared(bag.path, counts):
+        bag.notify(
+            f"{bag.path}: {METADATA_FILE} tells of {counts.get(topic, 0) + missing} messages of {topic}, "
+            f"the bag holds {counts.get(topic, 0)}"
+        )
+    return bag
 
 
 def _open_mcap(path: Path, paths: Sequence[Path], notify: Notify) -> Bag:
     files, unreadable = open_files(paths)
     if not unreadable and all(file.contents.sound for file in files):
-        try:
-            return Bag(path, McapStorage(files))
-        except BagError:
-            _close(files)
-            raise
+        for file in files:
+            for complaint in file.contents.complaints:
+                notify(f"{file.path}: {complaint}")
+        return Bag(path, McapStorage(files), notify)
     _close(files)
     return _recovered(path, notify)
 
 
 def _recovered(path: Path, notify: Notify) -> Bag:
     """The bag that an unclosed one was, or is now, recovered into."""
-    size = _size(path)
-    target = path.with_name(f"{path.stem}_recovered")
+    content = _content(path)
     number = 1
-    while target.exists():
-        if _is_recovery(target, path, size):
+    while (target := recovered_path(path, number)).exists():
+        if _is_recovery(target, path, content):
             notify(f"{path} was not closed; reading {target}, into which it was recovered before")
             return open_bag(target, notify)
         number += 1
-        target = path.with_name(f"{path.stem}_recovered_{number}")
     try:
         report = recover(path, target)
     except ExistsError:
@@ -115,25 +125,25 @@ def _recovered(path: Path, notify: Notify) -> Bag:
             f"{path} was not closed, and {error}; "
             f"recover it elsewhere: worm_model recover {path} --output FOLDER"
         ) from None
-    notify(f"{path} was not closed; recovered {report}")
+    notify(f"{path} was not closed, or is spoilt; recovered {report}")
     return open_bag(target, notify)
 
 
-def _size(path: Path) -> int:
+def _content(path: Path) -> str:
     files, _ = open_files(mcap_files(path))
-    size = total_size(files)
+    content = fingerprint(files)
     _close(files)
-    return size
+    return content
 
 
-def _is_recovery(target: Path, source: Path, size: int) -> bool:
+def _is_recovery(target: Path, source: Path, content: str) -> bool:
     try:
         custom = read_metadata(target).get("custom_data")
     except BagError:
         return False
-    return isinstance(custom, dict) and (custom.get(SOURCE), custom.get(SOURCE_BYTES)) == (
+    return isinstance(custom, dict) and (custom.get(SOURCE), custom.get(SOURCE_SHA256)) == (
         source.name,
-        str(size),
+        content,
     )
 
 

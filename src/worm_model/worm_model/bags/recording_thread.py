@@ -9,18 +9,8 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from worm_model.bags.bag_metadata import RecordedTopic
+from worm_model.bags.message_block import Message
 from worm_model.bags.recorder import BagRecorder
-
-
-@dataclass(frozen=True)
-class Sample:
-    """A received message: raw CDR, and when it was received and sent (ns since the epoch)."""
-
-    topic: RecordedTopic
-    data: bytes
-    log_time: int
-    publish_time: int
 
 
 @dataclass(frozen=True)
@@ -31,6 +21,13 @@ class Note:
     values: Mapping[str, str]
 
 
+class Split:
+    """Go on in a new file."""
+
+
+Item = Message | Note | Split
+
+
 @dataclass
 class Tally:
     """A number of messages and the size of their payload, bytes."""
@@ -38,12 +35,15 @@ class Tally:
     messages: int = 0
     bytes: int = 0
 
-    def add(self, batch: Sequence[Sample | Note]) -> None:
+    def add(self, batch: Sequence[Item]) -> None:
         """Count the messages of a batch."""
         for item in batch:
-            if isinstance(item, Sample):
+            if isinstance(item, Message):
                 self.messages += 1
                 self.bytes += len(item.data)
+
+    def __add__(self, other: Tally) -> Tally:
+        return Tally(self.messages + other.messages, self.bytes + other.bytes)
 
 
 class RecordingThread:
@@ -55,28 +55,33 @@ class RecordingThread:
         backlog_bytes: payload that may wait for the disk; what comes on top is dropped and counted.
 
     Attributes:
-        dropped: messages that were offered and are not in the bag; after an error also those that had not been
-            synchronised, of which a recovery may still find some.
+        offered: messages that were handed over.
+        dropped: those of them that are not in the bag; after an error also those that had not been synchronised, of
+            which a recovery may still find some, and all of them if the bag was removed.
         error: what ended the writing before its time.
     """
 
     def __init__(self, recorder: BagRecorder, sync_s: float, backlog_bytes: int) -> None:
+        self.directory = recorder.directory
         self._recorder = recorder
         self._sync_s = sync_s
         self._backlog_limit = backlog_bytes
         self._backlog = 0
         self._accounting = threading.Lock()
-        self._unsynchronised: list[Sequence[Sample | Note]] = []
-        self._queue: queue.SimpleQueue[Sequence[Sample | Note] | None] = queue.SimpleQueue()
+        self._unsynchronised: list[Sequence[Item]] = []
+        self._synchronised = Tally()
+        self._queue: queue.SimpleQueue[Sequence[Item] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="bag writer")
+        self.offered = Tally()
         self.dropped = Tally()
         self.error: Exception | None = None
         self._thread.start()
 
-    def offer(self, batch: Sequence[Sample]) -> None:
+    def offer(self, batch: Sequence[Message]) -> None:
         """Hand over messages to be written; never waits."""
-        size = sum(len(sample.data) for sample in batch)
+        size = sum(len(message.data) for message in batch)
         with self._accounting:
+            self.offered.add(batch)
             if self.error is not None or self._backlog + size > self._backlog_limit:
                 self.dropped.add(batch)
                 return
@@ -87,9 +92,17 @@ class RecordingThread:
         """Hand over a metadata record."""
         self._queue.put([note])
 
+    def split(self) -> None:
+        """Go on in a new file behind what has been offered."""
+        self._queue.put([Split()])
+
+    def finish(self) -> None:
+        """Write what is left and close the bag, without waiting for it."""
+        self._queue.put(None)
+
     def close(self) -> None:
         """Write what is left, close the bag, and wait for it; `error` then tells whether all went well."""
-        self._queue.put(None)
+        self.finish()
         self._thread.join()
 
     def _run(self) -> None:
@@ -100,6 +113,8 @@ class RecordingThread:
             self._recorder.abandon()
             with self._accounting:  # from now on, `offer` drops
                 self.error = error
+                if isinstance(error, FileNotFoundError):
+                    self.dropped += self._synchronised  # gone with the folder
                 for batch in [*self._unsynchronised, *self._waiting()]:
                     self.dropped.add(batch)
 
@@ -115,22 +130,26 @@ class RecordingThread:
             self._write(batch)
             if time.monotonic() >= due:
                 self._recorder.sync()
+                for written in self._unsynchronised:
+                    self._synchronised.add(written)
                 self._unsynchronised.clear()
                 due = time.monotonic() + self._sync_s
 
-    def _write(self, batch: Sequence[Sample | Note]) -> None:
+    def _write(self, batch: Sequence[Item]) -> None:
         size = 0
         self._unsynchronised.append(batch)
         for item in batch:
-            if isinstance(item, Note):
+            if isinstance(item, Message):
+                self._recorder.write(item.channel, item.data, item.log_time, item.publish_time)
+                size += len(item.data)
+            elif isinstance(item, Note):
                 self._recorder.add_metadata(item.name, item.values)
             else:
-                self._recorder.write(item.topic, item.data, item.log_time, item.publish_time)
-                size += len(item.data)
+                self._recorder.split()
         with self._accounting:
             self._backlog -= size
 
-    def _waiting(self) -> Iterator[Sequence[Sample | Note]]:
+    def _waiting(self) -> Iterator[Sequence[Item]]:
         """What nobody will write any more."""
         while not self._queue.empty():
             yield self._queue.get() or ()

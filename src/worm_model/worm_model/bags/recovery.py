@@ -1,21 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes a whole bag of one whose recorder was killed, whose disk was full, or that was cut off."""
+"""Makes a whole bag of one whose recorder was killed, whose disk was full, or that was cut off or spoilt."""
 
 from __future__ import annotations
 
+import hashlib
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from worm_model.bags.bag import METADATA_FILE, read_metadata
+from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_writer import ROSBAG2_RECORD, BagWriter
-from worm_model.bags.mcap_contents import read_contents, scan_contents
-from worm_model.bags.mcap_file import McapFile, Reader
-from worm_model.bags.mcap_storage import McapStorage
+from worm_model.bags.bag_metadata import METADATA_FILE, declared_counts, read_metadata
+from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.mcap_scan import verify
+from worm_model.bags.mcap_storage import McapFile, McapStorage, explained
 
 SOURCE = "recovered_from"
-SOURCE_BYTES = "recovered_bytes"
+SOURCE_SHA256 = "recovered_sha256"
+
+
+@dataclass(frozen=True)
+class LostMessages:
+    """Messages that a bag once held and a recovery did not save.
+
+    Attributes:
+        file: name of the file that they were in.
+        start, end: log times between which they were, ns since the epoch; `end` 0: until the end.
+        size: bytes that are spoilt.
+        counts: messages by topic; None where nothing tells.
+    """
+
+    file: str
+    start: int
+    end: int
+    size: int
+    counts: dict[str, int] | None
+
+    def __str__(self) -> str:
+        counts = self.counts
+        if counts is None:
+            what = "an unknown number of messages"
+        elif not counts:
+            what = "no messages"
+        else:
+            what = ", ".join(f"{count} of {topic}" for topic, count in sorted(counts.items()))
+        until = f"to {self.end * 1e-9:.3f} s" if self.end else "on"
+        return f"{self.file}: {self.size} bytes spoilt, lost from {self.start * 1e-9:.3f} s {until}: {what}"
 
 
 @dataclass(frozen=True)
@@ -26,8 +57,11 @@ class Recovery:
         bag: the new bag.
         messages: number of messages in it.
         lost_bytes: bytes at the ends of the files that are not part of anything whole.
-        damaged_chunks: spoilt chunks in between, left out.
+        damaged_chunks: spoilt parts in between, left out.
         unreadable: files of the old bag that hold nothing.
+        lost: what the spoilt parts held.
+        undeclared: difference between the numbers of messages in metadata.yaml and in the new bag, by topic.
+        complaints: in what the summary of a file contradicted its data.
     """
 
     bag: Path
@@ -35,16 +69,24 @@ class Recovery:
     lost_bytes: int
     damaged_chunks: int
     unreadable: tuple[str, ...]
+    lost: tuple[LostMessages, ...] = ()
+    undeclared: tuple[tuple[str, int], ...] = ()
+    complaints: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         parts = [f"{self.messages} messages"]
         if self.lost_bytes:
             parts.append(f"{self.lost_bytes} bytes at the end were not whole")
-        if self.damaged_chunks:
-            parts.append(f"{self.damaged_chunks} chunks were spoilt")
         if self.unreadable:
             parts.append(f"nothing was in {', '.join(self.unreadable)}")
+        parts += [*map(str, self.lost), *self.complaints]
+        for topic, missing in self.undeclared:
+            parts.append(f"metadata.yaml tells of {abs(missing)} {_more(missing)} of {topic}")
         return f"{self.bag}: {'; '.join(parts)}"
+
+
+def _more(missing: int) -> str:
+    return "more" if missing > 0 else "fewer"
 
 
 def recover(path: Path, output: Path | None = None) -> Recovery:
@@ -57,23 +99,71 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
     Raises:
         BagError: there is nothing to save, the bag is still being recorded, or the output exists.
     """
-    files, unreadable = open_files(mcap_files(path), scan_contents)
+    files, unreadable = open_files(mcap_files(path))
     try:
         for file in files:
             if not file.contents.whole and file.is_being_written():
                 raise BagError(f"{path} is still being recorded; stop the recorder first")
-        target = path.with_name(f"{path.stem}_recovered") if output is None else output
-        messages = _rewrite(files, target, path)
+            with explained(file.path):
+                verify(file.data, file.contents)
+        target = recovered_path(path) if output is None else output
+        bag = Bag(path, McapStorage(files))
+        custom = {SOURCE: path.name, SOURCE_SHA256: fingerprint(files)}
+        with BagWriter(target, custom) as writer:
+            writer.copy_records(bag)
+            for channel in bag.channels:
+                writer.add_topic(channel)
+            messages = writer.write_all(bag.messages())
+        lost = tuple(loss for file in files for loss in _losses(file))
+        whole = [file for file in files if file.contents.whole]
+        return Recovery(
+            bag=target,
+            messages=messages,
+            lost_bytes=sum(f.size - f.contents.end for f in files if f not in whole),
+            damaged_chunks=len(lost),
+            unreadable=unreadable,
+            lost=lost,
+            undeclared=undeclared(path, {t.name: t.count for t in bag.topics.values()}),
+            complaints=tuple(f"{f.path.name}: {c}" for f in files for c in f.contents.complaints),
+        )
     finally:
         for file in files:
             file.close()
-    return Recovery(
-        bag=target,
-        messages=messages,
-        lost_bytes=sum(file.size - file.contents.end for file in files if not file.contents.whole),
-        damaged_chunks=sum(file.contents.damaged_chunks for file in files),
-        unreadable=unreadable,
-    )
+
+
+def recovered_path(path: Path, number: int = 1) -> Path:
+    """Where a bag is recovered to; ``pipe_0.25Hz`` and ``pipe_0.30Hz`` do not meet."""
+    name = path.stem if path.suffix == ".mcap" else path.name
+    return path.with_name(f"{name}_recovered{'' if number == 1 else f'_{number}'}")
+
+
+def _losses(file: McapFile) -> Iterable[LostMessages]:
+    channels = file.channels
+    for loss in sorted(file.contents.losses):
+        counts: Counter[str] | None = None
+        if loss.counts is not None:
+            counts = Counter()
+            for number, count in loss.counts.items():
+                counts[channels[number].name if number in channels else f"channel {number}"] += (
+                    count
+                )
+        after = [e.start for e in file.contents.extents if e.start > loss.start]
+        end = loss.end or min(after, default=0)
+        plain = None if counts is None else dict(counts)
+        yield LostMessages(file.path.name, loss.start, end, loss.size, plain)
+
+
+def undeclared(path: Path, counts: dict[str, int]) -> tuple[tuple[str, int], ...]:
+    """By how much a closed bag's metadata.yaml tells of more messages than there are, by topic, where it does."""
+    try:
+        declared = declared_counts(read_metadata(path)) if path.is_dir() else {}
+    except BagError:
+        return ()
+    if not sum(declared.values()):  # of a bag that was not closed
+        return ()
+    names = sorted(declared.keys() | counts.keys())
+    differences = [(name, declared.get(name, 0) - counts.get(name, 0)) for name in names]
+    return tuple((name, difference) for name, difference in differences if difference)
 
 
 def mcap_files(path: Path) -> list[Path]:
@@ -105,9 +195,7 @@ def _split_number(name: str) -> tuple[int, str]:
     return (int(number) if number.isdecimal() else 0), name
 
 
-def open_files(
-    paths: Iterable[Path], read: Reader = read_contents
-) -> tuple[list[McapFile], tuple[str, ...]]:
+def open_files(paths: Iterable[Path]) -> tuple[list[McapFile], tuple[str, ...]]:
     """Open what can be opened; also the names of those that cannot.
 
     Raises:
@@ -118,7 +206,7 @@ def open_files(
     reason: BagError | None = None
     for path in paths:
         try:
-            files.append(McapFile(path, read))
+            files.append(McapFile(path))
         except BagError as error:
             failed.append(path.name)
             reason = error
@@ -127,24 +215,9 @@ def open_files(
     return files, tuple(failed)
 
 
-def total_size(files: Sequence[McapFile]) -> int:
-    """Size of the files in bytes, by which a recovery is recognised later."""
-    return sum(file.size for file in files)
-
-
-def _rewrite(files: Sequence[McapFile], target: Path, source: Path) -> int:
-    storage = McapStorage(files)
-    custom = {SOURCE: source.name, SOURCE_BYTES: str(total_size(files))}
-    count = 0
-    with BagWriter(target, custom) as writer:
-        for attached in storage.attachments():
-            writer.add_attachment(attached)
-        for record in storage.records:
-            if record.name != ROSBAG2_RECORD:
-                writer.add_metadata(record.name, dict(record.values))
-        for topic in storage.topics:
-            writer.add_topic(topic)
-        for block in storage.blocks(frozenset(topic.name for topic in storage.topics)):
-            writer.write_block(block)
-            count += len(block)
-    return count
+def fingerprint(files: Sequence[McapFile]) -> str:
+    """SHA-256 of the files' content, by which a recovery is recognised later."""
+    found = hashlib.sha256()
+    for file in files:
+        found.update(file.data)
+    return found.hexdigest()

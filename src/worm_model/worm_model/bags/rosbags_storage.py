@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from enum import Enum
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import yaml
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
@@ -21,10 +21,10 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import Reader
 
-from worm_model.bags.bag import AttachedFile, MetadataRecord, Topic
+from worm_model.bags.bag import AttachedFile, MetadataRecord
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.blocks import MessageBlock, block_of
-from worm_model.bags.payloads import Payloads, join, payloads_of
+from worm_model.bags.bag_metadata import dump_yaml
+from worm_model.bags.message_block import Message, Messages, Topic, messages_of
 
 BATCH = 1000
 _FORMATS = MappingProxyType(
@@ -61,7 +61,7 @@ class RosbagsStorage:
         with _explained(path):
             self._reader = Reader(path)
             self._reader.open()
-            self.topics = tuple(sorted(map(_topic, self._reader.connections), key=lambda t: t.name))
+            self.channels = tuple(map(_topic, self._reader.connections))
             empty = not self._reader.message_count
             self.span = (0, 0) if empty else (self._reader.start_time, self._reader.end_time - 1)
         self.records: tuple[MetadataRecord, ...] = ()
@@ -74,33 +74,26 @@ class RosbagsStorage:
         """None."""
         return iter(())
 
-    def blocks(self, topics: frozenset[str]) -> Iterator[MessageBlock]:
+    def blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
         """Messages of some topics by rising log time; the sending time is not known and taken for the same."""
         wanted = [c for c in self._reader.connections if c.topic in topics]
-        if not wanted:
-            return  # the library takes no connections for all
-        names = tuple(sorted(topics))
+        channels = {c.id: replace(_topic(c), count=0) for c in wanted}
+        count = 0
         with _explained(self._path):
             found = self._reader.messages(wanted)
         while True:
             with _explained(self._path):
-                batch = list(islice(found, BATCH))
-                if not batch:
-                    return
-                times = [time for _, time, _ in batch]
-                payloads = payloads_of([bytes(data) for _, _, data in batch], times)
-                block = block_of(
-                    names, [names.index(c.topic) for c, _, _ in batch], payloads, times
-                )
-            yield block
-
-    def payloads(self, topics: frozenset[str]) -> dict[str, Payloads]:
-        """All messages of some topics, by topic."""
-        found: dict[str, list[Payloads]] = {topic: [] for topic in topics}
-        for block in self.blocks(topics):
-            for topic, payloads in block.by_topic():
-                found[topic].append(payloads.compact())
-        return {topic: join(parts) for topic, parts in found.items()}
+                batch = [
+                    Message(c.topic, time, bytes(data), time, channels[c.id])
+                    for c, time, data in islice(found, BATCH)
+                ]
+            if not batch:
+                break
+            count += len(batch)
+            yield messages_of(batch).sorted()
+        expected = sum(connection.msgcount for connection in wanted)
+        if count != expected:
+            raise BagError(f"{self._path} holds {count} messages instead of {expected}")
 
 
 def _topic(connection: Connection) -> Topic:
@@ -116,7 +109,7 @@ def _topic(connection: Connection) -> Topic:
         metadata=(
             (
                 "offered_qos_profiles",
-                yaml.safe_dump([_profile(q) for q in extension.offered_qos_profiles]),
+                dump_yaml([_profile(q) for q in extension.offered_qos_profiles]),
             ),
             ("topic_type_hash", connection.digest),
         ),

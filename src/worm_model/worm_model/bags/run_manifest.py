@@ -11,9 +11,12 @@ from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from worm_model.bags.recorder import Attachment, Manifest
+from worm_model.bags.bag import AttachedFile
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.recorder import Manifest
 
 RUN_RECORD = "worm_run"
+HOST = "host"  # key of the computer's name
 GAIT_RECORD = "worm_gait"
 PARAMETER_ATTACHMENT = "parameters.yaml"
 VERSIONED = (
@@ -28,7 +31,7 @@ VERSIONED = (
 )
 
 
-class ManifestError(ValueError):
+class ManifestError(BagError):
     """A note or a parameter file cannot be used."""
 
 
@@ -51,13 +54,13 @@ def run_manifest(
     Raises:
         ManifestError: a note is not ``key=value``, or the parameter file cannot be read.
     """
-    attachments: tuple[Attachment, ...] = ()
+    attachments: tuple[AttachedFile, ...] = ()
     record = {
         "recorded_at": datetime.fromtimestamp(now_ns / 1e9, tz=timezone.utc).isoformat(
             timespec="seconds"
         ),
-        "command": " ".join([Path(command[0]).name, *command[1:]]),
-        "host": platform.node(),
+        "command": _printable(" ".join([Path(command[0]).name, *command[1:]])),
+        HOST: platform.node(),
         "seed": "" if seed is None else str(seed),
         "parameter_file": "",
         "parameter_sha256": "",
@@ -66,8 +69,8 @@ def run_manifest(
     }
     if parameter_file is not None:
         data = _read(parameter_file)
-        attachments = (Attachment(PARAMETER_ATTACHMENT, "application/yaml", data),)
-        record["parameter_file"] = str(parameter_file)
+        attachments = (AttachedFile(PARAMETER_ATTACHMENT, "application/yaml", data),)
+        record["parameter_file"] = _printable(str(parameter_file))
         record["parameter_sha256"] = hashlib.sha256(data).hexdigest()
     return Manifest({RUN_RECORD: record}, attachments)
 
@@ -85,8 +88,20 @@ def _notes(notes: Sequence[str]) -> Mapping[str, str]:
         key, separator, value = note.partition("=")
         if not key or not separator:
             raise ManifestError(f"a note is written KEY=VALUE, not {note!r}")
+        if not is_text(note):
+            raise ManifestError(f"a note is not UTF-8 text: {note!r}")
         found[f"note.{key}"] = value
     return found
+
+
+def _printable(text: str) -> str:
+    """With an escape for what is not UTF-8."""
+    return text.encode(errors="backslashreplace").decode()
+
+
+def is_text(text: str) -> bool:
+    """Whether it can be written as UTF-8: an argument of other bytes cannot."""
+    return not any("\ud800" <= character <= "\udfff" for character in text)
 
 
 def _versions() -> Mapping[str, str]:

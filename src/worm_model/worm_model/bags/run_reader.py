@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.bags.bag import Bag, Topic
+from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.cdr import Columns, decode, parse_types
-from worm_model.bags.definitions import installed_types
-from worm_model.bags.payloads import Payloads
+from worm_model.bags.cdr import ColumnBuilder, Columns
+from worm_model.bags.message_block import Topic
 from worm_model.bags.worm_topics import find_topic
 from worm_model.run import (
     GaitStates,
@@ -86,32 +85,17 @@ def namespace_of(bag: Bag) -> str:
     )
 
 
-def read_columns(bag: Bag, topics: list[Topic]) -> dict[str, Columns]:
+def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
     """All fields of some topics of a bag as columns, by topic name.
 
     Raises:
         BagError: a topic cannot be decoded.
     """
-    payloads = bag.payloads([topic.name for topic in topics])
-    return {topic.name: decode_topic(topic, payloads[topic.name]) for topic in topics}
-
-
-def decode_topic(topic: Topic, payloads: Payloads) -> Columns:
-    """Columns of messages of a topic, by the definition inside the bag, or by the installed one if it has none.
-
-    Raises:
-        BagError: they cannot be decoded.
-    """
-    if topic.encoding != "cdr":
-        raise BagError(f"{topic.name} is encoded as {topic.encoding!r}; only cdr can be decoded")
-    if topic.definition:
-        types = parse_types(topic.type_name, topic.definition, topic.definition_format)
-    else:
-        types = installed_types(topic.type_name)
-    try:
-        return decode(payloads, topic.type_name, types)
-    except BagError as error:
-        raise BagError(f"{topic.name}: {error}") from None
+    builders = {topic.name: ColumnBuilder() for topic in topics}
+    for block in bag.blocks(builders):
+        for name, messages in block.by_topic():
+            builders[name].add(messages)
+    return {name: builder.columns() for name, builder in builders.items()}
 
 
 def _stamp(columns: Columns, path: str = "header.stamp") -> NDArray[np.int64]:
@@ -127,7 +111,10 @@ def _numbers(columns: Columns, path: str, kind: type = np.float64) -> NDArray[An
         raise BagError(
             f"the definition in the bag has no field {path}: it is not that of worm_msgs"
         )
-    return columns.numbers[path].astype(kind)
+    values = columns.numbers[path]
+    if values.dtype == object:
+        raise BagError(f"{path} is not in all messages, or not of one length: the layout changes")
+    return values.astype(kind)
 
 
 def _lengths(columns: Columns | None) -> LengthSamples:
@@ -176,8 +163,11 @@ def _gait_states(columns: Columns | None) -> GaitStates:
 
 
 def _run_numbers(columns: Columns) -> NDArray[np.int64]:
-    """Of gait states; bags from before runs had numbers have none."""
-    return _numbers(columns, "run", np.int64) if "run" in columns.numbers else np.empty(0, np.int64)
+    """Numbers of the runs; 0, unknown, in messages of before they had one."""
+    values = columns.numbers.get("run", np.zeros(len(columns.numbers["state"]), np.int64))
+    if values.dtype == object:
+        values = np.where(values == None, 0, values)  # noqa: E711 - element by element
+    return values.astype(np.int64)
 
 
 def _joints(columns: Columns | None) -> JointSamples:

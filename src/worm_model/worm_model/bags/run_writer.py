@@ -3,18 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import heapq
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from operator import attrgetter, itemgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_writer import BagWriter
-from worm_model.bags.blocks import block_of_topics
-from worm_model.bags.cdr import encode
-from worm_model.bags.definitions import installed_types, topic_of
-from worm_model.bags.payloads import Payloads
+from worm_model.bags.cdr import check_length, encode
+from worm_model.bags.message_block import Message, Topic
+from worm_model.bags.message_types import topic_of, with_definition
 from worm_model.bags.worm_topics import TYPES, offered_qos
 from worm_model.run import LengthSamples, Run, Stamps
 
@@ -28,27 +32,64 @@ def write_run(writer: BagWriter, run: Run, namespace: str = "/worm") -> None:
     Raises:
         BagError: the definitions of worm_msgs are not installed.
     """
-    messages: dict[str, Payloads] = {}
+    series = []
     for name, stamp, numbers in _series(run):
         if len(stamp):
             topic = topic_of(f"{namespace.rstrip('/')}/{name}", TYPES[name], offered_qos(name))
             writer.add_topic(topic)
-            messages[topic.name] = encode_stamped(TYPES[name], stamp, numbers)
-    writer.write_block(block_of_topics(messages))
+            series.append(stamped_messages(topic, stamp, numbers))
+    writer.write_all(heapq.merge(*series, key=attrgetter("log_time")))
 
 
-def encode_stamped(
-    type_name: str, stamp: Stamps, numbers: Numbers, texts: Mapping[str, Any] | None = None
-) -> Payloads:
-    """CDR messages of a type with a header, from stamps (ns since the epoch) and columns; received at their stamps.
+def stamped_messages(
+    topic: Topic, stamp: Stamps, numbers: Numbers, texts: Mapping[str, Any] | None = None
+) -> list[Message]:
+    """Messages of a type with a header by rising stamp (ns since the epoch), received and sent at their stamps.
+
+    Args:
+        numbers, texts: as `cdr.encode` takes them.
 
     Raises:
         BagError: a stamp is from before the epoch, or the type has no such field.
     """
     if len(stamp) and stamp.min() < 0:
-        raise BagError(f"a {type_name} is from before 1970, which no bag can hold")
+        raise BagError(f"a {topic.type_name} is from before 1970, which no bag can hold")
     header = {"header.stamp.sec": stamp // 10**9, "header.stamp.nanosec": stamp % 10**9}
-    return encode(stamp, type_name, installed_types(type_name), {**header, **numbers}, texts or {})
+    data = encode(topic, len(stamp), {**header, **numbers}, texts or {})
+    return [
+        Message(topic.name, time, data[row], time, topic)
+        for row, time in sorted(enumerate(stamp.tolist()), key=itemgetter(1))
+    ]
+
+
+def write_beside(
+    bag: Bag, output: Path, topics: Sequence[str], messages: Sequence[Iterable[Message]]
+) -> None:
+    """Write a bag with a bag's messages and others in between; the same ones give the same bytes.
+
+    Args:
+        topics: of the bag, those that are kept.
+        messages: of each further topic, by rising log time; at equal times they come behind the bag's.
+
+    Raises:
+        BagError: the output exists, or a topic has no definition.
+    """
+    kept = [with_definition(channel) for channel in bag.channels if channel.name in topics]
+    known = {channel: with_definition(channel) for channel in bag.channels}
+    defined = {replace(before, count=0): replace(after, count=0) for before, after in known.items()}
+    with BagWriter(output) as writer:
+        writer.copy_records(bag)
+        for topic in kept:
+            writer.add_topic(topic)
+        own = (_defined(message, defined[message.channel]) for message in bag.messages(topics))
+        writer.write_all(heapq.merge(own, *messages, key=attrgetter("log_time")))
+
+
+def _defined(message: Message, channel: Topic) -> Message:
+    """A message with a definition, which must fit if it was not its own."""
+    if not message.channel.definition:
+        check_length(channel, message.data)
+    return message._replace(channel=channel)
 
 
 def _series(run: Run) -> list[tuple[str, Stamps, Numbers]]:

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.bags.bag import Bag, Topic
+from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.cdr import Columns
-from worm_model.bags.payloads import Payloads
-from worm_model.bags.run_reader import decode_topic
+from worm_model.bags.cdr import ColumnBuilder, Columns
+from worm_model.bags.message_block import Messages, Topic
 
 LOG_TIME = "log_time_ns"
 TEXT = "text"
 SECONDS, NANOSECONDS = ".sec", ".nanosec"
+MOST_ELEMENTS = 256  # of an array that gets a column an element; an image is one column of lists
 
 Kind = str  # numpy's name of a number's type, or TEXT
 Rows = Mapping[str, list[Any]]
@@ -25,31 +25,76 @@ Rows = Mapping[str, list[Any]]
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of a topic: kind by name, in their order. Times are one column in ns, arrays one column an element."""
+    """Columns of a topic in their order. Times are one column in ns, arrays one column an element.
+
+    Attributes:
+        topic: whose messages are the rows.
+        kinds: kind by name of the columns with one value a row.
+        lists: kind of the elements by name of the columns with an array a row, of more than MOST_ELEMENTS.
+    """
 
     topic: Topic
     kinds: Mapping[str, Kind]
+    lists: Mapping[str, Kind]
+
+
+@dataclass
+class _Field:
+    """What a topic's messages have under a path: `width` None for one value, else the most elements of an array."""
+
+    kind: Kind
+    width: int | None
+    values: list[Any]
+
+    def joined(self, other: _Field) -> _Field:
+        """The kind and width that hold both."""
+        texts = TEXT in (self.kind, other.kind)
+        kind = TEXT if texts else str(np.result_type(self.kind, other.kind))
+        widths = [width for width in (self.width, other.width) if width is not None]
+        return _Field(kind, max(widths, default=None), [])
+
+    @property
+    def is_list(self) -> bool:
+        """Whether it is too wide for a column an element."""
+        return (self.width or 0) > MOST_ELEMENTS
+
+    def columns(self, path: str, width: int | None) -> Iterator[tuple[str, list[Any]]]:
+        """A column, or one for each of as many elements as are wanted."""
+        if width is None or width > MOST_ELEMENTS:
+            yield path, self.values
+            return
+        for i in range(width):
+            yield f"{path}[{i}]", [_element(value, i) for value in self.values]
 
 
 def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[Table], dict[str, BagError]]:
     """The tables of some topics, and why others have none. Reads the bag once: sequences may grow within it."""
-    kinds: dict[str, dict[str, Kind]] = {name: {} for name in topics}
+    fields: dict[str, dict[str, _Field]] = {name: {} for name in topics}
     failed: dict[str, BagError] = {}
-    for block in bag.blocks(kinds):
+    for block in bag.blocks(fields):
         for name, messages in block.by_topic():
             if name in failed:
                 continue
             try:
-                columns = _flat(bag.topics[name], messages)
+                found = _fields(messages)
             except BagError as error:
                 failed[name] = error
                 continue
-            for path, (kind, _) in columns.items():
-                kinds[name].setdefault(path, kind)
-    tables = [
-        Table(bag.topics[name], kinds[name]) for name in kinds if kinds[name] and name not in failed
-    ]
-    return tables, failed
+            for path, new in found.items():
+                known = fields[name].get(path)
+                fields[name][path] = new.joined(known or new)
+    tables = [_table(bag.topics[name], fields[name]) for name in fields if name not in failed]
+    return [table for table in tables if table.kinds], failed
+
+
+def _table(topic: Topic, fields: Mapping[str, _Field]) -> Table:
+    kinds = {
+        column: known.kind
+        for path, known in fields.items()
+        if not known.is_list
+        for column, _ in known.columns(path, known.width)
+    }
+    return Table(topic, kinds, {p: known.kind for p, known in fields.items() if known.is_list})
 
 
 def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, Rows]]:
@@ -58,57 +103,49 @@ def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, Rows
     for block in bag.blocks(by_topic):
         for name, messages in block.by_topic():
             table = by_topic[name]
-            found = _flat(table.topic, messages)
+            found: dict[str, list[Any]] = {}
+            for path, here in _fields(messages).items():
+                width = MOST_ELEMENTS + 1 if path in table.lists else here.width
+                found.update(here.columns(path, width))
             missing = [None] * len(messages)
-            yield (
-                table,
-                {path: found[path][1] if path in found else missing for path in table.kinds},
-            )
+            yield table, {n: found.get(n, missing) for n in (*table.kinds, *table.lists)}
 
 
-def _flat(topic: Topic, messages: Payloads) -> dict[str, tuple[Kind, list[Any]]]:
-    """Kind and values of each column."""
-    columns = decode_topic(topic, messages)
-    flat: dict[str, tuple[Kind, list[Any]]] = {LOG_TIME: ("int64", messages.log_time.tolist())}
+def _fields(messages: Messages) -> dict[str, _Field]:
+    """Kind, width and values of what the messages hold."""
+    builder = ColumnBuilder()
+    builder.add(messages)
+    columns = builder.columns()
+    found = {LOG_TIME: _Field("int64", None, messages.log_time.tolist())}
     for path, values in columns.numbers.items():
-        if path.endswith(SECONDS) and path.removesuffix(SECONDS) + NANOSECONDS in columns.numbers:
-            stem = path.removesuffix(SECONDS)
-            flat[f"{stem}_ns"] = "int64", _nanoseconds(columns, stem)
-        elif (
-            not path.endswith(NANOSECONDS)
-            or path.removesuffix(NANOSECONDS) + SECONDS not in columns.numbers
-        ):
-            flat.update(_number_columns(path, values))
+        stem = path.removesuffix(SECONDS).removesuffix(NANOSECONDS)
+        if stem + SECONDS in columns.numbers and stem + NANOSECONDS in columns.numbers:
+            found[f"{stem}_ns"] = _Field("int64", None, _nanoseconds(columns, stem))
+        else:
+            found[path] = _number_field(values)
     for path, texts in columns.texts.items():
-        flat[path] = TEXT, list(texts)
-    return flat
+        found[path] = _Field(TEXT, None, list(texts))
+    return found
 
 
 def _nanoseconds(columns: Columns, stem: str) -> list[Any]:
+    """Python's integers, which do not overflow as the seconds' own type would."""
     seconds, rest = columns.numbers[stem + SECONDS], columns.numbers[stem + NANOSECONDS]
     pairs = zip(seconds.tolist(), rest.tolist(), strict=True)
-    return [None if whole is None else whole * 10**9 + part for whole, part in pairs]
+    return [
+        None if whole is None or part is None else int(whole) * 10**9 + int(part)
+        for whole, part in pairs
+    ]
 
 
-def _number_columns(
-    path: str, values: np.ndarray[Any, Any]
-) -> Iterator[tuple[str, tuple[Kind, list[Any]]]]:
+def _number_field(values: np.ndarray[Any, Any]) -> _Field:
     if values.dtype != object:
-        elements = (
-            [(path, values)]
-            if values.ndim == 1
-            else [(f"{path}[{i}]", values[:, i]) for i in range(values.shape[1])]
-        )
-        for name, column in elements:
-            yield name, (str(column.dtype), column.tolist())
-        return
+        width = None if values.ndim == 1 else values.shape[1]
+        return _Field(str(values.dtype), width, values.tolist() if width is None else list(values))
     present = [value for value in values if value is not None]
-    width = max((np.size(value) for value in present), default=0)
-    kind = str(np.asarray(present[0]).dtype) if present else "float64"
-    scalar = all(np.ndim(value) == 0 for value in present)
-    for i in range(width):
-        name = path if scalar else f"{path}[{i}]"
-        yield name, (kind, [_element(value, i) for value in values])
+    kind = str(np.result_type(*(np.asarray(value) for value in present))) if present else "float64"
+    arrays = [np.size(value) for value in present if np.ndim(value)]
+    return _Field(kind, max(arrays, default=None), list(values))
 
 
 def _element(value: Any, index: int) -> Any:

@@ -6,8 +6,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from worm_model.bags.bag_errors import BagError
 
-class SelectionError(ValueError):
+
+class SelectionError(BagError):
     """Nothing, or nothing sensible, was selected."""
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from worm_model.bags.bag import Topic
 from worm_model.bags.bag_errors import BagError
+from worm_model.bags.message_block import Topic
 
 BODY_LENGTH = "worm_msgs/msg/BodyLength"
 TRACKER = "worm_msgs/msg/Tracker"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all command lines share: exit status, one-line errors, progress, JSON.
+"""What all command lines share: options, exit status, one-line errors, output, progress.
 
 Exit status 0: done; 2: bad input, one line on standard error says what and how to mend it; 1: anything
 else. Standard output holds the result alone, progress and logs go to standard error.
@@ -15,23 +15,58 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from worm_model.bags.bag_errors import BagError
-from worm_model.gait import GaitError
-from worm_model.parameters import ParameterError
+from worm_model.errors import InputError
+from worm_model.gait import FORWARD, REVERSE
+
+__all__ = ["BAD_INPUT", "DONE", "FAILED", "InputError", "Parser", "ProgressLine", "run_command"]
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 
 
-class InputError(ValueError):
-    """What the user gave cannot be used; the message is one line that says why and what to do."""
-
-
 class Parser(argparse.ArgumentParser):
-    """A parser whose complaint is one line."""
+    """A parser whose complaint is one line, with the options that several commands have."""
 
     def error(self, message: str) -> NoReturn:
         """Prints the complaint and leaves with status 2."""
         self.exit(BAD_INPUT, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+    def add_number(
+        self, name: str, unit: str, meaning: str, default: float | None = None, **more: Any
+    ) -> None:
+        """Adds an option for a finite number; its help names the default, if there is one."""
+        suffix = "" if default is None else f" (default: {default:g})"
+        self.add_argument(
+            name, type=number, default=default, metavar=unit, help=f"{meaning}{suffix}", **more
+        )
+
+    def add_direction(self) -> None:
+        """Adds --direction."""
+        self.add_argument(
+            "--direction",
+            type=int,
+            default=FORWARD,
+            choices=(FORWARD, REVERSE),
+            help=f"{FORWARD}: forward (default), {REVERSE}: reverse",
+        )
+
+    def add_figure(self) -> None:
+        """Adds --figure; see `figure_file`."""
+        self.add_argument(
+            "--figure", metavar="FILE", help="write a figure too (.png, .pdf or .svg)"
+        )
+
+    def add_parameters(self) -> None:
+        """Adds --parameters."""
+        self.add_argument(
+            "--parameters",
+            default="",
+            metavar="FILE",
+            help="parameter file (YAML); default: the paper's values",
+        )
+
+    def add_json(self) -> None:
+        """Adds --json; see `print_result`."""
+        self.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run_command(
@@ -41,19 +76,20 @@ def run_command(
 ) -> int:
     """Parses, runs, and turns what goes wrong into the exit status; returns it."""
     options = parser.parse_args(arguments)
+    notify = notifier(parser.prog)
     try:
         return command(options) or DONE
-    except (InputError, GaitError, ParameterError, BagError, FileExistsError) as error:
-        print(f"{parser.prog}: {one_line(error)}", file=sys.stderr)  # noqa: T201
+    except (InputError, FileExistsError) as error:
+        notify(one_line(error))
         return BAD_INPUT
     except BrokenPipeError:
         sys.stderr.close()  # the reader of the output has gone, as `head` does
         return FAILED
     except OSError as error:  # a full disk, no permission
-        print(f"{parser.prog}: {one_line(error)}", file=sys.stderr)  # noqa: T201
+        notify(one_line(error))
         return FAILED
     except KeyboardInterrupt:
-        print(f"{parser.prog}: cancelled", file=sys.stderr)  # noqa: T201
+        notify("cancelled")
         return FAILED
 
 
@@ -64,14 +100,13 @@ def one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def add_parameters(parser: argparse.ArgumentParser) -> None:
-    """Adds --parameters, which every command takes."""
-    parser.add_argument(
-        "--parameters",
-        default="",
-        metavar="FILE",
-        help="parameter file (YAML); default: the paper's",
-    )
+def notifier(program: str) -> Callable[[str], None]:
+    """What tells a line on standard error, after the program's name."""
+
+    def notify(line: str) -> None:
+        sys.stderr.write(f"{program}: {line}\n")
+
+    return notify
 
 
 def number(text: str) -> float:
@@ -90,6 +125,25 @@ def new_file(path: str) -> Path:
     if not target.parent.is_dir():
         raise InputError(f"{path}: its folder {target.parent} does not exist; make it first")
     return target
+
+
+def figure_file(options: argparse.Namespace) -> Path | None:
+    """The new file of --figure, None where none is asked for; raises `InputError` if it cannot be made."""
+    if options.figure is None:
+        return None
+    from worm_model.analysis.plot_style import check_format
+
+    path = new_file(options.figure)
+    check_format(path)
+    return path
+
+
+def print_result(options: argparse.Namespace, content: dict[str, Any], text: str) -> None:
+    """Prints a result as it is asked for: ``content`` as JSON, or ``text`` for people."""
+    if options.json:
+        print_json(content)
+    else:
+        sys.stdout.write(f"{text}\n")
 
 
 def print_json(content: Any) -> None:
@@ -112,7 +166,7 @@ def _finite(content: Any) -> Any:
     return content
 
 
-class Progress:
+class ProgressLine:
     """A progress line on standard error: a bar on a terminal, a line every tenth elsewhere."""
 
     WIDTH = 40

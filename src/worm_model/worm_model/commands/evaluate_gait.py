@@ -1,22 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: the figures of a gait, or of a table of gaits."""
+"""Command line: speed, power and cost of transport of a gait, or of a table of gaits."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 
 from worm_model.commands.command_line import (
     InputError,
     Parser,
-    Progress,
-    add_parameters,
+    ProgressLine,
     new_file,
-    number,
-    print_json,
+    print_result,
     run_command,
 )
-from worm_model.gait import FORWARD, REVERSE, Gait
+from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
 from worm_model.simulation.simulator import GaitResult, evaluate_gait
@@ -62,31 +59,26 @@ def _parser() -> Parser:
         description="Speed, power and cost of transport of a gait: five cycles from the start, the "
         "last three averaged.",
     )
-    parser.add_argument("--stroke", type=number, metavar="M", help="contraction stroke in m")
-    parser.add_argument("--frequency", type=number, metavar="HZ", help="frequency in Hz")
-    parser.add_argument(
-        "--margin", type=number, default=0.0, metavar="M", help="robustness margin in m (default 0)"
-    )
-    parser.add_argument(
-        "--direction", type=int, default=FORWARD, choices=(FORWARD, REVERSE), help="default 1"
-    )
+    parser.add_number("--stroke", "M", "contraction stroke in m")
+    parser.add_number("--frequency", "HZ", "frequency in Hz")
+    parser.add_number("--margin", "M", "robustness margin in m", 0.0)
+    parser.add_direction()
     parser.add_argument("--gaits", metavar="IN.csv", help="evaluate a table of gaits instead")
-    parser.add_argument("--output", metavar="OUT.csv", help="where the table's figures go")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_parameters(parser)
+    parser.add_argument("--output", metavar="OUT.csv", help="where the table's results go")
+    parser.add_json()
+    parser.add_parameters()
     return parser
 
 
 def _evaluate_table(options: argparse.Namespace, parameters: Parameters) -> None:
     if options.output is None:
-        raise InputError("--gaits needs --output, the file that the figures go to")
+        raise InputError("--gaits needs --output, the file that the results go to")
     output = new_file(options.output)
-    overrides, table = evaluate_table(read_gaits(options.gaits), parameters, Progress("gaits"))
+    overrides, table = evaluate_table(read_gaits(options.gaits), parameters, ProgressLine("gaits"))
     write_table(output, table, overrides, parameters)
-    if options.json:
-        print_json({"output": str(output), "gaits": int(table.speed.size)})
-    else:
-        sys.stdout.write(f"{table.speed.size} gaits written to {output}\n")
+    count = int(table.speed.size)
+    content = {"output": str(output), "gaits": count}
+    print_result(options, content, f"{count} gaits written to {output}")
 
 
 def _evaluate(options: argparse.Namespace) -> None:
@@ -94,14 +86,13 @@ def _evaluate(options: argparse.Namespace) -> None:
     if options.gaits is not None:
         _evaluate_table(options, parameters)
         return
+    if options.output is not None:
+        raise InputError("--output is for the results of --gaits; one gait is printed")
     if options.stroke is None or options.frequency is None:
         raise InputError("give --stroke and --frequency, or --gaits IN.csv --output OUT.csv")
     gait = Gait(options.stroke, options.frequency, options.direction, options.margin)
     result = evaluate_gait(gait, parameters)
-    if options.json:
-        print_json(gait_json(result))
-    else:
-        sys.stdout.write(describe(result) + "\n")
+    print_result(options, gait_json(result), describe(result))
 
 
 def main() -> int:

@@ -6,19 +6,29 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 from worm_model.bags.bag import Bag
-from worm_model.bags.draft import new_folder
 from worm_model.bags.opening import open_bag
-from worm_model.bags.tables import TEXT, Rows, Table, find_tables, read_tables
-from worm_model.commands.command_line import InputError, Parser, new_file, print_json, run_command
+from worm_model.bags.tables import MOST_ELEMENTS, TEXT, Rows, Table, find_tables, read_tables
+from worm_model.bags.whole_folder import new_folder
+from worm_model.commands.command_line import (
+    DONE,
+    FAILED,
+    InputError,
+    Parser,
+    new_file,
+    notifier,
+    print_result,
+    run_command,
+)
 
 FORMATS = ("csv", "parquet")
+_NOTIFY = notifier("export")
 
 
 class TableWriter(Protocol):
@@ -37,13 +47,20 @@ class CsvWriter:
     """Numbers are written so that reading them gives the same; what is missing, and NaN, is an empty cell."""
 
     def __init__(self, path: Path, table: Table) -> None:
+        self._columns = list(table.kinds)
         self._stream = path.open("x", encoding="utf-8", newline="")
         self._writer = csv.writer(self._stream, lineterminator="\n")
-        self._writer.writerow(table.kinds)
+        self._writer.writerow(self._columns)
+        for name in table.lists:
+            _NOTIFY(
+                f"{table.topic.name}: {name} is left out, its arrays have more than {MOST_ELEMENTS} elements; "
+                "--format parquet keeps it"
+            )
 
     def write(self, rows: Rows) -> None:
         """Append rows."""
-        self._writer.writerows(zip(*(map(_cell, column) for column in rows.values()), strict=True))
+        columns = (map(_cell, rows[name]) for name in self._columns)
+        self._writer.writerows(zip(*columns, strict=True))
 
     def close(self) -> None:
         """Finish the file."""
@@ -55,7 +72,7 @@ def _cell(value: Any) -> Any:
 
 
 class ParquetWriter:
-    """Columns keep their types; what is missing is null, NaN stays NaN."""
+    """Columns keep their types, also where a value is missing, which is null; NaN stays NaN."""
 
     def __init__(self, path: Path, table: Table) -> None:
         try:
@@ -69,6 +86,8 @@ class ParquetWriter:
             name: arrow.string() if kind == TEXT else arrow.from_numpy_dtype(kind)
             for name, kind in table.kinds.items()
         }
+        for name, kind in table.lists.items():
+            types[name] = arrow.list_(arrow.from_numpy_dtype(kind))
         self._arrow = arrow
         self._schema = arrow.schema(list(types.items()))
         self._writer = parquet.ParquetWriter(path, self._schema)
@@ -88,8 +107,16 @@ WRITERS: Mapping[str, type[CsvWriter] | type[ParquetWriter]] = {
 }
 
 
-def export(bag: Bag, output: Path, kind: str, topics: list[str]) -> dict[str, int]:
-    """Write a table a topic into a new folder; returns the number of rows by file name.
+@dataclass(frozen=True)
+class Exported:
+    """What was written: number of `rows` by file name, and why topics were `left_out`."""
+
+    rows: dict[str, int] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+def export(bag: Bag, output: Path, kind: str, topics: list[str]) -> Exported:
+    """Write a table a topic into a new folder.
 
     Memory does not grow with the bag. The folder is there whole or not at all.
 
@@ -98,30 +125,38 @@ def export(bag: Bag, output: Path, kind: str, topics: list[str]) -> dict[str, in
         InputError: the format needs a package that is not installed.
     """
     tables, failed = find_tables(bag, topics or bag.topics)
-    for name, reason in failed.items():
-        sys.stderr.write(f"export: {name} is left out: {reason}\n")
-    rows: dict[str, int] = {}
-    with new_folder(output) as draft, ExitStack() as stack:
+    stems = file_stems(table.topic.name for table in tables)
+    exported = Exported(left_out={name: str(reason) for name, reason in failed.items()})
+    with new_folder(output) as folder, ExitStack() as stack:
         writers: dict[str, TableWriter] = {}
         for table in tables:
-            file = f"{file_stem(table.topic.name)}.{kind}"
-            writers[table.topic.name] = WRITERS[kind](draft / file, table)
+            file = f"{stems[table.topic.name]}.{kind}"
+            writers[table.topic.name] = WRITERS[kind](folder / file, table)
             stack.callback(writers[table.topic.name].close)
-            rows[file] = table.topic.count
+            exported.rows[file] = table.topic.count
         for table, batch in read_tables(bag, tables):
             writers[table.topic.name].write(batch)
-    return rows
+    return exported
 
 
-def file_stem(topic: str) -> str:
-    """A file name for a topic; names of topics hold no double underscore, so no two topics share one."""
-    return topic.strip("/").replace("/", "__")
+def file_stems(topics: Iterable[str]) -> dict[str, str]:
+    """A file name for each topic: /a/b is a__b, and so is /a__b, which then becomes a__b_2."""
+    stems: dict[str, str] = {}
+    for topic in topics:
+        stem = wanted = topic.strip("/").replace("/", "__")
+        number = 1
+        while stem.lower() in {taken.lower() for taken in stems.values()}:
+            number += 1
+            stem = f"{wanted}_{number}"
+        stems[topic] = stem
+    return stems
 
 
 def _parser() -> Parser:
     parser = Parser(
         prog="export",
-        description="Writes a table for each topic of a bag: a row a message, a column a field; times in ns.",
+        description="Writes a table for each topic of a bag: a row a message, a column a field; times in ns. "
+        "Ends with status 1 if a topic had to be left out.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="must not exist")
@@ -129,22 +164,20 @@ def _parser() -> Parser:
     parser.add_argument(
         "--topic", action="append", default=[], help="only this one; may be repeated"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_json()
     return parser
 
 
-def _export(options: argparse.Namespace) -> None:
+def _export(options: argparse.Namespace) -> int:
     output = new_file(options.output)
-    with open_bag(options.bag, _notify) as bag:
-        rows = export(bag, output, options.format, options.topic)
-    if options.json:
-        print_json({"output": str(output), "rows": rows})
-    else:
-        sys.stdout.writelines(f"{output / name}: {count} rows\n" for name, count in rows.items())
-
-
-def _notify(line: str) -> None:
-    sys.stderr.write(f"export: {line}\n")
+    with open_bag(options.bag, _NOTIFY) as bag:
+        exported = export(bag, output, options.format, options.topic)
+    for name, reason in exported.left_out.items():
+        _NOTIFY(f"{name} is left out: {reason}")
+    text = "\n".join(f"{output / name}: {count} rows" for name, count in exported.rows.items())
+    content = {"output": str(output), "rows": exported.rows, "left_out": exported.left_out}
+    print_result(options, content, text)
+    return FAILED if exported.left_out else DONE
 
 
 def main() -> int:

@@ -4,29 +4,25 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from worm_model.analysis.drift_figure import draw_health
 from worm_model.commands.command_line import (
     InputError,
     Parser,
-    Progress,
-    add_parameters,
-    new_file,
-    print_json,
+    ProgressLine,
+    figure_file,
+    print_result,
     run_command,
 )
 from worm_model.identification.drift import ADVICE, FEWEST_BAGS, Chart, State, chart_of
 from worm_model.identification.drift_estimates import BagEstimates, LeftOut, estimate_bags
+from worm_model.identification.drift_figure import draw_health
 from worm_model.identification.estimate import Estimate
 from worm_model.parameters import UNITS, load_parameter_file
-
-FIGURES = (".png", ".pdf", ".svg")
 
 
 def _parser() -> Parser:
@@ -36,16 +32,16 @@ def _parser() -> Parser:
         "alone and tells which of them drift over the bags, since when, and what to look at.",
     )
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="one run each, any order")
-    parser.add_argument("--figure", metavar="FILE", help="control charts (.png, .pdf or .svg)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_parameters(parser)
+    parser.add_figure()
+    parser.add_json()
+    parser.add_parameters()
     return parser
 
 
 def _health(options: argparse.Namespace) -> None:
     known = load_parameter_file(options.parameters)
-    figure = _figure_file(options.figure) if options.figure else None
-    bags, left_out = estimate_bags(options.bags, known.parameters, Progress("health"))
+    figure = figure_file(options)
+    bags, left_out = estimate_bags(options.bags, known.parameters, ProgressLine("health"))
     if not bags:
         more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
         raise InputError(
@@ -54,17 +50,7 @@ def _health(options: argparse.Namespace) -> None:
     charts = [chart_of(key, [bag.estimates[key] for bag in bags], known) for key in ADVICE]
     if figure is not None:
         draw_health([bag.name for bag in bags], charts, figure)
-    if options.json:
-        print_json(health_json(bags, left_out, charts))
-    else:
-        sys.stdout.write(describe(bags, left_out, charts) + "\n")
-
-
-def _figure_file(path: str) -> Path:
-    target = new_file(path)
-    if target.suffix.lower() not in FIGURES:
-        raise InputError(f"{path}: give a name that ends in {', '.join(FIGURES)}")
-    return target
+    print_result(options, health_json(bags, left_out, charts), describe(bags, left_out, charts))
 
 
 def health_json(
@@ -162,18 +148,18 @@ def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
 
 def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]:
     """What limits the verdicts as a whole."""
-    found = []
+    remarks = []
     few = [chart.key for chart in charts if chart.state is State.TOO_FEW]
     if few:
-        found.append(
+        remarks.append(
             f"too few bags for limits of {', '.join(few)}: give at least {FEWEST_BAGS}, or a parameter file with "
             "their intervals (worm_model identify writes one)"
         )
     if len({bag.gait for bag in bags}) > 1:
-        found.append(
+        remarks.append(
             "the bags hold different gaits: what the model leaves out differs between gaits, and may look like drift"
         )
-    return found
+    return remarks
 
 
 def _without_name(bag: BagEstimates) -> list[str]:

@@ -10,21 +10,23 @@ from pathlib import Path
 from worm_model.commands.command_line import (
     InputError,
     Parser,
-    Progress,
-    add_parameters,
+    ProgressLine,
     new_file,
-    print_json,
+    print_result,
     run_command,
 )
 from worm_model.identification.advice import Advice, advise
-from worm_model.identification.given import Given, given_by_file, given_by_folder
-from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.identification_report import (
     error_table,
     parameter_table,
     write_report,
 )
 from worm_model.identification.inputs import Inputs, read_inputs, read_recordings
+from worm_model.identification.reference_values import (
+    ReferenceValues,
+    reference_by_file,
+    reference_by_folder,
+)
 from worm_model.identification.results import parameter_file, summary
 from worm_model.identification.stages import Identification, identify
 from worm_model.parameters import ParameterFile, load_parameter_file, write_parameter_file
@@ -68,8 +70,8 @@ def _parser() -> Parser:
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="of the bootstrap (default 0)"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_parameters(parser)
+    parser.add_json()
+    parser.add_parameters()
     return parser
 
 
@@ -77,37 +79,32 @@ class _Reporter:
     """One progress line for each stage."""
 
     def __init__(self) -> None:
-        self._stage, self._line = "", Progress("")
+        self._stage, self._line = "", ProgressLine("")
 
     def __call__(self, stage: str, done: float) -> None:
         if stage != self._stage:
-            self._stage, self._line = stage, Progress(stage)
+            self._stage, self._line = stage, ProgressLine(stage)
         self._line(done)
 
 
-def _given(options: argparse.Namespace, inputs: Inputs) -> Given:
+def _reference(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
     if options.parameters:
-        return given_by_file(load_parameter_file(options.parameters), Path(options.parameters).name)
+        return reference_by_file(
+            load_parameter_file(options.parameters), Path(options.parameters).name
+        )
     if inputs.folder is not None:
-        return given_by_folder(inputs.folder)
-    return given_by_file(ParameterFile(), "the paper")
+        return reference_by_folder(inputs.folder)
+    return reference_by_file(ParameterFile(), "the paper")
 
 
-def _print(result: Identification, advice: Advice, *, as_json: bool) -> None:
-    for warning in result.warnings:
-        sys.stderr.write(f"{warning}\n")
-    if as_json:
-        print_json(summary(result) | {"advice": advice.text})
-    else:
-        parts = [
-            parameter_table(result.estimates),
-            "Held out, in brackets the paper's table:\n"
-            + error_table(result.held_out, result.paper),
-        ]
-        if result.validation:
-            parts.append("Validation runs:\n" + error_table(result.validation, {}))
-        parts.append(f"What next: {advice.text}.")
-        sys.stdout.write("\n\n".join(parts) + "\n")
+def _describe(result: Identification, advice: Advice) -> str:
+    parts = [
+        parameter_table(result.estimates),
+        "Held out, in brackets the paper's table:\n" + error_table(result.held_out, result.paper),
+    ]
+    if result.validation:
+        parts.append("Validation runs:\n" + error_table(result.validation, {}))
+    return "\n\n".join([*parts, f"What next: {advice.text}."])
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -116,24 +113,26 @@ def _run(options: argparse.Namespace) -> None:
     if options.seed < 0:
         raise InputError("--seed must not be negative")
     reporter = _Reporter()
-    try:
-        inputs = read_inputs(options.runs, options.bellows, options.fin)
-        result = identify(
-            inputs,
-            _given(options, inputs),
-            options.seed,
-            SIDES.get(options.fin_engages, 0),
-            read_recordings(options.validation),
-            reporter,
-        )
-        advice = advise(result)
-    except IdentificationError as error:
-        raise InputError(str(error)) from None
+    inputs = read_inputs(options.runs, options.bellows, options.fin)
+    result = identify(
+        inputs,
+        _reference(options, inputs),
+        options.seed,
+        SIDES.get(options.fin_engages, 0),
+        read_recordings(options.validation),
+        reporter,
+    )
+    advice = advise(result)
     if output is not None:
         write_parameter_file(output, parameter_file(result, inputs))
     if report is not None:
         write_report(result, advice, report, lambda done: reporter("report", done))
-    _print(result, advice, as_json=options.json)
+    for warning in result.warnings:
+        sys.stderr.write(f"{warning}\n")
+    for path in (output, report):
+        if path is not None:
+            sys.stderr.write(f"identify: wrote {path}\n")
+    print_result(options, summary(result) | {"advice": advice.text}, _describe(result, advice))
 
 
 def main() -> int:

@@ -4,19 +4,19 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
+import numpy as np
+
 from worm_model.bags.bag_writer import BagWriter
-from worm_model.bags.lab_logs import LabError, LabRun, LabSettings, read_lab_run
+from worm_model.bags.lab_logs import LabRun, LabSettings, read_lab_run
 from worm_model.bags.run_writer import write_run
 from worm_model.commands.command_line import (
     InputError,
     Parser,
-    add_parameters,
     new_file,
     number,
-    print_json,
+    print_result,
     run_command,
 )
 from worm_model.parameters import Parameters, load_parameters
@@ -71,22 +71,9 @@ def _parser() -> Parser:
     parser.add_argument(
         "--output", required=True, metavar="BAG", help="the bag, which must not exist"
     )
-    parser.add_argument(
-        "--onset", type=number, default=2.0, metavar="S", help="start of the gait in s (default 2)"
-    )
-    parser.add_argument(
-        "--spool-radius",
-        type=number,
-        default=0.012,
-        metavar="M",
-        help="of the cable servo in m (default 0.012)",
-    )
-    parser.add_argument(
-        "--initial-length",
-        type=number,
-        metavar="M",
-        help="in m; default: what the camera sees at rest",
-    )
+    parser.add_number("--onset", "S", "start of the gait in s", 2.0)
+    parser.add_number("--spool-radius", "M", "of the cable servo in m", 0.012)
+    parser.add_number("--initial-length", "M", "in m; default: what the camera sees at rest")
     parser.add_argument(
         "--epoch",
         type=number,
@@ -95,8 +82,8 @@ def _parser() -> Parser:
         help="UTC of t = 0 in s (default: 2026-01-01)",
     )
     parser.add_argument("--namespace", default="/worm", help="of the topics (default /worm)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_parameters(parser)
+    parser.add_json()
+    parser.add_parameters()
     return parser
 
 
@@ -112,21 +99,19 @@ def _run(options: argparse.Namespace) -> None:
         fallback_length=parameters.initial_length,
     )
     output = new_file(options.output)
-    try:
-        lab = import_lab(options.folder, output, settings, options.namespace)
-    except LabError as error:
-        raise InputError(str(error)) from None
+    lab = import_lab(options.folder, output, settings, options.namespace)
+    positions = [lab.run.tracker.rear_position, lab.run.tracker.front_position]
     counts = {
         "commanded": len(lab.run.commanded.stamp),
         "tracker": len(lab.run.tracker.stamp),
-        "occluded": int((lab.run.tracker.rear_position != lab.run.tracker.rear_position).sum()),
+        "occluded": int(np.isnan(positions).any(axis=0).sum()),
         "power": len(lab.run.power.stamp),
     }
-    if options.json:
-        print_json({"bag": str(output), "initial_length": lab.initial_length, **counts})
-    else:
-        found = ", ".join(f"{count} {name}" for name, count in counts.items())
-        sys.stdout.write(f"{output}: {found}; initial length {lab.initial_length:.4f} m\n")
+    content = {"bag": str(output), "initial_length": lab.initial_length, **counts}
+    summary = ", ".join(f"{count} {name}" for name, count in counts.items())
+    print_result(
+        options, content, f"{output}: {summary}; initial length {lab.initial_length:.4f} m"
+    )
 
 
 def main() -> int:

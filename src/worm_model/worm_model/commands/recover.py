@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
+from dataclasses import asdict
 from pathlib import Path
 
 from worm_model.bags.recovery import recover
-from worm_model.commands.command_line import Parser, new_file, print_json, run_command
+from worm_model.commands.command_line import Parser, new_file, print_result, run_command
 
 
 def _parser() -> Parser:
@@ -19,24 +19,22 @@ def _parser() -> Parser:
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="bag directory, or an MCAP file")
     parser.add_argument("--output", metavar="BAG2", help="the new bag (default: BAG_recovered)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_json()
     return parser
 
 
 def _recover(options: argparse.Namespace) -> None:
     report = recover(options.bag, new_file(options.output) if options.output else None)
-    if options.json:
-        print_json(
-            {
-                "bag": str(report.bag),
-                "messages": report.messages,
-                "lost_bytes": report.lost_bytes,
-                "damaged_chunks": report.damaged_chunks,
-                "unreadable": report.unreadable,
-            }
-        )
-    else:
-        sys.stdout.write(f"{report}\n")
+    content = {
+        "bag": str(report.bag),
+        "messages": report.messages,
+        "lost_bytes": report.lost_bytes,
+        "damaged_chunks": report.damaged_chunks,
+        "unreadable": report.unreadable,
+        "lost": [asdict(lost) for lost in report.lost],
+        "complaints": report.complaints,
+    }
+    print_result(options, content, str(report))
 
 
 def main() -> int:

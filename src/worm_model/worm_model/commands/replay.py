@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, fields
@@ -20,19 +19,17 @@ from worm_model.analysis.replay_metrics import (
     report_replay,
 )
 from worm_model.bags.bag import Bag
-from worm_model.bags.bag_writer import ROSBAG2_RECORD, BagWriter
-from worm_model.bags.blocks import block_of_topics, merge_into
-from worm_model.bags.definitions import parse_ahead, topic_of
+from worm_model.bags.message_block import Message
+from worm_model.bags.message_types import parse_ahead, topic_of
 from worm_model.bags.opening import open_bag
-from worm_model.bags.payloads import Payloads
 from worm_model.bags.run_reader import namespace_of, read_run
-from worm_model.bags.run_writer import encode_stamped
+from worm_model.bags.run_writer import stamped_messages, write_beside
 from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic, offered_qos
 from worm_model.commands.command_line import (
     Parser,
-    add_parameters,
     new_file,
-    print_json,
+    notifier,
+    print_result,
     run_command,
 )
 from worm_model.parameters import Parameters, load_parameters
@@ -46,6 +43,7 @@ INPUTS = ("gait_state", "body_length/commanded", "body_length/measured", "tracke
 NOT_PUBLISHED = frozenset(RESIDUAL_ROW.names or ()) - {
     *(field.name for field in fields(ResidualRecord) if field.name != "stamp_ns")
 }
+_notify = notifier("replay")
 
 
 def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str) -> None:
@@ -57,28 +55,15 @@ def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str) -> None
         BagError: the output exists or cannot be written.
     """
     live = {find_topic(bag.topics.values(), name, namespace) for name in TWIN_TOPICS}
-    kept = [topic for topic in bag.topics.values() if topic not in live]
-    own = {
-        name: topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
-        for name in TWIN_TOPICS
-    }
-    with BagWriter(output) as writer:
-        for attached in bag.attachments():
-            writer.add_attachment(attached)
-        for record in bag.records:
-            if record.name != ROSBAG2_RECORD:
-                writer.add_metadata(record.name, dict(record.values))
-        for topic in [*kept, *own.values()]:
-            writer.add_topic(topic)
-        twins = block_of_topics({own[name].name: _messages(name, replay) for name in TWIN_TOPICS})
-        for block in merge_into(bag.blocks([topic.name for topic in kept]), twins):
-            writer.write_block(block)
+    kept = [topic.name for topic in bag.topics.values() if topic not in live]
+    write_beside(bag, output, kept, [_messages(name, replay, namespace) for name in TWIN_TOPICS])
 
 
-def _messages(name: str, replay: Replay) -> Payloads:
+def _messages(name: str, replay: Replay, namespace: str) -> list[Message]:
     """Messages of one of the twin's topics; their stamp is taken for the time of reception."""
+    topic = topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
     stamp, numbers, texts = twin_columns(name, replay)
-    return encode_stamped(TYPES[name], stamp, numbers, texts)
+    return stamped_messages(topic, stamp, numbers, texts)
 
 
 def twin_columns(
@@ -131,7 +116,7 @@ def _run_json(run: RunReport) -> dict[str, Any]:
     gait = run.played.gait
     return {
         "onset_s": run.onset,
-        "run": run.played.number,
+        "run": run.played.run,
         "gait": {
             "stroke": gait.stroke,
             "frequency": gait.frequency,
@@ -205,8 +190,8 @@ def _parser() -> Parser:
         "--output", metavar="BAG2", help="a new bag with the twin's topics beside the original ones"
     )
     parser.add_argument("--namespace", default="", help="of the robot; default: the one in the bag")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    add_parameters(parser)
+    parser.add_json()
+    parser.add_parameters()
     return parser
 
 
@@ -222,10 +207,11 @@ def _replay(options: argparse.Namespace) -> None:
         duration = (bag.end - bag.start) * 1e-9
     report = report_replay(run, followed, parameters.pitch)
     elapsed = time.perf_counter() - begin
-    if options.json:
-        print_json(report_json(report, followed, duration, elapsed))
-    else:
-        sys.stdout.write(describe(report, duration, elapsed) + "\n")
+    print_result(
+        options,
+        report_json(report, followed, duration, elapsed),
+        describe(report, duration, elapsed),
+    )
 
 
 def _follow(
@@ -237,10 +223,6 @@ def _follow(
     if output is not None:
         write_replay(bag, output, replay, namespace or namespace_of(bag))
     return replay
-
-
-def _notify(line: str) -> None:
-    sys.stderr.write(f"replay: {line}\n")
 
 
 def main() -> int:

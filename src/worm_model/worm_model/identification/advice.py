@@ -197,7 +197,7 @@ def _information(result: Identification, stage: str, recording: Recording) -> Ar
     noise = float(np.median([run.traverse.noise for run in result.runs]))
     traverse = replace(traverse_of(recording, length, result.parameters.pitch), noise=noise)
     fit = result.locomotion.fit
-    deviation = result.given.estimate("pitch").spread / quantile(np.inf)
+    deviation = result.reference.estimate("pitch").spread / quantile(np.inf)
     known = Known(result.parameters, deviation)
     problem = groove_problem([traverse], known, fit.places, fit.scatter)
     own = np.array([[result.parameters.initial_length]])

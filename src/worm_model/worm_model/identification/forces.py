@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.identification.estimate import Estimate, quantile
-from worm_model.identification.given import Given
 from worm_model.identification.locomotion import Traverse
 from worm_model.identification.locomotion_stage import LocomotionResult, motions
+from worm_model.identification.reference_values import ReferenceValues
 from worm_model.parameters import Parameters
 
 Array = NDArray[np.float64]
@@ -77,14 +77,14 @@ def forces_of(
     parameters: Parameters,
     locomotion: LocomotionResult,
     stiffness: Estimate,
-    given: Given,
+    reference: ReferenceValues,
 ) -> Forces:
     """What the locomotion fit, the bellows' ``stiffness`` and the ruler say of the force."""
     fits = [(parameters, locomotion.fit), *locomotion.variants, (parameters, locomotion.stiffer)]
     holding = tuple(
         tuple(motion.holding for motion in motions(traverses, values, fit)) for values, fit in fits
     )
-    free_length = given.estimate("unstressed_length")
+    free_length = reference.estimate("unstressed_length")
     return Forces(
         holding=holding,
         change=tuple(traverse.length.length_change for traverse in traverses),

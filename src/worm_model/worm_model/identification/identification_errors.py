@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from worm_model.errors import InputError
 
-class IdentificationError(ValueError):
+
+class IdentificationError(InputError):
     """Recordings or bench tests from which nothing can be identified; one line that says what and what to do."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from worm_model.analysis.plot_style import save_figure
 from worm_model.identification.advice import Advice
 from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.fingerprint import code_version
@@ -19,7 +20,7 @@ from worm_model.parameters import PAPER, SYMBOLS, UNITS
 
 PAGE = "report.md"
 FIGURES = "figures"
-DPI = 80
+FIGURES_HEADING = "Figures"  # the last one of the page
 # What tables are written in: unit, factor from SI, decimals
 SHOWN = {"m": ("mm", 1e3, 3)}
 # Columns of errors: field, factor from SI, format
@@ -42,7 +43,7 @@ def write_report(
     folder: Path,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Path:
-    """Writes report.md and figures/*.png into a folder that does not exist yet; returns the page's path.
+    """Writes report.md and figures/* (PNG and PDF) into a folder that does not exist yet; returns the page's path.
 
     Raises FileExistsError rather than overwrite anything.
     """
@@ -52,7 +53,8 @@ def write_report(
     names = []
     expected = 3 * len(result.runs) + 3
     for name, figure in all_figures(result):
-        figure.savefig(pictures / f"{name}.png", dpi=DPI)
+        for ending in (".png", ".pdf"):
+            save_figure(figure, pictures / f"{name}{ending}")
         names.append(name)
         progress(len(names) / expected)
     page = folder / PAGE
@@ -80,7 +82,7 @@ def text_of(result: Identification, advice: Advice, figures: list[str]) -> str:
     parts += [
         "## Nuisances\n\n" + nuisance_text(result),
         "## Remarks\n\n" + "\n".join(f"- {text}" for text in result.warnings or ["none"]),
-        "## Figures\n\n" + "\n\n".join(_picture(name) for name in figures),
+        f"## {FIGURES_HEADING}\n\n" + "\n\n".join(_picture(name) for name in figures),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -89,8 +91,8 @@ def _summary(result: Identification) -> str:
     dates = sorted({run.recording.date for run in result.runs if run.recording.date})
     when = f", recorded {dates[0]} to {dates[-1]}" if dates else ", of unknown date"
     return (
-        f"{len(result.runs)} runs{when}. Given values: {result.given.source}. {code_version()}, seed {result.seed}. "
-        "Intervals are 95 %."
+        f"{len(result.runs)} runs{when}. Given values: {result.reference.source}. {code_version()}, "
+        f"seed {result.seed}. Intervals are 95 %."
     )
 
 
@@ -137,15 +139,15 @@ def _open_ends(result: Identification, advice: Advice) -> str:
     return "\n\n".join(part for part in (together, f"What next: {advice.text}.") if part)
 
 
-def error_table(found: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str:
+def error_table(errors: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str:
     """Errors of each run; in brackets those of the paper's table."""
-    if not found:
+    if not errors:
         return "One run alone: none can be left out."
     lines = [
         "| run | x1 (mm) | ΔL (mm) | power (W) | energy (%) |",
         "| --- | ---: | ---: | ---: | ---: |",
     ]
-    for name, error in found.items():
+    for name, error in errors.items():
         cells = [
             _number(form, factor * getattr(error, field))
             + (f" ({_number(form, factor * getattr(paper[name], field))})" if name in paper else "")
@@ -160,7 +162,7 @@ def _number(form: str, value: float) -> str:
 
 
 def nuisance_text(result: Identification) -> str:
-    """What was found on the way, and of each run."""
+    """Friction, scatter and weights that are no parameters, and each run's own numbers."""
     locomotion, scatter = result.locomotion, result.locomotion.fit.scatter
     rear, front = (
         f"{value:.2f} ± {1.96 * deviation:.2f} N"

@@ -12,12 +12,19 @@ from scipy.optimize import least_squares
 
 from worm_model.gait import Gait
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.run import POWER_VALID, RUNNING, GaitStates, Run, Stamps, seconds
+from worm_model.run import (
+    POWER_VALID,
+    RESTING,
+    RUNNING,
+    STOPPING,
+    GaitStates,
+    Run,
+    Stamps,
+    seconds,
+)
 
 Array = NDArray[np.float64]
 
-RESTING, STOPPING = 2, 4  # GaitState
-SAME_ONSET = 100_000_000  # ns: the driver tells the onset anew with each cycle, through two clocks
 LONGEST_REST = (
     3_000_000_000  # ns before the onset, of a recording that does not say when the rest began
 )
@@ -143,13 +150,11 @@ def _check_sizes(recording: Recording) -> None:
 
 def _gait(states: GaitStates, name: str) -> tuple[Gait, int]:
     """The one gait that was played, and its onset (ns since the epoch)."""
-    played = states.played
-    onsets = np.unique(states.onset[played])
-    count = int(np.sum(np.diff(onsets) > SAME_ONSET)) + 1 if onsets.size else 0
-    if count != 1:
-        what = f"{count} gaits" if count else "no gait"
+    runs = states.rows_of_runs()
+    if len(runs) != 1:
+        what = f"{len(runs)} gaits" if runs else "no gait"
         raise IdentificationError(f"{name}: holds {what}; give one run a recording, from rest")
-    row = int(np.flatnonzero(played)[0])
+    row = int(runs[0][0])
     gait = Gait(float(states.stroke[row]), float(states.frequency[row]), int(states.direction[row]))
     return gait, int(states.onset[row])
 

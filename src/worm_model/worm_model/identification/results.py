@@ -34,7 +34,7 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
         "made_by": "worm_model identify",
         "code": code_version(),
         "seed": result.seed,
-        "given": result.given.source,
+        "given": result.reference.source,
         "not_identified": {
             key: e.note for key, e in result.estimates.items() if not e.identifiable
         },

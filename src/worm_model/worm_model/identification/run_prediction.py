@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.analysis.run_metrics import root_mean_square
 from worm_model.identification.actuation_fit import predicted_length_change
 from worm_model.identification.locomotion import Traverse
 from worm_model.identification.observed_run import Recording
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Prediction:
+class RunPrediction:
     """What is expected along a run.
 
     At ``time`` (n,) s of the camera: ``x1`` m under the measured length, ``power`` W and ``energy`` J since the onset;
@@ -50,7 +51,7 @@ class Errors:
 
 def predict(
     recording: Recording, traverse: Traverse, parameters: Parameters, clock_offset: float = 0.0
-) -> Prediction:
+) -> RunPrediction:
     """The prediction with the run's own initial length.
 
     ``clock_offset`` s is by how much the camera's clock is behind the servo's, as far as that is known beforehand.
@@ -62,7 +63,7 @@ def predict(
     breaks, coefficients = Smoothed(time, change, rate).cubic()
     _, motions = model.follow_polynomial(model.start(float(time[0])), breaks, coefficients, breaks)
     actuation = np.array([values.slack, values.gain, values.time_constant])
-    return Prediction(
+    return RunPrediction(
         time=time,
         x1=motions.x1,
         power=motions.power,
@@ -73,23 +74,23 @@ def predict(
     )
 
 
-def errors(recording: Recording, traverse: Traverse, prediction: Prediction) -> Errors:
+def errors(recording: Recording, traverse: Traverse, prediction: RunPrediction) -> Errors:
     """What is left between prediction and measurement over the five ridges."""
     x1 = traverse.x1 - np.interp(traverse.time, prediction.time, prediction.x1)
-    seen = (recording.camera_time >= 0.0) & (recording.camera_time <= traverse.end)
+    during = (recording.camera_time >= 0.0) & (recording.camera_time <= traverse.end)
     change = recording.length - traverse.length.initial_length - prediction.length_change
     time, power = measured_power(recording, traverse)
     return Errors(
-        x1_rmse=_rms(x1),
-        length_rmse=_rms(change[seen & ~traverse.length.outliers]),
-        power_rmse=_rms(power - np.interp(time, prediction.time, prediction.power)),
+        x1_rmse=root_mean_square(x1),
+        length_rmse=root_mean_square(change[during & ~traverse.length.outliers]),
+        power_rmse=root_mean_square(power - np.interp(time, prediction.time, prediction.power)),
         energy_error=np.nan
         if power_missing(recording, traverse)
         else _energy_error(time, power, prediction),
     )
 
 
-def _energy_error(time: Array, power: Array, prediction: Prediction) -> float:
+def _energy_error(time: Array, power: Array, prediction: RunPrediction) -> float:
     ends = np.interp(time[[0, -1]], prediction.time, prediction.energy)
     return float(ends[1] - ends[0]) / float(accumulated(time, power)[-1]) - 1.0
 
@@ -97,10 +98,5 @@ def _energy_error(time: Array, power: Array, prediction: Prediction) -> float:
 def measured_power(recording: Recording, traverse: Traverse) -> tuple[Array, Array]:
     """(times in s, W) of the power samples over the five ridges."""
     time = recording.power_time
-    seen = (time >= max(0.0, traverse.length.time[0])) & (time <= traverse.end)
-    return time[seen], recording.power[seen]
-
-
-def _rms(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+    during = (time >= max(0.0, traverse.length.time[0])) & (time <= traverse.end)
+    return time[during], recording.power[during]

@@ -16,7 +16,6 @@ from worm_model.identification.energy_stage import EnergyResult, identify_energy
 from worm_model.identification.estimate import Estimate, not_told, quantile
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.forces import Forces, forces_of
-from worm_model.identification.given import Given
 from worm_model.identification.held_out import leave_one_out, run_errors
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.idle import idle_power
@@ -28,6 +27,7 @@ from worm_model.identification.locomotion_stage import (
     identify_locomotion,
 )
 from worm_model.identification.observed_run import Recording
+from worm_model.identification.reference_values import ReferenceValues
 from worm_model.identification.run_prediction import Errors
 from worm_model.identification.run_selection import (
     Run,
@@ -41,7 +41,9 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 FIN = ("clearance", "engaged_stiffness", "disengaged_stiffness")
-NO_FIN = "x1 tells but its ratio to the fins' stiffness, fitted under the given one; add a fin test"
+NO_FIN = (
+    "x1 tells its ratio to the fins' stiffness alone, fitted under the given one; add a fin test"
+)
 UNDER_GIVEN_FINS = "fitted under the given fins; add a fin test"
 NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
 NO_FRICTION = "η is not told, and c_b and α_P depend on it"
@@ -62,7 +64,7 @@ class Identification:
 
     estimates: Mapping[str, Estimate]
     parameters: Parameters
-    given: Given
+    reference: ReferenceValues
     runs: tuple[Run, ...]
     bellows: BellowsFit | None
     fin: FinFit | None
@@ -91,7 +93,7 @@ class Identification:
 
 def identify(
     inputs: Inputs,
-    given: Given,
+    reference: ReferenceValues,
     seed: int = 0,
     fin_engages: int = 0,
     validation: Sequence[Recording] = (),
@@ -102,23 +104,23 @@ def identify(
     Raises `worm_model.identification.identification_errors.IdentificationError` if the data do not suffice.
     """
     random = np.random.default_rng(seed)
-    estimates = {key: given.estimate(key) for key in KEYS}
+    estimates = {key: reference.estimate(key) for key in KEYS}
     bellows = fit_bellows(inputs.bellows.x, inputs.bellows.y) if inputs.bellows else None
     fin = fit_fin(inputs.fin.x, inputs.fin.y, fin_engages) if inputs.fin else None
     estimates |= _bench_estimates(bellows, fin)
-    runs, warnings = fitted_runs(inputs.recordings, given.parameters.pitch)
-    checked, seen = prepared_validation(validation, inputs.recordings, given.parameters.pitch)
+    runs, warnings = fitted_runs(inputs.recordings, reference.parameters.pitch)
+    checked, seen = prepared_validation(validation, inputs.recordings, reference.parameters.pitch)
     estimates["initial_length"] = initial_length(runs)
     estimates["idle_power"] = idle_power([run.idle for run in runs])
     pitch_deviation = estimates["pitch"].spread / quantile(np.inf)
-    known = Known(_with_values(given.parameters, estimates), pitch_deviation)
+    known = Known(_with_values(reference.parameters, estimates), pitch_deviation)
     locomotion = _locomotion(runs, known, _fin_knowledge(estimates, fin), fin, progress)
     estimates |= _locomotion_estimates(locomotion, estimates, fin)
     progress("actuation", 0.0)
     actuation = identify_actuation([run.recording for run in runs], random)
     estimates |= _actuation_estimates(actuation)
     progress("energy", 0.0)
-    energy, power_runs = _energy(runs, known.parameters, estimates, locomotion, given, random)
+    energy, power_runs = _energy(runs, known.parameters, estimates, locomotion, reference, random)
     estimates |= {
         "bellows_damping": energy.bellows_damping,
         "power_factor": energy.power_factor,
@@ -130,7 +132,7 @@ def identify(
     result = Identification(
         estimates=estimates,
         parameters=parameters,
-        given=given,
+        reference=reference,
         runs=tuple(runs),
         bellows=bellows,
         fin=fin,
@@ -170,15 +172,15 @@ def _energy(
     parameters: Parameters,
     estimates: Mapping[str, Estimate],
     locomotion: LocomotionResult,
-    given: Given,
+    reference: ReferenceValues,
     random: np.random.Generator,
 ) -> tuple[EnergyResult, list[PowerRun]]:
     """Stage 7, on the forces that stage 4 left, of the runs whose power was seen."""
     powered = [index for index, run in enumerate(runs) if run.powered]
     stiffness = estimates["bellows_stiffness"]
-    forces = forces_of([run.traverse for run in runs], parameters, locomotion, stiffness, given).of(
-        powered
-    )
+    forces = forces_of(
+        [run.traverse for run in runs], parameters, locomotion, stiffness, reference
+    ).of(powered)
     power_runs = _power_runs(
         [runs[index] for index in powered], forces, estimates["idle_power"].value
     )
@@ -187,7 +189,7 @@ def _energy(
         power_runs,
         [runs[index].recording.gait.frequency for index in powered],
         forces.draw,
-        given.parameters.bellows_damping,
+        reference.parameters.bellows_damping,
         random,
         hindrance if stiffness.identifiable else NO_BELLOWS,
     )

@@ -9,33 +9,37 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import yaml
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from worm_model.bags.bag import Bag, Message, Topic
+from worm_model.bags.bag import Bag
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.bag_metadata import qos_profiles
+from worm_model.bags.cdr import Converter, check_length
+from worm_model.bags.message_block import Message, Topic
+from worm_model.bags.message_types import topic_of, with_definition
 from worm_model.bags.opening import open_bag
 from worm_model.bags.play_clock import Timeline
+from worm_model.bags.recording_session import is_latched
 from worm_model.commands.command_line import InputError, Parser, number, run_command
 from worm_model.nodes.keyboard import keys_of_terminal, pressed
-from worm_model.nodes.ros_process import ros_process
+from worm_msgs.ros_process import own_arguments, ros_process
 
 LONGEST_WAIT_S = 0.005  # between two looks at services and keys
 MATCHING_S = 3.0  # that a subscriber which cannot be connected is waited for
 ACKNOWLEDGED_S = 2.0  # that the last messages have to reach their subscribers
 VOLATILE_DEPTH = 1000  # of samples that may wait for a slow subscriber
-LATCHED_DEPTH = 10
 HELP = "space: pause and resume, s or right arrow: one message, q: quit"
 
 
@@ -50,17 +54,14 @@ def message_class(type_name: str) -> Any:
 
 def _offered(topic: Topic) -> Any:
     """What a topic's first publisher offered; empty where the bag does not tell."""
-    try:
-        profiles = yaml.safe_load(dict(topic.metadata).get("offered_qos_profiles", ""))
-    except yaml.YAMLError:
-        return {}
-    first = profiles[0] if isinstance(profiles, list) and profiles else {}
-    return first if isinstance(first, dict) else {}
+    profiles = qos_profiles(topic.offered_qos)
+    return profiles[0] if profiles and isinstance(profiles[0], dict) else {}
 
 
-def is_latched(topic: Topic) -> bool:
-    """Whether a topic was published for those who come later, too."""
-    return _offered(topic).get("durability") in ("transient_local", 1)  # a number before version 9
+def _latched_depth(topic: Topic) -> int:
+    """Samples that somebody who comes late gets: what the publisher kept, the last state if that is not known."""
+    depth = _offered(topic).get("depth")
+    return depth if isinstance(depth, int) and 0 < depth <= VOLATILE_DEPTH else 1
 
 
 def play_qos(topic: Topic) -> QoSProfile:
@@ -72,7 +73,7 @@ def play_qos(topic: Topic) -> QoSProfile:
     latched = is_latched(topic) or not offered
     best_effort = offered.get("reliability") in ("best_effort", 2)
     return QoSProfile(
-        depth=LATCHED_DEPTH if is_latched(topic) else VOLATILE_DEPTH,
+        depth=_latched_depth(topic) if latched else VOLATILE_DEPTH,
         reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
@@ -91,7 +92,9 @@ class PlayNode(Node):
         self._bag = bag
         self._options = options
         self._first_ns = bag.start + round(options.start * 1e9)
+        self._converters: dict[Topic, Converter] = {}
         self._publishers_by_topic = self._advertise()
+        self._converters = {replace(c, count=0): found for c, found in self._converters.items()}
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._clock_due = 0.0
         self._pending: Message | None = None
@@ -112,15 +115,30 @@ class PlayNode(Node):
     def _advertise(self) -> dict[str, Publisher]:
         publishers = {}
         for topic in self._selected():
-            kind = message_class(topic.type_name) if topic.encoding == "cdr" else None
-            if kind is None:
-                text = f"{topic.name} is not played: {topic.type_name} is not installed"
-                self.get_logger().warning(text)
+            layouts = [channel for channel in self._bag.channels if channel.name == topic.name]
+            try:
+                for channel in layouts:
+                    self._converters[channel] = self._converter(channel, topic.type_name)
+            except BagError as error:
+                self.get_logger().warning(f"{topic.name} is not played: {error}")
                 continue
+            kind = message_class(topic.type_name)
             publishers[topic.name] = self.create_publisher(kind, topic.name, play_qos(topic))
         if not publishers:
             raise InputError(f"{self._bag.path} has none of the topics that were asked for")
         return publishers
+
+    def _converter(self, channel: Topic, type_name: str) -> Converter:
+        """What makes the bag's messages those that are installed; fields that these have besides are told."""
+        if message_class(type_name) is None:
+            raise BagError(f"{type_name} is not installed")
+        converter = Converter(with_definition(channel), topic_of(channel.name, type_name))
+        if converter.added:
+            added = ", ".join(converter.added)
+            self.get_logger().warning(
+                f"{channel.name}: the bag is from before {type_name} had {added}, played as zero or empty"
+            )
+        return converter
 
     def _selected(self) -> Iterable[Topic]:
         wanted, exclude = self._options.topic, self._options.exclude
@@ -189,7 +207,10 @@ class PlayNode(Node):
         self._pending = next(self._messages, None)
 
     def _publish(self, message: Message) -> None:
-        self._publishers_by_topic[message.topic].publish(message.data)
+        if not message.channel.definition:
+            check_length(with_definition(message.channel), message.data)
+        data = self._converters[message.channel](message.data)
+        self._publishers_by_topic[message.topic].publish(data)
         self.published += 1
 
     def _tell_time(self, wall: float) -> None:
@@ -361,4 +382,4 @@ def _notify(line: str) -> None:
 def main() -> int:
     """Entry point of the executable play."""
     with ros_process() as ended:
-        return run_command(_parser(), partial(_play, ended), remove_ros_args(sys.argv)[1:])
+        return run_command(_parser(), partial(_play, ended), own_arguments(sys.argv)[1:])

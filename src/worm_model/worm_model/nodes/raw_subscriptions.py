@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Raw subscriptions to any topics, for recording.
 
-The subscriptions are polled, not spun: an executor spends some 0.2 ms of Python a message, a look at a subscription
-that takes all that is waiting a hundredth of it, and the stamps come from the middleware, so that polling costs no
-accuracy. A node that is not spun answers no services, so it offers none.
+The subscriptions, and the recorder's services, are polled, not spun: an executor spends some 0.2 ms of Python a
+message, a look at a subscription that takes all that is waiting a hundredth of it, and the stamps come from the
+middleware, so that polling costs no accuracy. Of the services that a node has by itself it offers none, since nobody
+would answer.
 """
 
 from __future__ import annotations
 
 import importlib
+import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,21 +20,28 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.serialization import deserialize_message
+from rclpy.service import Service
 from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
 
-from worm_model.bags.bag_metadata import RecordedTopic
-from worm_model.bags.message_definitions import DefinitionError, bag_schema, installed_definition
+from worm_model.bags.bag_errors import BagError, DefinitionError
+from worm_model.bags.bag_metadata import dump_yaml
+from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_loss import LossCounter
-from worm_model.bags.recording_thread import Note, Sample
+from worm_model.bags.message_types import installed_definition
+from worm_model.bags.recording_thread import Note
 from worm_model.bags.run_manifest import GAIT_RECORD
-from worm_model.bags.topic_selection import TopicSelection
+from worm_model.bags.topic_selection import SelectionError, TopicSelection
 from worm_model.nodes.recording_qos import describe, subscription_qos
 
 GAIT_STATE = "worm_msgs/msg/GaitState"
+ALARM_TYPE = "worm_msgs/msg/TwinResiduals"
 
 OVERLAP_LOOKS = (
     50  # with both subscriptions: publishers learn of the second one later than it does of them
 )
+
+SETTLING_S = 3.0  # after which a publisher that appears was not there before the recorder
 
 _Identity = tuple[int, int]
 
@@ -44,7 +53,7 @@ class _RawSubscription:
     stays until the second is connected to all: nothing is lost in between, and what both receive is taken once.
     """
 
-    def __init__(self, node: Node, topic: RecordedTopic, message: type, depth: int) -> None:
+    def __init__(self, node: Node, topic: Topic, message: type, depth: int) -> None:
         self.topic = topic
         self.loss = LossCounter(lambda: node.count_publishers(topic.name))
         self._node = node
@@ -63,7 +72,7 @@ class _RawSubscription:
         )
         return qos, subscription
 
-    def take(self) -> list[Sample]:
+    def take(self) -> list[Message]:
         """All that is waiting."""
         if self._old is None:
             return [self._sample(*taken) for taken in self._waiting(self._subscription)]
@@ -87,10 +96,11 @@ class _RawSubscription:
             while (taken := handle.take_message(self._message, True)) is not None:
                 yield taken
 
-    def _sample(self, data: bytes, info: dict[str, int]) -> Sample:
+    def _sample(self, data: bytes, info: dict[str, int]) -> Message:
         self.loss.observe(info["publication_sequence_number"])
         self._recent.append(_identity(info))
-        return Sample(self.topic, data, info["received_timestamp"], info["source_timestamp"])
+        received, sent = info["received_timestamp"], info["source_timestamp"]
+        return Message(self.topic.name, received, data, sent, self.topic)
 
     def _is_connected(self) -> bool:
         publishers = self._node.count_publishers(self.topic.name)
@@ -132,12 +142,50 @@ class RecordNode(Node):
             start_parameter_services=False,  # nobody would answer: the node is not spun
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
-        names = frozenset(self.resolve_topic_name(name) for name in selection.names)
+        names = frozenset(map(self._full_name, selection.names))
         self._selection = replace(selection, names=names)
         self._depth = depth
         self._subscriptions_by_name: dict[str, _RawSubscription] = {}
         self._refused: set[str] = set()
-        self._gait: dict[str, str] = {}
+        self._run, self._onset = 0, 0  # of the gait that was noted last
+        self._noted = False
+        self._alarmed = False
+        self._offered: list[Service] = []
+        self._settled = time.monotonic() + SETTLING_S
+
+    def _full_name(self, name: str) -> str:
+        try:
+            return self.resolve_topic_name(name)
+        except Exception as error:  # noqa: BLE001 - rclpy raises several kinds, of which not all are public
+            reason = str(error).splitlines()[0]
+            raise SelectionError(f"{name!r} is not a name of a topic: {reason}") from None
+
+    def offer_service(self, name: str, act: Callable[[], str]) -> None:
+        """A service ``~/name`` that does something and answers in words; a BagError is its refusal."""
+
+        def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                response.success, response.message = True, act()
+            except (BagError, OSError) as error:
+                response.success, response.message = False, " ".join(str(error).split())
+            self.get_logger().info(f"{name}: {response.message}")
+            return response
+
+        self._offered.append(self.create_service(Trigger, f"~/{name}", serve))
+
+    def serve(self) -> None:
+        """Answer what was asked for since the last look."""
+        for service in self._offered:
+            with service.handle:
+                request, header = service.handle.service_take_request(Trigger.Request)
+            if header is not None:
+                service.send_response(service.callback(request, Trigger.Response()), header)
+
+    @property
+    def missed(self) -> dict[str, int]:
+        """Messages, by topic, that publishers which came later had sent before the recorder heard them."""
+        by_name = self._subscriptions_by_name.items()
+        return {name: s.loss.missed for name, s in by_name if s.loss.missed}
 
     @property
     def lost(self) -> int:
@@ -166,24 +214,32 @@ class RecordNode(Node):
             new = name not in self._subscriptions_by_name and name not in self._refused
             if new and self._selection.takes(name) and self.count_publishers(name):
                 self._subscribe(name, types)
+        if time.monotonic() < self._settled:
+            for name, subscription in self._subscriptions_by_name.items():
+                subscription.loss.expect(self.count_publishers(name))
 
     def _subscribe(self, name: str, types: Sequence[str]) -> None:
         try:
             if len(types) != 1:
                 raise DefinitionError(f"it has several types: {', '.join(types)}")
-            schema = bag_schema(types[0], installed_definition)
+            definition = installed_definition(types[0])
             message = message_class(types[0])
-        except DefinitionError as error:
+        except BagError as error:
             self._refused.add(name)
             self.get_logger().error(f"{name} is not recorded: {error}")
             return
         publishers = self.get_publishers_info_by_topic(name)
         type_hash = str(publishers[0].topic_type_hash) if publishers else ""
-        topic = RecordedTopic(name, types[0], schema, type_hash, describe(publishers))
+        profiles = describe(publishers)
+        metadata = (
+            ("offered_qos_profiles", dump_yaml(list(profiles)) if profiles else ""),
+            ("topic_type_hash", type_hash),
+        )
+        topic = Topic(name, types[0], 0, definition, "ros2msg", "cdr", metadata)
         self._subscriptions_by_name[name] = _RawSubscription(self, topic, message, self._depth)
         self.get_logger().info(f"recording {name} ({types[0]})")
 
-    def take(self) -> list[Sample]:
+    def take(self) -> list[Message]:
         """All messages that are waiting, of all topics."""
         return [
             sample
@@ -191,15 +247,31 @@ class RecordNode(Node):
             for sample in subscription.take()
         ]
 
-    def new_gait(self, samples: Sequence[Sample]) -> Note | None:
-        """The gait that has begun according to the messages, if one has."""
+    def new_gaits(self, samples: Sequence[Message]) -> Iterator[Note]:
+        """The gaits that have begun according to the messages, each once for its run."""
         for sample in samples:
-            if sample.topic.type_name == GAIT_STATE:
-                gait = _describe_gait(deserialize_message(sample.data, message_class(GAIT_STATE)))
-                if gait and gait != self._gait:
-                    self._gait = gait
-                    return Note(GAIT_RECORD, gait)
-        return None
+            if sample.channel.type_name == GAIT_STATE:
+                state: Any = deserialize_message(sample.data, message_class(GAIT_STATE))
+                gait = _describe_gait(state)
+                if gait and not self._is_known(state):
+                    yield Note(GAIT_RECORD, gait)
+
+    def new_alarm(self, samples: Sequence[Message]) -> bool:
+        """Whether the twin raises an alarm in the messages that it did not raise before."""
+        raised = False
+        for sample in samples:
+            if sample.channel.type_name == ALARM_TYPE:
+                state: Any = deserialize_message(sample.data, message_class(ALARM_TYPE))
+                raised |= is_alarm(state) and not self._alarmed
+                self._alarmed = is_alarm(state)
+        return raised
+
+    def _is_known(self, state: Any) -> bool:
+        """Whether a gait's state is of the run that was noted last; a driver that restarts counts anew."""
+        onset = state.onset.sec * 10**9 + state.onset.nanosec
+        known = self._noted and state.run == self._run and (onset == self._onset or not self._onset)
+        self._noted, self._run, self._onset = True, state.run, onset
+        return known
 
 
 def message_class(type_name: str) -> type:
@@ -218,6 +290,11 @@ def message_class(type_name: str) -> type:
     return found
 
 
+def is_alarm(message: Any) -> bool:
+    """Whether a message of ALARM_TYPE is one that a snapshot is taken at."""
+    return bool(message.health == message.FAULTY)
+
+
 def _describe_gait(state: Any) -> dict[str, str]:
     """A running gait as text; empty when none runs."""
     if state.state != state.RUNNING or state.gait.stroke <= 0.0:
@@ -229,4 +306,5 @@ def _describe_gait(state: Any) -> dict[str, str]:
         "margin": repr(state.gait.margin),
         "cycles": str(state.cycles),
         "onset_ns": str(state.onset.sec * 10**9 + state.onset.nanosec),
+        "run": str(state.run),
     }

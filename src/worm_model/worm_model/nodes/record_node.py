@@ -5,30 +5,59 @@ from __future__ import annotations
 
 import argparse
 import json
+import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from rclpy.utilities import remove_ros_args
-
-from worm_model.bags.recorder import COMPRESSIONS, BagRecorder, Options, RecorderError
-from worm_model.bags.recording_thread import RecordingThread, Sample, Tally
-from worm_model.bags.run_manifest import ManifestError, run_manifest
-from worm_model.bags.topic_selection import SelectionError, TopicSelection
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.bag_writer import COMPRESSIONS, WriteOptions
+from worm_model.bags.cleaning import Cleaner
+from worm_model.bags.message_block import Message
+from worm_model.bags.recorder import Manifest
+from worm_model.bags.recording_session import RecordingSession, SessionOptions
+from worm_model.bags.run_manifest import is_text, run_manifest
+from worm_model.bags.topic_selection import TopicSelection
+from worm_model.commands.command_line import Parser, number
 from worm_model.nodes.raw_subscriptions import RecordNode
-from worm_model.nodes.ros_process import ros_process
+from worm_msgs.ros_process import own_arguments, ros_process
 
 POLL_S = 0.01
 DISCOVERY_S = 0.1
 REPORT_S = 0.5
-BACKLOG_BYTES = 100 * 2**20  # rosbag2's cache
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="record", description="Records topics to a rosbag2 bag (MCAP)."
+SERVICES = ("start", "stop", "pause", "resume", "split", "snapshot")
+
+
+def _not_negative(text: str) -> float:
+    value = number(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is negative")
+    return value
+
+
+def _whole(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} is negative")
+    return value
+
+
+def _positive(text: str) -> int:
+    value = _whole(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError("0 keeps nothing")
+    return value
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="record",
+        description="Records topics to a rosbag2 bag (MCAP). Services of the node: ~/start, ~/stop, ~/pause, "
+        "~/resume, ~/split, ~/snapshot (std_srvs/Trigger).",
     )
     parser.add_argument("topics", nargs="*", metavar="TOPIC", help="topics to record")
     parser.add_argument(
@@ -57,51 +86,115 @@ def _parser() -> argparse.ArgumentParser:
         "--compression", choices=COMPRESSIONS, default="zstd", help="of chunks (default: zstd)"
     )
     parser.add_argument(
-        "-b", "--max-bag-size", type=int, default=0, metavar="BYTES", help="split at this size"
+        "-b", "--max-bag-size", type=_whole, default=0, metavar="BYTES", help="split at this size"
     )
     parser.add_argument(
         "-d",
         "--max-bag-duration",
-        type=float,
+        type=_not_negative,
         default=0.0,
         metavar="S",
         help="split after this time",
     )
     parser.add_argument(
-        "--duration", type=float, default=0.0, metavar="S", help="stop by itself after this time"
+        "--duration",
+        type=_not_negative,
+        default=0.0,
+        metavar="S",
+        help="stop by itself after this time",
     )
     parser.add_argument(
-        "--depth", type=int, default=1000, help="messages of a topic that may wait (default: 1000)"
+        "--depth",
+        type=_positive,
+        default=1000,
+        help="messages of a topic that may wait (default: 1000)",
+    )
+    parser.add_argument(
+        "--snapshot",
+        type=_not_negative,
+        default=0.0,
+        metavar="S",
+        help="keep the last S seconds in memory and write them when the twin raises an alarm or ~/snapshot is called, "
+        "into OUTPUT_snapshot_1 and so on; nothing else is written",
+    )
+    parser.add_argument(
+        "--anonymous",
+        action="store_true",
+        help="leave out the host's name and absolute paths, also in texts of messages",
     )
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
     return parser
 
 
-class _Progress:
-    """Totals of a recording and its live line on standard error."""
+class _Recording:
+    """A node and a session, and their totals with a live line on standard error."""
 
-    def __init__(self, node: RecordNode, thread: RecordingThread) -> None:
+    def __init__(
+        self, node: RecordNode, session: RecordingSession, cleaner: Cleaner | None
+    ) -> None:
         self._node = node
-        self._thread = thread
+        self._session = session
+        self._cleaner = cleaner
         self._start = time.monotonic()
-        self._received = Tally()
+        self._uncleaned = 0
 
     @property
     def elapsed(self) -> float:
         """Seconds since the start."""
         return time.monotonic() - self._start
 
-    def count(self, samples: Sequence[Sample]) -> None:
-        """Add what was received."""
-        self._received.add(samples)
+    def run(self, ended: Callable[[], bool], duration: float) -> None:
+        """Take messages until told to stop, the time is over or the disk fails."""
+        live = sys.stderr.isatty()
+        discovery = report = time.monotonic()
+        while not (ended() or self._session.error or 0.0 < duration <= self.elapsed):
+            now = time.monotonic()
+            if now >= discovery:
+                self._node.discover()
+                self._node.serve()
+                discovery = now + DISCOVERY_S
+            self.take()
+            if live and now >= report:
+                self.show("\r")
+                report = now + REPORT_S
+            time.sleep(POLL_S)
+        self.take()
+
+    def take(self) -> None:
+        """Hand over what has been received."""
+        messages = self._node.take()
+        if not messages:
+            return
+        self._session.offer(self._cleaned(messages))
+        for note in self._node.new_gaits(messages):
+            self._session.note(note)
+        if self._session.options.ring_s and self._node.new_alarm(messages):
+            try:
+                outcome = self._session.snapshot()
+            except (BagError, OSError) as error:  # the next alarm may fare better
+                outcome = f"no snapshot: {error}"
+            self._node.get_logger().warning(f"the twin raises an alarm: {outcome}")
+
+    def _cleaned(self, messages: Sequence[Message]) -> Sequence[Message]:
+        if self._cleaner is None:
+            return messages
+        self._cleaner.know(message.topic for message in messages)
+        cleaned = []
+        for message in messages:
+            try:
+                cleaned.append(self._cleaner.message(message))
+            except BagError as error:
+                self._uncleaned += 1
+                self._node.get_logger().error(f"left out, as it cannot be cleaned: {error}")
+        return cleaned
 
     def totals(self) -> dict[str, int | float]:
         """The outcome so far: dropped are those lost on the way and those that the disk could not take."""
-        dropped = self._thread.dropped
+        offered, dropped = self._session.offered, self._session.dropped
         return {
-            "messages": self._received.messages - dropped.messages,
-            "bytes": self._received.bytes - dropped.bytes,
-            "dropped": self._node.lost + dropped.messages,
+            "messages": offered.messages - dropped.messages,
+            "bytes": offered.bytes - dropped.bytes,
+            "dropped": self._node.lost + dropped.messages + self._uncleaned,
             "topics": self._node.topic_count,
             "duration": round(self.elapsed, 3),
         }
@@ -114,53 +207,40 @@ class _Progress:
         sys.stderr.flush()
 
 
-def _record(
-    node: RecordNode, thread: RecordingThread, ended: Callable[[], bool], duration: float
-) -> _Progress:
-    """Take messages until told to stop, the time is over or the disk fails."""
-    progress = _Progress(node, thread)
-    live = sys.stderr.isatty()
-    discovery = report = time.monotonic()
-    while not ended() and thread.error is None and not 0.0 < duration <= progress.elapsed:
-        now = time.monotonic()
-        if now >= discovery:
-            node.discover()
-            discovery = now + DISCOVERY_S
-        _hand_over(node, thread, progress)
-        if live and now >= report:
-            progress.show("\r")
-            report = now + REPORT_S
-        time.sleep(POLL_S)
-    _hand_over(node, thread, progress)
-    return progress
-
-
-def _hand_over(node: RecordNode, thread: RecordingThread, progress: _Progress) -> None:
-    samples = node.take()
-    if not samples:
-        return
-    progress.count(samples)
-    thread.offer(samples)
-    gait = node.new_gait(samples)
-    if gait is not None:
-        thread.note(gait)
-
-
 def _fail(status: int, message: str) -> NoReturn:
-    sys.stderr.write(f"record: {message}\n")
+    sys.stderr.write(f"record: {' '.join(message.split())}\n")
     raise SystemExit(status)
 
 
+def _output(arguments: argparse.Namespace) -> Path:
+    if arguments.output is None:
+        return Path(time.strftime("worm_%Y_%m_%d-%H_%M_%S"))
+    output: Path = arguments.output
+    return output
+
+
+def _session_options(
+    arguments: argparse.Namespace, command: Sequence[str], cleaner: Cleaner | None
+) -> SessionOptions:
+    def manifest() -> Manifest:
+        now = time.time_ns()
+        found = run_manifest(arguments.parameters, arguments.seed, arguments.note, command, now)
+        return cleaner.manifest(found) if cleaner else found
+
+    manifest()  # what is wrong with it is told before anything is made
+    return SessionOptions(
+        output=_output(arguments),
+        manifest=manifest,
+        write=WriteOptions(
+            arguments.compression,
+            split_bytes=arguments.max_bag_size,
+            split_s=arguments.max_bag_duration,
+        ),
+        ring_s=arguments.snapshot,
+    )
+
+
 def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Callable[[], bool]) -> int:
-    now = time.time_ns()
-    output = arguments.output or Path(
-        time.strftime("worm_%Y_%m_%d-%H_%M_%S", time.localtime(now / 1e9))
-    )
-    options = Options(
-        arguments.compression,
-        split_bytes=arguments.max_bag_size,
-        split_s=arguments.max_bag_duration,
-    )
     selection = TopicSelection(
         frozenset(arguments.topics),
         everything=arguments.all,
@@ -168,26 +248,52 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Callable[
         exclude=arguments.exclude,
         hidden=arguments.include_hidden_topics,
     )
-    manifest = run_manifest(arguments.parameters, arguments.seed, arguments.note, command, now)
+    cleaner = Cleaner(platform.node(), ()) if arguments.anonymous else None
+    options = _session_options(arguments, command, cleaner)
     node = RecordNode(selection, arguments.depth)
-    recorder = BagRecorder(output, manifest, options, now)
-    thread = RecordingThread(recorder, options.sync_s, BACKLOG_BYTES)
-    node.get_logger().info(f"recording to {output}")
+    session = RecordingSession(options)
+    for name in SERVICES:
+        node.offer_service(name, getattr(session, name))
+    kept = f"the last {options.ring_s:g} s for snapshots" if options.ring_s else "to"
+    node.get_logger().info(f"recording {kept} {options.output}")
+    recording = _Recording(node, session, cleaner)
     try:
-        progress = _record(node, thread, ended, arguments.duration)
+        recording.run(ended, arguments.duration)
     finally:
-        thread.close()
-    progress.show("\n")
+        session.close()
+    return _report(recording, node, session, arguments)
+
+
+def _report(
+    recording: _Recording,
+    node: RecordNode,
+    session: RecordingSession,
+    arguments: argparse.Namespace,
+) -> int:
+    recording.show("\n")
     for name in node.missing:
         sys.stderr.write(f"record: {name} was never published\n")
-    if arguments.json:
-        sys.stdout.write(
-            json.dumps({"bag": str(output), **progress.totals(), "missing": node.missing}) + "\n"
+    for name, count in node.missed.items():
+        sys.stderr.write(
+            f"record: {name}: the first {count} messages of a publisher that came later are missing\n"
         )
-    if thread.error is not None:
+    if arguments.json:
+        outcome = {
+            "bag": str(session.options.output),
+            "bags": [str(bag) for bag in session.bags],
+            **recording.totals(),
+            "missing": node.missing,
+            "missed": node.missed,
+        }
+        sys.stdout.write(json.dumps(outcome) + "\n")
+    error = session.error
+    if isinstance(error, FileNotFoundError):
+        lost = session.dropped.messages
+        _fail(1, f"{session.failed} was removed while it was recorded: {lost} messages are lost")
+    if error is not None:
         _fail(
             1,
-            f"{output} could not be written: {thread.error}; what was written is kept, see recover",
+            f"{session.failed} could not be written: {error}; what was written is kept, see recover",
         )
     return 0
 
@@ -195,11 +301,14 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Callable[
 def main() -> None:
     """Entry point of ``ros2 run worm_model record``."""
     try:
-        command = remove_ros_args(sys.argv)
+        strange = next((a for a in sys.argv if not is_text(a)), None)
+        if strange is not None:
+            raise BagError(f"an argument is not UTF-8 text: {strange!r}")
+        command = own_arguments(sys.argv)
         arguments = _parser().parse_args(command[1:])
         with ros_process() as ended:
             raise SystemExit(_run(arguments, command, ended))
-    except (RecorderError, SelectionError, ManifestError) as error:
+    except BagError as error:
         _fail(2, str(error))
     except OSError as error:
         _fail(1, f"{error.filename or 'the bag'} cannot be written: {error.strerror}")

@@ -10,6 +10,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from worm_model.gait import Gait
@@ -23,6 +24,7 @@ from worm_model.twin.records import (
     ResidualRecord,
 )
 from worm_model.twin.samples import Kind
+from worm_model.twin.scene import FRAME
 from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.msg import (
     BodyLength,
@@ -76,15 +78,18 @@ def power_sample(message: Any) -> Row:
 def gait_sample(message: Any) -> Row:
     """Of a GaitState."""
     stamp, gait = nanoseconds(message.header.stamp), message.gait
-    told = nanoseconds(message.onset), message.state, message.run
+    told = nanoseconds(message.onset), message.state, message.run, message.cycle
     values = gait.stroke, gait.frequency, float(gait.direction), gait.margin
     return (stamp, Kind.GAIT, *told, stamp, *values)
 
 
 def _row(kind: int, message: Any, a: float, b: float = 0.0) -> Row:
     stamp = nanoseconds(message.header.stamp)
-    return (stamp, kind, 0, 0, 0, stamp, a, b, 0.0, 0.0)
+    return (stamp, kind, 0, 0, 0, 0, stamp, a, b, 0.0, 0.0)
 
+
+#: of urdf/worm.urdf: x1, and x2 - x1
+JOINTS = ("rear_position", "body_length")
 
 #: topic -> (message type, conversion); what the twin listens to
 INPUTS: Mapping[str, tuple[type, Callable[[Any], Row]]] = {
@@ -108,7 +113,9 @@ _RESIDUALS = tuple(
 
 def state_message(row: Any) -> TwinState:
     """A row of STATE_ROW as TwinState."""
-    return _filled(TwinState(), row, _STATE)
+    message = _filled(TwinState(), row, _STATE)
+    message.header.frame_id = FRAME
+    return message
 
 
 def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
@@ -133,6 +140,16 @@ def event_message(event: Event) -> TwinEvent:
         cycle=event.cycle,
         probability=event.probability,
         message=event.text,
+    )
+
+
+def joint_state(row: Any) -> JointState:
+    """Where the modules are, as the joints of urdf/worm.urdf (m); of a row of STATE_ROW."""
+    rear = float(row["rear_position"])
+    return JointState(
+        header=Header(stamp=time_message(int(row["stamp_ns"]))),
+        name=list(JOINTS),
+        position=[rear, float(row["front_position"]) - rear],
     )
 
 
@@ -187,8 +204,15 @@ def fill_forecast(response: Any, found: Forecast) -> Any:
 # --- settings ----------------------------------------------------------------------------------------
 
 
-def declare_settings(node: Any) -> None:
-    """Declares every setting as a ROS parameter with its range and description."""
+PARAMETER_FILE = "parameter_file"
+
+
+def rows() -> list[tuple[str, Any, ParameterDescriptor]]:
+    """Name, default and descriptor of every parameter."""
+    text = "the model's parameters (YAML); empty: the paper's"
+    result: list[tuple[str, Any, ParameterDescriptor]] = [
+        (PARAMETER_FILE, "", ParameterDescriptor(description=text))
+    ]
     for row in dataclasses.fields(TwinSettings):
         limits = FloatingPointRange(
             from_value=row.metadata["low"], to_value=row.metadata["high"], step=0.0
@@ -197,7 +221,8 @@ def declare_settings(node: Any) -> None:
             description=row.metadata["text"], floating_point_range=[limits]
         )
         default: Any = row.default
-        node.declare_parameter(row.name, float(default), descriptor)
+        result.append((row.name, float(default), descriptor))
+    return result
 
 
 def settings_of(node: Any) -> TwinSettings:

@@ -16,18 +16,18 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from worm_model.gait import GaitError
 from worm_model.nodes import twin_messages
-from worm_model.nodes.ros_process import ros_process, spare_pauses
 from worm_model.nodes.scene_markers import marker_array
 from worm_model.parameters import ParameterError, load_parameters
 from worm_model.simulation import warm_up
@@ -38,9 +38,10 @@ from worm_model.twin.scene import LOST_S, Sighting, scene
 from worm_model.twin.twin import Output, Twin
 from worm_model.twin.twin_status import Level, report
 from worm_msgs.msg import BodyLength, TwinEvent, TwinResiduals, TwinState
+from worm_msgs.node_command import declare, run_node
+from worm_msgs.ros_process import Ending, spare_pauses
 from worm_msgs.srv import PredictGait
 
-PARAMETER_FILE = "parameter_file"
 POLL_S = 0.02
 MARKER_PERIOD_S = 0.1
 SIGHTINGS = 100  # of the tracker that are remembered: 3 s of a camera at 30 Hz
@@ -79,9 +80,7 @@ class TwinNode(Node):
 
     def __init__(self) -> None:
         super().__init__("twin")
-        text = "the model's parameters (YAML); empty: the paper's"
-        self.declare_parameter(PARAMETER_FILE, "", ParameterDescriptor(description=text))
-        twin_messages.declare_settings(self)
+        declare(self, twin_messages.rows)
         self._twin = self._make_twin()
         self._state = self._twin.start()
         group = _Polled()
@@ -90,6 +89,7 @@ class TwinNode(Node):
             for topic, (kind, convert) in twin_messages.INPUTS.items()
         ]
         self._states = self.create_publisher(TwinState, "twin/state", BURST)
+        self._joints = self.create_publisher(JointState, "twin/joint_states", 10)
         self._residuals = self.create_publisher(TwinResiduals, "twin/residuals", BURST)
         self._lengths = self.create_publisher(BodyLength, "body_length/estimated", BURST)
         self._events = self.create_publisher(TwinEvent, "twin/events", _LATCHED)
@@ -150,6 +150,8 @@ class TwinNode(Node):
             self._lengths.publish(twin_messages.length_message(length))
         for state in output.states:
             self._states.publish(twin_messages.state_message(state))
+        if output.states and self._joints.get_subscription_count():
+            self._joints.publish(twin_messages.joint_state(output.states[-1]))
         for residuals in output.residuals:
             self._residuals.publish(twin_messages.residuals_message(residuals, output.warnings))
         for event in output.events:
@@ -168,12 +170,12 @@ class TwinNode(Node):
     # --- parameters -----------------------------------------------------------------------------
 
     def _make_twin(self) -> Twin:
-        parameters = load_parameters(self.get_parameter(PARAMETER_FILE).value)
+        parameters = load_parameters(self.get_parameter(twin_messages.PARAMETER_FILE).value)
         return Twin(parameters, twin_messages.settings_of(self))
 
     def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         for parameter in parameters:
-            if parameter.name == PARAMETER_FILE:
+            if parameter.name == twin_messages.PARAMETER_FILE:
                 try:
                     load_parameters(parameter.value)
                 except ParameterError as error:
@@ -214,9 +216,11 @@ class TwinNode(Node):
 
     def _publish_diagnostics(self) -> None:
         found = report(self._state, self._residual, time.monotonic() - self._heard)
+        robot = self.get_namespace().strip("/")
         status = DiagnosticStatus(
             level=_LEVELS[found.level],
-            name="twin: model",
+            name=f"{robot}/twin: model".lstrip("/"),
+            hardware_id=robot,
             message=found.message,
             values=[KeyValue(key=key, value=value) for key, value in found.values],
         )
@@ -236,19 +240,19 @@ def _spin(node: TwinNode, ended: Callable[[], bool]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the twin until SIGINT or SIGTERM; returns the exit status."""
+    about = "Follows the robot with the model, compares, and says what has changed."
+    return run_node("twin_node", about, twin_messages.rows, _run, (ParameterError,), arguments)
+
+
+def _run(ended: Ending) -> None:
     warm_up.main()  # nothing may compile between two samples
-    with ros_process(arguments) as ended:
-        try:
-            node = TwinNode()
-        except ParameterError as error:
-            sys.stderr.write(f"twin: {error}\n")
-            return 2
-        spare_pauses()
-        try:
-            _spin(node, ended)
-        finally:
-            node.destroy_node()
-    return 0
+    node = TwinNode()
+    spare_pauses()
+    node.get_logger().info("twin ready")
+    try:
+        _spin(node, ended)
+    finally:
+        node.destroy_node()
 
 
 if __name__ == "__main__":

@@ -15,15 +15,15 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.utilities import remove_ros_args
 
+from worm_model.commands.command_line import Parser, run_command
 from worm_model.gait import GaitError
-from worm_model.nodes.ros_process import ros_process, spin
 from worm_model.nodes.twin_messages import gait_of, nanoseconds
-from worm_model.parameters import ParameterError, load_parameters
+from worm_model.parameters import load_parameters
 from worm_model.twin.records import Activity, Health, LengthSource
 from worm_model.twin.watch_view import CLEAR, NAN, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
+from worm_msgs.ros_process import own_arguments, ros_process, spin
 
 PERIOD_S = 0.2
 REMEMBERED = 200  # samples of an instrument: 2 s at 100 Hz
@@ -124,21 +124,19 @@ def _nearest(samples: deque[tuple[int, Any]], stamp: int, default: Any) -> Any:
 
 def main() -> int:
     """Draws until Ctrl-C; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="watch", description="Robot and twin, live, as text.")
-    parser.add_argument("--parameters", default="", metavar="FILE", help="default: the paper's")
-    options = parser.parse_args(remove_ros_args(sys.argv)[1:])
-    try:
-        pitch = load_parameters(options.parameters).pitch
-    except ParameterError as error:
-        sys.stderr.write(f"watch: {error}\n")
-        return 2
+    parser = Parser(prog="watch", description="Robot and twin, live, as text.")
+    parser.add_parameters()
+    return run_command(parser, _watch, own_arguments(sys.argv)[1:])
+
+
+def _watch(options: argparse.Namespace) -> None:
+    pitch = load_parameters(options.parameters).pitch
     with ros_process() as ended:
         node = WatchNode(pitch)
         try:
             spin(node, ended)
         finally:
             node.destroy_node()
-    return 0
 
 
 if __name__ == "__main__":

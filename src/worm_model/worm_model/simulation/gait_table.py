@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.commands.command_line import InputError
+from worm_model.errors import InputError
 from worm_model.parameters import KEYS, Parameters
 from worm_model.simulation.batch import GaitTable, evaluate_gaits
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from worm_model.gait import FORWARD, Gait, GaitError
 from worm_model.parameters import Parameters
-from worm_model.run import is_same_run
+from worm_model.run import is_another_run
 from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
@@ -41,13 +41,17 @@ JOIN_STEP_S = 0.01  # of the commands that a late twin did not hear
 
 @dataclass(frozen=True)
 class Word:
-    """What the driver does from a stamp on; ``onset_ns`` and ``run`` are 0 where unknown, ``gait`` None without one."""
+    """What the driver does from a stamp on.
+
+    ``onset_ns``, ``run`` and ``cycle`` are 0 where unknown, ``gait`` is None without one.
+    """
 
     stamp_ns: int
     activity: Activity
     gait: Gait | None = None
     onset_ns: int = 0
     run: int = 0
+    cycle: int = 0
 
 
 def word_of(row: Any) -> Word:
@@ -58,7 +62,8 @@ def word_of(row: Any) -> Word:
     except GaitError:
         gait = None
     activity = Activity(int(row["state"]))
-    return Word(int(row["heard"]), activity, gait, int(row["onset"]), int(row["run"]))
+    told = int(row["onset"]), int(row["run"]), int(row["cycle"])
+    return Word(int(row["heard"]), activity, gait, *told)
 
 
 def is_new_run(m: Any, word: Word) -> bool:
@@ -67,7 +72,8 @@ def is_new_run(m: Any, word: Word) -> bool:
         return False
     if not m["start_ns"] or not m["has_gait"]:
         return True
-    return not is_same_run(word.run, word.onset_ns, int(m["run"]), int(m["start_ns"]))
+    before = int(m["run"]), int(m["told_cycle"]), int(m["start_ns"])
+    return bool(is_another_run(before, (word.run, word.cycle, word.onset_ns)))
 
 
 @dataclass(frozen=True)

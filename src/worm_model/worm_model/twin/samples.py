@@ -26,10 +26,14 @@ class Kind(enum.IntEnum):
 
 
 #: ``stamp`` in ns. ``a`` to ``d`` by kind: u_cmd (m); L (m); x1, x2 (m); power (W); stroke (m), frequency (Hz),
-#: direction, margin (m). ``onset`` (ns), ``state``, ``run`` and ``heard``, its own stamp (ns), of a gait state only.
+#: direction, margin (m). ``onset`` (ns), ``state``, ``run``, ``cycle`` and ``heard``, its own stamp (ns), of a gait
+#: state only.
 SAMPLE = np.dtype(
     [
-        *((name, np.int64) for name in ("stamp", "kind", "onset", "state", "run", "heard")),
+        *(
+            (name, np.int64)
+            for name in ("stamp", "kind", "onset", "state", "run", "cycle", "heard")
+        ),
         *((name, np.float64) for name in ("a", "b", "c", "d")),
     ]
 )
@@ -55,6 +59,7 @@ def rows_of_run(run: Run, jump_back_ns: int) -> Rows:
         Kind.GAIT, states.stamp, states.stroke, states.frequency, states.direction, states.margin
     )
     gaits["onset"], gaits["state"], gaits["run"] = states.onset, states.state, states.run
+    gaits["cycle"] = states.cycle
     tracker, power = run.tracker, run.power
     topics = [
         gaits,

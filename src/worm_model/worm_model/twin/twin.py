@@ -222,6 +222,8 @@ class _Call:
             self._begin(word)
         elif self.state.is_running and word.activity not in PLAYING:
             self._end(word.stamp_ns)
+        if word.activity in PLAYING:
+            m["told_cycle"] = word.cycle
 
     def _begin(self, word: Word) -> None:
         state, twin = self.state, self.twin

@@ -22,15 +22,15 @@ from worm_model.commands.command_line import (
     FAILED,
     InputError,
     Parser,
-    add_parameters,
-    print_json,
+    print_result,
     run_command,
 )
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.twin.offline_replay import replay_run
+from worm_optimizer.operation.bring_up import Say
 from worm_optimizer.operation.demo_comparison import Comparison, compare
 from worm_optimizer.operation.demo_figure import draw_run
-from worm_optimizer.operation.demo_run import Say, drive
+from worm_optimizer.operation.demo_run import drive
 from worm_optimizer.operation.demo_table import comparison_table
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.session import FAILURES, Narrator, work_folder
@@ -43,9 +43,9 @@ def main(arguments: list[str] | None = None) -> int:
     return run_command(_parser(), _demo, arguments)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(prog="demo", description="The main job, end to end, on a virtual robot.")
-    add_parameters(parser)
+    parser.add_parameters()
     parser.add_argument(
         "--bags",
         type=Path,
@@ -60,7 +60,7 @@ def _parser() -> argparse.ArgumentParser:
         help="what is true of the virtual robot (default: its own file)",
     )
     parser.add_argument("--seed", type=int, default=1, help="of the robot's scatter and noise")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_json()
     return parser
 
 
@@ -116,7 +116,7 @@ def _look_back(
     replay = replay_run(run, parameters)
     comparison = compare(run, replay, prediction, parameters)
     figure = bag.with_suffix(".png")
-    draw_run(figure, _title(prediction), run, replay, comparison.window)
+    draw_run(figure, _title(prediction), run, replay, comparison.window, parameters)
     return comparison, figure
 
 
@@ -135,24 +135,21 @@ def _print(
     bag: Path,
     figure: Path,
 ) -> None:
-    if options.json:
-        print_json(
-            {
-                "gait": asdict(prediction),
-                **asdict(comparison),
-                "bag": str(bag),
-                "figure": str(figure),
-            }
-        )
-        return
+    content = {
+        "gait": asdict(prediction),
+        **asdict(comparison),
+        "bag": str(bag),
+        "figure": str(figure),
+    }
     phase = 1e3 * prediction.groove_phase
     predictions = {
         "twin, driven by the recording": comparison.twin,
         "optimizer, before the run": comparison.predicted,
         f"the same with {1e3 * prediction.margin:.1f} mm margin": comparison.robust,
     }
-    print(  # noqa: T201
+    text = (
         f"Last 3 of 5 cycles, {_title(prediction)}; predictions for a groove phase of "
         f"{phase:.1f} mm:\n\n{comparison_table(comparison.measured, predictions)}\n\n"
         f"recording  {bag}\nfigure     {figure}"
     )
+    print_result(options, content, text)

@@ -4,21 +4,32 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 
-from worm_model.commands.command_line import InputError, Parser, number, print_json
+from worm_model.analysis.plot_style import save_figure
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    figure_file,
+    number,
+    print_result,
+    run_command,
+)
 from worm_model.parameters import load_parameter_file
-from worm_optimizer.commands import arguments
-from worm_optimizer.report.front_plots import draw_front
-from worm_optimizer.robustness import fragility
+from worm_optimizer.commands.search_options import (
+    add_front_options,
+    cache_of,
+    chosen_settings,
+    gait_table,
+    shown_progress,
+)
+from worm_optimizer.report.front_plots import front_figure
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import load_front, make_front
-from worm_optimizer.search.selection import Objective, Request, select
+from worm_optimizer.search.gait_request import GaitRequest, Objective, RequestStatus, select
 
-_NAMED = {
-    "min_power": Objective.MIN_POWER,
-    "cruise": Objective.CRUISE,
-    "max_speed": Objective.MAX_SPEED,
-}
+_OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
+_NAMED = {objective.name.lower(): objective for objective in _OBJECTIVES}
 
 
 def _parser() -> Parser:
@@ -36,46 +47,45 @@ def _parser() -> Parser:
     wanted.add_argument(
         "--power", type=number, metavar="W", help="highest speed of those that need no more, in W"
     )
-    arguments.add_common(parser)
-    arguments.add_search(parser)
+    add_front_options(parser)
     return parser
 
 
-def _request_of(options: argparse.Namespace) -> Request:
+def _request_of(options: argparse.Namespace) -> GaitRequest:
     if options.speed is not None:
-        return Request(Objective.MIN_POWER_AT_SPEED, options.speed)
+        return GaitRequest(Objective.MIN_POWER_AT_SPEED, options.speed)
     if options.power is not None:
-        return Request(Objective.MAX_SPEED_AT_POWER, options.power)
-    return Request(_NAMED[options.objective or "cruise"])
+        return GaitRequest(Objective.MAX_SPEED_AT_POWER, options.power)
+    return GaitRequest(_NAMED[options.objective or "cruise"])
 
 
 def describe(gait: Prediction) -> str:
     """A gait for people; the groove phase always stands beside the speed, which holds for it alone."""
     phase = f"groove phase {1e3 * gait.groove_phase:+.2f} mm; the speed holds for it"
-    return f"{fragility.table({'gait': gait}, {})}\n{phase}"
+    return f"{gait_table({'gait': gait}, {})}\n{phase}"
 
 
 def _request(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
-    settings, request = arguments.front_settings(options), _request_of(options)
-    cache, figure = arguments.cache_of(options), arguments.figure_file(options)
+    settings, request = chosen_settings(options), _request_of(options)
+    cache, figure = cache_of(options), figure_file(options)
     front = load_front(content, settings, options.direction, cache)
     if front is None:
-        report = arguments.shown_progress("optimizing")
-        front = make_front(content, settings, options.direction, cache, report)
-    choice = select(front.predictions, request)
+        progress = shown_progress("optimizing")
+        front = make_front(content, settings, options.direction, cache, progress)
+    answer = select(front.predictions, request)
+    gait = answer.prediction
+    assert gait is not None
+    unreachable = answer.status is not RequestStatus.DONE
     if figure is not None:
-        draw_front(front, {"nearest" if choice.refusal else "gait": choice.prediction}, figure)
-    if choice.refusal:
-        if options.json:
-            print_json({"error": choice.refusal, "nearest": arguments.gait_json(choice.prediction)})
-        raise InputError(choice.refusal)
-    if options.json:
-        print_json(arguments.gait_json(choice.prediction))
-    else:
-        arguments.say(describe(choice.prediction))
+        save_figure(front_figure(front, {"nearest" if unreachable else "gait": gait}), figure)
+    if unreachable:
+        refusal = {"error": answer.message, "nearest": asdict(gait)}
+        print_result(options, refusal, f"the nearest that is there:\n{describe(gait)}")
+        raise InputError(answer.message)
+    print_result(options, asdict(gait), describe(gait))
 
 
 def main() -> int:
     """Entry point of the executable request."""
-    return arguments.run(_parser(), _request)
+    return run_command(_parser(), _request)

@@ -6,10 +6,16 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from worm_model.commands.command_line import Parser, print_json
+from worm_model.analysis.plot_style import save_figure
+from worm_model.commands.command_line import Parser, figure_file, print_result, run_command
 from worm_model.parameters import load_parameter_file
-from worm_optimizer.commands import arguments
-from worm_optimizer.report.front_plots import draw_price
+from worm_optimizer.commands.search_options import (
+    add_scan_options,
+    cache_of,
+    chosen_settings,
+    shown_progress,
+)
+from worm_optimizer.report.front_plots import price_figure
 from worm_optimizer.search.front import scanned_price
 from worm_optimizer.search.margin import CLIFF_RULE, PriceOfRobustness
 
@@ -20,7 +26,7 @@ def _parser() -> Parser:
         description="The lowest cost of transport over the robustness margin, each from an exhaustive "
         f"map of the gaits, and its cliff. {CLIFF_RULE.capitalize()}.",
     )
-    arguments.add_common(parser)
+    add_scan_options(parser)
     return parser
 
 
@@ -67,18 +73,13 @@ def describe(price: PriceOfRobustness) -> str:
 
 def _scan(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
-    settings = arguments.common_settings(options)
-    cache, figure = arguments.cache_of(options), arguments.figure_file(options)
-    report = arguments.shown_progress("margins")
-    price = scanned_price(content, settings, options.direction, cache, report)
+    settings, cache, figure = chosen_settings(options), cache_of(options), figure_file(options)
+    price = scanned_price(content, settings, options.direction, cache, shown_progress("margins"))
     if figure is not None:
-        draw_price(price, figure)
-    if options.json:
-        print_json(price_json(price))
-    else:
-        arguments.say(describe(price))
+        save_figure(price_figure(price), figure)
+    print_result(options, price_json(price), describe(price))
 
 
 def main() -> int:
     """Entry point of the executable scan_margin."""
-    return arguments.run(_parser(), _scan)
+    return run_command(_parser(), _scan)

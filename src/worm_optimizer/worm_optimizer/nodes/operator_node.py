@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.action import ActionClient
@@ -17,6 +18,7 @@ from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from worm_model import gait as model
@@ -28,10 +30,11 @@ from worm_optimizer.robustness.prediction import Prediction
 NODES_TIMEOUT_S = 120.0  # a twin whose kernel is not compiled yet does that first
 DISCOVERY_TIMEOUT_S = 30.0
 LEASE_S = 25.0  # DDS believes for 20 s that a participant lives which says nothing any more
-CALL_TIMEOUT_S = 10.0
+CALL_TIMEOUT_S = 30.0
+SILENCE_S = 60.0  # without a word of a gait that runs, after which it has failed
 OPTIMIZER_TIMEOUT_S = 120.0  # it may still be searching its front
 REQUEST_PERIOD_S = 1.0
-ATTEMPTS = 6  # at transitions of a lifecycle node; two are enough when all goes well
+ATTEMPTS = 2  # at transitions of a lifecycle node: from unconfigured to active
 SPIN_S = 0.05
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
@@ -41,6 +44,10 @@ _NEXT = {
 
 class OperatorError(RuntimeError):
     """A node did not answer in time, or refused."""
+
+
+class GaitFailedError(OperatorError):
+    """A gait was begun, and not brought to its end."""
 
 
 class _NoAnswerError(OperatorError):
@@ -68,6 +75,7 @@ def operator(namespace: str, check: Callable[[], None]) -> Iterator[OperatorNode
 class OperatorNode(Node):
     """Calls the services and actions of the driver and the optimizer in its own namespace.
 
+    ``late_cycles`` is how many deadlines the driver says that it has missed since its start.
     ``check`` is called while waiting and may raise, such as when a node's process has died.
     """
 
@@ -75,8 +83,26 @@ class OperatorNode(Node):
         super().__init__("operator", namespace=namespace, context=context)
         self._check = check
         self._named_clients: dict[str, Client] = {}
+        self.late_cycles = 0
+        self._simulated_s: float | None = None  # by /clock, where somebody publishes it
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self.create_subscription(Clock, "/clock", self._on_clock, 10)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == "driver: timing":
+                values = {value.key: value.value for value in status.values}
+                self.late_cycles = int(values.get("missed_deadlines", 0))
+
+    def _on_clock(self, message: Clock) -> None:
+        self._simulated_s = message.clock.sec + 1e-9 * message.clock.nanosec
+
+    @property
+    def robot_time_s(self) -> float:
+        """The time by /clock (s) if somebody publishes it, else the computer's, monotonic."""
+        return time.monotonic() if self._simulated_s is None else self._simulated_s
 
     def destroy_node(self) -> None:
         """End the node and what spins it."""
@@ -129,8 +155,9 @@ class OperatorNode(Node):
             raise OperatorError(f"nobody publishes {name}: {remedy}")
 
     def rest(self, duration_s: float) -> None:
-        """Let time pass, while everything is checked to be alive."""
-        self._wait(lambda: False, duration_s)
+        """Let time of the robot pass, while everything is checked to be alive."""
+        end = self.robot_time_s + duration_s
+        self._wait(lambda: self.robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
 
     def wait_for_recorder(self, name: str) -> None:
         """Wait until a node subscribes to all visible topics of this namespace that are published.
@@ -157,10 +184,7 @@ class OperatorNode(Node):
         return [name for name, namespace in nodes if namespace == self.get_namespace()]
 
     def activate(self, node: str) -> None:
-        """Configure and activate a lifecycle node; raises `OperatorError` if it does not get there.
-
-        A transition that fails is tried again: on a busy computer, a virtual servo may answer late.
-        """
+        """Configure and activate a lifecycle node; raises `OperatorError` if it does not get there."""
         attempts = 0
         while (state := self._state(node)).id != State.PRIMARY_STATE_ACTIVE:
             if state.id not in _NEXT or attempts == ATTEMPTS:
@@ -188,10 +212,10 @@ class OperatorNode(Node):
             if time.monotonic() > deadline:
                 raise OperatorError(f"the optimizer has no gait: {response.message}")
             progress(response.message)
-            self.rest(REQUEST_PERIOD_S)
+            self._wait(lambda: False, REQUEST_PERIOD_S)
 
     def run_gait(self, gait: model.Gait, cycles: int, progress: Callable[[int], None]) -> None:
-        """Run a gait to its end; raises `OperatorError` if it is refused or fails.
+        """Run a gait to its end; raises `OperatorError` if it is refused, `GaitFailedError` if it fails.
 
         ``progress`` gets the number of cycles begun.
         """
@@ -213,14 +237,23 @@ class OperatorNode(Node):
             direction=gait.direction,
             margin=gait.margin,
         )
-        sent = client.send_goal_async(goal, lambda message: progress(message.feedback.cycle))
+        heard = [time.monotonic()]
+
+        def hear(message: Any) -> None:
+            heard[0] = time.monotonic()
+            progress(message.feedback.cycle)
+
+        sent = client.send_goal_async(goal, hear)
         handle = self._result(sent, "run_gait", CALL_TIMEOUT_S)
         if not handle.accepted:
             raise OperatorError("the driver refuses the gait: its log says why")
-        duration = cycles / gait.frequency
-        answer = self._result(handle.get_result_async(), "run_gait", 2.0 * duration + 30.0)
+        ended = handle.get_result_async()
+        # A virtual robot's time may pass more slowly than this computer's: as long as it goes on, all is well.
+        while not ended.done() and time.monotonic() < heard[0] + SILENCE_S:
+            self._wait(ended.done, 1.0)
+        answer = self._result(ended, "run_gait", 0.0)
         if not answer.result.success:
-            raise OperatorError(f"the gait failed: {answer.result.message}")
+            raise GaitFailedError(f"the gait failed: {answer.result.message}")
 
     def stop(self) -> None:
         """Stop the robot at once."""

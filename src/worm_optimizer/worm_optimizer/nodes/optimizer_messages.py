@@ -10,14 +10,12 @@ from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
 from worm_optimizer.robustness.prediction import Prediction
-from worm_optimizer.search.desk import Answer
-from worm_optimizer.search.front import Progress
+from worm_optimizer.search.front import Progress, RobustFront
+from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus, three_gaits
 from worm_optimizer.search.margin import CLIFF_RULE, PriceOfRobustness
 from worm_optimizer.search.nsga2 import SearchSettings
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.search_settings import ScanSettings, Settings, robustness_of
-from worm_optimizer.search.selection import three_gaits
-from worm_optimizer.search.served import ServedFront
 
 _GAIT_FIELDS = frozenset({"stroke", "frequency", "direction", "margin"})
 
@@ -29,9 +27,10 @@ def prediction_message(prediction: Prediction) -> GaitPrediction:
     return GaitPrediction(gait=gait, **values)
 
 
-def fill_response(response: RequestGait.Response, answer: Answer) -> RequestGait.Response:
-    """Puts an answer into a response; without a prediction its figures are NaN."""
-    response.success = answer.success
+def fill_response(response: RequestGait.Response, answer: GaitAnswer) -> RequestGait.Response:
+    """Puts an answer into a response; without a prediction its numbers are NaN."""
+    response.success = answer.status is RequestStatus.DONE
+    response.status = answer.status.value
     response.message = answer.message
     if answer.prediction is not None:
         response.prediction = prediction_message(answer.prediction)
@@ -65,7 +64,7 @@ def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
 
 
 def direction_of(value: int) -> int:
-    """A goal's direction; raises `OptimizerError` on anything but the two."""
+    """A goal's direction; raises `OptimizerError` on anything else than the two."""
     if value not in (Gait.FORWARD, Gait.REVERSE):
         raise OptimizerError(
             f"direction: {value} is neither {Gait.FORWARD} (forward) nor {Gait.REVERSE} (reverse)"
@@ -97,14 +96,14 @@ def scan_feedback(progress: Progress) -> ScanMargin.Feedback:
     return ScanMargin.Feedback(fraction=progress.fraction)
 
 
-def optimize_result(front: ServedFront) -> OptimizeGaits.Result:
+def optimize_result(front: RobustFront) -> OptimizeGaits.Result:
     """The result of an optimisation."""
     three = {
         name: prediction_message(gait) for name, gait in three_gaits(front.predictions).items()
     }
     return OptimizeGaits.Result(
         success=True,
-        message=f"margin {1e3 * front.margin:.2f} mm, {front.reason}; serves the {front.source} front",
+        message=f"margin {1e3 * front.margin:.2f} mm, {front.reason}; the front of {front.source}",
         margin=front.margin,
         hypervolume_share=front.hypervolume_share,
         missed_branches=list(front.missed_branches),

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -17,44 +16,50 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from worm_model.gait import FORWARD, REVERSE
-from worm_model.nodes.ros_process import ros_process, spin
 from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
 from worm_msgs.action import OptimizeGaits, ScanMargin
+from worm_msgs.node_command import declare, run_node
+from worm_msgs.ros_process import Ending, spin
 from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes import (
     optimizer_messages,
     optimizer_parameters,
 )
 from worm_optimizer.search.cache import Cache
-from worm_optimizer.search.desk import Answer, answer, request_of
 from worm_optimizer.search.front import (
     Progress,
+    RobustFront,
     both_ways,
     is_symmetric,
-    load_served,
-    remember_served,
+    load_current,
+    store_current,
 )
-from worm_optimizer.search.jobs import FrontJob, Job, ScanJob
+from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus, answer, request_of
 from worm_optimizer.search.margin import PriceOfRobustness
 from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.served import ServedFront
-from worm_optimizer.search.worker import Outcome, Ticket, WorkQueue
+from worm_optimizer.search.worker import FrontJob, Job, Outcome, ScanJob, Ticket, WorkQueue
 
 _POLL_PERIOD = 0.02  # s, how late feedback may be; a request waits for no poll
 _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
-_COMPUTED = "the front is being computed, {:.0f} % done ({}): ask again soon"
+
+
+def _computing(fraction: float, doing: str) -> GaitAnswer:
+    message = (
+        f"the front is being computed, {100.0 * fraction:.0f} % done ({doing}): ask again soon"
+    )
+    return GaitAnswer(RequestStatus.COMPUTING, message)
 
 
 class OptimizerNode(Node):
-    """Serves request_gait, optimize_gaits and scan_margin; the work is a worker process's.
+    """Answers request_gait, optimize_gaits and scan_margin; the work is a worker process's.
 
     Raises `ParameterError`, `OptimizerError` or OSError on parameters that cannot work.
     """
 
     def __init__(self) -> None:
         super().__init__("optimizer")
-        optimizer_parameters.declare(self)
-        self._settings = optimizer_parameters.settings_of(self)
+        declare(self, optimizer_parameters.rows)
+        self._settings = optimizer_parameters.node_settings(self)
         self._cache = Cache.at(optimizer_parameters.cache_directory(self))
         self._queue = WorkQueue()
         self._preparing: list[Ticket] = []
@@ -68,8 +73,9 @@ class OptimizerNode(Node):
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
         self.create_service(RequestGait, "request_gait", self._request_gait)
-        self._serve_action(OptimizeGaits, "optimize_gaits", self._optimize)
-        self._serve_action(ScanMargin, "scan_margin", self._scan)
+        cancel = self._cancel
+        ActionServer(self, OptimizeGaits, "optimize_gaits", self._optimize, cancel_callback=cancel)
+        ActionServer(self, ScanMargin, "scan_margin", self._scan, cancel_callback=cancel)
 
     def close(self) -> None:
         """Ends the worker process."""
@@ -83,10 +89,14 @@ class OptimizerNode(Node):
             self._queue.cancel(ticket)
         self._content = content
         self._preparing = []
-        self._fronts: dict[int, ServedFront] = {}
-        self._absences = dict.fromkeys(_NAMES, _COMPUTED.format(0.0, "starting"))
+        self._fronts: dict[int, RobustFront] = {}
+        self._absences = dict.fromkeys(_NAMES, _computing(0.0, "starting"))
         self._load_fronts()
         missing = set(_NAMES) - set(self._fronts)
+        if missing:
+            self.get_logger().info(
+                "computing a front for these parameters, which takes about a minute; it is kept for the next start"
+            )
         if is_symmetric(content.parameters):
             missing &= {FORWARD}  # the reverse front comes with it
         for direction in sorted(missing, reverse=True):
@@ -98,31 +108,33 @@ class OptimizerNode(Node):
 
     def _load_fronts(self) -> None:
         for direction in set(_NAMES) - set(self._fronts):
-            front = load_served(self._content, self._settings, direction, self._cache)
+            front = load_current(self._content, self._settings, direction, self._cache)
             if front is not None:
-                self._serve_front(front)
+                self._take_front(front)
 
     def _note_progress(self, direction: int, progress: Progress) -> None:
-        self._note_absence(direction, _COMPUTED.format(100.0 * progress.fraction, progress.doing))
+        self._note_absence(direction, _computing(progress.fraction, progress.doing))
 
     def _note_end(self, direction: int, outcome: Outcome) -> None:
-        if isinstance(outcome.result, ServedFront):
+        if isinstance(outcome.result, RobustFront):
             for front in both_ways(outcome.result, self._content.parameters):
-                self._serve_front(front)
+                self._take_front(front)
         if outcome.failure:
-            self._note_absence(direction, f"there is no front: {outcome.failure}")
-            self.get_logger().error(f"{_NAMES[direction]}: {self._absences[direction]}")
+            message = f"there is no front: {outcome.failure}"
+            self._note_absence(direction, GaitAnswer(RequestStatus.NO_FRONT, message))
+            self.get_logger().error(f"{_NAMES[direction]}: {message}")
 
-    def _note_absence(self, direction: int, reason: str) -> None:
+    def _note_absence(self, direction: int, absence: GaitAnswer) -> None:
         symmetric = is_symmetric(self._content.parameters)
-        self._absences |= dict.fromkeys(_NAMES if symmetric else [direction], reason)
+        self._absences |= dict.fromkeys(_NAMES if symmetric else [direction], absence)
 
-    def _serve_front(self, front: ServedFront) -> None:
+    def _take_front(self, front: RobustFront) -> None:
+        """Answers requests from a front from now on."""
         self._fronts[front.direction] = front
         self.get_logger().info(
-            f"{_NAMES[front.direction]}: {len(front.predictions)} gaits at a margin of "
-            f"{1e3 * front.margin:.2f} mm ({front.reason}), hypervolume "
-            f"{100.0 * front.hypervolume_share:.2f} % of the true front's, serving {front.source}"
+            f"optimizer ready, {_NAMES[front.direction]}: front of margin "
+            f"{1e3 * front.margin:.1f} mm, {len(front.predictions)} gaits ({front.reason}), hypervolume "
+            f"{100.0 * front.hypervolume_share:.2f} % of the true front's, of {front.source}"
         )
 
     def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
@@ -145,19 +157,14 @@ class OptimizerNode(Node):
         self, request: RequestGait.Request, response: RequestGait.Response
     ) -> RequestGait.Response:
         try:
-            wanted = request_of(request.objective, request.speed, request.power)
+            asked = request_of(request.objective, request.speed, request.power)
         except OptimizerError as error:
-            return optimizer_messages.fill_response(response, Answer(False, str(error)))
-        absence = self._absences.get(request.direction, "")
-        told = answer(self._fronts, absence, request.direction, wanted)
-        return optimizer_messages.fill_response(response, told)
+            invalid = GaitAnswer(RequestStatus.INVALID, str(error))
+            return optimizer_messages.fill_response(response, invalid)
+        gait = answer(self._fronts, self._absences, request.direction, asked)
+        return optimizer_messages.fill_response(response, gait)
 
     # --- actions --------------------------------------------------------------------------------
-
-    def _serve_action(
-        self, kind: Any, name: str, execute: Callable[[ServerGoalHandle], Any]
-    ) -> None:
-        ActionServer(self, kind, name, execute, cancel_callback=self._cancel)
 
     async def _optimize(self, goal: ServerGoalHandle) -> OptimizeGaits.Result:
         content = self._content
@@ -170,21 +177,22 @@ class OptimizerNode(Node):
         job = FrontJob(content, settings, direction, self._cache)
         outcome = await self._run(goal, job, optimizer_messages.optimize_feedback)
         front = outcome.result
-        if not isinstance(front, ServedFront):
+        if not isinstance(front, RobustFront):
             return OptimizeGaits.Result(message=outcome.failure)
         if content is self._content:  # else the parameter file has changed under way
-            self._serve_from_now_on(front)
+            self._keep_front(front)
         return optimizer_messages.optimize_result(front)
 
-    def _serve_from_now_on(self, front: ServedFront) -> None:
-        """Serves a front, and keeps it for the next start if it can be kept."""
+    def _keep_front(self, front: RobustFront) -> None:
+        """Answers from a front, also after the next start if it can be stored."""
         for each in both_ways(front, self._content.parameters):
-            self._serve_front(each)
+            self._take_front(each)
             try:
-                remember_served(self._content, self._settings, each, self._cache)
+                store_current(self._content, self._settings, each, self._cache)
             except OSError as error:
                 self.get_logger().error(
-                    f"{_NAMES[each.direction]}: served until this node ends, but not kept: {error}"
+                    f"{_NAMES[each.direction]}: answers requests until this node ends, "
+                    f"but is not kept: {error}"
                 )
 
     async def _scan(self, goal: ServerGoalHandle) -> ScanMargin.Result:
@@ -248,34 +256,41 @@ class OptimizerNode(Node):
         self._diagnostics.publish(array)
 
     def _status_of(self, direction: int) -> DiagnosticStatus:
-        status = DiagnosticStatus(name=f"optimizer: {_NAMES[direction]} front")
+        robot = self.get_namespace().strip("/")
+        name = f"{robot}/optimizer: {_NAMES[direction]} front".lstrip("/")
+        status = DiagnosticStatus(name=name, hardware_id=robot)
         front = self._fronts.get(direction)
         if front is None:
-            failed = self._absences[direction].startswith("there is no front")
+            absence = self._absences[direction]
+            failed = absence.status is RequestStatus.NO_FRONT
             status.level = DiagnosticStatus.ERROR if failed else DiagnosticStatus.WARN
-            status.message = self._absences[direction]
+            status.message = absence.message
             return status
         status.level = DiagnosticStatus.OK
-        status.message = f"{len(front.predictions)} gaits served"
+        status.message = f"{len(front.predictions)} gaits"
         status.values = [
-            KeyValue(key="margin [m]", value=f"{front.margin:.6f}"),
-            KeyValue(key="hypervolume share [1]", value=f"{front.hypervolume_share:.5f}"),
-            KeyValue(key="served", value=front.source),
+            KeyValue(key="margin_m", value=f"{front.margin:.6f}"),
+            KeyValue(key="hypervolume_share", value=f"{front.hypervolume_share:.5f}"),
+            KeyValue(key="source", value=front.source),
         ]
         return status
 
 
 def main() -> int:
     """Runs the node until it is told to stop; 2 if its parameters cannot work."""
-    with ros_process() as ended:
-        try:
-            node = OptimizerNode()
-        except (OptimizerError, ParameterError, OSError) as error:
-            print(f"optimizer_node: {error}", file=sys.stderr)  # noqa: T201 - before there is a node to log
-            return 2
-        try:
-            spin(node, ended)
-        finally:
-            node.close()
-            node.destroy_node()
-    return 0
+    return run_node(
+        "optimizer_node",
+        "Answers requests for gaits from robust fronts, and computes new fronts.",
+        optimizer_parameters.rows,
+        _run,
+        (OptimizerError, ParameterError),
+    )
+
+
+def _run(ended: Ending) -> None:
+    node = OptimizerNode()
+    try:
+        spin(node, ended)
+    finally:
+        node.close()
+        node.destroy_node()

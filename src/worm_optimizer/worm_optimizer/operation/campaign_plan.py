@@ -13,8 +13,8 @@ from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.cache import Cache
 from worm_optimizer.search.front import Report, load_front, make_front, scanned_price
+from worm_optimizer.search.gait_request import three_gaits
 from worm_optimizer.search.search_settings import Settings
-from worm_optimizer.search.selection import three_gaits
 
 PROMISES = "promised.json"
 
@@ -45,5 +45,14 @@ def write_promises(plan: Plan, folder: Path) -> Path:
     """Writes down what is predicted, so that nobody can say that it was known afterwards."""
     path = folder / PROMISES
     with path.open("x", encoding="utf-8") as file:
-        json.dump({name: asdict(gait) for name, gait in plan.gaits.items()}, file, indent=2)
+        file.write(_promises(plan))
     return path
+
+
+def is_promised(plan: Plan, folder: Path) -> bool:
+    """Whether a folder was begun with just this plan. Raises OSError where it holds none."""
+    return (folder / PROMISES).read_text(encoding="utf-8") == _promises(plan)
+
+
+def _promises(plan: Plan) -> str:
+    return json.dumps({name: asdict(gait) for name, gait in plan.gaits.items()}, indent=2)

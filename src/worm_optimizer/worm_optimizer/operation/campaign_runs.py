@@ -7,19 +7,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from worm_model.analysis.run_metrics import RecordingError, last_played_gait
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
 from worm_model.gait import Gait
-from worm_optimizer.nodes.operator_node import OperatorNode, operator
-from worm_optimizer.operation.demo_run import (
+from worm_optimizer.operation.bring_up import (
     CYCLES,
-    DRIVER,
     RECORDER,
     Say,
-    check_ends,
-    once_per_cycle,
+    Session,
+    session,
     start_node,
-    start_nodes,
 )
-from worm_optimizer.operation.processes import ProcessGroup
 from worm_optimizer.operation.system import System, SystemFile
 
 _UNUSED = {"optimizer", RECORDER}  # the front is known; each gait has a recorder of its own
@@ -55,35 +55,58 @@ class Robot:
 def run_gaits(robot: Robot, gaits: Mapping[str, Gait], folder: Path, logs: Path, say: Say) -> None:
     """Runs five cycles of each gait and records it as ``folder/NAME``; then the robot is at rest and released.
 
+    A gait that is recorded already is not run again, and what a failure left of a recording is put aside.
     No process is left, whatever happens. Raises `ProcessError` or `OperatorError` with the stage that failed.
     """
-    system = robot.system()
-    with ProcessGroup(logs) as group:
-        start_nodes(group, system, say)
-        with operator(system.namespace, group.check) as node:
-            node.wait_for_nodes(description.name for description in system.nodes)
-            node.wait_for_publisher(_TRACKER, _NO_TRACKER)
-            say("activating the driver")
-            node.activate(DRIVER)
-            for name, gait in gaits.items():
-                _record_gait(group, node, robot.recording_system(folder / name), name, gait, say)
-            node.stop()
-            node.deactivate(DRIVER)
-            say("the robot has stopped, its torque is off")
-        say("stopping the nodes")
-    check_ends(group)
+    missing = {name: gait for name, gait in gaits.items() if not is_recorded(folder / name)}
+    for name in gaits:
+        if name not in missing:
+            say(f"{name}: recorded already")
+    if not missing:
+        return
+    with session(robot.system(), logs, say) as running:
+        running.node.wait_for_publisher(_TRACKER, _NO_TRACKER)
+        running.activate()
+        for name, gait in missing.items():
+            put_aside(folder / name, say)
+            _record_gait(running, robot.recording_system(folder / name), name, gait)
+        running.release()
 
 
-def _record_gait(
-    group: ProcessGroup, node: OperatorNode, system: System, name: str, gait: Gait, say: Say
-) -> None:
-    say(
+def is_recorded(bag: Path) -> bool:
+    """Whether a bag holds a gait from its onset to the end of its last cycle."""
+    if not bag.is_dir():
+        return False
+    try:
+        with open_bag(bag) as content:
+            run = read_run(content)
+        played = last_played_gait(run.gait_state)
+    except (BagError, RecordingError):
+        return False
+    seen = run.tracker.stamp
+    ended = played.end is not None and seen.size > 0
+    return ended and played.whole_cycles_until(int(seen[-1])) == played.cycles
+
+
+def put_aside(bag: Path, say: Say) -> None:
+    """Renames what there is of a bag, so that nothing is lost and a new one can be made."""
+    if not bag.exists():
+        return
+    number = 1
+    while (aside := bag.with_name(f"{bag.name}_unfinished_{number}")).exists():
+        number += 1
+    bag.rename(aside)
+    say(f"{bag.name}: an unfinished recording is kept as {aside.name}")
+
+
+def _record_gait(running: Session, system: System, name: str, gait: Gait) -> None:
+    running.say(
         f"{name}: stroke {1e3 * gait.stroke:.1f} mm, frequency {gait.frequency:.3f} Hz, "
         f"{CYCLES} cycles in {CYCLES / gait.frequency:.0f} s"
     )
     process = f"{RECORDER}_{name}"
-    start_node(group, system.node(RECORDER), system.namespace, process)
-    node.wait_for_recorder(RECORDER)
-    node.run_gait(gait, CYCLES, once_per_cycle(say))
-    node.rest(_AFTERWARDS_S)
-    group.end(process)
+    start_node(running.group, system.node(RECORDER), system.namespace, process)
+    running.node.wait_for_recorder(RECORDER)
+    running.run_gait(gait)
+    running.node.rest(_AFTERWARDS_S)
+    running.group.end(process)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from worm_optimizer.operation.gait_figures import Figures
+from worm_model.analysis.run_metrics import Performance
 
 _NAME_WIDTH = 34
 _COLUMNS = (
@@ -21,7 +21,7 @@ def relative_difference(value: float, reference: float) -> float:
     return (value - reference) / abs(reference) if reference else float("nan")
 
 
-def comparison_table(measured: Figures, predictions: Mapping[str, Figures]) -> str:
+def comparison_table(measured: Performance, predictions: Mapping[str, Performance]) -> str:
     """One row of the measurement, and of each prediction with its relative difference to it.
 
     Arguments are in SI units; the table shows mm/s, W and percent.
@@ -32,7 +32,7 @@ def comparison_table(measured: Figures, predictions: Mapping[str, Figures]) -> s
     return "\n".join(lines)
 
 
-def _row(name: str, figures: Figures, reference: Figures | None = None) -> str:
+def _row(name: str, figures: Performance, reference: Performance | None = None) -> str:
     cells = {
         "speed": f"{1e3 * figures.speed:.2f} mm/s",
         "power": f"{figures.power:.2f} W",

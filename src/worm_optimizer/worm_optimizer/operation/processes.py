@@ -18,7 +18,7 @@ from types import FrameType, TracebackType
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 POLL_PERIOD_S = 0.02
-GRACE_S = 10.0  # from an interrupt to a kill; a driver brings its gait to rest within a cycle
+GRACE_S = 30.0  # from an interrupt to a kill; a driver brings its gait to rest within a cycle, if it gets a processor
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 

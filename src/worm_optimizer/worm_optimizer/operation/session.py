@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from worm_model.analysis.run_metrics import RecordingError
 from worm_optimizer.nodes.operator_node import OperatorError
-from worm_optimizer.operation.gait_figures import RecordingError
 from worm_optimizer.operation.processes import ProcessError
 
 FAILURES = (ProcessError, OperatorError, RecordingError)

@@ -22,6 +22,8 @@ _NODE_KEYS = {
     "needs",
     "ready",
     "lifecycle",
+    "required",
+    "at_rest_within",
     "arguments",
     "parameters",
     "remappings",
@@ -37,7 +39,9 @@ class NodeDescription:
     """One node: what runs, under which name, with which arguments, parameters and remappings.
 
     ``ready`` is what a line of its output contains once the nodes after it may start; empty when
-    they need not wait. A ``lifecycle`` node is to be configured and activated.
+    they need not wait. A ``lifecycle`` node is to be configured and activated. All end with a
+    ``required`` one; another is started again. ``at_rest_within`` is what stands, in a line of its
+    output, before the time (s) that it may take to end after a signal; empty when it ends at once.
     """
 
     name: str
@@ -45,6 +49,8 @@ class NodeDescription:
     executable: str
     ready: str = ""
     lifecycle: bool = False
+    required: bool = False
+    at_rest_within: str = ""
     arguments: tuple[str, ...] = ()
     parameters: Mapping[str, Value] = field(default_factory=dict)
     remappings: Mapping[str, str] = field(default_factory=dict)
@@ -90,21 +96,24 @@ class SystemFile:
     settings: Mapping[str, Setting]
     nodes: Mapping[str, Mapping[str, Any]]
 
-    def system(self, mode: str, **settings: str) -> System:
+    def system(self, mode: str, namespace: str = "", **settings: str) -> System:
         """The system of a mode, with some settings other than their defaults.
 
+        ``namespace`` is without its first slash, such as ``robots/worm``; empty: the file's own.
         Raises `SystemFileError` on an unknown mode or setting.
         """
+        namespace = namespace or self.namespace
         if mode not in MODES:
             raise SystemFileError(f"mode {mode!r}: choose one of {', '.join(MODES)}")
         unknown = sorted(set(settings) - set(self.settings))
         if unknown:
             known = ", ".join(self.settings)
             raise SystemFileError(f"no setting {unknown[0]!r} in {self.path}: there are {known}")
-        defaults = {name: setting.default for name, setting in self.settings.items()}
-        values = {**defaults, **settings}
+        names = {"namespace": namespace}
+        defaults = {name: row.default.format_map(names) for name, row in self.settings.items()}
+        values = {**names, **defaults, **settings}
         return System(
-            self.namespace,
+            namespace,
             tuple(
                 self._node(name, content, mode, values)
                 for name, content in self.nodes.items()
@@ -123,8 +132,10 @@ class SystemFile:
                 executable=content["executable"],
                 ready=content.get("ready", ""),
                 lifecycle=content.get("lifecycle", False),
+                required=content.get("required", False),
+                at_rest_within=content.get("at_rest_within", ""),
                 arguments=_arguments(content.get("arguments", ()), values),
-                parameters={key: _fill(value, values) for key, value in parameters.items()},
+                parameters=_parameters(parameters, values),
                 remappings=dict(content.get("remappings", {})),
             )
         except KeyError as error:
@@ -150,6 +161,12 @@ def load_system_file(path: str | Path) -> SystemFile:
     except TypeError:
         raise SystemFileError(f"{path}: a setting has a default and a description") from None
     return SystemFile(path, content["namespace"], settings, content["nodes"])
+
+
+def _parameters(parameters: Mapping[str, Value], values: Mapping[str, str]) -> dict[str, Value]:
+    """Parameters with their values filled in; without a value, the node's file or its default holds."""
+    filled = {key: _fill(value, values) for key, value in parameters.items()}
+    return {key: value for key, value in filled.items() if value != ""}
 
 
 def _of_mode(parameters: Mapping[str, Any], mode: str) -> dict[str, Value]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,14 +13,11 @@ from worm_model.bags.bag import Bag
 from worm_model.bags.cdr import Columns
 from worm_model.bags.run_reader import read_columns
 from worm_model.bags.worm_topics import find_topic
-from worm_model.run import POWER_VALID, Run
+from worm_model.run import FAULT, POWER_STATUS_NAMES, POWER_VALID, Run, state_name
 from worm_model.twin.offline_replay import Replay
-from worm_optimizer.report.parts import Part
 
-_STATES = ("inactive", "idle", "resting", "running", "stopping", "fault")  # GaitState
 _LEVELS = ("ok", "warning", "error", "stale")  # DiagnosticStatus
 _SEVERITIES = ("note", "warning", "error")  # of the twin's notices
-_POWER_STATUS = ("valid", "overflow", "not ready", "bus error", "sensor reset")  # Power
 _DIAGNOSTICS = "/diagnostics"
 
 
@@ -34,19 +31,24 @@ class Event:
     text: str
 
 
-def events_of(bag: Bag, part: Part, replay: Replay) -> tuple[Event, ...]:
-    """All events of a part of a bag by rising time, those of the whole part last."""
-    run = part.run
-    found = [*_driver_events(bag, part), *_complaints(bag, part)]
-    found += [
+Holds = Callable[[int], bool]
+
+
+def events_of(bag: Bag, run: Run, holds: Holds, replay: Replay) -> tuple[Event, ...]:
+    """All events of a part of a bag by rising time, those of the whole part last.
+
+    ``run`` is the part; ``holds`` tells whether a stamp (ns) belongs to it.
+    """
+    events = [*_driver_events(bag, run, holds), *_complaints(bag, run, holds)]
+    events += [
         Event((n.stamp_ns - run.origin) * 1e-9, "twin", _SEVERITIES[n.severity], n.text)
         for n in replay.notices
     ]
-    found.sort(key=lambda event: event.time)
-    return (*found, *_gaps(run))
+    events.sort(key=lambda event: event.time)
+    return (*events, *_gaps(run))
 
 
-def _driver_events(bag: Bag, part: Part) -> Iterator[Event]:
+def _driver_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
     """Changes of the driver's state, cycles apart."""
     topic = find_topic(bag.topics.values(), "gait_state")
     if topic is None:
@@ -58,16 +60,16 @@ def _driver_events(bag: Bag, part: Part) -> Iterator[Event]:
     for stamp, state, message in zip(
         _stamps(columns), columns.numbers["state"].tolist(), columns.texts["message"], strict=True
     ):
-        if not part.holds(stamp) or (state, message) == shown:
+        if not holds(stamp) or (state, message) == shown:
             continue
         shown = (state, message)
-        name = _STATES[state] if state < len(_STATES) else f"state {state}"
-        level = "error" if name == "fault" else "note"
+        name = state_name(state)
+        level = "error" if state == FAULT else "note"
         text = f"{name}: {message}" if message and message != name else name
-        yield Event((stamp - part.run.origin) * 1e-9, "driver", level, text)
+        yield Event((stamp - run.origin) * 1e-9, "driver", level, text)
 
 
-def _complaints(bag: Bag, part: Part) -> Iterator[Event]:
+def _complaints(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
     """Diagnostics that are not ok: the first of each part and level, and how often it came."""
     topic = bag.topics.get(_DIAGNOSTICS)
     if topic is None:
@@ -79,7 +81,7 @@ def _complaints(bag: Bag, part: Part) -> Iterator[Event]:
     reports: Counter[str] = Counter()
     complaints: Counter[tuple[str, int]] = Counter()
     for row, time in enumerate(_stamps(columns)):
-        if not part.holds(time):
+        if not holds(time):
             continue
         for name, level, message in _statuses(columns, row):
             reports[name] += 1
@@ -89,7 +91,7 @@ def _complaints(bag: Bag, part: Part) -> Iterator[Event]:
     for (name, level), (time, message) in first.items():
         kind = _LEVELS[level] if level < len(_LEVELS) else "error"
         often = f"{complaints[name, level]} of {reports[name]} reports"
-        yield Event((time - part.run.origin) * 1e-9, name, kind, f"{message} (the first; {often})")
+        yield Event((time - run.origin) * 1e-9, name, kind, f"{message} (the first; {often})")
 
 
 def _stamps(columns: Columns) -> list[int]:
@@ -112,7 +114,8 @@ def _gaps(run: Run) -> Iterator[Event]:
     """What the instruments did not give."""
     for code in sorted(set(run.power.status.tolist()) - {POWER_VALID}):
         count = int(np.count_nonzero(run.power.status == code))
-        name = _POWER_STATUS[code] if code < len(_POWER_STATUS) else f"status {code}"
+        known = code < len(POWER_STATUS_NAMES)
+        name = POWER_STATUS_NAMES[code] if known else f"status {code}"
         text = f"{count} of {len(run.power.status)} power samples without a value: {name}"
         yield Event(float("nan"), "power sensor", "note", text)
     for name in ("rear", "front"):

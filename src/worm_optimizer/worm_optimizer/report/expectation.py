@@ -12,7 +12,13 @@ from numpy.typing import ArrayLike
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import evaluate_gaits
-from worm_model.simulation.simulator import GaitResult, cost_of_transport, evaluate_gait
+from worm_model.simulation.simulator import (
+    AVERAGED,
+    CYCLES,
+    GaitResult,
+    cost_of_transport,
+    evaluate_gait,
+)
 from worm_optimizer.robustness.uncertainty import phase_known
 
 # 95 % half-widths relative to the value, of the parameters that touch the power only, for those without an interval
@@ -28,6 +34,7 @@ SAMPLES = 500
 SEED = 1
 _STREAM = 1000  # of the random numbers, apart from those of the parameters of motion
 _NORMAL_95 = 1.959963984540054
+_STEADY = (CYCLES - AVERAGED + 1, CYCLES)
 _TAIL = 2.5  # percent beyond each end of a 95 % interval
 
 
@@ -62,10 +69,16 @@ class Expectation:
     bands: Bands
 
 
-def expect(gait: Gait, content: ParameterFile) -> Expectation:
-    """Predicts a gait from its command alone, at the groove phase of the parameter file."""
+def expect(gait: Gait, content: ParameterFile, averaged: tuple[int, int] = _STEADY) -> Expectation:
+    """Predicts a gait from its command alone, at the groove phase of the parameter file.
+
+    Over the ``averaged`` cycles (first and last, counted from 1): the first ones, which begin with straight fins,
+    differ from those after; from the fifth on all are alike, and the last three of five stand for them.
+    """
+    first, last = averaged if averaged[1] < CYCLES else _STEADY
+    count = last - first + 1
     unmargined = Gait(gait.stroke, gait.frequency, gait.direction)
-    nominal = evaluate_gait(unmargined, content.parameters)
+    nominal = evaluate_gait(unmargined, content.parameters, last, count)
     overrides = {**phase_known(content, SAMPLES, SEED).overrides, **_power_draws(content)}
     table = evaluate_gaits(
         gait.stroke,
@@ -73,12 +86,14 @@ def expect(gait: Gait, content: ParameterFile) -> Expectation:
         direction=gait.direction,
         parameters=content.parameters,
         overrides=overrides,
+        cycles=last,
+        averaged=count,
     )
     mass = overrides["rear_mass"] + overrides["front_mass"]
     cost = cost_of_transport(table.speed, table.power, mass)
     return Expectation(
         nominal,
-        evaluate_gait(gait, content.parameters),
+        evaluate_gait(gait, content.parameters, last, count),
         Bands(
             _band(nominal.speed, table.speed),
             _band(nominal.power, table.power),

@@ -1,201 +1,242 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of fronts, maps and margin scans; the format follows the file's name."""
+"""Figures of fronts, with marked or measured gaits, of the map behind them, and of the price of robustness."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
+from worm_model.analysis.plot_style import (
+    BLACK,
+    LIGHT_GREY,
+    MARGIN_SYMBOL,
+    MM,
+    PURPLE,
+    branch_style,
+    draw_groove_map,
+    legend_above,
+    letter,
+    new_figure,
+)
+from worm_optimizer.report.agreement import title_of
+from worm_optimizer.report.expectation import Band, Bands
+from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.margin import PriceOfRobustness
-from worm_optimizer.search.served import ServedFront
 from worm_optimizer.search.task import Array, MarginTask
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-# Okabe and Ito's palette, which colour-blind readers can tell apart; one shape a branch besides.
-_BRANCH_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-_BRANCH_MARKERS = ("o", "s", "^", "D", "v", "P")
-_LABELS = {"min_power": "min power", "cruise": "cruise", "max_speed": "max speed"}
 _MAP_STROKES, _MAP_FREQUENCIES = 241, 161
+_COSTS = (25, 50, 100, 200)  # of transport, of the lines in the plane of speed and power
+
+# Hollow and large around small and full: what was measured most often lies within what was expected.
+_EXPECTED: Mapping[str, Any] = {
+    "color": PURPLE,
+    "marker": "s",
+    "markersize": 13,
+    "markerfacecolor": "none",
+    "markeredgewidth": 1.5,
+    "label": "expected (95 %)",
+}
+_MEASURED: Mapping[str, Any] = {
+    "color": BLACK,
+    "marker": "*",
+    "markersize": 8,
+    "label": "measured (span of cycles)",
+}
 
 
-def draw_front(front: ServedFront, marks: Mapping[str, Prediction], path: Path) -> None:
-    """Draws a front with marked gaits and their cost of transport."""
-    plt = _pyplot()
-    figure, axes = plt.subplots(figsize=(6.5, 4.8), layout="constrained")
-    plot_front(axes, front, marks)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+def front_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
+    """A front with marked gaits and their cost of transport."""
+    figure = new_figure(6.5, 5.0)
+    axes = figure.subplots()
+    _plot_front(axes, front)
+    _mark(axes, marks)
+    legend_above(axes, 2)
+    return figure
 
 
-def draw_front_and_map(
-    front: ServedFront, task: MarginTask, marks: Mapping[str, Prediction], path: Path
-) -> None:
-    """Draws a front beside the map of the grooves per cycle that its gaits lie in, at the task's margin."""
-    plt = _pyplot()
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12.5, 4.8), layout="constrained")
-    plot_front(left, front, marks)
-    _map(right, task)
+def front_and_map_figure(
+    front: RobustFront, task: MarginTask, marks: Mapping[str, Prediction]
+) -> Figure:
+    """A front beside the map of the grooves per cycle that its gaits lie in, at the task's margin."""
+    figure = new_figure(12.5, 5.0)
+    left, right = figure.subplots(1, 2)
+    _plot_front(left, front)
+    _mark(left, marks)
+    legend_above(left, 2)
+    _plot_map(right, task)
     strokes, frequencies = _columns(front.predictions, "stroke", "frequency")
+    outlined = {"color": "white", "markeredgecolor": BLACK, "linestyle": "none"}
+    right.plot(MM * strokes, frequencies, marker=".", label="front", **outlined)
+    strokes, frequencies = _columns(tuple(marks.values()), "stroke", "frequency")
     right.plot(
-        1e3 * strokes, frequencies, ".", color="white", markeredgecolor="black", label="front"
+        MM * strokes, frequencies, marker="*", markersize=15, label="marked gaits", **outlined
     )
-    for gait in marks.values():
-        right.plot(
-            1e3 * gait.stroke,
-            gait.frequency,
-            "*",
-            color="white",
-            markeredgecolor="black",
-            markersize=15,
+    right.set_title(
+        f"grooves per cycle at {MARGIN_SYMBOL} = {MM * task.margin:.2f} mm",
+        loc="left",
+        fontsize="small",
+    )
+    legend_above(right)
+    letter((left, right))
+    return figure
+
+
+def measured_front_figure(front: RobustFront, gaits: Sequence[RecordedGait]) -> Figure:
+    """The front with what was measured (span of the cycles) and expected (95 %) of recorded gaits."""
+    figure = new_figure(8.5, 6.2)
+    axes = figure.subplots()
+    _plot_front(axes, front)
+    for gait in gaits:
+        _cross(axes, gait.expected.bands, _EXPECTED)
+        _cross(axes, gait.measured, _MEASURED)
+    fastest = max(
+        [axes.get_xlim()[1], *(1.2 * MM * g.measured.speed.value for g in gaits)], key=_or_zero
+    )
+    most = max([axes.get_ylim()[1], *(1.15 * g.measured.power.value for g in gaits)], key=_or_zero)
+    axes.set(xlim=(0.0, fastest), ylim=(0.0, most))
+    for gait in gaits:
+        _name(
+            axes,
+            f"{title_of(gait.name)}, COT {gait.measured.cost_of_transport.value:.1f}",
+            (MM * gait.measured.speed.value, gait.measured.power.value),
         )
-    right.set_title(f"Grooves per cycle at a margin of {1e3 * task.margin:.2f} mm")
-    right.legend(loc="upper left", framealpha=0.9)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    handles, _ = axes.get_legend_handles_labels()
+    handles += [Line2D([], [], linestyle="none", **style) for style in (_EXPECTED, _MEASURED)]
+    axes.legend(
+        handles=handles,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=3,
+        fontsize="small",
+        frameon=False,
+    )
+    return figure
 
 
-def draw_price(price: PriceOfRobustness, path: Path) -> None:
-    """Draws the lowest cost of transport over the margin, with the cliff and the closed form's."""
-    plt = _pyplot()
-    figure, axes = plt.subplots(figsize=(6.8, 4.5), layout="constrained")
-    plot_price(axes, price)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
-
-
-def plot_price(axes: Axes, price: PriceOfRobustness) -> None:
+def price_figure(price: PriceOfRobustness) -> Figure:
     """The lowest cost of transport over the margin, by branches, with the cliff and the closed form's."""
-    margins = 1e3 * np.array([point.margin for point in price.points])
+    figure = new_figure(7.5, 4.8)
+    axes = figure.subplots()
+    margins = MM * np.array([point.margin for point in price.points])
     costs = np.array([point.cost_of_transport for point in price.points])
     branches = np.array([point.branch for point in price.points])
-    axes.plot(margins, costs, color="0.75", linewidth=1.0)
+    axes.plot(margins, costs, color=LIGHT_GREY, linewidth=1.0)
     for branch in np.unique(branches[branches > 0])[::-1]:
         rows = branches == branch
-        axes.plot(margins[rows], costs[rows], linestyle="none", **_branch_style(int(branch), 4.5))
+        axes.plot(margins[rows], costs[rows], **branch_style(int(branch)))
     if price.cliff is not None:
-        axes.axvline(
-            1e3 * price.cliff.margin,
-            color="black",
-            label=f"cliff: {1e3 * price.cliff.margin:.2f} mm",
-        )
-    closed_form = 1e3 * price.closed_form_cliff_margin
+        cliff = MM * price.cliff.margin
+        axes.axvline(cliff, color=BLACK, label=f"cliff: {cliff:.2f} mm")
+    closed_form = MM * price.closed_form_cliff_margin
     axes.axvline(
-        closed_form, color="black", linestyle=":", label=f"closed form: {closed_form:.2f} mm"
+        closed_form, color=BLACK, linestyle=":", label=f"closed form: {closed_form:.2f} mm"
     )
     axes.set(
-        xlabel="robustness margin δ_m (mm)",
+        xlabel=f"robustness margin {MARGIN_SYMBOL} (mm)",
         ylabel="lowest cost of transport (1)",
-        title=f"Price of robustness at a groove phase of {1e3 * price.groove_phase:+.2f} mm",
         ylim=(0.0, None),
     )
-    axes.legend(loc="lower right")
+    axes.set_title(f"φ = {MM * price.groove_phase:+.2f} mm", loc="left", fontsize="small")
+    legend_above(axes, 2)
+    return figure
 
 
-def _pyplot() -> Any:
-    # Imported where it is needed: it would double the start-up time of all that draws nothing.
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    return plt
-
-
-def _columns(gaits: tuple[Prediction, ...], *names: str) -> list[Array]:
-    return [np.array([getattr(gait, name) for gait in gaits]) for name in names]
-
-
-def _branch_style(branch: int, size: float) -> dict[str, Any]:
-    kind = (branch - 1) % len(_BRANCH_COLORS)
-    return {
-        "marker": _BRANCH_MARKERS[kind],
-        "color": _BRANCH_COLORS[kind],
-        "markersize": size,
-        "label": f"{branch} groove{'s' if branch > 1 else ''} per cycle",
-    }
-
-
-def plot_front(axes: Axes, front: ServedFront, marks: Mapping[str, Prediction]) -> None:
-    """A front in speed and power, by branches, with lines of equal cost of transport and marked gaits."""
+def _plot_front(axes: Axes, front: RobustFront) -> None:
+    """A front in speed and power, by branches, with lines of equal cost of transport."""
     speed, power, grooves, cost = _columns(
         front.predictions, "speed", "power", "grooves_per_cycle", "cost_of_transport"
     )
     for branch in np.unique(np.round(grooves).astype(int)):
         rows = np.round(grooves) == branch
-        axes.plot(
-            1e3 * speed[rows], power[rows], linestyle="none", **_branch_style(int(branch), 4.5)
-        )
-    axes.set_xlim(0.0, 1.12e3 * speed.max())
+        axes.plot(MM * speed[rows], power[rows], **branch_style(int(branch)))
+    axes.set_xlim(0.0, 1.12 * MM * speed.max())
     axes.set_ylim(0.0, 1.2 * power.max())
-    weight = power[0] / (cost[0] * speed[0])
-    _cost_lines(axes, weight)
-    for name, gait in marks.items():
-        axes.plot(1e3 * gait.speed, gait.power, "*", color="black", markersize=13)
-        offset, side = _label_place(gait.speed / speed.max())
-        axes.annotate(
-            f"{_LABELS.get(name, name)}\nCOT {gait.cost_of_transport:.1f}",
-            (1e3 * gait.speed, gait.power),
-            textcoords="offset points",
-            xytext=offset,
-            ha=side,
-        )
-    axes.set(
-        xlabel="mean speed along the gait's direction (mm/s)",
-        ylabel="mean source power (W)",
-        title=f"Robust front, margin {1e3 * front.margin:.2f} mm, "
-        f"groove phase {1e3 * front.predictions[0].groove_phase:+.2f} mm",
+    _cost_lines(axes, power[0] / (cost[0] * speed[0]))
+    axes.set(xlabel="mean speed along the gait's direction (mm/s)", ylabel="mean source power (W)")
+    margin, phase = MM * front.margin, MM * front.predictions[0].groove_phase
+    axes.set_title(
+        f"{MARGIN_SYMBOL} = {margin:.2f} mm, φ = {phase:+.2f} mm", loc="left", fontsize="small"
     )
-    axes.legend(loc="upper left")
 
 
-def _label_place(part: float) -> tuple[tuple[float, float], str]:
-    """Offset in points and alignment of a label where a rising front leaves room, by part of its speeds."""
-    if part > 0.8:
-        return (-8.0, 10.0), "right"
-    return ((8.0, -30.0) if part > 0.25 else (-10.0, 26.0)), "left"
+def _mark(axes: Axes, marks: Mapping[str, Prediction]) -> None:
+    for name, gait in marks.items():
+        axes.plot(MM * gait.speed, gait.power, "*", color=BLACK, markersize=13)
+        text = f"{name.replace('_', ' ')}, COT {gait.cost_of_transport:.1f}"
+        _name(axes, text, (MM * gait.speed, gait.power))
+
+
+def _name(axes: Axes, text: str, point: tuple[float, float]) -> None:
+    """A label where no front is: right below its point, or left above it near the right end; both on white."""
+    right_end = point[0] > 0.75 * axes.get_xlim()[1]
+    axes.annotate(
+        text,
+        point,
+        textcoords="offset points",
+        xytext=(-14.0, 12.0) if right_end else (14.0, -22.0),
+        ha="right" if right_end else "left",
+        fontsize="small",
+        bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none"},
+        arrowprops={"arrowstyle": "-", "color": BLACK, "linewidth": 0.6},
+        zorder=4,
+    )
 
 
 def _cost_lines(axes: Axes, weight: float) -> None:
-    """Lines of equal cost of transport, P = COT · m·g · v, labelled below where they leave the axes."""
+    """Lines of equal cost of transport, P = COT · m·g · v, named below where they leave the axes."""
     fastest, most = axes.get_xlim()[1], axes.get_ylim()[1]
-    for cost in (25, 50, 100, 200):
-        slope = cost * weight * 1e-3  # W per mm/s
+    for cost in _COSTS:
+        slope = cost * weight / MM  # W per mm/s
         end = min(fastest, most / slope)
-        axes.plot([0.0, end], [0.0, slope * end], color="0.85", linewidth=0.8, zorder=0)
+        axes.plot([0.0, end], [0.0, slope * end], color=LIGHT_GREY, linewidth=0.8, zorder=0)
         axes.annotate(
             f"COT {cost}",
             (end, slope * end),
             textcoords="offset points",
             xytext=(-2, -12),
             ha="right" if slope * end < most else "left",
-            color="0.5",
+            color="0.4",
             fontsize=8,
         )
 
 
-def _map(axes: Axes, task: MarginTask) -> None:
-    from matplotlib.colors import BoundaryNorm
-    from matplotlib.pyplot import get_cmap
-
+def _plot_map(axes: Axes, task: MarginTask) -> None:
     box = task.bounds
     strokes = np.linspace(box.stroke_low, box.stroke_high, _MAP_STROKES)
     frequencies = np.linspace(box.frequency_low, box.frequency_high, _MAP_FREQUENCIES)
     grooves = task.grooves(strokes[np.newaxis, :], frequencies[:, np.newaxis])
-    count = max(int(grooves.max()), 1) + 1
-    image = axes.pcolormesh(
-        1e3 * strokes,
-        frequencies,
-        grooves,
-        cmap=get_cmap("cividis", count),
-        norm=BoundaryNorm(np.arange(-0.5, count), count),
-        shading="nearest",
-        rasterized=True,
-    )
-    axes.figure.colorbar(image, ax=axes, ticks=np.arange(count), label="grooves per cycle")
+    draw_groove_map(axes, MM * strokes, frequencies, grooves)
     axes.set(xlabel="stroke S (mm)", ylabel="frequency f (Hz)")
+
+
+def _cross(axes: Axes, bands: Bands, style: Mapping[str, Any]) -> None:
+    axes.errorbar(
+        MM * bands.speed.value,
+        bands.power.value,
+        xerr=_reach(bands.speed, MM),
+        yerr=_reach(bands.power, 1.0),
+        **{**style, "label": "_nolegend_"},
+        linestyle="none",
+        elinewidth=1.5,
+        zorder=5,
+    )
+
+
+def _reach(band: Band, scale: float) -> list[list[float]]:
+    below, above = band.value - band.low, band.high - band.value
+    return [[scale * max(below, 0.0)], [scale * max(above, 0.0)]]
+
+
+def _columns(gaits: tuple[Prediction, ...], *names: str) -> list[Array]:
+    return [np.array([getattr(gait, name) for gait in gaits]) for name in names]
+
+
+def _or_zero(value: float) -> float:
+    return value if np.isfinite(value) else 0.0

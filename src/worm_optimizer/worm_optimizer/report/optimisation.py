@@ -7,12 +7,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from worm_optimizer.report.recorded import RecordedGait
+from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.search.cache import Cache
-from worm_optimizer.search.front import Report, load_front, make_front, scanned_price
+from worm_optimizer.search.front import (
+    Report,
+    RobustFront,
+    load_front,
+    make_front,
+    scanned_price,
+)
 from worm_optimizer.search.margin import PriceOfRobustness
 from worm_optimizer.search.search_settings import Settings
-from worm_optimizer.search.served import ServedFront
 
 _SAME_MARGIN = 1e-7  # m
 
@@ -24,7 +29,7 @@ class Optimisation:
     ``note`` says where the front is not that of all gaits, else it is empty.
     """
 
-    front: ServedFront
+    front: RobustFront
     price: PriceOfRobustness
     note: str = ""
 

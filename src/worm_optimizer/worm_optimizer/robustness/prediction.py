@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that is told about a gait: robust and nominal prediction, distances to the edges, probabilities."""
+"""All that is predicted of a gait: robust and nominal prediction, distances to the edges, probabilities."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def predict(
     samples: int,
     seed: int,
 ) -> tuple[Prediction, ...]:
-    """Predicts gaits with all that is told about them.
+    """Predicts gaits with all that `Prediction` holds.
 
     ``stroke`` in m, ``frequency`` in Hz and ``margin`` in m of shape (n,) make the gaits, the task their
     direction and model; ``content`` the uncertainty, of which ``samples`` are drawn with ``seed``.

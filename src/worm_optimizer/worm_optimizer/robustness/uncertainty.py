@@ -61,14 +61,14 @@ def _reach(content: ParameterFile, key: str, width: float) -> tuple[float, float
     return math.hypot(max(value - low, 0.0), scatter), math.hypot(max(high - value, 0.0), scatter)
 
 
-def told(content: ParameterFile) -> str:
+def description(content: ParameterFile) -> str:
     """Where the uncertainty of a parameter file comes from, in words."""
     reach = max(_reach(content, "initial_length", 0.0))
     phase = f"; φ known to ±{1e3 * reach:.2f} mm in the next run" if reach > 0.0 else ""
-    return _told_of_parameters(content) + phase
+    return _parameters_described(content) + phase
 
 
-def _told_of_parameters(content: ParameterFile) -> str:
+def _parameters_described(content: ParameterFile) -> str:
     own = [key for key in DEFAULT_HALF_WIDTHS if key in content.intervals]
     if len(own) == len(DEFAULT_HALF_WIDTHS):
         return "the parameter file's 95 % intervals"

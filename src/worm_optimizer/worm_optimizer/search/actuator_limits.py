@@ -65,7 +65,7 @@ class ActuatorLimits:
         ]
         return np.maximum(np.max(ratios, axis=0) - 1.0, 0.0)
 
-    def told(self) -> str:
+    def description(self) -> str:
         """The limits that are set, in words; empty if there are none."""
         words = {
             "cable_speed": "cable speed {:.3g} m/s",

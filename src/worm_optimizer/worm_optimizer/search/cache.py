@@ -17,7 +17,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -29,43 +29,25 @@ from worm_optimizer.search.search_settings import Settings
 
 T = TypeVar("T")
 
-# All that results depend on beside their input: a change of the model or of the method is another name.
-_MODEL_SOURCES = (
-    *(
-        f"simulation/{name}.py"
-        for name in ("kernel/*", "batch", "simulator", "actuation", "closed_form")
+# All that results depend on beside their input: any change there is another name. Rather whole folders than a list of
+# files that somebody forgets to extend.
+_SOURCES: Mapping[Path, tuple[str, ...]] = {
+    Path(worm_model.__file__).parent: (
+        "errors.py",
+        "gait.py",
+        "parameters.py",
+        "simulation/**/*.py",
     ),
-    *("gait.py", "parameters.py"),
-)
-_OPTIMIZER_SOURCES = (
-    *(
-        f"search/{name}.py"
-        for name in (
-            *("actuator_limits", "cache", "certificate", "front", "gait_map", "margin", "nsga2"),
-            *("optimizer_errors", "pareto", "problem", "search_settings", "served", "task"),
-        )
-    ),
-    *(
-        f"robustness/{name}.py"
-        for name in ("chance", "prediction", "success_probability", "uncertainty")
-    ),
-)
+    Path(__file__).parents[1]: ("search/*.py", "robustness/*.py"),
+}
 _PART = ".part"  # ends the name of a file that is being written
 _ABANDONED = 3600.0  # s after which a file that was never moved into place is nobody's any more
 
 
 def sources() -> list[Path]:
     """The source files that decide about a result."""
-    folders = {
-        Path(worm_model.__file__).parent: _MODEL_SOURCES,
-        Path(__file__).parents[1]: _OPTIMIZER_SOURCES,
-    }
-    return [
-        path
-        for folder, patterns in folders.items()
-        for pattern in patterns
-        for path in sorted(folder.glob(pattern))
-    ]
+    files = (folder.glob(pattern) for folder, patterns in _SOURCES.items() for pattern in patterns)
+    return sorted(path for paths in files for path in paths)
 
 
 @functools.cache

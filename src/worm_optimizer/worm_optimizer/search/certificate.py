@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NSGA-II beside the exhaustive map: how much of the true front it found, and which one is served."""
+"""NSGA-II beside the exhaustive map: how much of the true front it reached, and the better of both."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.pareto import hypervolume
 from worm_optimizer.search.task import Points, Task
 
-REQUIRED_SHARE = 0.995  # of the map's hypervolume, below which the better front is served
+REQUIRED_SHARE = 0.995  # of the map's hypervolume, below which the better front is taken
 NSGA2, MAP = "nsga2", "map"
 
 # The hypervolume's corner is standing still at a tenth more than the highest power of the true front:
@@ -22,7 +22,7 @@ _CORNER = 1.1
 
 @dataclass(frozen=True)
 class CertifiedFront:
-    """The front to serve and what NSGA-II's is worth.
+    """The better front and what NSGA-II's is worth.
 
     ``front`` by rising speed is that of ``source`` (NSGA2 or MAP); ``hypervolume_share`` is NSGA-II's
     hypervolume over the map's, both from the corner (0 m/s, ``reference_power`` W), and can exceed 1 by
@@ -45,7 +45,7 @@ def certified_front(
     resolution: MapSettings,
     report: Callable[[Generation], None],
 ) -> CertifiedFront:
-    """Maps the box, runs NSGA-II, and serves NSGA-II's front, or the better of both if that falls short.
+    """Maps the box, runs NSGA-II, and takes NSGA-II's front, or the map's if that falls short.
 
     ``report`` is called after each generation. Raises `OptimizerError` if no gait of the box moves.
     """
@@ -61,10 +61,10 @@ def certified_front(
         report(generation)
     share = generation.hypervolume / true_hypervolume
     missed = sorted(set(gait_map.branches) - set(branches_of(generation.front)))
-    nsga2_serves = share >= max(REQUIRED_SHARE, 1.0 if missed else 0.0)
+    nsga2_suffices = share >= max(REQUIRED_SHARE, 1.0 if missed else 0.0)
     return CertifiedFront(
-        front=generation.front if nsga2_serves else gait_map.front,
-        source=NSGA2 if nsga2_serves else MAP,
+        front=generation.front if nsga2_suffices else gait_map.front,
+        source=NSGA2 if nsga2_suffices else MAP,
         hypervolume=generation.hypervolume,
         hypervolume_share=share,
         missed_branches=tuple(missed),

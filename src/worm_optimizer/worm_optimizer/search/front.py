@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From parameters to a served front: margin scan, certified front, predictions; each kept on disk."""
+"""From parameters to a robust front: margin scan, certified front, predictions; each kept on disk."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,14 +14,14 @@ from worm_model.gait import FORWARD
 from worm_model.parameters import ParameterFile, Parameters
 from worm_model.simulation.simulator import cost_of_transport
 from worm_optimizer.robustness.chance import PromiseTask, WatchedTask, margins_stood
-from worm_optimizer.robustness.prediction import predict
+from worm_optimizer.robustness.prediction import Prediction, predict
 from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phase_known
 from worm_optimizer.search.cache import Cache, key_of, scan_key_of
 from worm_optimizer.search.certificate import certified_front
+from worm_optimizer.search.gait_map import build_map
 from worm_optimizer.search.margin import MarginPoint, PriceOfRobustness, price_of_robustness, scan
 from worm_optimizer.search.nsga2 import Generation
 from worm_optimizer.search.search_settings import Robustness, Settings
-from worm_optimizer.search.served import ServedFront
 from worm_optimizer.search.task import Index, MarginTask, Points, Task
 
 # Shares of the whole time, roughly, at which the stages of a front end.
@@ -48,6 +48,42 @@ class Progress:
 
 
 Report = Callable[[Progress], None]
+
+
+@dataclass(frozen=True)
+class RobustFront:
+    """A front with all that is predicted of its gaits, by rising speed, and where it comes from.
+
+    ``margin`` in m with the ``reason`` for it; ``source``, ``hypervolume_share`` and ``missed_branches``
+    as in `certificate.CertifiedFront`, for the whole front of which some gaits are kept here.
+    """
+
+    direction: int
+    margin: float
+    reason: str
+    source: str
+    hypervolume_share: float
+    missed_branches: tuple[int, ...]
+    predictions: tuple[Prediction, ...]
+
+    def mirrored(self) -> RobustFront:
+        """The same front in the other direction, for a robot with equal modules: its exact mirror image."""
+        predictions = tuple(
+            dataclasses.replace(gait, direction=-gait.direction) for gait in self.predictions
+        )
+        return dataclasses.replace(self, direction=-self.direction, predictions=predictions)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The front as plain values, for a file."""
+        return dataclasses.asdict(self)
+
+    @staticmethod
+    def from_dict(content: Mapping[str, Any]) -> RobustFront:
+        """The inverse of `as_dict`; raises TypeError, KeyError or ValueError on anything else."""
+        values = dict(content)
+        values["missed_branches"] = tuple(int(n) for n in values["missed_branches"])
+        values["predictions"] = tuple(Prediction(**row) for row in values["predictions"])
+        return RobustFront(**values)
 
 
 def task_of(content: ParameterFile, settings: Settings, direction: int) -> MarginTask:
@@ -77,7 +113,7 @@ def is_symmetric(parameters: Parameters) -> bool:
     return parameters.rear_mass == parameters.front_mass
 
 
-def both_ways(front: ServedFront, parameters: Parameters) -> tuple[ServedFront, ...]:
+def both_ways(front: RobustFront, parameters: Parameters) -> tuple[RobustFront, ...]:
     """A front, and that of the other direction where it is the mirror image."""
     return (front, front.mirrored()) if is_symmetric(parameters) else (front,)
 
@@ -93,28 +129,28 @@ def _points_of(rows: list[dict[str, Any]]) -> list[MarginPoint]:
 
 def load_front(
     content: ParameterFile, settings: Settings, direction: int, cache: Cache
-) -> ServedFront | None:
+) -> RobustFront | None:
     """The front of these settings if it is in the cache."""
-    return cache.load(_front_name(content, settings, direction), ServedFront.from_dict)
+    return cache.load(_front_name(content, settings, direction), RobustFront.from_dict)
 
 
-def load_served(
+def load_current(
     content: ParameterFile, settings: Settings, direction: int, cache: Cache
-) -> ServedFront | None:
-    """The front that was served last under these settings, else their own, if it is in the cache."""
-    served = cache.load(_served_name(content, settings, direction), ServedFront.from_dict)
-    return served or load_front(content, settings, direction, cache)
+) -> RobustFront | None:
+    """The front that answered requests last under these settings, else their own, if it is in the cache."""
+    current = cache.load(_current_name(content, settings, direction), RobustFront.from_dict)
+    return current or load_front(content, settings, direction, cache)
 
 
-def remember_served(
-    content: ParameterFile, settings: Settings, front: ServedFront, cache: Cache
+def store_current(
+    content: ParameterFile, settings: Settings, front: RobustFront, cache: Cache
 ) -> None:
-    """Keeps a front, of whatever settings of its own, as the one that is served under these."""
-    cache.store(_served_name(content, settings, front.direction), front.as_dict())
+    """Keeps a front, of whatever settings of its own, as the one that answers requests under these."""
+    cache.store(_current_name(content, settings, front.direction), front.as_dict())
 
 
-def _served_name(content: ParameterFile, settings: Settings, direction: int) -> str:
-    return f"served-{key_of(content, settings, direction)}"
+def _current_name(content: ParameterFile, settings: Settings, direction: int) -> str:
+    return f"current-{key_of(content, settings, direction)}"
 
 
 def _front_name(content: ParameterFile, settings: Settings, direction: int) -> str:
@@ -123,7 +159,7 @@ def _front_name(content: ParameterFile, settings: Settings, direction: int) -> s
 
 def make_front(
     content: ParameterFile, settings: Settings, direction: int, cache: Cache, report: Report
-) -> ServedFront:
+) -> RobustFront:
     """Computes the front of these settings and stores it in the cache, with its mirror image if it has one.
 
     Raises `OptimizerError` if no gait moves, OSError if the cache cannot be written.
@@ -138,7 +174,7 @@ def make_front(
 
 def _computed_front(
     content: ParameterFile, settings: Settings, direction: int, cache: Cache, report: Report
-) -> ServedFront:
+) -> RobustFront:
     report = _rising(report)
     task, margin, reason = _robust_task(content, settings, direction, cache, report)
     start = _SCANNED if _scans(settings) else 0.0
@@ -154,7 +190,7 @@ def _computed_front(
     certified = certified_front(task, settings.search, settings.map, searched)
     report(Progress(_SEARCHED, "success probabilities"))
     nominal = task_of(content, settings, direction)
-    kept = certified.front.take(thinned(certified.front, content.parameters, settings.served))
+    kept = certified.front.take(thinned(certified.front, content.parameters, settings.kept_gaits))
     margins = np.full(len(kept), margin)
     if settings.robustness is not Robustness.MARGIN:
         margins = margins_stood(nominal, kept)
@@ -163,7 +199,7 @@ def _computed_front(
     gaits = kept.stroke, kept.frequency, margins
     predictions = predict(nominal, content, *gaits, settings.samples, settings.search.seed)
     report(Progress(_DONE, "done"))
-    return ServedFront(
+    return RobustFront(
         direction=direction,
         margin=margin,
         reason=reason,
@@ -218,12 +254,12 @@ def _rising(report: Report) -> Report:
     """A report whose fraction never falls."""
     reached = 0.0
 
-    def told(progress: Progress) -> None:
+    def report_rising(progress: Progress) -> None:
         nonlocal reached
         reached = max(reached, progress.fraction)
         report(dataclasses.replace(progress, fraction=reached))
 
-    return told
+    return report_rising
 
 
 def _scans(settings: Settings) -> bool:
@@ -236,7 +272,7 @@ def reason_for(price: PriceOfRobustness) -> str:
     if price.cliff is None:
         return "the greatest margin of the scan at which a gait moves: the scan has no cliff"
     rise = (
-        "no gait moves" if np.isinf(price.cliff.rise) else f"{price.cliff.rise:.2f} times as dear"
+        "no gait moves" if np.isinf(price.cliff.rise) else f"{price.cliff.rise:.2f} times the cost"
     )
     return (
         f"at the cliff: beyond it the branch with {price.cliff.lost_branch} grooves a cycle is lost and "
@@ -252,3 +288,18 @@ def thinned(front: Points, parameters: Parameters, count: int) -> Index:
     wanted = np.linspace(front.speed[0], front.speed[-1], count - 1)
     rows = np.searchsorted(front.speed, wanted)
     return np.unique(np.append(rows, best))
+
+
+def nominal_gaits(
+    content: ParameterFile, settings: Settings, direction: int
+) -> dict[str, Prediction]:
+    """The three gaits of the true front without any margin, by name; none if no gait moves."""
+    task = task_of(content, settings, direction)
+    front = build_map(task, settings.map).front
+    if not len(front):
+        return {}
+    cost = cost_of_transport(front.speed, front.power, content.parameters.mass)
+    rows = [int(np.argmin(front.power)), int(np.argmin(cost)), int(np.argmax(front.speed))]
+    gaits = front.stroke[rows], front.frequency[rows], np.zeros(len(rows))
+    predictions = predict(task, content, *gaits, settings.samples, settings.search.seed)
+    return dict(zip(("min_power", "cruise", "max_speed"), predictions, strict=True))

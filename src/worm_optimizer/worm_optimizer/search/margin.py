@@ -50,7 +50,7 @@ class MarginPoint:
 
 @dataclass(frozen=True)
 class Cliff:
-    """Where robustness becomes dear: the last margin before and the first after, in m.
+    """Where robustness begins to cost: the last margin before and the first after, in m.
 
     ``rise`` is the factor of the optimal cost of transport (infinite: no gait moves after it) and
     ``lost_branch`` the grooves per cycle of the branch that is lost.

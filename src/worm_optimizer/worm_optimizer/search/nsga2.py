@@ -6,11 +6,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 from pymoo.algorithms.moo.nsga2 import NSGA2
+from pymoo.core.evaluator import Evaluator
+from pymoo.core.population import Population
+from pymoo.core.problem import Problem
+from pymoo.problems.static import StaticProblem
 
+from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.pareto import front_of, hypervolume
-from worm_optimizer.search.problem import assign, gait_problem
-from worm_optimizer.search.task import OptimizerError, Points, Task
+from worm_optimizer.search.task import Bounds, Points, Task
 
 
 @dataclass(frozen=True)
@@ -53,20 +58,20 @@ def generations(
 
     ``reference_power`` in W is the corner of the reported hypervolume.
     """
-    problem = gait_problem(task.bounds)
+    problem = _gait_problem(task.bounds)
     algorithm = NSGA2(pop_size=settings.population)
     termination = ("n_gen", settings.generations)
     algorithm.setup(problem, termination=termination, seed=settings.seed, verbose=False)
-    seen: list[Points] = []
+    best: list[Points] = []
     evaluations = 0
     while algorithm.has_next():
         population = algorithm.ask()
         born = task.points(*population.get("X").T)
-        assign(problem, population, born)
+        _assign(problem, population, born)
         algorithm.tell(infills=population)
         evaluations += len(born)
-        front = front_of(Points.join(*seen, born))
-        seen = [front]
+        front = front_of(Points.join(*best, born))
+        best = [front]
         yield Generation(
             number=algorithm.n_gen - 1,
             of=settings.generations,
@@ -74,3 +79,28 @@ def generations(
             front=front,
             hypervolume=hypervolume(front, reference_power),
         )
+
+
+def _gait_problem(bounds: Bounds) -> Problem:
+    """Decision vector [S, f] in its box, objectives [−v̄, P̄], one constraint (at most 0).
+
+    The constraint keeps gaits that stand still out: they need the least power, so they would be
+    Pareto-optimal in the problem as printed.
+    """
+    return Problem(
+        n_var=2,
+        n_obj=2,
+        n_ieq_constr=1,
+        xl=np.array([bounds.stroke_low, bounds.frequency_low]),
+        xu=np.array([bounds.stroke_high, bounds.frequency_high]),
+    )
+
+
+def _assign(problem: Problem, population: Population, points: Points) -> None:
+    """Gives the individuals of a population the objectives and the violation of their gaits."""
+    static = StaticProblem(
+        problem,
+        F=np.column_stack([-points.speed, points.power]),
+        G=points.violation[:, np.newaxis],
+    )
+    Evaluator().eval(static, population)

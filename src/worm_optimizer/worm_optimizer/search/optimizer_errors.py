@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one error of this package."""
 
+from __future__ import annotations
 
-class OptimizerError(ValueError):
+from worm_model.errors import InputError
+
+
+class OptimizerError(InputError):
     """A setting or a request is not admissible; the message says which, why and what to do."""

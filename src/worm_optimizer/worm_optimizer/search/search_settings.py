@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All settings of an optimisation in one frozen value, so that fronts can be cached by them."""
+"""All settings of an optimisation: one frozen value, and the rows that options and node parameters are made of."""
 
 from __future__ import annotations
 
 import enum
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from worm_model.gait import MAX_MARGIN
+from worm_model.gait import MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE
 from worm_optimizer.search.actuator_limits import ActuatorLimits
 from worm_optimizer.search.gait_map import MapSettings
 from worm_optimizer.search.nsga2 import SearchSettings
 from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.servo_limits import servo_models, within
 from worm_optimizer.search.task import Array, Bounds
 
 _MOST_MARGINS = 10_000
@@ -66,8 +70,8 @@ class Settings:
     """What an optimisation is done with.
 
     ``margin`` in m, None: chosen at the cliff of the scan; ``probability`` is that of
-    `Robustness.CHANCE`; ``samples`` are those of the Monte Carlo success probability and ``served`` the
-    number of gaits of a front that are kept to answer requests.
+    `Robustness.CHANCE`; ``samples`` are those of the Monte Carlo success probability and ``kept_gaits``
+    the number of gaits of a front that are kept to answer requests.
     """
 
     bounds: Bounds = field(default_factory=Bounds)
@@ -79,7 +83,7 @@ class Settings:
     margin: float | None = None
     probability: float = 0.95
     samples: int = 500
-    served: int = 100
+    kept_gaits: int = 100
 
     def __post_init__(self) -> None:
         if self.margin is not None and not 0.0 <= self.margin <= MAX_MARGIN:
@@ -87,8 +91,92 @@ class Settings:
                 f"margin: {self.margin} m is not between 0 and {MAX_MARGIN:g} m; "
                 "leave it out to have it chosen at the cliff"
             )
-        if not (1 <= self.samples <= 1_000_000 and 3 <= self.served <= 100_000):
+        if not (1 <= self.samples <= 1_000_000 and 3 <= self.kept_gaits <= 100_000):
             raise OptimizerError(
-                f"samples {self.samples} and served gaits {self.served}: "
+                f"samples {self.samples} and kept gaits {self.kept_gaits}: "
                 "give at least 1 sample and 3 gaits, at most 1000000 and 100000"
             )
+
+
+@dataclass(frozen=True)
+class SettingRow:
+    """One setting, of which come the node's ``parameter``, the commands' ``option`` and the row of the docs.
+
+    Two rows with the same option are its two values. An empty option: the node alone has it. ``low`` and ``high``
+    bound a number.
+    """
+
+    parameter: str
+    option: str
+    default: Any
+    meaning: str
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+
+
+_BOX, _SEARCH, _SCAN, _PLAIN = Bounds(), SearchSettings(), ScanSettings(), Settings()
+_Row = SettingRow
+
+# What decides about a margin scan, and so about a front, too.
+SCAN_SETTINGS: tuple[SettingRow, ...] = (
+    _Row("stroke_low_m", "strokes", _BOX.stroke_low, "least stroke, m", 1e-4, MAX_STROKE),
+    _Row("stroke_high_m", "strokes", _BOX.stroke_high, "greatest stroke, m", 1e-4, MAX_STROKE),
+    _Row("frequency_low_hz", "frequencies", _BOX.frequency_low, "least frequency, Hz", 1e-3, MAX_FREQUENCY),
+    _Row("frequency_high_hz", "frequencies", _BOX.frequency_high, "greatest frequency, Hz", 1e-3, MAX_FREQUENCY),
+    _Row("limits.max_cable_speed_m_s", "max-cable-speed", 0.0, "greatest cable speed, m/s; 0: no limit", 0.0, 100.0),
+    _Row("limits.max_cable_force_n", "max-cable-force", 0.0, "greatest cable force, N; 0: no limit", 0.0, 1e5),
+    _Row("limits.max_power_w", "max-power", 0.0, "greatest source power, W; 0: no limit", 0.0, 1e5),
+    _Row("limits.driver_file", "limits-from", "", "the driver's parameter file, whose limits hold, too; empty: none"),
+    _Row("limits.servo_model", "servo-model", "", "with the driver's file, the model of the cable servos: "
+         f"{', '.join(servo_models())}; empty: not known"),
+    _Row("limits.supply_voltage_v", "supply-voltage", 0.0, "with the driver's file, the supply voltage of the servos, "
+         "V; 0: what their manual recommends", 0.0, 100.0),
+    _Row("scan_lowest_m", "lowest", _SCAN.lowest, "least margin of the scan, m", 0.0, MAX_MARGIN),
+    _Row("scan_highest_m", "highest", _SCAN.highest, "greatest margin of the scan, m", 0.0, MAX_MARGIN),
+    _Row("scan_step_m", "step", _SCAN.step, "step between the margins of the scan, m", 1e-6, MAX_MARGIN),
+)  # fmt: skip
+FRONT_SETTINGS: tuple[SettingRow, ...] = (
+    _Row("margin_m", "margin", math.nan, "robustness margin, m; NaN or not given: at the cliff of the scan"),
+    _Row("robustness", "robustness", Robustness.MARGIN.value, "what keeps gaits robust: an enlarged threshold "
+         "(margin), a probability of keeping the promised grooves (chance), or keeping them at every groove phase "
+         "(any_phase)", choices=tuple(kind.value for kind in Robustness)),
+    _Row("probability", "probability", _PLAIN.probability, "for chance: of keeping the grooves, 1", 0.0, 1.0),
+    _Row("population", "population", _SEARCH.population, "population of NSGA-II", 4, 100_000),
+    _Row("generations", "generations", _SEARCH.generations, "generations of NSGA-II", 1, 100_000),
+    _Row("seed", "seed", _SEARCH.seed, "seed of NSGA-II and of the Monte Carlo draws", 0, 2**32 - 1),
+    _Row("samples", "samples", _PLAIN.samples, "draws of the success probability", 1, 1_000_000),
+    _Row("kept_gaits", "", _PLAIN.kept_gaits, "gaits of a front that are kept to answer requests", 3, 100_000),
+)  # fmt: skip
+SETTINGS = (*SCAN_SETTINGS, *FRONT_SETTINGS)
+
+
+def settings_of(values: Mapping[str, Any]) -> Settings:
+    """The settings of values by `SettingRow.parameter`; what is missing has its default.
+
+    Raises `OptimizerError` if they do not fit together.
+    """
+    value = {row.parameter: row.default for row in SETTINGS} | dict(values)
+    speed, force, power = (
+        value[f"limits.max_{name}"] or math.inf
+        for name in ("cable_speed_m_s", "cable_force_n", "power_w")
+    )
+    names = ("stroke_low_m", "stroke_high_m", "frequency_low_hz", "frequency_high_hz")
+    bounds, limits = within(
+        Bounds(*(value[name] for name in names)),
+        ActuatorLimits(speed, force, power),
+        value["limits.driver_file"],
+        value["limits.servo_model"],
+        value["limits.supply_voltage_v"] or None,
+    )
+    return Settings(
+        bounds=bounds,
+        limits=limits,
+        search=SearchSettings(value["population"], value["generations"], value["seed"]),
+        scan=ScanSettings(value["scan_lowest_m"], value["scan_highest_m"], value["scan_step_m"]),
+        robustness=robustness_of(value["robustness"]),
+        probability=value["probability"],
+        margin=None if math.isnan(value["margin_m"]) else value["margin_m"],
+        samples=value["samples"],
+        kept_gaits=value["kept_gaits"],
+    )

@@ -110,10 +110,10 @@ def load_driver_file(path: str | Path) -> DrivenBy:
         content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise OptimizerError(f"{path}: cannot be read: {error}".splitlines()[0]) from None
-    given = _parameters_of_driver(content)
-    if not given:
+    from_file = _parameters_of_driver(content)
+    if not from_file:
         raise OptimizerError(f"{path}: holds no ros__parameters of a node named driver")
-    values = {**DRIVER_DEFAULTS, **given}
+    values = {**DRIVER_DEFAULTS, **from_file}
     radii = values["cable_servos.spool_radius_m"]
     if not isinstance(radii, list) or not radii:
         raise OptimizerError(
@@ -194,11 +194,11 @@ def within(
 
 def _parameters_of_driver(content: Any) -> dict[str, Any]:
     """Parameters of the nodes that a ROS 2 parameter file calls driver, or of all; dotted names."""
-    given: dict[str, Any] = {}
+    parameters: dict[str, Any] = {}
     for name, node in content.items() if isinstance(content, Mapping) else ():
         if str(name).split("/")[-1] in ("driver", "**") and isinstance(node, Mapping):
-            given |= dict(_flat(node.get("ros__parameters") or {}))
-    return given
+            parameters |= dict(_flat(node.get("ros__parameters") or {}))
+    return parameters
 
 
 def _flat(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -16,7 +16,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_model.gait import FORWARD, MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE, REVERSE, Gait
+from worm_model.gait import (
+    FORWARD,
+    FREQUENCY_RANGE,
+    MAX_FREQUENCY,
+    MAX_MARGIN,
+    MAX_STROKE,
+    REVERSE,
+    STROKE_RANGE,
+    Gait,
+)
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.batch import GaitTable, evaluate_gaits
 from worm_optimizer.search.actuator_limits import ActuatorLimits, peaks
@@ -39,10 +48,10 @@ class Bounds:
     The defaults are the paper's. Raises `OptimizerError` unless 0 < low < high on both axes.
     """
 
-    stroke_low: float = 0.01
-    stroke_high: float = 0.09
-    frequency_low: float = 0.08
-    frequency_high: float = 0.4
+    stroke_low: float = STROKE_RANGE[0]
+    stroke_high: float = STROKE_RANGE[1]
+    frequency_low: float = FREQUENCY_RANGE[0]
+    frequency_high: float = FREQUENCY_RANGE[1]
 
     def __post_init__(self) -> None:
         _check_range("stroke", self.stroke_low, self.stroke_high, MAX_STROKE, "m")

@@ -16,13 +16,58 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from typing import Protocol
 
-from worm_optimizer.search.front import Progress
-from worm_optimizer.search.jobs import Job
+from worm_model.parameters import ParameterFile
+from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.front import (
+    Progress,
+    Report,
+    RobustFront,
+    make_front,
+    scanned_price,
+)
+from worm_optimizer.search.margin import PriceOfRobustness
 from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.search_settings import Settings
 
 _NICENESS = 5  # enough to let an answer go first, without starving on a busy computer
 _PATIENCE = 2.0  # s that a stopped process is given before it is killed
+
+
+class Job(Protocol):
+    """Work that reports its progress and returns one result; raises `OptimizerError` or OSError."""
+
+    def run(self, report: Report) -> object:
+        """Does the work."""
+
+
+@dataclass(frozen=True)
+class FrontJob:
+    """Computes a front and stores it in the cache."""
+
+    content: ParameterFile
+    settings: Settings
+    direction: int
+    cache: Cache
+
+    def run(self, report: Report) -> RobustFront:
+        """See `front.make_front`."""
+        return make_front(self.content, self.settings, self.direction, self.cache, report)
+
+
+@dataclass(frozen=True)
+class ScanJob:
+    """Scans the margins, or finds the scan in the cache."""
+
+    content: ParameterFile
+    settings: Settings
+    direction: int
+    cache: Cache
+
+    def run(self, report: Report) -> PriceOfRobustness:
+        """See `front.scanned_price`."""
+        return scanned_price(self.content, self.settings, self.direction, self.cache, report)
 
 
 @dataclass(frozen=True)

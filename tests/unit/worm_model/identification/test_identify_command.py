@@ -16,9 +16,9 @@ from worm_model.bags.run_writer import write_run
 from worm_model.commands import identify
 from worm_model.commands.import_lab import import_lab
 from worm_model.gait import Gait
-from worm_model.identification.given import given_by_folder
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.inputs import read_inputs, read_recording, read_recordings
+from worm_model.identification.reference_values import reference_by_folder
 from worm_model.parameters import KEYS, PAPER, load_parameter_file
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -255,26 +255,26 @@ def test_a_fitted_run_is_no_validation(shared, tmp_path, monkeypatch, capsys):
 def test_a_readme_may_give_bounds_and_leave_keys_out(tmp_path):
     text = "M1 = 0.433 ± 0.002 kg, M2 = 424 g +/- 3 g; d = 17.5 ± 0.02 mm. B = d = 4."
     (tmp_path / "README.md").write_text(text, encoding="utf-8")
-    given = given_by_folder(tmp_path)
-    rear, front, pitch = (given.estimate(k) for k in ("rear_mass", "front_mass", "pitch"))
+    reference = reference_by_folder(tmp_path)
+    rear, front, pitch = (reference.estimate(k) for k in ("rear_mass", "front_mass", "pitch"))
     assert (rear.low, rear.high) == pytest.approx((0.431, 0.435))
     assert (front.low, front.high) == pytest.approx((0.421, 0.427))
     assert (pitch.low, pitch.high) == pytest.approx((0.01748, 0.01752))
     assert "README.md" in rear.note
-    assert given.estimate("unstressed_length").note == "as given by the paper"
-    assert given.estimate("slack").note == "as given by the paper"
+    assert reference.estimate("unstressed_length").note == "as given by the paper"
+    assert reference.estimate("slack").note == "as given by the paper"
 
 
 def test_what_a_readme_says_is_given(tmp_path):
     text = "Known: M1 = 433 g, M2 = 0.424 kg, L_free = 301 mm, pitch d = 0.0175 m."
     (tmp_path / "README.md").write_text(text, encoding="utf-8")
-    given = given_by_folder(tmp_path)
-    assert given.parameters == PAPER.replace(
+    reference = reference_by_folder(tmp_path)
+    assert reference.parameters == PAPER.replace(
         rear_mass=0.433, front_mass=0.424, unstressed_length=0.301, pitch=0.0175
     )
-    assert given.estimate("rear_mass").high == pytest.approx(0.434)
-    assert not given.estimate("slack").identifiable
-    assert given_by_folder(tmp_path / "none").parameters == PAPER
+    assert reference.estimate("rear_mass").high == pytest.approx(0.434)
+    assert not reference.estimate("slack").identifiable
+    assert reference_by_folder(tmp_path / "none").parameters == PAPER
 
 
 @pytest.mark.parametrize(("name", "direction"), [("forward", 1), ("reverse", -1)])

@@ -10,11 +10,11 @@ from virtual_campaign import SHORT, virtual_campaign
 from worm_model.identification.advice import advise
 from worm_model.identification.estimate import Estimate
 from worm_model.identification.fin import fit_fin
-from worm_model.identification.given import MEASURED
 from worm_model.identification.held_out import run_errors
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.identification_figures import energy_figure
 from worm_model.identification.identification_report import text_of
+from worm_model.identification.reference_values import MEASURED
 from worm_model.identification.results import correlations, parameter_file, summary
 from worm_model.identification.run_prediction import predict
 from worm_model.identification.run_selection import prepared, prepared_validation
@@ -36,7 +36,7 @@ def campaigns():
 
 @pytest.fixture(scope="module")
 def results(campaigns):
-    return [identify(c.inputs, c.given, seed) for seed, c in enumerate(campaigns)]
+    return [identify(c.inputs, c.reference, seed) for seed, c in enumerate(campaigns)]
 
 
 def test_the_intervals_cover_the_truth(campaigns, results):
@@ -54,8 +54,8 @@ def test_the_intervals_cover_the_truth(campaigns, results):
 
 def test_the_intervals_hold_under_a_pitch_that_was_read_off_wrongly(campaigns):
     campaign = campaigns[0]
-    wrong = campaign.given.parameters.replace(pitch=campaign.truth.pitch + 4e-5)
-    result = identify(campaign.inputs, replace(campaign.given, parameters=wrong), 0)
+    wrong = campaign.reference.parameters.replace(pitch=campaign.truth.pitch + 4e-5)
+    result = identify(campaign.inputs, replace(campaign.reference, parameters=wrong), 0)
     keys = ("viscous_friction", "switching_threshold", "pitch", "bellows_damping", "power_factor")
     assert all(covers(result, key, campaign.truth) for key in keys)
     assert result.estimates["pitch"].spread < 1e-5  # a fifth of the ruler's
@@ -89,7 +89,7 @@ def test_held_out_runs_are_predicted_better_than_by_the_papers_table(results):
 
 
 def test_the_same_inputs_and_seed_give_the_same_numbers(campaigns, results):
-    again = identify(campaigns[0].inputs, campaigns[0].given, 0)
+    again = identify(campaigns[0].inputs, campaigns[0].reference, 0)
     assert again.estimates == results[0].estimates
     assert again.held_out == results[0].held_out
 
@@ -126,7 +126,7 @@ def test_the_outputs_agree_with_each_other(campaigns, results):
 def test_without_bench_tests_nothing_is_claimed_that_depends_on_them(campaigns):
     campaign = campaigns[0]
     blind = replace(campaign.inputs, bellows=None, fin=None)
-    result = identify(blind, campaign.given, 0)
+    result = identify(blind, campaign.reference, 0)
     unknown = {key for key, estimate in result.estimates.items() if not estimate.identifiable}
     bench = {"bellows_stiffness", "clearance", "engaged_stiffness", "disengaged_stiffness"}
     conditional = {
@@ -165,7 +165,7 @@ def test_a_run_whose_power_ends_early_is_left_out_of_the_energy_alone(campaigns)
         campaign.inputs,
         recordings=(without_power_after(spoilt, 0.0), *campaign.inputs.recordings[1:]),
     )
-    result = identify(inputs, campaign.given, 0)
+    result = identify(inputs, campaign.reference, 0)
     (warning,) = [text for text in result.warnings if "c_b and α_P" in text]
     assert warning.startswith(f"{spoilt.name}: ")
     assert [run.name for run in result.power_runs] == [r.name for r in inputs.recordings[1:]]
@@ -181,7 +181,7 @@ def test_power_that_ends_early_in_every_run_is_refused(campaigns):
     inputs = campaigns[0].inputs
     blind = tuple(without_power_after(recording, 0.0) for recording in inputs.recordings)
     with pytest.raises(IdentificationError, match="no run has power samples over its five"):
-        identify(replace(inputs, recordings=blind), campaigns[0].given, 0)
+        identify(replace(inputs, recordings=blind), campaigns[0].reference, 0)
 
 
 def test_a_fin_that_is_given_as_exact_is_taken_as_exact(campaigns):
@@ -189,7 +189,9 @@ def test_a_fin_that_is_given_as_exact_is_taken_as_exact(campaigns):
     fins = {key: getattr(campaign.truth, key) for key in FIN}
     exact = {key: (value, value) for key, value in fins.items()}
     given = replace(
-        campaign.given, parameters=campaign.given.parameters.replace(**fins), intervals=exact
+        campaign.reference,
+        parameters=campaign.reference.parameters.replace(**fins),
+        intervals=exact,
     )
     result = identify(replace(campaign.inputs, fin=None), given, 0)
     assert result.locomotion.variants == ()
@@ -213,7 +215,7 @@ def test_an_odd_fin_test_is_named_where_nothing_fits(campaigns, monkeypatch):
     engages = fit_fin(inputs.fin.x, inputs.fin.y).engages
     monkeypatch.setattr("worm_model.identification.stages.identify_locomotion", fail)
     with pytest.raises(IdentificationError, match=r"nothing fits; fin test: .* softer one"):
-        identify(inputs, campaigns[0].given, 0, -engages)
+        identify(inputs, campaigns[0].reference, 0, -engages)
 
 
 def test_the_initial_length_is_a_mean_and_says_how_runs_scatter(campaigns, results):

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual robot's doors: a pseudo-terminal for the servo bus, a socket for the I2C line.
+"""The virtual robot's doors: a pseudo-terminal for the servo bus, sockets for the I2C line and for its clock.
 
 One thread owns the robot. It waits in select() and never polls, so that an answer leaves some
 hundred microseconds after its question; in between it wakes up often enough for the worm to move.
+While somebody takes part in its time (virtual_clock), that passes from one event to the next and
+waits for whoever is late; with nobody there it passes as the machine's does.
 """
 
 import contextlib
 import fcntl
 import heapq
+import math
 import os
 import selectors
 import socket
@@ -25,12 +28,24 @@ from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.faults import Fault
+from worm_driver.virtual_robot.wire.timekeeper import Party, Timekeeper
+from worm_driver.virtual_robot.wire.virtual_clock import (
+    I2C,
+    PAGE_NAME,
+    SERIAL,
+    SOCKET_NAME,
+    Page,
+    Wait,
+    pack_wake,
+    take_wait,
+)
 
 SERIAL_NAME = "servo_bus"
 I2C_NAME = "i2c.sock"
 
 _LOCK_NAME = ".virtual_robot.lock"
 _WAKE_UP = 0.004  # s at most between two looks at the clock
+_LOOK = 0.1  # s of the machine between two looks while somebody keeps the time
 _CHUNK = 4096  # bytes
 
 # pyserial puts the rate into the terminal's settings, where the other end can read it.
@@ -100,6 +115,37 @@ class I2cConnection:
             self.socket.sendall(data)
 
 
+class ClockConnection:
+    """One who takes part in the robot's time."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.socket = connection
+        self.party: Party | None = None  # until it has said which door it works with
+        self._buffer = b""
+
+    def read(self) -> Wait | None:
+        """The newest wait that has arrived. Raises ConnectionError when the client is gone."""
+        received = self.socket.recv(_CHUNK)
+        if not received:
+            raise ConnectionResetError
+        self._buffer += received
+        if self.party is None:
+            self.party = Party(self._buffer[:1])
+            self._buffer = self._buffer[1:]
+            self.wake(0)
+        newest = None
+        while True:
+            wait, self._buffer = take_wait(self._buffer)
+            if wait is None:
+                return newest
+            newest = wait
+
+    def wake(self, number: int) -> None:
+        """Tells the end of a wait; a client that has gone is not told."""
+        with contextlib.suppress(OSError):
+            self.socket.sendall(pack_wake(number))
+
+
 @dataclass(order=True)
 class _Pending:
     """Bytes that leave later."""
@@ -114,6 +160,10 @@ class Endpoints:
     """Serves a robot in a directory; open(), run() in a thread, stop() from any other, close().
 
     on_samples: called in the serving thread with samples of the camera that have become available.
+    clock: s, the machine's, monotonic. rate: virtual seconds per second at most, inf: as fast as
+    those who take part can; None: in real time, nobody can take part, as with a real robot.
+    epoch_ns: the ROS time (ns) of the robot's time 0. on_time: called in the serving thread with
+    the time (s), often.
     """
 
     def __init__(
@@ -122,12 +172,24 @@ class Endpoints:
         directory: Path,
         on_samples: Callable[[list[TrackerSample]], None],
         clock: Callable[[], float] = time.monotonic,
+        rate: float | None = 1.0,
+        epoch_ns: int = 0,
+        on_time: Callable[[float], None] = lambda _: None,
     ) -> None:
+        self._on_time = on_time
         self._robot = robot
         self._directory = directory
         self._on_samples = on_samples
         self._clock = clock
-        self._start = clock()
+        self.epoch_ns = epoch_ns
+        self.shares_time = rate is not None
+        self.time = Timekeeper(1.0 if rate is None else rate)
+        self.time.begin(clock())
+        self._page: Page | None = None
+        self._clock_listener: socket.socket | None = None
+        self._clocks: list[ClockConnection] = []
+        # over the serial line since somebody took part; infinite once they are not worth counting
+        self._bytes_sent = self._bytes_received = 0.0
         self._selector = selectors.SelectSelector()  # epoll would round waits up to 1 ms
         self._serial: SerialDoor | None = None
         self._listener: socket.socket | None = None
@@ -135,11 +197,15 @@ class Endpoints:
         self._sent = 0
         self._orders: deque[Callable[[float], None]] = deque()
         self._stopped = False
+        self._last_heard = -math.inf  # machine's clock, s
         self._wake_reader, self._wake_writer = socket.socketpair()
 
     def now(self) -> float:
         """Time (s) on the robot's clock."""
-        return self._clock() - self._start
+        return self.time.now if self._parties() else self.time.alone(self._clock())
+
+    def _parties(self) -> list[Party]:
+        return [clock.party for clock in self._clocks if clock.party is not None]
 
     # --- life ---------------------------------------------------------------------------------
 
@@ -147,25 +213,34 @@ class Endpoints:
         """Takes the directory and opens both doors. Raises DirectoryError."""
         self._lock = _take(self._directory)
         try:
-            for name in (SERIAL_NAME, I2C_NAME):
+            for name in (SERIAL_NAME, I2C_NAME, SOCKET_NAME):
                 _remove_leftover(self._directory / name)
             self._listener = _listen(self._directory / I2C_NAME)
+            if self.shares_time:
+                self._page = Page.make(self._directory / PAGE_NAME, self.epoch_ns)
+                self._clock_listener = _listen(self._directory / SOCKET_NAME)
         except DirectoryError:
             self._give_back()
             raise
         self._selector.register(self._listener, selectors.EVENT_READ, self._on_connect)
         self._plug_in()
         self._selector.register(self._wake_reader, selectors.EVENT_READ, self._on_wake)
-        self._start = self._clock()
+        if self._clock_listener is not None:
+            self._selector.register(
+                self._clock_listener, selectors.EVENT_READ, self._on_clock_connect
+            )
+        self.time.begin(self._clock())
 
     def run(self) -> None:
         """Serves until stop()."""
         while not self._stopped:
-            for key, _ in self._selector.select(self._until_next()):
+            for key, _ in self._selector.select(self._patience()):
                 key.data()
-            self._robot.advance(self.now())
+            self._robot.advance(self._go_on())
             self._follow_plug()
             self._send_due()
+            self._on_time(self.now())
+            self._wake_due()
             samples = self._robot.take_samples(self.now())
             if samples:
                 self._on_samples(samples)
@@ -174,6 +249,10 @@ class Endpoints:
         """Ends run(); from any thread."""
         self._stopped = True
         self._wake_writer.send(b"x")
+
+    def quiet_for(self, duration: float) -> bool:
+        """Whether nothing has come over the servo bus for so long (s of the machine); from any thread."""
+        return self._clock() - self._last_heard > duration
 
     def inject(self, fault: Fault) -> None:
         """Asks for a fault whose start counts from now; from any thread."""
@@ -194,8 +273,9 @@ class Endpoints:
                 key.fileobj.close()
         self._selector.close()
         self._wake_writer.close()
-        self._serial = self._listener = None
-        (self._directory / I2C_NAME).unlink(missing_ok=True)
+        self._serial = self._listener = self._clock_listener = None
+        for name in (I2C_NAME, SOCKET_NAME, PAGE_NAME):
+            (self._directory / name).unlink(missing_ok=True)
         self._give_back()
 
     def _give_back(self) -> None:
@@ -204,11 +284,51 @@ class Endpoints:
 
     # --- events -------------------------------------------------------------------------------
 
-    def _until_next(self) -> float:
-        wait = _WAKE_UP
-        if self._pending:
-            wait = min(wait, self._pending[0].time - self.now())
-        return max(wait, 0.0)
+    def _go_on(self) -> float:
+        """Lets the time pass as far as it may."""
+        machine, parties = self._clock(), self._parties()
+        if any(party.has_lost(machine) for party in parties):
+            self._cut_line()
+        if parties:
+            waiting = (p.waits(self._bytes_sent, self._bytes_received) for p in parties)
+            now = self.time.together(machine, waiting, self._next_event())
+        else:
+            now = self.time.alone(machine)
+        self._show(now)
+        return now
+
+    def _show(self, now: float) -> None:
+        if self._page is not None:
+            self._page.time = now
+
+    def _next_event(self) -> float:
+        """The time (s) that must not be passed over."""
+        dues = [party.wait.until for party in self._parties() if party.wait is not None]
+        dues += [item.time for item in self._pending[:1]]
+        return min([*dues, self.time.now + _WAKE_UP])
+
+    def _patience(self) -> float:
+        """How long (s of the machine) there is nothing to do, unless something comes."""
+        machine, parties = self._clock(), self._parties()
+        if not parties:
+            wait = _WAKE_UP
+            if self._pending:
+                wait = min(wait, self._pending[0].time - self.now())
+            return max(wait, 0.0)
+        if all(p.waits(self._bytes_sent, self._bytes_received) for p in parties):
+            return max(self.time.machine_time(self._next_event()) - machine, 0.0)
+        return _LOOK
+
+    def _wake_due(self) -> None:
+        """Ends the waits whose time has come."""
+        now = self.time.now
+        for clock in self._clocks:
+            party = clock.party
+            if party is None or party.wait is None or party.wait.until > now:
+                continue
+            if party.waits(self._bytes_sent, self._bytes_received):
+                number, party.wait = party.wait.number, None
+                clock.wake(number)
 
     def _on_wake(self) -> None:
         self._wake_reader.recv(_CHUNK)
@@ -222,8 +342,10 @@ class Endpoints:
     def _on_serial(self) -> None:
         if self._serial is None:
             return
-        rate = self._serial.baud_rate()
-        for answer in self._robot.receive(self._serial.read(), self.now(), rate):
+        rate, data = self._serial.baud_rate(), self._serial.read()
+        self._bytes_received += len(data)
+        self._last_heard = self._clock()
+        for answer in self._robot.receive(data, self.now(), rate):
             self._send(answer.data, answer.time, self._serial)
 
     def _on_connect(self) -> None:
@@ -244,11 +366,13 @@ class Endpoints:
         for request in requests:
             now = self.now()
             answer = self._robot.transact(request, now)
+            if answer.delay > 0.0:
+                self._let_wait(I2C)
             self._send(frames.pack_answer(answer), now + answer.delay, connection)
 
     def _send(self, data: bytes, due: float, door: "SerialDoor | I2cConnection") -> None:
         if due <= self.now():
-            door.write(data)
+            self._write(data, door)
             return
         self._sent += 1
         heapq.heappush(self._pending, _Pending(due, self._sent, data, door))
@@ -257,7 +381,61 @@ class Endpoints:
         now = self.now()
         while self._pending and self._pending[0].time <= now:
             item = heapq.heappop(self._pending)
-            item.door.write(item.data)
+            self._write(item.data, item.door)
+
+    def _write(self, data: bytes, door: "SerialDoor | I2cConnection") -> None:
+        """Sends, and whoever has waited for it works again."""
+        door.write(data)
+        is_serial = isinstance(door, SerialDoor)
+        self._bytes_sent += len(data) if is_serial else 0
+        for party in self._parties():
+            at_door = party.door == (SERIAL if is_serial else I2C)
+            if at_door and party.wait is not None and party.wait.listening:
+                party.wait = None
+
+    # --- the time -----------------------------------------------------------------------------
+
+    def _on_clock_connect(self) -> None:
+        if self._clock_listener is None:
+            return
+        clock = ClockConnection(self._clock_listener.accept()[0])
+        self._clocks.append(clock)
+        self._selector.register(clock.socket, selectors.EVENT_READ, lambda: self._on_clock(clock))
+
+    def _on_clock(self, clock: ClockConnection) -> None:
+        is_new = clock.party is None
+        if is_new:
+            self._show(self.now())  # it is going to look at once
+        try:
+            wait = clock.read()
+        except ConnectionError:
+            self._selector.unregister(clock.socket)
+            self._clocks.remove(clock)
+            clock.socket.close()
+            if not self._parties():
+                self.time.begin(self._clock())
+            return
+        assert clock.party is not None
+        if is_new and clock.party.door == SERIAL:
+            self._begin_line()
+        if wait is not None:
+            clock.party.wait, clock.party.since = wait, self._clock()
+
+    def _begin_line(self) -> None:
+        """Counts from now on, and forgets what was on its way to somebody else."""
+        self._bytes_sent = self._bytes_received = 0.0
+        self._pending = [item for item in self._pending if item.door is not self._serial]
+        heapq.heapify(self._pending)
+
+    def _cut_line(self) -> None:
+        """Counts no longer: bytes that nobody will ever see must not keep the time."""
+        self._bytes_sent, self._bytes_received = -math.inf, math.inf
+
+    def _let_wait(self, door: bytes) -> None:
+        """Those at a door that answers late wait, for as long as it takes; they do not say so themselves."""
+        for party in self._parties():
+            if party.door == door:
+                party.wait, party.since = Wait(-1, math.inf, True, 0, 0), self._clock()
 
     # --- doors --------------------------------------------------------------------------------
 
@@ -274,6 +452,7 @@ class Endpoints:
             heapq.heapify(self._pending)
             self._serial.close()
             self._serial = None
+            self._cut_line()
         elif not unplugged and self._serial is None:
             self._plug_in()
 

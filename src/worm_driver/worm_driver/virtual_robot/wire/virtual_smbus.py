@@ -14,7 +14,7 @@ from types import TracebackType
 from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
 
-_TIMEOUT = 1.0  # s, as long as the kernel's adapters wait
+_TIMEOUT = 60.0  # s; a bus that hangs is the robot's to tell, in its own time: here only a robot that hangs ends it
 _LONGEST_BLOCK = 32
 
 

@@ -43,7 +43,7 @@ _WHOLE = """
     rear_groove front_groove rear_region front_region switched
     power_ns
     run start_ns end_ns has_gait direction length_seen length_fitted origin_known pose_front moved
-    cycle cycle_end_ns
+    cycle cycle_end_ns told_cycle
     instrument_ns warned_until warning
     sight_ns refused_ns published_ns estimated_ns
     paused_ns

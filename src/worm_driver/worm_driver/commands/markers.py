@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command ``markers``: a PDF with the markers of a rig, or the calibration board, to print at true scale."""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from worm_driver.commands.command_line import Parser, new_file, positive, run_command
+from worm_driver.tracking.tracker_setup import DICTIONARIES, load_setup
+from worm_driver.tracking.tracking_errors import SetupError
+from worm_driver.tracking.vision import Board, marker_cells
+
+#: m, width and height
+PAPERS = {"a4": (0.210, 0.297), "letter": (0.2159, 0.2794)}
+#: Of the calibration board: columns and rows of squares, their side in m, dictionary. Fits both papers.
+BOARD = (7, 9, 0.025, "DICT_5X5_100")
+
+_INCH = 0.0254
+_MARGIN = 0.015  # m, that printers leave white
+_HEAD = 0.035  # m, of the ruler and the text above it
+_RULER = 0.1  # m
+_BOARD_PIXELS = 200  # a square of the board; its markers' cells fall on whole pixels to 0.01 mm
+_TEXT = 8  # points
+_MARKER_REMEDY = "put its true side into marker_size_m of the setup file"
+
+
+@dataclass(frozen=True)
+class Print:
+    """A marker to be printed: its number, and what it is for."""
+
+    number: int
+    text: str
+
+
+def _prints(options: argparse.Namespace) -> tuple[str, float, list[Print]]:
+    """Dictionary, side (m) and markers that were asked for."""
+    if options.setup is None:
+        count = DICTIONARIES[options.dictionary]
+        wrong = [number for number in options.ids if not 0 <= number < count]
+        if wrong:
+            raise SetupError(f"marker {wrong[0]}: {options.dictionary} has 0 to {count - 1}")
+        return options.dictionary, options.size_m, [Print(number, "") for number in options.ids]
+    setup = load_setup(options.setup)
+    prints = [
+        Print(setup.rear.number, "rear module"),
+        Print(setup.front.number, "front module"),
+    ]
+    for number, (x, y, z) in setup.reference.items():
+        prints.append(Print(number, f"on the pipe at x {x:g}, y {y:g}, z {z:g} m"))
+    return setup.dictionary, setup.marker_size, prints
+
+
+def _pages(
+    prints: Sequence[Print], size: float, paper: tuple[float, float]
+) -> Iterator[list[tuple[Print, float, float]]]:
+    """The prints of each page with the lower left corners of their black squares, m from the page's."""
+    pitch_x, pitch_y = max(1.6 * size, 0.045), 1.5 * size + 0.012
+    width, height = paper[0] - 2.0 * _MARGIN, paper[1] - 2.0 * _MARGIN - _HEAD
+    columns, rows = int(width / pitch_x), int(height / pitch_y)
+    if not columns or not rows:
+        raise SetupError(f"a marker of {size:g} m does not fit on the paper")
+    for start in range(0, len(prints), columns * rows):
+        page = []
+        for index, item in enumerate(prints[start : start + columns * rows]):
+            row, column = divmod(index, columns)
+            x = _MARGIN + column * pitch_x + 0.25 * size
+            y = paper[1] - _MARGIN - _HEAD - (row + 1) * pitch_y + 0.012 + 0.25 * size
+            page.append((item, x, y))
+        yield page
+
+
+class _Sheet:
+    """A page in m from its lower left corner."""
+
+    def __init__(self, paper: tuple[float, float], title: str, remedy: str) -> None:
+        from matplotlib.figure import Figure
+
+        self.figure = Figure(figsize=(paper[0] / _INCH, paper[1] / _INCH))
+        self._axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        self._axes.set(xlim=(0.0, paper[0]), ylim=(0.0, paper[1]))
+        self._axes.set_axis_off()
+        top = paper[1] - _MARGIN
+        self.text(_MARGIN, top - 0.003, title)
+        self._ruler(_MARGIN, top - 0.014)
+        self.text(
+            _MARGIN,
+            top - 0.024,
+            "Print at 100 %, without fitting to the page, and measure this line: it must be 100.0 mm long.\n"
+            f"If it is not, measure a black square and {remedy}.",
+        )
+
+    def text(self, x: float, y: float, text: str, **style: Any) -> None:
+        self._axes.text(x, y, text, fontsize=style.pop("fontsize", _TEXT), va="center", **style)
+
+    def line(self, xs: Sequence[float], ys: Sequence[float], width: float = 0.4) -> None:
+        self._axes.plot(xs, ys, color="black", linewidth=width, solid_capstyle="butt")
+
+    def _ruler(self, x: float, y: float) -> None:
+        self.line([x, x + _RULER], [y, y])
+        for index in range(11):
+            tick = 0.004 if index % 5 == 0 else 0.002
+            self.line([x + 0.01 * index] * 2, [y, y + tick])
+            if index % 5 == 0:
+                self.text(x + 0.01 * index, y + 0.006, f"{index} cm", ha="center", fontsize=6)
+
+    def marker(self, dictionary: str, size: float, item: Print, x: float, y: float) -> None:
+        """A marker with its margin, marks in the middle of its sides, and its text below."""
+        from matplotlib.patches import Rectangle
+
+        cells = marker_cells(dictionary, item.number)
+        side = size / len(cells)
+        # One black square, with white cells in runs: no seams between neighbours.
+        self._axes.add_patch(Rectangle((x, y), size, size, facecolor="black", linewidth=0))
+        for row, line in enumerate(cells):
+            for start, end in _runs(line):
+                corner = x + start * side, y + size - (row + 1) * side
+                patch = Rectangle(
+                    corner, (end - start) * side, side, facecolor="white", linewidth=0
+                )
+                self._axes.add_patch(patch)
+        self._marks(x, y, size)
+        self.text(x - 0.2 * size, y + 1.19 * size, f"{item.number}  up ↑", fontsize=5)
+        self.text(x + 1.2 * size, y + 1.19 * size, "+x →", fontsize=5, ha="right")
+        self.text(
+            x - 0.2 * size, y - 0.25 * size - 0.004, f"{item.number}  {item.text}", fontsize=5
+        )
+
+    def _marks(self, x: float, y: float, size: float) -> None:
+        """The cutting line, one and a half cells away, and where the lines through the centre meet it."""
+        low, high, middle, tick = -0.25 * size, 1.25 * size, 0.5 * size, 0.08 * size
+        self._axes.plot(
+            [x + low, x + high, x + high, x + low, x + low],
+            [y + low, y + low, y + high, y + high, y + low],
+            color="0.6",
+            linewidth=0.3,
+            linestyle=(0, (4, 4)),
+        )
+        for end, inner in ((low, low + tick), (high, high - tick)):
+            self.line([x + end, x + inner], [y + middle] * 2)
+            self.line([x + middle] * 2, [y + end, y + inner])
+
+    def board(self, image: Any, x: float, y: float, width: float, height: float) -> None:
+        self._axes.imshow(
+            image, cmap="gray", vmin=0, vmax=255, extent=(x, x + width, y, y + height),
+            interpolation="none", aspect="auto", zorder=0,
+        )  # fmt: skip
+
+
+def _runs(line: Sequence[bool]) -> Iterator[tuple[int, int]]:
+    """Start and end of each run of white cells."""
+    start = None
+    for index, white in enumerate([*line, False]):
+        if white and start is None:
+            start = index
+        elif not white and start is not None:
+            yield start, index
+            start = None
+
+
+def _marker_sheets(options: argparse.Namespace) -> list[_Sheet]:
+    dictionary, size, prints = _prints(options)
+    paper = PAPERS[options.paper]
+    sheets = []
+    for page in _pages(prints, size, paper):
+        sheet = _Sheet(paper, f"{dictionary}, black square {size * 1e3:g} mm", _MARKER_REMEDY)
+        for item, x, y in page:
+            sheet.marker(dictionary, size, item, x, y)
+        sheets.append(sheet)
+    return sheets
+
+
+def _board_sheet(options: argparse.Namespace) -> _Sheet:
+    columns, rows, square, dictionary = BOARD
+    paper = PAPERS[options.paper]
+    title = f"calibration board, squares of {square * 1e3:g} mm; glue it on something flat"
+    sheet = _Sheet(paper, title, "give its true side to calibrate_camera --square-m")
+    image = Board(columns, rows, square, dictionary).draw(_BOARD_PIXELS)
+    width, height = columns * square, rows * square
+    sheet.board(image, (paper[0] - width) / 2.0, _MARGIN - 0.003, width, height)
+    return sheet
+
+
+def _write(path: Path, sheets: Sequence[_Sheet]) -> None:
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    with path.open("xb") as stream, PdfPages(stream) as pdf:
+        for sheet in sheets:
+            pdf.savefig(sheet.figure)
+
+
+def _parser() -> Parser:
+    parser = Parser(prog="markers", description=__doc__)
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--setup", type=Path, metavar="FILE", help="the markers of this rig (YAML)")
+    what.add_argument("--ids", type=int, nargs="+", metavar="N", help="these markers")
+    what.add_argument("--board", action="store_true", help="the board of calibrate_camera")
+    parser.add_argument("--output", type=new_file, required=True, metavar="FILE.pdf")
+    parser.add_argument(
+        "--dictionary", choices=DICTIONARIES, default="DICT_4X4_50", metavar="NAME",
+        help="of --ids (default DICT_4X4_50)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--size-m",
+        type=positive,
+        default=0.02,
+        metavar="M",
+        help="black square of --ids (default 0.02)",
+    )
+    parser.add_argument("--paper", choices=PAPERS, default="a4", help="default a4")
+    return parser
+
+
+def _run(options: argparse.Namespace) -> None:
+    sheets = [_board_sheet(options)] if options.board else _marker_sheets(options)
+    _write(options.output, sheets)
+    sys.stdout.write(f"{options.output}: {len(sheets)} page(s); measure the line after printing\n")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command; returns the exit status."""
+    return run_command(_parser(), _run, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

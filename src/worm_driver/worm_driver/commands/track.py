@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command ``track``: positions of the modules from a film or a folder of images, without ROS.
+
+The table has a row an image: time_s, rear_position_m, front_position_m, length_m and the reason where one is NaN.
+"""
+
+import argparse
+import contextlib
+import csv
+import json
+import math
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from worm_driver.commands.command_line import Parser, new_file, run_command, say
+from worm_driver.tracking.image_sources import (
+    Frame,
+    check_size,
+    frames_of_film,
+    frames_of_folder,
+)
+from worm_driver.tracking.preview import preview, summary
+from worm_driver.tracking.tracker import Sighting, Tracker
+from worm_driver.tracking.tracker_setup import load_setup
+from worm_driver.tracking.tracking_errors import TrackingError
+from worm_driver.tracking.vision import MarkerDetector, write_image
+
+COLUMNS = ("time_s", "rear_position_m", "front_position_m", "length_m", "reason")
+LAB_COLUMNS = ("time_s", "x1_m", "x2_m")  # of import_lab's camera.csv
+PICTURES = (".png", ".jpg", ".jpeg")
+_TELL_EVERY = 300  # images
+
+
+def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[Sighting]:
+    """The sighting of each image; tells on standard error what is to be told, and how far it is.
+
+    Raises:
+        TrackingError: an image cannot be read, or has not the camera's size.
+    """
+    detector = MarkerDetector(tracker.setup.dictionary)
+    for index, frame in enumerate(frames, 1):
+        check_size(frame.image, (tracker.camera.width, tracker.camera.height), frame.name)
+        sighting = tracker.see(detector.detect(frame.image), frame.time)
+        if sighting.news:
+            say(f"track: {frame.time:.3f} s: {sighting.news}")
+        if index % _TELL_EVERY == 0:
+            say(f"track: {index} images, {frame.time:.1f} s")
+        yield sighting
+
+
+def write_table(path: Path, sightings: Iterable[Sighting]) -> list[Sighting]:
+    """Writes the table while the images come, so that a cancelled run keeps its rows; returns the sightings."""
+    kept = []
+    with path.open("x", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(COLUMNS)
+        for s in sightings:
+            numbers = [f"{value:.6f}" for value in (s.time, s.rear, s.front, s.length)]
+            writer.writerow([*numbers, s.reason])
+            kept.append(s)
+    return kept
+
+
+def write_bag(path: Path, sightings: Iterable[Sighting]) -> list[Sighting]:
+    """Makes a bag of the topics tracker and body_length/measured; returns the sightings.
+
+    Bags are worm_model's: its command import_lab makes this one, from a table of the lab's form.
+
+    Raises:
+        TrackingError: import_lab is not installed, or refuses.
+    """
+    command = _import_lab()
+    kept = list(sightings)
+    with tempfile.TemporaryDirectory() as name:
+        with (Path(name) / "camera.csv").open("x", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(LAB_COLUMNS)
+            for s in kept:
+                places = ["" if math.isnan(x) else f"{x:.6f}" for x in (s.rear, s.front)]
+                writer.writerow([f"{s.time - kept[0].time:.6f}", *places])
+        done = subprocess.run(
+            [*command, name, "--output", str(path)], capture_output=True, text=True, check=False
+        )
+    if done.returncode:
+        raise TrackingError(f"no bag was made: {done.stderr.strip()}")
+    return kept
+
+
+def _import_lab() -> list[str]:
+    with contextlib.suppress(ImportError, LookupError):
+        from ament_index_python.packages import get_package_prefix
+
+        found = Path(get_package_prefix("worm_model"), "lib", "worm_model", "import_lab")
+        if found.is_file():
+            return [str(found)]
+    raise TrackingError(
+        "a bag needs worm_model's import_lab, which is not installed here: give --output a name that ends in .csv"
+    )
+
+
+def _parser() -> Parser:
+    parser = Parser(prog="track", description=__doc__)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument(
+        "--images",
+        type=Path,
+        metavar="FOLDER",
+        help="in the order of its times.csv or of their names",
+    )
+    source.add_argument("--video", type=Path, metavar="FILE", help="a film")
+    parser.add_argument("--setup", type=Path, required=True, metavar="FILE", help="the rig (YAML)")
+    parser.add_argument(
+        "--output",
+        type=new_file,
+        metavar="FILE.csv|BAG",
+        help="a table, or a bag by any other name",
+    )
+    parser.add_argument(
+        "--preview",
+        type=new_file,
+        metavar="FILE.png",
+        help="the first image with what was found in it",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    return parser
+
+
+def _run(options: argparse.Namespace) -> None:
+    if options.output is None and options.preview is None:
+        raise TrackingError("give --output, --preview or both")
+    if options.preview is not None and options.preview.suffix.lower() not in PICTURES:
+        raise TrackingError(
+            f"--preview {options.preview}: the name must end in {', '.join(PICTURES)}"
+        )
+    tracker = Tracker(load_setup(options.setup))
+    if options.preview is not None:
+        _preview(tracker, next(_frames(options, tracker)), options.preview)
+    if options.output is None:
+        return
+    sightings = follow(Tracker(tracker.setup), _frames(options, tracker))
+    write = write_table if options.output.suffix == ".csv" else write_bag
+    _report(write(options.output, sightings), options)
+
+
+def _frames(options: argparse.Namespace, tracker: Tracker) -> Iterator[Frame]:
+    if options.images is not None:
+        return frames_of_folder(options.images, tracker.setup.rate)
+    return frames_of_film(options.video, tracker.setup.rate)
+
+
+def _preview(tracker: Tracker, frame: Frame, path: Path) -> None:
+    check_size(frame.image, (tracker.camera.width, tracker.camera.height), frame.name)
+    detections = MarkerDetector(tracker.setup.dictionary).detect(frame.image)
+    sighting = tracker.see(detections, frame.time)
+    write_image(path, preview(tracker, frame.image, detections, sighting))
+    for line in summary(tracker, detections, sighting):
+        say(f"track: {line}")
+
+
+def _report(sightings: list[Sighting], options: argparse.Namespace) -> None:
+    seen = sum(math.isfinite(s.length) for s in sightings)
+    poses = [s.pose for s in sightings if s.pose is not None]
+    error = poses[-1].error if poses else math.nan
+    if options.json:
+        content = {
+            "output": str(options.output),
+            "images": len(sightings),
+            "seen": seen,
+            "news": [{"time_s": s.time, "message": s.news} for s in sightings if s.news],
+            "reprojection_error_px": error if poses else None,
+        }
+        sys.stdout.write(json.dumps(content) + "\n")
+        return
+    fit = f"; reference markers fit within {error:.2f} px" if poses else ""
+    sys.stdout.write(f"{options.output}: both modules in {seen} of {len(sightings)} images{fit}\n")
+    reasons = Counter(s.reason for s in sightings if s.reason)
+    for reason, count in reasons.most_common(3):
+        sys.stdout.write(f"  {count}: {reason}\n")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command; returns the exit status."""
+    return run_command(_parser(), _run, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node ``tracker``: images in, positions of both modules out, with the stamps of the images."""
+
+import math
+import sys
+import time
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import ParameterException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
+
+from worm_driver.nodes import driver_messages
+from worm_driver.tracking import vision
+from worm_driver.tracking.camera_model import CameraModel, make_camera_model
+from worm_driver.tracking.frame_thread import FrameThread
+from worm_driver.tracking.image_sources import check_size
+from worm_driver.tracking.initial_length import InitialLength
+from worm_driver.tracking.tracker import Sighting
+from worm_driver.tracking.tracker import Tracker as ModuleTracker
+from worm_driver.tracking.tracker_report import TrackerReport
+from worm_driver.tracking.tracker_setup import load_setup
+from worm_driver.tracking.tracking_errors import ImageError, SetupError, TrackingError
+from worm_msgs.msg import BodyLength, Tracker
+from worm_msgs.ros_process import Ending, ros_process, spare_pauses
+
+#: The frame that positions are given in: x forward along the axis of the pipe, z up (REP 103)
+FRAME = "pipe"
+#: Stands for the setup file of the virtual robot's camera
+VIRTUAL = "virtual"
+TOPIC = "topic"
+_TRANSPORTS = ("raw", "compressed")
+_DIFFERENT = 1e-3  # relative, between the calibration of the setup file and that of the topic
+_PARAMETERS = {
+    "setup_file": ("", f"The rig (YAML); {VIRTUAL}: that of the virtual robot's camera."),
+    "source": (TOPIC, "topic, a V4L2 device such as /dev/video0, a film, or a folder of images."),
+    "image_transport": ("raw", "Of the topic: raw or compressed."),
+}
+_NANOSECONDS = 10**9
+
+
+class TrackerNode(Node):
+    """See the module. Raises TrackingError where the parameters cannot be used."""
+
+    def __init__(self) -> None:
+        super().__init__("tracker")
+        given = {
+            name: str(self.declare_parameter(name, default, _descriptor(text)).value)
+            for name, (default, text) in _PARAMETERS.items()
+        }
+        self._setup = load_setup(_setup_path(given["setup_file"]))
+        self._detector = vision.MarkerDetector(self._setup.dictionary)
+        self._tracker = None if self._setup.camera is None else ModuleTracker(self._setup)
+        self._initial_length = InitialLength()
+        self._report = TrackerReport(given["source"])
+        self._positions = self.create_publisher(Tracker, "tracker", 10)
+        self._length = self.create_publisher(BodyLength, "body_length/measured", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._frames: FrameThread | None = None
+        self._deaf = False
+        self.failure: TrackingError | None = None
+        if given["source"] == TOPIC:
+            self._subscribe(given["image_transport"])
+        else:
+            self._open(given["source"])
+        self.create_timer(1.0, self._publish_report)
+
+    def _subscribe(self, transport: str) -> None:
+        if transport not in _TRANSPORTS:
+            raise SetupError(f"image_transport must be one of {', '.join(_TRANSPORTS)}")
+        self.create_subscription(
+            CameraInfo, "camera/camera_info", self._on_info, qos_profile_sensor_data
+        )
+        # An image goes in pieces, of which a best-effort subscriber loses some; a reliable one hears no best-effort
+        # camera, of which it is told.
+        self._transport = transport
+        self._images = self._subscribe_images(QoSProfile(depth=2))
+
+    def _subscribe_images(self, quality: QoSProfile) -> Subscription:
+        events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible)
+        if self._transport == "raw":
+            return self.create_subscription(
+                Image, "camera/image_raw", self._on_image, quality, event_callbacks=events
+            )
+        return self.create_subscription(
+            CompressedImage,
+            "camera/image_raw/compressed",
+            self._on_compressed,
+            quality,
+            event_callbacks=events,
+        )
+
+    def _on_incompatible(self, _: object) -> None:
+        self._deaf = (
+            True  # mended at the next report: an event's subscription may not end within it
+        )
+
+    def _open(self, source: str) -> None:
+        if self._tracker is None:
+            raise SetupError("camera_info: topic needs images from a topic: name a file")
+        camera = self._tracker.camera
+        arrival = self.create_guard_condition(self._on_arrival)
+        size = camera.width, camera.height
+        self._frames = FrameThread(source, self._setup, size, arrival.trigger)
+        self._frames.start()
+
+    def close(self) -> None:
+        """Lets go of a camera."""
+        if self._frames is not None:
+            self._frames.close()
+
+    # --- images in ------------------------------------------------------------------------------
+
+    def _on_info(self, message: CameraInfo) -> None:
+        try:
+            size = int(message.width), int(message.height)
+            model = message.distortion_model
+            camera = make_camera_model(size, list(message.k), model, list(message.d))
+        except SetupError as error:
+            if self._setup.camera is None:
+                self._refuse(f"camera_info: {error}")
+            return
+        if self._setup.camera is None:
+            if self._tracker is None or self._tracker.camera != camera:
+                self._tracker = ModuleTracker(self._setup, camera)
+        elif _differ(self._setup.camera, camera):
+            text = "the calibration on camera_info is not that of the setup file, which is used"
+            self.get_logger().warning(text, once=True)
+
+    def _on_image(self, message: Image) -> None:
+        try:
+            data = np.frombuffer(message.data, np.uint8)
+            size = message.height, message.width, message.step
+            image = vision.grey(data, *size, message.encoding)
+        except ImageError as error:
+            self._refuse(str(error))
+            return
+        self._see(image, message.header.stamp)
+
+    def _on_compressed(self, message: CompressedImage) -> None:
+        try:
+            image = vision.decode_image(bytes(message.data))
+        except ImageError as error:
+            self._refuse(str(error))
+            return
+        self._see(image, message.header.stamp)
+
+    def _on_arrival(self) -> None:
+        assert self._frames is not None
+        while (frame := self._frames.take()) is not None:
+            age = time.monotonic() - frame.time
+            now = self.get_clock().now().nanoseconds
+            self._see(frame.image, _time(now - round(age * _NANOSECONDS)))
+        if self._frames.ended:
+            self.failure = self._frames.failure or ImageError("the images are at their end")
+
+    # --- positions out --------------------------------------------------------------------------
+
+    def _see(self, image: vision.Image, stamp: Time) -> None:
+        if self._tracker is None:
+            self._refuse("no camera_info yet: the images cannot be used")
+            return
+        camera = self._tracker.camera
+        try:
+            check_size(image, (camera.width, camera.height), "the image")
+        except ImageError as error:
+            self._refuse(str(error))
+            return
+        nanoseconds = stamp.sec * _NANOSECONDS + stamp.nanosec
+        sighting = self._tracker.see(self._detector.detect(image), nanoseconds / _NANOSECONDS)
+        self._report.count(sighting)
+        if sighting.news:
+            self.get_logger().warning(sighting.news)
+        self._publish(sighting, _time(nanoseconds - round(self._setup.delay * _NANOSECONDS)))
+
+    def _publish(self, sighting: Sighting, stamp: Time) -> None:
+        header = Header(stamp=stamp, frame_id=FRAME)
+        self._positions.publish(
+            Tracker(header=header, rear_position=sighting.rear, front_position=sighting.front)
+        )
+        length = sighting.length
+        if not math.isnan(length):
+            change = self._initial_length.change(length)
+            source = BodyLength.MEASURED
+            self._length.publish(
+                BodyLength(header=header, source=source, length=length, length_change=change)
+            )
+
+    def _refuse(self, problem: str) -> None:
+        if self._report.refuse(problem):
+            self.get_logger().error(problem)
+
+    def _hear_best_effort(self) -> None:
+        """Subscribes again, for a camera that publishes best effort."""
+        self._deaf = False
+        self.destroy_subscription(self._images)
+        quality = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._images = self._subscribe_images(quality)
+
+    def _publish_report(self) -> None:
+        if self._deaf:
+            self._hear_best_effort()
+        stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(
+            driver_messages.diagnostics(
+                [self._report.take()], stamp, self.get_namespace().strip("/")
+            )
+        )
+
+
+def _descriptor(text: str) -> ParameterDescriptor:
+    return ParameterDescriptor(description=text, read_only=True)
+
+
+def _setup_path(text: str) -> Path:
+    if not text:
+        raise SetupError("setup_file is missing: give the rig, -p setup_file:=tracker.yaml")
+    if text == VIRTUAL:
+        return Path(str(files("worm_driver").joinpath("config/virtual_tracker.yaml")))
+    return Path(text).expanduser()
+
+
+def _differ(one: CameraModel, other: CameraModel) -> bool:
+    """Whether two calibrations see something else."""
+    if (one.width, one.height, one.model) != (other.width, other.height, other.model):
+        return True
+    numbers = [np.array([*m.focal, *m.centre]) for m in (one, other)]
+    return bool(np.abs(numbers[1] / numbers[0] - 1.0).max() > _DIFFERENT)
+
+
+def _time(nanoseconds: int) -> Time:
+    return Time(sec=nanoseconds // _NANOSECONDS, nanosec=nanoseconds % _NANOSECONDS)
+
+
+def _run(ended: Ending) -> None:
+    node = TrackerNode()
+    try:
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        spare_pauses()
+        node.get_logger().info("ready")
+        while not ended() and node.failure is None:
+            executor.spin_once(timeout_sec=0.05)
+    finally:
+        node.close()
+        node.destroy_node()
+    if node.failure is not None:
+        raise node.failure
+
+
+def main(args: list[str] | None = None) -> int:
+    """Runs the tracker until SIGINT, SIGTERM or SIGHUP, or until its film is at its end."""
+    try:
+        with ros_process(args) as ended:
+            _run(ended)
+    except (TrackingError, ParameterException) as error:
+        print(f"tracker: {error}", file=sys.stderr)  # noqa: T201 (the command's own words)
+        return 1 if isinstance(error, ImageError) else 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

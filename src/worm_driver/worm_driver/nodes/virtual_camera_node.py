@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node ``virtual_camera``: renders and publishes what a camera beside the pipe sees of the virtual robot.
+
+A process of its own, which virtual_robot starts and feeds: an image costs more time than an answer on the bus may take.
+A line of standard input is an exposure: its stamp in ns, then x1 and x2 in m, nan while out of sight.
+"""
+
+import argparse
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+from array import array
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+
+from worm_driver.virtual_robot.camera_images import (
+    CameraSettings,
+    VirtualCamera,
+    exposure_path,
+    load_camera_settings,
+)
+from worm_msgs.ros_process import ros_process
+
+#: REP 103: z forward, x to the right
+FRAME = "camera_optical_frame"
+_NANOSECONDS = 10**9
+_ENDING = 3.0  # s that the process may take to end once its input is closed
+
+
+class VirtualCameraNode(Node):
+    """Publishes an image for each exposure; one that comes while an image is rendered waits, further ones are lost."""
+
+    def __init__(self, settings: CameraSettings, seed: int) -> None:
+        super().__init__("virtual_camera")
+        self._settings = settings
+        self._camera = VirtualCamera(settings, seed)
+        self._image = self.create_publisher(Image, "camera/image_raw", 2)
+        self._info = self.create_publisher(CameraInfo, "camera/camera_info", 2)
+        self._waiting: deque[tuple[int, float, float]] = deque(maxlen=2)
+        self._before: tuple[int, float, float] | None = None
+        self._arrival = self.create_guard_condition(self._publish)
+        self.ended = False
+
+    def read(self) -> None:
+        """Takes exposures from standard input until it is closed; in a thread of its own."""
+        for line in sys.stdin:
+            stamp, rear, front = line.split()
+            self._waiting.append((int(stamp), float(rear), float(front)))
+            self._arrival.trigger()
+        self.ended = True
+
+    def _publish(self) -> None:
+        while self._waiting:
+            exposure = self._waiting.popleft()
+            path = exposure_path(exposure, self._before, self._settings.exposure)
+            self._before = exposure
+            header = _header(exposure[0] + round(self._settings.delay * _NANOSECONDS))
+            self._image.publish(_message(self._camera.image(path), header))
+            self._info.publish(_info(self._settings, header))
+
+
+def _header(stamp: int) -> Header:
+    time = Time(sec=stamp // _NANOSECONDS, nanosec=stamp % _NANOSECONDS)
+    return Header(stamp=time, frame_id=FRAME)
+
+
+def _message(image: np.ndarray, header: Header) -> Image:
+    height, width = image.shape
+    message = Image(header=header, height=height, width=width, encoding="mono8", step=width)
+    message.data = array("B", image.tobytes())
+    return message
+
+
+def _info(settings: CameraSettings, header: Header) -> CameraInfo:
+    f, (cx, cy) = settings.focal, settings.centre
+    return CameraInfo(
+        header=header,
+        height=settings.height,
+        width=settings.width,
+        distortion_model="plumb_bob",
+        d=list(settings.distortion),
+        k=[f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0],
+        r=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p=[f, 0.0, cx, 0.0, 0.0, f, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+    )
+
+
+class CameraProcess:
+    """The process, as virtual_robot sees it."""
+
+    def __init__(self, file: Path, seed: int, namespace: str) -> None:
+        command = [sys.executable, "-m", __name__, "--parameters", str(file), "--seed", str(seed)]
+        command += ["--ros-args", "-r", f"__ns:={namespace}"]
+        # A session of its own: Ctrl-C is for the virtual robot, which ends it.
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._input = self._process.stdin
+        self._process.stdout.readline()  # it is ready, or has ended
+        os.set_blocking(self._input.fileno(), False)
+
+    def expose(self, stamp: int, rear: float, front: float) -> None:
+        """Tells it of an exposure: ns, m, m. Raises ChildProcessError when it has ended."""
+        line = f"{stamp} {rear!r} {front!r}\n".encode()
+        try:
+            os.write(self._input.fileno(), line)
+        except BlockingIOError:
+            return  # it is far behind, and this exposure is lost
+        except BrokenPipeError:
+            raise ChildProcessError(
+                "the virtual camera has ended, see its messages above"
+            ) from None
+
+    def close(self) -> None:
+        """Ends it."""
+        with contextlib.suppress(BrokenPipeError):
+            self._input.close()
+        try:
+            self._process.wait(_ENDING)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs until its input is closed; returns the exit status."""
+    given = sys.argv if arguments is None else ["virtual_camera", *arguments]
+    parser = argparse.ArgumentParser(prog="virtual_camera", description=__doc__)
+    parser.add_argument("--parameters", type=Path, metavar="FILE")
+    parser.add_argument("--seed", type=int, default=0, metavar="N")
+    options = parser.parse_args(remove_ros_args(given)[1:])
+    settings = load_camera_settings(options.parameters)
+    with ros_process(given) as ended:
+        node = VirtualCameraNode(settings, options.seed)
+        threading.Thread(target=node.read, name="exposures", daemon=True).start()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        while not (ended() or node.ended):
+            executor.spin_once(timeout_sec=0.1)
+        node.destroy_node()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

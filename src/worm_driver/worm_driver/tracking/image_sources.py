@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images with their times from a folder or a film, one after another."""
+
+import csv
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from worm_driver.tracking.tracking_errors import ImageError
+from worm_driver.tracking.vision import Film, Image, read_image
+
+TIMES_FILE = "times.csv"
+IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """An image: its name in the source, its time (s), its pixels."""
+
+    name: str
+    time: float
+    image: Image
+
+
+def frames_of_folder(folder: Path, rate: float) -> Iterator[Frame]:
+    """The images of a folder in the order of times.csv (file,time_s), else of their names at a rate (Hz).
+
+    Raises:
+        ImageError: at the first image: there is none, one cannot be read, or nothing tells the times.
+    """
+    for path, time in times_of_folder(folder, rate):
+        yield Frame(path.name, time, read_image(path))
+
+
+def times_of_folder(folder: Path, rate: float) -> list[tuple[Path, float]]:
+    """Image files of a folder with their times (s). Raises ImageError."""
+    if not folder.is_dir():
+        raise ImageError(f"{folder} is not a folder")
+    if (folder / TIMES_FILE).exists():
+        return _listed(folder / TIMES_FILE)
+    paths = sorted(
+        (path for path in folder.iterdir() if path.suffix.lower() in IMAGE_ENDINGS),
+        key=_natural,
+    )
+    if not paths:
+        raise ImageError(f"{folder} holds no images ({', '.join(IMAGE_ENDINGS)})")
+    if not rate > 0.0:
+        raise ImageError(
+            f"nothing tells when the images of {folder} were taken: add {TIMES_FILE} (file,time_s), or rate_hz to the "
+            "setup file"
+        )
+    return [(path, index / rate) for index, path in enumerate(paths)]
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """So that image_10 comes after image_9."""
+    parts = re.findall(r"\d+|\D+", path.name)
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
+
+
+def _listed(path: Path) -> list[tuple[Path, float]]:
+    found: list[tuple[Path, float]] = []
+    before = -math.inf
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.DictReader(stream)
+            if not {"file", "time_s"} <= set(reader.fieldnames or ()):
+                raise ImageError(f"{path}: the first line must name the columns file,time_s")
+            for row in reader:
+                place = f"{path}, line {reader.line_num}"
+                time = _time(row["time_s"], place)
+                if not time > before:
+                    raise ImageError(f"{place}: time_s does not rise")
+                if not row["file"] or not (path.parent / row["file"]).is_file():
+                    raise ImageError(f"{place}: there is no file {row['file']!r}")
+                found.append((path.parent / row["file"], time))
+                before = time
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ImageError(f"{path} cannot be read: {error}") from None
+    if not found:
+        raise ImageError(f"{path} has no rows")
+    return found
+
+
+def _time(text: str | None, place: str) -> float:
+    try:
+        time = float(text or "")
+    except ValueError:
+        time = math.nan
+    if not math.isfinite(time):
+        raise ImageError(f"{place}: time_s is {text!r}, not a number")
+    return time
+
+
+def frames_of_film(path: Path, rate: float) -> Iterator[Frame]:
+    """The images of a film at the times that it tells; at a rate (Hz) where it tells none.
+
+    Raises:
+        ImageError: at the first image: it cannot be opened, or nothing tells the times.
+    """
+    if not path.is_file():
+        raise ImageError(f"{path} is not a file")
+    film = Film(str(path))
+    try:
+        rate = film.rate if 0.0 < film.rate < 1000.0 else rate
+        if not rate > 0.0:
+            raise ImageError(f"{path} does not tell its rate: add rate_hz to the setup file")
+        before = -math.inf
+        index = 0
+        while (taken := film.read()) is not None:
+            image, time = taken
+            # Some containers tell no times, or the same for all: then they are equally spaced.
+            time = time if time > before else (index / rate if index == 0 else before + 1.0 / rate)
+            yield Frame(f"image {index}", time, image)
+            before = time
+            index += 1
+        if index == 0:
+            raise ImageError(f"{path} holds no images that can be read")
+    finally:
+        film.close()
+
+
+def check_size(image: Image, size: tuple[int, int], name: str) -> None:
+    """Raises ImageError if an image has not the size (width, height) that the camera was calibrated for."""
+    height, width = image.shape
+    if (width, height) != size:
+        raise ImageError(
+            f"{name} has {width} x {height} pixels, but camera_info is for {size[0]} x {size[1]}: "
+            "calibrate at the size that you record in"
+        )

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A picture of what the tracker makes of an image, for a person who sets a rig up."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from worm_driver.tracking import vision
+from worm_driver.tracking.camera_pose import CameraPose, print_corners
+from worm_driver.tracking.tracker import Sighting, Tracker
+from worm_driver.tracking.vision import Detection, Image, Label
+
+# blue, green, red
+_REFERENCE, _MODULE, _STRANGER, _REFUSED = (
+    (255, 190, 60),
+    (80, 220, 80),
+    (160, 160, 160),
+    (60, 60, 255),
+)
+_AXIS = (60, 200, 255)
+_MARGIN = 0.1  # m of the modules' line that is drawn beyond the reference markers
+
+
+def preview(
+    tracker: Tracker, image: Image, detections: Sequence[Detection], sighting: Sighting
+) -> Image:
+    """An image with the markers that were found, the modules' line, and what came out, shape (height, width, 3)."""
+    labels = [_label(tracker, detection, sighting) for detection in detections]
+    if sighting.pose is not None:
+        labels += _line(tracker, sighting.pose)
+    return vision.draw(image, labels, summary(tracker, detections, sighting))
+
+
+def _label(tracker: Tracker, detection: Detection, sighting: Sighting) -> Label:
+    setup, number = tracker.setup, detection.number
+    for name, module, position in (
+        ("rear", setup.rear, sighting.rear),
+        ("front", setup.front, sighting.front),
+    ):
+        if number == module.number:
+            seen = math.isfinite(position)
+            text = (
+                f"{number} {name} {position * 1e3:.2f} mm" if seen else f"{number} {name}: refused"
+            )
+            return Label(detection.corners, text, _MODULE if seen else _REFUSED)
+    if number in setup.reference:
+        return Label(detection.corners, f"{number} reference", _REFERENCE)
+    return Label(detection.corners, f"{number} not in the setup", _STRANGER)
+
+
+def _line(tracker: Tracker, pose: CameraPose) -> list[Label]:
+    """The line that the modules' markers move on, and where the reference markers should be."""
+    setup = tracker.setup
+    along = [place[0] for place in setup.reference.values()]
+    x = np.linspace(min(along) - _MARGIN, max(along) + _MARGIN, 60)
+    points = np.column_stack([x, np.full_like(x, setup.line[0]), np.full_like(x, setup.line[1])])
+    there = vision.project(tracker.camera, points, pose.rotation, pose.shift)
+    labels = [Label(np.concatenate([there, there[::-1]]), "modules' line, +x this way >", _AXIS)]
+    for place in setup.reference.values():
+        corners = print_corners(place, setup.marker_size, pose.facing)
+        pixels = vision.project(tracker.camera, corners, pose.rotation, pose.shift)
+        labels.append(Label(pixels, "", _AXIS))
+    return labels
+
+
+def summary(tracker: Tracker, detections: Sequence[Detection], sighting: Sighting) -> list[str]:
+    """What came out, in lines of text."""
+    missing = set(tracker.setup.reference) - {detection.number for detection in detections}
+    lines = [f"{len(detections)} markers found"]
+    if missing:
+        lines.append(f"reference markers not found: {', '.join(map(str, sorted(missing)))}")
+    if sighting.pose is not None:
+        x, y, z = sighting.pose.position
+        lines.append(
+            f"reference markers fit within {sighting.pose.error:.2f} px ({sighting.pose.error_m * 1e3:.2f} mm); "
+            f"camera at x {x:.3f}, y {y:.3f}, z {z:.3f} m"
+        )
+    if math.isfinite(sighting.length):
+        lines.append(
+            f"x1 {sighting.rear * 1e3:.2f} mm, x2 {sighting.front * 1e3:.2f} mm, L {sighting.length * 1e3:.2f} mm"
+        )
+    if sighting.reason:
+        lines.append(sighting.reason)
+    return lines

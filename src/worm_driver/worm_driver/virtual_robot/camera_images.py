@@ -1,0 +1,367 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a camera beside the pipe sees of the virtual robot, as images.
+
+Geometry of its own, which shares nothing with the tracker that looks at the images: for each pixel the ray through it
+is followed to the plane of the prints, and the print is averaged over the pixel and over the exposure. A print is a
+pattern of constant cells, so both averages are differences of its integral and exact for what lies square to the
+pixels: an edge is where it is, not at the next sample.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from worm_driver.virtual_robot.virtual_settings import SettingsError
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Window = tuple[slice, slice]
+
+DEFAULT_FILE = files("worm_driver").joinpath("config/virtual_camera.yaml")
+
+_QUIET = 1.0  # cells of white around a print
+_PAPER, _INK = 1.0, 0.07  # reflectance
+_MODULE, _WALL, _BACKGROUND = 0.38, 0.55, 0.72
+_MODULE_SIZE = (0.048, 0.062)  # m along x and z, of the part of a module that the camera sees
+_UNDISTORTIONS = 25  # fixed-point iterations, to well below a thousandth of a pixel
+
+
+@dataclass(frozen=True)
+class ModulePrint:
+    """The marker on a module and its distance (m) to the fins' root."""
+
+    marker: int
+    offset: float
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """The file's values without their units, see config/virtual_camera.yaml."""
+
+    width: int
+    height: int
+    focal: float
+    centre: tuple[float, float]
+    distortion: tuple[float, ...]
+    position: tuple[float, float, float]
+    yaw: float
+    pitch_angle: float
+    roll: float
+    pixel_spread: float
+    exposure: float
+    delay: float
+    light: float
+    light_slope: tuple[float, float]
+    noise_dark: float
+    noise_bright: float
+    ridge_transmission: float
+    glare: float
+    glare_heights: tuple[float, float]
+    ridge_pitch: float
+    pipe_radius: float
+    marker_size: float
+    module_line: tuple[float, float]
+    rear: ModulePrint
+    front: ModulePrint
+    reference: Mapping[int, tuple[float, float, float]]
+    markers: Mapping[int, NDArray[np.float64]]
+
+
+_KEYS = {
+    "focal_px": "focal", "centre_px": "centre", "position_m": "position", "yaw_rad": "yaw",
+    "pitch_rad": "pitch_angle", "roll_rad": "roll", "exposure_s": "exposure", "delay_s": "delay",
+    "glare_z_m": "glare_heights", "pitch_m": "ridge_pitch", "pipe_radius_m": "pipe_radius",
+    "marker_size_m": "marker_size",
+}  # fmt: skip
+
+
+def load_camera_settings(path: Path | None = None) -> CameraSettings:
+    """The settings of a file, None: the installed one. Raises SettingsError."""
+    source = DEFAULT_FILE if path is None else path
+    try:
+        content = yaml.safe_load(source.read_text())
+    except OSError as error:
+        raise SettingsError(f"{source}: {error.strerror}") from error
+    except yaml.YAMLError as error:
+        raise SettingsError(f"{source}: no YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, Mapping):
+        raise SettingsError(f"{source}: expected a mapping of names to values")
+    given = {_KEYS.get(str(key), str(key)): value for key, value in content.items()}
+    known = {field.name for field in fields(CameraSettings)}
+    odd = sorted(known.symmetric_difference(given))
+    if odd:
+        problem = "unknown name" if odd[0] in given else "there is no"
+        raise SettingsError(f"{source}: {problem} {odd[0]!r}")
+    try:
+        return CameraSettings(**{name: _value(name, value) for name, value in given.items()})
+    except (KeyError, TypeError, ValueError) as error:
+        raise SettingsError(
+            f"{source}: a value is not of the kind that it must be: {error}"
+        ) from error
+
+
+def _value(name: str, value: Any) -> Any:
+    if name == "markers":
+        return {number: framed(rows) for number, rows in value.items()}
+    if name == "reference":
+        return {number: tuple(map(float, place)) for number, place in value.items()}
+    if name == "module_line":
+        return float(value["y_m"]), float(value["z_m"])
+    if name in ("rear", "front"):
+        return ModulePrint(int(value["marker"]), float(value["offset_m"]))
+    if isinstance(value, list):
+        return tuple(map(float, value))
+    return int(value) if name in ("width", "height") else float(value)
+
+
+def framed(rows: list[str]) -> Array:
+    """Reflectance of a print's cells, row by row from the top: bits in a black frame in a white margin."""
+    bits = np.array([[float(bit) for bit in row] for row in rows])
+    return _INK + (_PAPER - _INK) * np.pad(np.pad(bits, 1), 1, constant_values=1.0)
+
+
+class Pattern:
+    """A print of cells (sizes along u and v in m) in its own plane, centred at (0, 0), u to the right, v up."""
+
+    def __init__(self, cells: Array, cell: tuple[float, float]) -> None:
+        rows, columns = cells.shape
+        self.half = (columns * cell[0] / 2.0, rows * cell[1] / 2.0)
+        self._cell = cell
+        # The integral over all that lies left of and below a corner of the cells, in cells.
+        self._sums = np.pad(np.cumsum(np.cumsum(cells[::-1], axis=0), axis=1), ((1, 0), (1, 0)))
+
+    def average(self, u: Array, v: Array, du: Array, dv: Array) -> tuple[Array, Array]:
+        """Mean reflectance of its part of each rectangle du x dv (m) around (u, v), and its share of the area."""
+        left, right = (self._along(u + sign * du / 2.0, 0) for sign in (-1, 1))
+        low, high = (self._along(v + sign * dv / 2.0, 1) for sign in (-1, 1))
+        inside = (right - left) * (high - low)
+        whole = (
+            self._at(right, high)
+            - self._at(left, high)
+            - self._at(right, low)
+            + self._at(left, low)
+        )
+        share = inside * self._cell[0] * self._cell[1] / (du * dv)
+        return np.divide(whole, inside, out=np.zeros_like(whole), where=inside > 0.0), share
+
+    def _along(self, place: Array, axis: int) -> Array:
+        count = self._sums.shape[1 - axis] - 1
+        return np.clip((place + self.half[axis]) / self._cell[axis], 0.0, count)
+
+    def _at(self, column: Array, row: Array) -> Array:
+        """The integral, which is bilinear within each cell."""
+        c = np.minimum(column.astype(int), self._sums.shape[1] - 2)
+        r = np.minimum(row.astype(int), self._sums.shape[0] - 2)
+        fc, fr = column - c, row - r
+        s = self._sums
+        low = s[r, c] * (1.0 - fc) + s[r, c + 1] * fc
+        high = s[r + 1, c] * (1.0 - fc) + s[r + 1, c + 1] * fc
+        return low * (1.0 - fr) + high * fr
+
+
+class Footprints(NamedTuple):
+    """What pixels see of a plane: centre (x, z) and size (m) of each, all of shape (rows, columns)."""
+
+    x: Array
+    z: Array
+    width: Array
+    height: Array
+
+
+def _put(
+    scene: Array, seen: Footprints, pattern: Pattern, centre: tuple[float, float], sweep: float
+) -> None:
+    """Puts a pattern at (x, z) into a scene of the same pixels; sweep: m that it moves along x meanwhile."""
+    u, v = seen.x - centre[0], seen.z - centre[1]
+    near = (np.abs(u) < pattern.half[0] + seen.width + sweep) & (
+        np.abs(v) < pattern.half[1] + seen.height
+    )
+    rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+    if not rows.size:
+        return
+    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    sizes = seen.width[part] + sweep, seen.height[part]
+    reflectance, share = pattern.average(u[part], v[part], *sizes)
+    scene[part] = scene[part] * (1.0 - share) + reflectance * share
+
+
+class VirtualCamera:
+    """Renders images of the rig with the modules at given places.
+
+    seed: of the sensor's noise.
+    """
+
+    def __init__(self, settings: CameraSettings, seed: int = 0) -> None:
+        self.settings = settings
+        self._random = np.random.default_rng(seed)
+        self._rays = self._pixel_rays()
+        self._light = self._lighting()
+        self._gain, self._glare = self._acrylic()
+        cell = settings.marker_size / 6.0
+        self._prints = {n: Pattern(cells, (cell, cell)) for n, cells in settings.markers.items()}
+        self._body = Pattern(np.full((1, 1), _MODULE), _MODULE_SIZE)
+        self._still = self._background()
+        self._empty = self._exposed(self._still).astype(np.float32)
+        share = np.clip(self._empty, 0.0, 255.0) / np.float32(255.0)
+        dark, bright = np.float32(settings.noise_dark), np.float32(settings.noise_bright)
+        self._noisiness = dark + (bright - dark) * share
+        # Part of a longer row of random numbers, from another place on in each image.
+        self._noise = self._random.standard_normal(2 * self._empty.size, np.float32)
+
+    # --- what does not move -----------------------------------------------------------------------
+
+    def _pixel_rays(self) -> Array:
+        """Direction of each pixel's ray in the pipe's frame, shape (height, width, 3)."""
+        s = self.settings
+        column, row = np.meshgrid(np.arange(s.width, dtype=float), np.arange(s.height, dtype=float))
+        bent_x, bent_y = (column - s.centre[0]) / s.focal, (row - s.centre[1]) / s.focal
+        x, y = bent_x.copy(), bent_y.copy()
+        k1, k2, p1, p2, k3 = s.distortion
+        for _ in range(_UNDISTORTIONS):
+            r2 = x * x + y * y
+            radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+            x = (bent_x - 2.0 * p1 * x * y - p2 * (r2 + 2.0 * x * x)) / radial
+            y = (bent_y - p1 * (r2 + 2.0 * y * y) - 2.0 * p2 * x * y) / radial
+        return np.stack([x, y, np.ones_like(x)], axis=2) @ self._orientation()
+
+    def _orientation(self) -> Array:
+        """Rows are the optical axes (right, down, forward) in the pipe's frame."""
+        s = self.settings
+        forward = np.array([
+            -np.sin(s.yaw) * np.cos(s.pitch_angle), np.cos(s.yaw) * np.cos(s.pitch_angle), np.sin(s.pitch_angle),
+        ])  # fmt: skip
+        level = np.array([np.cos(s.yaw), np.sin(s.yaw), 0.0])
+        down = np.cross(forward, level)
+        right = np.cos(s.roll) * level + np.sin(s.roll) * down
+        return np.array([right, np.cross(forward, right), forward])
+
+    def _plane(self, y: float, window: Window) -> tuple[Array, Array]:
+        """The x and z (m) of what each pixel of a window sees in a plane at y."""
+        rays, camera = self._rays[window], self.settings.position
+        along = (y - camera[1]) / rays[..., 1]
+        return camera[0] + along * rays[..., 0], camera[2] + along * rays[..., 2]
+
+    def _window(self, centre: tuple[float, float, float], half: tuple[float, float]) -> Window:
+        """The pixels that may see a rectangle of half sizes (m) in a plane at y."""
+        s, axes, (x, y, z) = self.settings, self._orientation(), centre
+        corners = np.array(
+            [[x + a * half[0], y, z + b * half[1]] for a in (-1, 1) for b in (-1, 1)]
+        )
+        seen = (corners - np.array(s.position)) @ axes.T
+        flat = seen[:, :2] / np.maximum(seen[:, 2:], 1e-3)
+        r2 = (flat**2).sum(axis=1, keepdims=True)
+        k1, k2, *_, k3 = s.distortion
+        pixels = flat * (1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3) * s.focal + np.array(s.centre)
+        low = np.floor(pixels.min(axis=0)).astype(int) - 6
+        high = np.ceil(pixels.max(axis=0)).astype(int) + 7
+        columns, rows = (
+            slice(*np.clip([low[axis], high[axis]], 0, size))
+            for axis, size in ((0, s.width), (1, s.height))
+        )
+        return rows, columns
+
+    def _lighting(self) -> Array:
+        s = self.settings
+        across, down = np.linspace(-0.5, 0.5, s.width), np.linspace(-0.5, 0.5, s.height)[:, None]
+        return s.light * (1.0 + s.light_slope[0] * across) * (1.0 + s.light_slope[1] * down)
+
+    def _acrylic(self) -> tuple[Array, Array]:
+        """What the pipe's front wall lets through, and the grey levels that its reflections add."""
+        s = self.settings
+        x, z = self._plane(-s.pipe_radius, (slice(None), slice(None)))
+        within = np.abs(z) < s.pipe_radius
+        ridge = 0.5 + 0.5 * np.cos(2.0 * np.pi * x / s.ridge_pitch)
+        gain = np.where(within, 1.0 - (1.0 - s.ridge_transmission) * ridge**4, 1.0)
+        streaks = sum(np.exp(-(((z - height) / 0.0012) ** 2)) for height in s.glare_heights)
+        # Each ridge breaks the lamps' reflection into a chain of bright spots.
+        glare = s.glare * np.asarray(streaks) * (0.35 + 0.65 * ridge**2)
+        return gain, np.where(within, glare, 0.0)
+
+    def _background(self) -> Array:
+        s = self.settings
+        everything = (slice(None), slice(None))
+        _, height = self._plane(-s.pipe_radius, everything)
+        scene = np.where(np.abs(height) < s.pipe_radius, _WALL, _BACKGROUND)
+        for number, (x, y, z) in s.reference.items():
+            window = self._window((x, y, z), self._prints[number].half)
+            part = scene[window]
+            if min(part.shape) < 2:
+                continue  # out of the image
+            _put(part, self.footprints(y, window), self._prints[number], (x, z), 0.0)
+        return scene
+
+    # --- what moves -------------------------------------------------------------------------------
+
+    def image(self, path: Array) -> Image:
+        """An image, shape (height, width), 8 bit grey.
+
+        path: x1 and x2 (m) in the middle of equal parts of the exposure, shape (parts, 2); NaN: out of sight.
+        """
+        levels = self._empty.copy()
+        for column, module in enumerate((self.settings.rear, self.settings.front)):
+            centres = path[:, column] - module.offset
+            if np.isfinite(centres).all():
+                self._show(levels, module.marker, centres)
+        return self._digitise(levels)
+
+    def _show(self, levels: NDArray[np.float32], number: int, centres: Array) -> None:
+        """Puts a module into the image, averaged over its places (m) during the exposure."""
+        y, z = self.settings.module_line
+        middle, sweep = float(centres.mean()), float(np.ptp(centres))
+        part = sweep / max(len(centres) - 1, 1)
+        half = (_MODULE_SIZE[0] / 2.0 + sweep, _MODULE_SIZE[1] / 2.0)
+        window = self._window((middle, y, z), half)
+        if min(levels[window].shape) < 2:
+            return  # out of the image
+        seen = self.footprints(y, window)
+        behind = self._still[window].copy()
+        _put(behind, seen, self._body, (middle, z), sweep + part)
+        sums = np.zeros(seen.x.shape)
+        for centre in centres:
+            scene = behind.copy()
+            _put(scene, seen, self._prints[number], (float(centre), z), part)
+            sums += scene
+        levels[window] = self._exposed(sums / len(centres), window)
+
+    def footprints(self, y: float, window: Window) -> Footprints:
+        """What the pixels of a window see of a plane at y (m)."""
+        x, z = self._plane(y, window)
+        spread = self.settings.pixel_spread
+        widths = spread * np.abs(np.gradient(x, axis=1)), spread * np.abs(np.gradient(z, axis=0))
+        return Footprints(x, z, *widths)
+
+    def _exposed(self, scene: Array, window: Window = (slice(None), slice(None))) -> Array:
+        """Grey levels of a scene's reflectance."""
+        return scene * self._light[window] * self._gain[window] + self._glare[window]
+
+    def _digitise(self, levels: NDArray[np.float32]) -> Image:
+        """With the sensor's noise, in whole grey levels."""
+        start = int(self._random.integers(self._noise.size - levels.size))
+        noise = self._noise[start : start + levels.size].reshape(levels.shape)
+        levels += self._noisiness * noise
+        levels += 0.5
+        return np.clip(levels, 0.0, 255.0, out=levels).astype(np.uint8)
+
+
+_PARTS = 3  # of an exposure
+
+
+def exposure_path(
+    exposure: tuple[int, float, float], before: tuple[int, float, float] | None, duration: float
+) -> Array:
+    """Places during an exposure, as `VirtualCamera.image` takes them, from those in its middle and the one before.
+
+    exposure, before: stamp (ns), x1 and x2 (m); duration: s.
+    """
+    places = np.array(exposure[1:])
+    speeds = np.zeros(2)
+    if before is not None and exposure[0] > before[0]:
+        speeds = np.nan_to_num((places - np.array(before[1:])) / ((exposure[0] - before[0]) * 1e-9))
+    times = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5) * duration
+    return places + times[:, None] * speeds

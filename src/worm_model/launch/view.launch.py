@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shows a robot and its twin in RViz: ros2 launch worm_model view.launch.py namespace:=worm.
+
+robot_state_publisher makes the frames pipe, rear_module and front_module of urdf/worm.urdf from the twin's
+joint states. Frames are on the topics tf and tf_static of the robot's namespace: each robot has its own pipe.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+SHARE = Path(get_package_share_directory("worm_model"))
+_TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Declare the arguments, then start what they ask for."""
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("namespace", default_value="worm", description="of the robot"),
+            DeclareLaunchArgument(
+                "rviz",
+                default_value="true",
+                choices=["true", "false"],
+                description="start RViz, too",
+            ),
+            DeclareLaunchArgument(
+                "camera",
+                default_value="",
+                description="pose of the camera in the pipe's frame, 'x y z yaw pitch roll' in m and rad; empty: "
+                "no frame for it",
+            ),
+            OpaqueFunction(function=_start),
+        ]
+    )
+
+
+def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    def value(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
+
+    namespace = value("namespace").strip("/")
+    nodes = [
+        Node(
+            package="robot_state_publisher",
+            executable="robot_state_publisher",
+            namespace=namespace,
+            parameters=[{"robot_description": (SHARE / "urdf" / "worm.urdf").read_text()}],
+            remappings=[*_TF, ("joint_states", "twin/joint_states")],
+        )
+    ]
+    if value("camera"):
+        nodes.append(_camera(namespace, value("camera")))
+    if value("rviz") == "true":
+        nodes.append(
+            Node(
+                package="rviz2",
+                executable="rviz2",
+                namespace=namespace,
+                arguments=["-d", str(SHARE / "rviz" / "worm.rviz")],
+                remappings=[*_TF, ("/worm/twin/markers", "twin/markers")],
+            )
+        )
+    return nodes
+
+
+def _camera(namespace: str, pose: str) -> Node:
+    names = ("--x", "--y", "--z", "--yaw", "--pitch", "--roll")
+    values = pose.split()
+    if len(values) != len(names):
+        raise ValueError(
+            f"camera:='{pose}': expected six numbers, x y z yaw pitch roll in m and rad"
+        )
+    words = [word for pair in zip(names, values, strict=True) for word in pair]
+    return Node(
+        package="tf2_ros",
+        executable="static_transform_publisher",
+        namespace=namespace,
+        arguments=[*words, "--frame-id", "pipe", "--child-frame-id", "camera"],
+        remappings=_TF,
+    )

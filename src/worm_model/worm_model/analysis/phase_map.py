@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Grooves per cycle over stroke and groove phase, and the margin's cliff over the phase.
+
+It shows what trimming L0 would bring: turning a screw by millimetres moves the groove phase, and with it
+the strokes that gain a further groove and the largest margin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from worm_model.analysis.plot_style import (
+    BLUE,
+    GREY,
+    MARGIN_SYMBOL,
+    MM,
+    VERMILION,
+    draw_groove_map,
+    letter,
+    new_figure,
+)
+from worm_model.parameters import Parameters
+from worm_model.simulation.batch import evaluate_gaits
+from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PhaseMap:
+    """``grooves`` (m, n) per cycle over ``phase`` (m,) and ``stroke`` (n,) in m, at one frequency in Hz.
+
+    ``cliff`` (m,) is the closed-form cliff of the margin in m; ``phase_now`` (m) and ``cliff_now`` (m) are those
+    of the parameters themselves.
+    """
+
+    frequency: float
+    stroke: Array
+    phase: Array
+    grooves: Array
+    cliff: Array
+    phase_now: float
+    cliff_now: float
+
+
+def compute_phase_map(
+    parameters: Parameters,
+    frequency: float,
+    stroke: Array,
+    phase: Array,
+    progress: Callable[[float], None] | None = None,
+) -> PhaseMap:
+    """Simulates every stroke (n,) in m at every groove phase (m,) in m, φ set by L0 alone."""
+    groove = front_groove(parameters)
+    lengths = groove * parameters.pitch + phase
+    table = evaluate_gaits(
+        stroke[np.newaxis, :],
+        frequency,
+        parameters=parameters,
+        overrides={"initial_length": lengths[:, np.newaxis]},
+        progress=progress,
+    )
+    cliff = [cliff_margin(parameters.replace(initial_length=length)) for length in lengths]
+    return PhaseMap(
+        frequency,
+        stroke,
+        phase,
+        np.round(table.grooves_per_cycle),
+        np.array(cliff),
+        groove_phase(parameters),
+        cliff_margin(parameters),
+    )
+
+
+def phase_map_figure(content: PhaseMap) -> Figure:
+    """The map beside the cliff."""
+    figure = new_figure(10.5, 4.5)
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
+    draw_groove_map(left, MM * content.stroke, MM * content.phase, content.grooves)
+    left.set(xlabel="stroke S (mm)", ylabel="groove phase φ (mm)")
+    left.set_title(f"grooves per cycle at {content.frequency:g} Hz", loc="left", fontsize="small")
+    now = MM * content.phase_now
+    right.plot(MM * content.cliff, MM * content.phase, color=BLUE)
+    right.axvline(0.0, color=GREY, linewidth=0.8)
+    right.plot(
+        MM * content.cliff_now,
+        now,
+        "o",
+        color=VERMILION,
+        label=f"now: φ = {now:.2f} mm, {MARGIN_SYMBOL}* = {MM * content.cliff_now:.2f} mm",
+    )
+    right.set(xlabel=f"cliff of the margin {MARGIN_SYMBOL}* (mm), closed form")
+    for axes in (left, right):
+        axes.axhline(now, color=VERMILION, linestyle="--", linewidth=1.2)
+    right.margins(x=0.08)
+    right.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
+    letter((left, right))
+    return figure

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How every figure looks: colours that colour-blind readers can tell apart, a line style a role, panels, files.
+
+Nothing here imports pyplot: figures are made and saved without a global state, and without a display.
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from worm_model.errors import InputError
+
+# Okabe and Ito's palette (https://jfly.uni-koeln.de/color), and what stands out on top of all of it.
+BLUE, VERMILION, GREEN, PINK, SKY, ORANGE = (
+    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00",
+)  # fmt: skip
+BLACK, GREY, LIGHT_GREY, PURPLE = "#000000", "#999999", "#D0D0D0", "#5D3A9B"
+CYCLE = (BLUE, VERMILION, GREEN, PINK, SKY, ORANGE)
+MARKERS = ("o", "s", "^", "D", "v", "P")
+
+Style = Mapping[str, Any]
+MEASURED: Style = {"color": BLUE, "linewidth": 1.5}
+SAMPLES: Style = {"color": BLUE, "linestyle": "none", "marker": ".", "markersize": 3}
+PREDICTED: Style = {"color": VERMILION, "linewidth": 1.5, "linestyle": "--"}
+COMMANDED: Style = {"color": LIGHT_GREY, "linewidth": 4.0}  # broad: others lie on it
+CABLE: Style = {"color": BLACK, "linewidth": 0.8}
+EFFECTIVE: Style = {"color": GREEN, "linewidth": 1.5, "linestyle": "-."}
+_AVERAGED = "#FFF3CF"  # behind the averaged cycles
+
+DPI = 150
+FORMATS = (".png", ".pdf", ".svg")
+MM = 1e3  # mm per m
+MARGIN_SYMBOL = r"$\delta_\mathrm{m}$"
+
+_UNDATED: Mapping[str, dict[str, None]] = {  # so that the same data give the same bytes
+    ".pdf": {"CreationDate": None},
+    ".svg": {"Date": None},
+}
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """A figure of a size in inches whose parts make room for each other."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def check_format(path: Path) -> None:
+    """Raises `InputError` unless a figure's name ends in one of `FORMATS`."""
+    if path.suffix.lower() not in FORMATS:
+        raise InputError(f"--figure {path}: end its name in {', '.join(FORMATS)}")
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Writes a figure, its format by the name's ending."""
+    with mpl.rc_context({"svg.hashsalt": "worm"}):
+        figure.savefig(path, dpi=DPI, metadata=_UNDATED.get(path.suffix.lower()))
+
+
+def symbol(text: str) -> str:
+    """A symbol such as ``p_sw`` for a label, its index set low."""
+    base, _, index = text.partition("_")
+    return rf"${base}_\mathrm{{{index}}}$" if index else text
+
+
+def finish(axes: Axes, ylabel: str, note: str = "") -> None:
+    """Unit, grid, a note on the left above the axes, and the legend on the right above them, where it hides nothing."""
+    axes.set_ylabel(ylabel)
+    axes.grid(visible=True, linewidth=0.4)
+    axes.set_axisbelow(True)
+    axes.margins(x=0.01)
+    if note:
+        axes.set_title(note, loc="left", fontsize="small")
+    legend_above(axes)
+
+
+def legend_above(axes: Axes, columns: int = 5) -> None:
+    """The legend in rows above the axes, if there is anything to explain."""
+    handles, _ = axes.get_legend_handles_labels()
+    if handles:
+        axes.legend(
+            loc="lower right",
+            bbox_to_anchor=(1.0, 0.98),
+            ncols=min(len(handles), columns),
+            fontsize="small",
+            frameon=False,
+            handlelength=2.4,
+            columnspacing=1.2,
+        )
+
+
+def letter(panels: Sequence[Axes]) -> None:
+    """Puts (a), (b), … before the notes of panels."""
+    for name, axes in zip(string.ascii_lowercase, panels, strict=False):
+        note = axes.get_title(loc="left")
+        axes.set_title(f"({name}) {note}".rstrip(), loc="left", fontsize="small")
+
+
+def shade(axes: Axes, start: float, end: float, label: str = "") -> None:
+    """Marks the averaged cycles."""
+    axes.axvspan(start, end, color=_AVERAGED, zorder=0, label=label or None)
+
+
+def branch_style(branch: int, size: float = 4.5) -> dict[str, Any]:
+    """Marker, colour and label of the gaits that gain ``branch`` grooves a cycle."""
+    kind = (branch - 1) % len(CYCLE)
+    return {
+        "marker": MARKERS[kind],
+        "color": CYCLE[kind],
+        "markersize": size,
+        "linestyle": "none",
+        "label": f"{branch} groove{'s' if branch > 1 else ''} per cycle",
+    }
+
+
+def draw_groove_map(
+    axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], grooves: NDArray[Any]
+) -> None:
+    """Grooves per cycle (m, n) over ``x`` (n,) and ``y`` (m,), with a colour bar."""
+    count = max(int(grooves.max()), 1) + 1
+    image = axes.pcolormesh(
+        x,
+        y,
+        grooves,
+        cmap=mpl.colormaps["cividis"].resampled(count),
+        norm=BoundaryNorm(np.arange(-0.5, count), count),
+        shading="nearest",
+        rasterized=True,
+    )
+    figure = axes.figure
+    figure.colorbar(image, ax=axes, ticks=np.arange(count), label="grooves per cycle", pad=0.02)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Curves of a recorded run and of the twin that followed it, over the time since the gait's onset."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.analysis.plot_style import CABLE, COMMANDED, EFFECTIVE, MEASURED, PREDICTED, Style
+from worm_model.analysis.run_metrics import Samples, accumulated_energy
+from worm_model.analysis.run_plots import Curve, Curves
+from worm_model.parameters import Parameters
+from worm_model.run import LengthSamples, Run, seconds
+from worm_model.simulation.actuation import effective_command, length_change_of_command
+from worm_model.twin.offline_replay import Replay, Series
+
+Array = NDArray[np.float64]
+
+TWIN = "twin, by the measured length"
+
+
+def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:
+    """x1 counted from its rest before the onset (ns), measured and of the twin; and their difference."""
+    time = seconds(run.tracker.stamp, onset)
+    rest = value_at_onset(time, run.tracker.rear_position)
+    measured = Curve("measured", time, run.tracker.rear_position - rest, MEASURED)
+    twin = _of_twin(replay.states, "rear_position", onset, TWIN, PREDICTED)
+    twin = Curve(twin.label, twin.time, twin.values - rest, twin.style)
+    return [measured, twin], [_residual(replay, "rear_position", onset)]
+
+
+def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves, Curves]:
+    """Length changes: of the cable, of the body, predicted from the command alone; and u_cmd and u_eff (eq:slack_clip).
+
+    Each instrument's change is from what it told at rest, so that no offset of a length shows.
+    """
+    time, command = seconds(run.commanded.stamp, onset), run.commanded.length_change
+    time, command = time[time >= 0.0], command[time >= 0.0]
+    predicted = length_change_of_command(time, command, parameters)
+    lengths = [
+        _change(run.cable, onset, "cable, by the encoder", CABLE),
+        _change(run.measured, onset, "body, measured", MEASURED),
+        Curve("body, predicted", time, predicted, PREDICTED),
+    ]
+    inputs = [
+        Curve("commanded u_cmd", time, command, COMMANDED),
+        Curve("effective u_eff", time, effective_command(command, parameters.slack), EFFECTIVE),
+    ]
+    return [curve for curve in lengths if curve.time.size], inputs
+
+
+def power_curves(run: Run, replay: Replay, onset: int) -> Curves:
+    """Source power, measured and of the twin; of the twin from the onset on, as its model of a gait begins there."""
+    known = np.isfinite(run.power.valid_power)
+    measured = seconds(run.power.stamp[known], onset)
+    stamp, power = settled_power(run, replay)
+    time = seconds(stamp, onset)
+    return [
+        Curve("measured", measured, run.power.valid_power[known], MEASURED),
+        Curve(TWIN, time[time >= 0.0], power[time >= 0.0], PREDICTED),
+    ]
+
+
+def energy_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:
+    """Energy since the onset, measured and of the twin; and their difference."""
+    stamp, energy = accumulated_energy((run.power.stamp, run.power.valid_power))
+    time = seconds(stamp, onset)
+    measured = Curve("measured", time, energy - value_at_onset(time, energy), MEASURED)
+    twin = _of_twin(replay.states, "energy", onset, TWIN, PREDICTED)
+    return [measured, twin], [_residual(replay, "energy", onset)]
+
+
+def settled_power(run: Run, replay: Replay) -> Samples:
+    """What the twin says of the power (W) at the sensor's stamps."""
+    residuals = replay.residuals
+    judged = np.isfinite(residuals["power"])
+    stamp, residual = residuals["stamp_ns"][judged], residuals["power"][judged]
+    samples = run.power
+    if not (stamp.size and samples.stamp.size):
+        return np.empty(0, np.int64), np.empty(0)
+    order = np.argsort(samples.stamp, kind="stable")
+    ordered = samples.stamp[order]
+    row = np.minimum(np.searchsorted(ordered, stamp), ordered.size - 1)
+    same = ordered[row] == stamp
+    return stamp[same], samples.valid_power[order][row[same]] - residual[same]
+
+
+def value_at_onset(time: Array, values: Array) -> float:
+    """The last known value before the onset, else the first one after it; NaN if there is none."""
+    known = np.isfinite(values)
+    before = np.flatnonzero(known & (time <= 0.0))
+    row = before[-1:] if before.size else np.flatnonzero(known)[:1]
+    return float(values[row[0]]) if row.size else float("nan")
+
+
+def _of_twin(series: Series, name: str, onset: int, label: str, style: Style) -> Curve:
+    """One of the twin's columns, where it is known, within the run that began at the onset."""
+    time, values = seconds(series["stamp_ns"], onset), series[name]
+    shown = np.isfinite(values) & (time >= 0.0)
+    return Curve(label, time[shown], values[shown], style)
+
+
+def _residual(replay: Replay, name: str, onset: int) -> Curve:
+    return _of_twin(replay.residuals, name, onset, "measured − twin", MEASURED)
+
+
+def _change(samples: LengthSamples, onset: int, label: str, style: Style) -> Curve:
+    time = seconds(samples.stamp, onset)
+    return Curve(label, time, samples.length - value_at_onset(time, samples.length), style)

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The numbers of a run, each defined here and nowhere else: averaged cycles, speed, power, cost of transport, rms.
+
+The protocol is the paper's: of the whole cycles that were played, the last three are averaged. The driver, which
+knows nothing of this package, measures its own for the result of RunGait; a test compares both on one run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.errors import InputError
+from worm_model.gait import Gait, GaitError
+from worm_model.run import FAULT, RESTING, RUNNING, STOPPING, GaitStates, Run, state_name
+from worm_model.simulation.quadrature import accumulated
+from worm_model.simulation.simulator import AVERAGED, cost_of_transport
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+Samples = tuple[Stamps, Array]  # stamps in ns since the epoch and values, NaN where there is none
+
+AVERAGED_CYCLES = AVERAGED
+IDLE_SAMPLES = 10  # valid samples at rest that the idle power is the mean of (eq:Pidle_est)
+END_TOLERANCE_NS = 100_000_000  # the end of a gait is told through two clocks
+_FOREVER = int(np.iinfo(np.int64).max)
+
+
+class RecordingError(InputError):
+    """A recording lacks what a number needs; the message says what."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """A span of whole cycles, from the point of rest before them to the one after, in ns since the epoch."""
+
+    start: int
+    end: int
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return (self.end - self.start) / 1e9
+
+
+@dataclass(frozen=True)
+class PlayedGait:
+    """A gait as it was played: ``cycles`` were asked for, from the ``onset`` on (ns since the epoch).
+
+    ``run`` is the driver's number of the run, 0 in recordings from before it had one.
+    ``end`` is the stamp (ns) at which the driver told that it played no more, ``state_after`` what it told then, one
+    of `worm_model.run.STATE_NAMES`; both are None where the recording ends before. ``rest_start`` is the stamp (ns)
+    from which on the robot rested before the onset, None if that was not told.
+    """
+
+    gait: Gait
+    onset: int
+    cycles: int
+    end: int | None = None
+    state_after: int | None = None
+    rest_start: int | None = None
+    run: int = 0
+
+    def cycle_window(self, first: int, last: int) -> Window:
+        """The span of the cycles ``first`` to ``last``, counted from 1."""
+        period = 1e9 * self.gait.period
+        return Window(self.onset + round((first - 1) * period), self.onset + round(last * period))
+
+    def whole_cycles_until(self, stamp: int) -> int:
+        """How many of the cycles that were asked for had been played at a stamp (ns)."""
+        played_until = stamp if self.end is None else min(stamp, self.end + END_TOLERANCE_NS)
+        cycles = math.floor((played_until - self.onset) / (1e9 * self.gait.period))
+        return max(min(cycles, self.cycles), 0)
+
+
+def last_played_gait(states: GaitStates) -> PlayedGait:
+    """The last gait that was played; raises `RecordingError` if there is none, `GaitError` if it is not admissible."""
+    runs = states.rows_of_runs()
+    if not runs:
+        raise RecordingError(
+            "the recording holds no gait that was run: record one, with the topic gait_state"
+        )
+    return _played_gait(states, runs[-1])
+
+
+def played_gaits(states: GaitStates) -> list[PlayedGait]:
+    """The gaits that were played, in their order; one that is not admissible is left out."""
+    found = []
+    for rows in states.rows_of_runs():
+        with suppress(RecordingError):
+            found.append(_played_gait(states, rows))
+    return found
+
+
+def _played_gait(states: GaitStates, rows: NDArray[np.int64]) -> PlayedGait:
+    row = int(rows[-1])
+    try:
+        gait = Gait(
+            float(states.stroke[row]),
+            float(states.frequency[row]),
+            int(states.direction[row]),
+            float(states.margin[row]),
+        )
+    except GaitError as error:
+        raise RecordingError(f"the recording holds a gait that is none: {error}") from None
+    later = np.flatnonzero((states.stamp > states.stamp[row]) & (states.state != RUNNING))
+    after = int(later[np.argmin(states.stamp[later])]) if later.size else None
+    onset = int(states.onset[row])
+    rests = states.stamp[(states.state == RESTING) & (states.stamp <= onset)]
+    return PlayedGait(
+        gait=gait,
+        onset=onset,
+        cycles=int(states.cycles[row]),
+        end=None if after is None else int(states.stamp[after]),
+        state_after=None if after is None else int(states.state[after]),
+        rest_start=int(rests[-1]) if rests.size else None,
+        run=int(states.run[row]),
+    )
+
+
+def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:
+    """First and last of the averaged cycles, counted from 1: the last three whole ones that were played and recorded.
+
+    Where nothing is left of a first cycle, it is (1, 1).
+    """
+    stamps = (
+        run.tracker.stamp[np.isfinite(run.tracker.rear_position)],
+        run.power.stamp[np.isfinite(run.power.valid_power)],
+    )
+    ends = [int(stamp[-1]) for stamp in stamps if stamp.size]
+    return last_cycles_of(max(played.whole_cycles_until(min(ends, default=_FOREVER)), 1))
+
+
+def last_cycles_of(cycles: int) -> tuple[int, int]:
+    """First and last, counted from 1, of those of some cycles that are averaged."""
+    return max(cycles - AVERAGED_CYCLES, 0) + 1, cycles
+
+
+def early_end(run: Run, played: PlayedGait) -> str:
+    """Why fewer cycles were played or recorded than were asked for, in words; empty if none is missing."""
+    if played.state_after is not None and played.end is not None:
+        done = played.whole_cycles_until(played.end)
+        if played.state_after == FAULT:
+            return f"ended in FAULT after {done} of {played.cycles} cycles"
+        if done < played.cycles:
+            stopped = played.state_after == STOPPING
+            how = "stopped" if stopped else f"ended ({state_name(played.state_after)})"
+            return f"{how} after {done} of {played.cycles} cycles"
+    _, recorded = averaged_cycles(run, played)
+    if recorded < played.cycles:
+        return f"recorded only up to cycle {recorded} of {played.cycles}"
+    return ""
+
+
+@dataclass(frozen=True)
+class Performance:
+    """What one source says of a gait.
+
+    ``speed`` in m/s along the gait's direction, ``power`` the mean source power in W, ``cost_of_transport`` 1; NaN
+    where the source does not tell.
+    """
+
+    speed: float
+    power: float
+    cost_of_transport: float
+
+
+def performance(
+    position: Samples, energy: Samples, mass: float, window: Window, direction: int
+) -> Performance:
+    """Speed, power and cost of transport over a window from samples of x1 in m and of energy in J.
+
+    ``mass`` in kg. Values between samples are interpolated, samples that are NaN are skipped. Raises
+    `RecordingError` if the samples do not reach over the window.
+    """
+    speed = direction * mean_rate(position, window, "position of x1")
+    power = mean_rate(energy, window, "power")
+    return Performance(speed, power, float(cost_of_transport(speed, power, mass)))
+
+
+def mean_rate(samples: Samples, window: Window, name: str) -> float:
+    """Mean rate of change over a window, per s; raises `RecordingError` if the samples do not reach over it."""
+    stamps, values = _known(samples)
+    if stamps.size == 0 or stamps[0] > window.start or stamps[-1] < window.end:
+        raise RecordingError(f"the recording has no {name} over the averaged cycles")
+    seconds = (stamps - window.start) * 1e-9
+    first, last = np.interp([0.0, window.duration], seconds, values)
+    return float(last - first) / window.duration
+
+
+def accumulated_energy(power: Samples) -> Samples:
+    """Energy (J) since the first valid sample of a power (W), at each valid sample, by the trapezoidal rule."""
+    stamps, values = _known(power)
+    return stamps, accumulated((stamps - stamps[:1]).astype(np.float64) * 1e-9, values)
+
+
+def idle_power(run: Run, played: PlayedGait) -> float:
+    """Mean of the first ten valid samples (W) of the rest before a gait; NaN if there are fewer (eq:Pidle_est)."""
+    if played.rest_start is None:
+        return math.nan
+    power = run.power
+    at_rest = np.isfinite(power.valid_power) & (power.stamp >= played.rest_start)
+    at_rest &= power.stamp < played.onset
+    values = power.power[at_rest][:IDLE_SAMPLES]
+    return float(values.mean()) if values.size == IDLE_SAMPLES else math.nan
+
+
+def single_cycles(window: Window, cycles: int) -> Iterator[Window]:
+    """The cycles of a window, one by one."""
+    borders = np.linspace(window.start, window.end, cycles + 1).round().astype(np.int64).tolist()
+    for start, end in pairwise(borders):
+        yield Window(start, end)
+
+
+def root_mean_square(values: Array) -> float:
+    """Of the values that are finite; NaN if none is."""
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else math.nan
+
+
+def _known(samples: Samples) -> Samples:
+    stamps, values = samples
+    known = np.isfinite(values)
+    return stamps[known], values[known]

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of a run, for the demo, reports and the identification alike: x1, length change, power and energy.
+
+Who has a run makes `Curve`s of it; what belongs into which panel is decided here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+
+from worm_model.analysis.plot_style import (
+    CYCLE,
+    MM,
+    Style,
+    finish,
+    letter,
+    new_figure,
+    shade,
+)
+
+Array = NDArray[np.float64]
+
+WIDTH, _HEIGHT = 8.5, 1.75  # inches; the height is that of a panel of weight 1
+_TIME = "time since the gait's onset (s)"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What one source says over ``time`` (n,) s since the onset: ``values`` (n,) in SI units, NaN where unknown."""
+
+    label: str
+    time: Array
+    values: Array
+    style: Style
+
+
+Curves = Sequence[Curve]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What the panels of a figure share: the span of time in s, the averaged cycles in s if any, a title."""
+
+    start: float
+    end: float
+    averaged: tuple[float, float] | None = None
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class _Panel:
+    label: str
+    curves: Curves
+    scale: float = 1.0
+    weight: float = 2.0
+    note: str = ""
+    pitch: float | None = None
+
+
+def motion_figure(frame: Frame, positions: Curves, residuals: Curves, pitch: float) -> Figure:
+    """x1 over the pipe's ridges, ``pitch`` m apart, and what is left between measured and predicted."""
+    return _figure(frame, [_positions(positions, pitch), _residuals(residuals, "mm", MM)])
+
+
+def length_figure(frame: Frame, lengths: Curves, inputs: Curves) -> Figure:
+    """Length change, measured and predicted, over the commanded and the effective input (eq:slack_clip)."""
+    return _figure(
+        frame,
+        [_Panel("length change ΔL (mm)", lengths, MM), _Panel("input (mm)", inputs, MM)],
+    )
+
+
+def energy_figure(frame: Frame, powers: Curves, energies: Curves, residuals: Curves) -> Figure:
+    """Source power, its energy, and what is left between measured and predicted energy."""
+    return _figure(
+        frame,
+        [
+            _Panel("source power (W)", powers),
+            _Panel("energy (J)", energies),
+            _residuals(residuals, "J", 1.0),
+        ],
+    )
+
+
+def overview_figure(
+    frame: Frame,
+    positions: Curves,
+    residuals: Curves,
+    lengths: Curves,
+    powers: Curves,
+    pitch: float,
+) -> Figure:
+    """A run in one figure: where the robot went, how long it was, what it took."""
+    return _figure(
+        frame,
+        [
+            _positions(positions, pitch),
+            _residuals(residuals, "mm", MM),
+            _Panel("length change ΔL (mm)", lengths, MM),
+            _Panel("source power (W)", powers),
+        ],
+    )
+
+
+def comparison_figure(frame: Frame, advances: Curves, energies: Curves) -> Figure:
+    """Several runs laid over each other: the advance of x1 along each gait's direction, and the energy."""
+    return _figure(
+        frame,
+        [
+            _Panel("advance of x1 (mm)", advances, MM, 3.0),
+            _Panel("energy (J)", energies),
+        ],
+    )
+
+
+def run_style(number: int) -> dict[str, Any]:
+    """The style of one of several runs, counted from 0."""
+    return {"color": CYCLE[number % len(CYCLE)], "linewidth": 1.5}
+
+
+def _positions(curves: Curves, pitch: float) -> _Panel:
+    note = "horizontal lines: the pipe's ridges"
+    return _Panel("rear module x1 (mm)", curves, MM, 3.0, note, pitch)
+
+
+def _residuals(curves: Curves, unit: str, scale: float) -> _Panel:
+    return _Panel(f"residual ({unit})", curves, scale, 1.2)
+
+
+def _figure(frame: Frame, contents: Sequence[_Panel]) -> Figure:
+    weights = [content.weight for content in contents]
+    figure = new_figure(WIDTH, 0.8 + 0.5 * _HEIGHT * sum(weights))
+    if frame.title:
+        figure.suptitle(frame.title, fontsize="medium")
+    panels = list(
+        np.atleast_1d(figure.subplots(len(contents), 1, sharex=True, height_ratios=weights))
+    )
+    for axes, content in zip(panels, contents, strict=True):
+        _draw(axes, content, frame)
+    panels[-1].set_xlabel(_TIME)
+    _shade_averaged(panels, frame)
+    for axes, content in zip(panels, contents, strict=True):
+        finish(axes, content.label, content.note)
+        if content.pitch is not None:
+            _rule_ridges(axes, MM * content.pitch)
+    letter(panels)
+    figure.align_ylabels()
+    return figure
+
+
+def _draw(axes: Axes, content: _Panel, frame: Frame) -> None:
+    """The curves within the frame, so that nothing outside of it decides about the axes."""
+    for curve in content.curves:
+        inside = (curve.time >= frame.start) & (curve.time <= frame.end)
+        axes.plot(
+            curve.time[inside],
+            content.scale * curve.values[inside],
+            label=curve.label,
+            **curve.style,
+        )
+    axes.set_xlim(frame.start, frame.end)
+
+
+def _shade_averaged(panels: Sequence[Axes], frame: Frame) -> None:
+    if frame.averaged is None or frame.averaged[0] >= frame.end:
+        return
+    for axes in panels:
+        shade(axes, *frame.averaged, label="averaged cycles" if axes is panels[0] else "")
+
+
+def _rule_ridges(axes: Axes, pitch: float) -> None:
+    axes.grid(visible=False, axis="y")
+    axes.yaxis.set_minor_locator(MultipleLocator(pitch))
+    axes.grid(visible=True, axis="y", which="minor", linewidth=0.4)
+    axes.tick_params(axis="y", which="minor", length=0)

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of a bag, one or thousands: a replay reads half a million a second, which only columns allow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+Integers = NDArray[np.int64]
+Times = NDArray[np.uint64]  # ns since the epoch, unsigned as files have them
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a bag with the layout of its messages: what MCAP calls a channel.
+
+    Attributes:
+        name: full name.
+        type_name: ``package/msg/Type``.
+        count: number of messages.
+        definition: text of the type with all that it needs, empty if the bag has none.
+        definition_format: ``ros2msg`` or ``ros2idl``.
+        encoding: of messages; only ``cdr`` can be decoded.
+        metadata: of the channel: ``offered_qos_profiles`` (YAML) and ``topic_type_hash``.
+    """
+
+    name: str
+    type_name: str
+    count: int
+    definition: str
+    definition_format: str
+    encoding: str
+    metadata: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def type_hash(self) -> str:
+        """RIHS01 hash of the type, empty where the bag does not tell."""
+        return dict(self.metadata).get("topic_type_hash", "")
+
+    @property
+    def offered_qos(self) -> str:
+        """Quality of service of the publishers, YAML; empty where the bag does not tell."""
+        return dict(self.metadata).get("offered_qos_profiles", "")
+
+
+class Message(NamedTuple):
+    """A message, undecoded. Times in ns since the epoch; `channel` tells how to decode it."""
+
+    topic: str
+    log_time: int
+    data: bytes
+    publish_time: int
+    channel: Topic
+
+
+@dataclass(frozen=True)
+class Messages:
+    """Messages, each a part of a buffer.
+
+    Attributes:
+        channels: what the messages may be of.
+        buffer: shape (bytes,), contiguous.
+        channel: index into `channels` of each message, shape (messages,).
+        offset, size: first byte and number of bytes of each, shape (messages,).
+        log_time, publish_time: when each was received and sent, ns since the epoch, shape (messages,).
+    """
+
+    channels: tuple[Topic, ...]
+    buffer: Bytes
+    channel: Integers
+    offset: Integers
+    size: Integers
+    log_time: Times
+    publish_time: Times
+
+    def __len__(self) -> int:
+        return len(self.offset)
+
+    def __iter__(self) -> Iterator[Message]:
+        data = self.buffer.data
+        columns = (self.channel, self.offset, self.size, self.log_time, self.publish_time)
+        for index, start, size, log_time, publish_time in zip(
+            *(column.tolist() for column in columns), strict=True
+        ):
+            channel = self.channels[index]
+            payload = bytes(data[start : start + size])
+            yield Message(channel.name, log_time, payload, publish_time, channel)
+
+    def payload(self, row: int) -> bytes:
+        """Bytes of one of the messages."""
+        return self.buffer[self.offset[row] :][: self.size[row]].tobytes()
+
+    def payloads(self, rows: Integers) -> Bytes:
+        """Bytes of some messages of one size, shape (len(rows), size)."""
+        size = int(self.size[rows[0]])
+        if not size:
+            return np.empty((len(rows), 0), np.uint8)
+        return cells(self.buffer, size)[self.offset[rows]].view(np.uint8).reshape(-1, size)
+
+    def select(self, rows: Integers | slice | NDArray[np.bool_]) -> Messages:
+        """Some of the messages, in the same buffer."""
+        return Messages(
+            self.channels,
+            self.buffer,
+            self.channel[rows],
+            self.offset[rows],
+            self.size[rows],
+            self.log_time[rows],
+            self.publish_time[rows],
+        )
+
+    def sorted(self) -> Messages:
+        """The same by rising log time; of equal ones, the first stays first."""
+        return self.select(np.argsort(self.log_time, kind="stable"))
+
+    def compact(self) -> Messages:
+        """The same messages in a buffer that holds nothing else."""
+        start = np.cumsum(self.size) - self.size
+        buffer = np.empty(int(self.size.sum()), np.uint8)
+        for size, rows in groups(self.size):
+            if size:
+                cells(buffer, size)[start[rows]] = cells(self.buffer, size)[self.offset[rows]]
+        return Messages(
+            self.channels, buffer, self.channel, start, self.size, self.log_time, self.publish_time
+        )
+
+    def by_topic(self) -> Iterator[tuple[str, Messages]]:
+        """Messages of each topic that has any, whatever their layouts."""
+        names = list(dict.fromkeys(channel.name for channel in self.channels))
+        number = np.array([names.index(channel.name) for channel in self.channels], np.int64)
+        for index, rows in groups(number[self.channel]) if names else ():
+            yield names[index], self.select(rows)
+
+
+def cells(buffer: Bytes, size: int) -> NDArray[np.void]:
+    """All parts of a size of a contiguous buffer: the i-th begins at byte i. They share its memory.
+
+    Many of them are taken out or put in at the cost of a copy each, where an index per byte would cost tenfold.
+    """
+    return np.ndarray(max(len(buffer) - size + 1, 0), f"V{size}", buffer, strides=(1,))
+
+
+def groups(keys: NDArray[np.integer]) -> Iterator[tuple[int, Integers]]:
+    """Each value of some keys, by rising value, with the rows that have it, in their order."""
+    if not len(keys):
+        return
+    order = np.argsort(keys, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(keys[order])) + 1):
+        yield int(keys[rows[0]]), rows
+
+
+def messages_of(messages: Sequence[Message]) -> Messages:
+    """Columns of single messages."""
+    channels = tuple(dict.fromkeys(message.channel for message in messages))
+    index = {channel: number for number, channel in enumerate(channels)}
+    size = np.array([len(message.data) for message in messages], np.int64)
+    return Messages(
+        channels,
+        np.frombuffer(b"".join(message.data for message in messages), np.uint8),
+        np.array([index[message.channel] for message in messages], np.int64),
+        np.cumsum(size) - size,
+        size,
+        np.array([message.log_time for message in messages], np.uint64),
+        np.array([message.publish_time for message in messages], np.uint64),
+    )
+
+
+def concatenate(parts: Sequence[Messages]) -> Messages:
+    """All messages of some parts, one after the other."""
+    channels = tuple(dict.fromkeys(channel for part in parts for channel in part.channels))
+    index = {channel: number for number, channel in enumerate(channels)}
+    renumbered = [np.array([index[c] for c in part.channels], np.int64) for part in parts]
+    shift = np.cumsum([0, *(len(part.buffer) for part in parts)])[:-1]
+    joined = zip(parts, renumbered, shift, strict=True)
+    channel, offset = zip(*((n[p.channel], p.offset + s) for p, n, s in joined), strict=True)
+    return Messages(
+        channels,
+        np.concatenate([part.buffer for part in parts]),
+        np.concatenate(channel),
+        np.concatenate(offset),
+        np.concatenate([part.size for part in parts]),
+        np.concatenate([part.log_time for part in parts]),
+        np.concatenate([part.publish_time for part in parts]),
+    )
+
+
+def merge(blocks: Iterable[tuple[int, Messages]]) -> Iterator[Messages]:
+    """Messages by rising log time from blocks that may overlap in time.
+
+    What is in memory at a time is the blocks that overlap.
+
+    Args:
+        blocks: by rising time, ns since the epoch, before which neither the block nor those behind it have messages.
+    """
+    pending: Messages | None = None
+    for start, block in blocks:
+        if pending is None:
+            pending = block.sorted()
+            continue
+        ready = int(np.searchsorted(pending.log_time, np.uint64(start)))
+        if ready:
+            yield pending.select(slice(ready))
+        rest = pending.select(slice(ready, None)).compact()
+        pending = concatenate([rest, block]).sorted() if len(rest) else block.sorted()
+    if pending is not None and len(pending):
+        yield pending

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Message definitions: where those that are installed come from, how bags carry them, what their fields are.
+
+The text is rosbag2's (and MCAP's) ``ros2msg``: after the root type's text, for each type that it needs a line of 80
+``=``, a line ``MSG: package/Type``, and its text. Reading a bag needs nothing installed, since it carries its
+definitions. Writing takes them from the workspaces that are sourced (AMENT_PREFIX_PATH), those of worm_msgs else from
+the checkout that this package lies in, standard types else from `rosbags`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import (
+    Stores,
+    TypesysError,
+    get_types_from_idl,
+    get_types_from_msg,
+    get_typestore,
+)
+from rosbags.typesys.store import Typestore
+
+from worm_model.bags.bag_errors import DefinitionError
+from worm_model.bags.message_block import Topic
+
+PACKAGE = "worm_msgs"
+SEPARATOR = "=" * 80
+_CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
+_UNREADABLE = (TypesysError, ValueError, KeyError, IndexError, RecursionError)
+
+Fields = list[tuple[str, Any]]
+Types = Mapping[str, Fields]
+
+
+# --- what is installed ----------------------------------------------------------------------------
+
+
+def _folders(package: str) -> Iterator[Path]:
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix, "share", package, "msg")
+    if package == PACKAGE:
+        yield Path(__file__).resolve().parents[3] / PACKAGE / "msg"
+
+
+def definition_files() -> dict[str, Path]:
+    """Paths of worm_msgs' message definitions by type name.
+
+    Raises:
+        DefinitionError: they are nowhere to be found.
+    """
+    for folder in _folders(PACKAGE):
+        files = sorted(folder.glob("*.msg"))
+        if files:
+            return {f"{PACKAGE}/msg/{path.stem}": path for path in files}
+    raise DefinitionError(
+        f"the definitions of {PACKAGE} are not installed; source the workspace, or install worm_model "
+        "from its checkout with pip install --editable"
+    )
+
+
+def _installed_text(package: str, kind: str) -> str:
+    for folder in _folders(package):
+        path = folder / f"{kind}.msg"
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    standard, name = _standard_types(), f"{package}/msg/{kind}"
+    if name not in standard.fielddefs:
+        raise DefinitionError(
+            f"no definition of {name} is installed; source the workspace that has it"
+        )
+    return standard.generate_msgdef(name, ros_version=2)[0].split(SEPARATOR)[0]
+
+
+@lru_cache(maxsize=1)
+def _standard_types() -> Typestore:
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@lru_cache(maxsize=256)
+def installed_definition(type_name: str) -> str:
+    """``ros2msg`` text of an installed type with all that it needs.
+
+    Raises:
+        DefinitionError: the name is not one of a message, or a definition is missing.
+    """
+    package, _, kind = type_name.partition("/msg/")
+    if not (package and kind) or "/" in package + kind:
+        raise DefinitionError(f"{type_name!r} is not a message type; expected package/msg/Type")
+    texts: dict[str, str] = {}
+    waiting = [type_name]
+    while waiting:
+        name = waiting.pop(0)
+        if name in texts:
+            continue
+        package, _, kind = name.partition("/msg/")
+        texts[name] = _installed_text(package, kind)
+        with suppress(*_UNREADABLE):  # of which `parse_types` tells
+            (_, fields) = get_types_from_msg(without_comments(texts[name]), name)[name]
+            waiting += [needed for _, field in fields for needed in _named(field)]
+    parts = [
+        text if name == type_name else f"{SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{text}"
+        for name, text in texts.items()
+    ]
+    return "\n".join(part.rstrip("\n") + "\n" for part in parts)
+
+
+def _named(field: Any) -> Iterator[str]:
+    """The message types that a field is made of."""
+    kind, argument = field
+    if kind == Nodetype.NAME:
+        yield argument
+    elif kind != Nodetype.BASE:
+        yield from _named(argument[0])
+
+
+def installed_types(type_name: str) -> Types:
+    """Fields of an installed type and of all that it needs, by type name.
+
+    Raises:
+        DefinitionError: it is not installed.
+    """
+    return parse_types(type_name, installed_definition(type_name), "ros2msg")
+
+
+@lru_cache(maxsize=256)
+def topic_of(name: str, type_name: str, offered_qos: str = "") -> Topic:
+    """A topic that can be written: definition with all that it needs, type hash, offered QoS (YAML).
+
+    Raises:
+        DefinitionError: the type is not installed.
+    """
+    definition = installed_definition(type_name)
+    metadata = (
+        ("offered_qos_profiles", offered_qos),
+        ("topic_type_hash", type_hash(type_name, definition, "ros2msg")),
+    )
+    return Topic(name, type_name, 0, definition, "ros2msg", "cdr", metadata)
+
+
+def parse_ahead(type_names: Iterable[str]) -> None:
+    """Parse definitions now rather than with the first bag that holds messages of these types.
+
+    Where worm_msgs is not installed, nothing happens: a bag may carry all that is needed.
+    """
+    with suppress(DefinitionError):
+        for type_name in type_names:
+            topic_of("", type_name)
+
+
+# --- what a definition says -----------------------------------------------------------------------
+
+
+def parse_types(type_name: str, definition: str, definition_format: str) -> Types:
+    """Fields of a type and of all that it needs.
+
+    Raises:
+        DefinitionError: the definition cannot be read, or is of something else.
+    """
+    store = typestore(type_name, definition, definition_format)
+    return {name: fields for name, (_, fields) in store.fielddefs.items()}
+
+
+@lru_cache(maxsize=256)  # the parser takes its time for every line
+def typestore(type_name: str, definition: str, definition_format: str) -> Typestore:
+    """The types of a definition as `rosbags` takes messages apart and puts them together.
+
+    Raises:
+        DefinitionError: as `parse_types`.
+    """
+    try:
+        types = _parsed(type_name, definition, definition_format)
+        for name in [type_name, *(n for _, fs in types.values() for _, f in fs for n in _named(f))]:
+            if name not in types:
+                raise DefinitionError(f"the definition of {name} is missing")
+        store = get_typestore(Stores.EMPTY)
+        store.register(types)
+    except DefinitionError:
+        raise
+    except (*_UNREADABLE, SyntaxError) as error:  # SyntaxError: of the code that rosbags makes
+        reason = " ".join(str(error).split())
+        raise DefinitionError(f"the definition of {type_name} cannot be read: {reason}") from None
+    return store
+
+
+def _parsed(type_name: str, definition: str, definition_format: str) -> dict[str, Any]:
+    if definition_format == "ros2idl":
+        found: dict[str, Any] = {}
+        for part in definition.split(f"{SEPARATOR}\n"):
+            idl = part.split("\n", 1)[1] if part.startswith("IDL:") else part
+            found.update(get_types_from_idl(idl) if idl.strip() else {})
+        return found
+    try:
+        return dict(get_types_from_msg(without_comments(definition), type_name))
+    except _UNREADABLE:
+        return dict(get_types_from_msg(definition, type_name))
+
+
+def without_comments(definition: str) -> str:
+    """The lines of a definition that matter for the layout: no comments, no constants."""
+    lines = (line.split("#", 1)[0].strip() for line in definition.splitlines())
+    return "\n".join(line for line in lines if line and not _CONSTANT.match(line)) + "\n"
+
+
+def type_hash(type_name: str, definition: str, definition_format: str) -> str:
+    """RIHS01 hash of a type; empty where `rosbags` cannot tell.
+
+    Raises:
+        DefinitionError: as `parse_types`.
+    """
+    store = typestore(type_name, definition, definition_format)
+    try:
+        return str(store.hash_rihs01(type_name))
+    except (TypesysError, KeyError, ValueError):
+        return ""
+
+
+def with_definition(topic: Topic) -> Topic:
+    """The topic with a definition: its own, or the installed one if it has none.
+
+    Raises:
+        DefinitionError: it has none, and the installed one is missing or another by its hash.
+    """
+    if topic.definition:
+        return topic
+    installed = topic_of(topic.name, topic.type_name)
+    if topic.type_hash not in ("", installed.type_hash):
+        raise DefinitionError(
+            f"{topic.name} carries no definition, and the installed {topic.type_name} is another one "
+            "by its type hash; source the workspace that it was recorded with"
+        )
+    metadata = dict(installed.metadata) | {"offered_qos_profiles": topic.offered_qos}
+    return Topic(
+        topic.name,
+        topic.type_name,
+        topic.count,
+        installed.definition,
+        "ros2msg",
+        topic.encoding,
+        tuple(metadata.items()),
+    )

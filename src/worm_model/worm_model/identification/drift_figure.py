@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draws control charts: one a parameter, one point a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from worm_model.analysis.plot_style import (
+    BLUE,
+    GREY,
+    SKY,
+    VERMILION,
+    new_figure,
+    save_figure,
+    symbol,
+)
+from worm_model.identification.drift import Chart, Rule, State
+from worm_model.parameters import SYMBOLS, UNITS
+
+MOST_LABELS = 16  # names of bags along the axis
+SCALES = {"m": (1e3, "mm")}  # by unit: factor and unit that are drawn
+
+
+def draw_health(names: Sequence[str], charts: Sequence[Chart], path: Path) -> None:
+    """Writes the figure, its format by the name's ending; ``names`` of the bags in the charts' order."""
+    width = min(max(7.5, 2.5 + 0.55 * len(names)), 16.0)
+    figure = new_figure(width, 1.9 * len(charts) + 1.2)
+    rows = figure.subplots(len(charts), 1, sharex=True)
+    for axes, chart in zip(np.atleast_1d(rows), charts, strict=True):
+        _draw(axes, chart, names)
+    every = -(-len(names) // MOST_LABELS)
+    last = np.atleast_1d(rows)[-1]
+    ticks = list(range(0, len(names), every))
+    last.set_xticks(ticks, [names[k] for k in ticks], rotation=40, ha="right", fontsize=8)
+    last.set_xlim(-0.5, len(names) - 0.5)
+    last.set_xlabel(
+        "bag, in the order of time; bars: 95 % interval of each\n"
+        "squares: beyond a control limit; diamonds: part of a run that trends"
+    )
+    save_figure(figure, path)
+
+
+def _draw(axes: Axes, chart: Chart, names: Sequence[str]) -> None:
+    scale, unit = SCALES.get(UNITS[chart.key], (1.0, UNITS[chart.key]))
+    bag = np.arange(chart.value.size)
+    _draw_limits(axes, chart, scale)
+    bars = scale * np.abs(np.vstack([chart.value - chart.low, chart.high - chart.value]))
+    bars[~np.isfinite(bars)] = 0.0  # an interval without an end has no bar
+    axes.errorbar(
+        bag, scale * chart.value, bars, fmt="o-", color=BLUE, ecolor=SKY, ms=5, lw=1.2, zorder=3
+    )
+    for signal in chart.signals:
+        kept = slice(signal.first, signal.last + 1)
+        marker = "s" if signal.rule is Rule.LIMIT else "D"
+        axes.plot(
+            bag[kept],
+            scale * chart.value[kept],
+            marker,
+            ms=9,
+            mfc="none",
+            mec=VERMILION,
+            mew=1.6,
+            zorder=4,
+        )
+    axes.set_ylabel(symbol(SYMBOLS[chart.key]) + (f" ({unit})" if unit != "1" else ""))
+    axes.margins(y=0.15)
+    title = f"{chart.key}: {chart.state.value}"
+    if chart.began is not None:
+        title += f" since {names[chart.began]}"
+    trouble = chart.state in (State.OUT, State.TRENDING)
+    axes.set_title(title, loc="left", fontsize=10, color=VERMILION if trouble else "black")
+
+
+def _draw_limits(axes: Axes, chart: Chart, scale: float) -> None:
+    limits = chart.limits
+    if limits is None:
+        return
+    for value, style, text in (
+        (limits.high, "--", "upper limit"),
+        (limits.centre, "-", "centre"),
+        (limits.low, "--", "lower limit"),
+    ):
+        axes.axhline(scale * value, color=GREY, linestyle=style, linewidth=1.0)
+        axes.annotate(
+            text,
+            (1.0, scale * value),
+            xycoords=("axes fraction", "data"),
+            textcoords="offset points",
+            xytext=(4, 0),
+            va="center",
+            fontsize=8,
+            color=GREY,
+        )
+    if limits.middle_high > limits.middle_low:
+        axes.axhspan(scale * limits.middle_low, scale * limits.middle_high, color="0.9", zorder=0)

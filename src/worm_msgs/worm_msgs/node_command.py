@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The executable of a node: its command line, and what it does with parameters that it is given.
+
+Help or one line with status 2: nothing that was meant for a node is ignored, as the values of a robot
+that is not there would run the one that is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.exceptions import ParameterException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from worm_msgs.ros_process import Ending, own_arguments, ros_process
+
+BAD_INPUT = 2
+#: what rclpy itself takes, beside the parameters that it declares
+_ALLOWED = ("qos_overrides.",)
+
+#: name, default, descriptor of each parameter; made anew for each use, as declaring changes a descriptor
+Rows = Callable[[], Sequence[tuple[str, Any, ParameterDescriptor]]]
+
+
+class ParameterRefusedError(ValueError):
+    """A parameter that was given cannot be used; the message is one line that says why."""
+
+
+def declare(node: Node, rows: Rows) -> None:
+    """Declares parameters; a whole number is a float's value too, also when it is set later.
+
+    Raises:
+        ParameterRefusedError: a value has a wrong type or is out of its range, or no row has its name.
+    """
+    table = rows()
+    floats = {name for name, default, _ in table if _is_float(default)}
+    # rclpy keeps what the command line gave in this mapping alone
+    given: dict[str, Parameter] = node._parameter_overrides
+    for name in floats & set(given):
+        given[name] = _as_float(given[name])
+    for name, default, descriptor in table:
+        try:
+            node.declare_parameter(name, default, descriptor)
+        except ParameterException as error:
+            raise ParameterRefusedError(f"parameter {name}: {_one_line(error)}") from error
+    _refuse_unknown(node, given)
+    node.add_pre_set_parameters_callback(
+        lambda parameters: [_as_float(p) if p.name in floats else p for p in parameters]
+    )
+
+
+def _refuse_unknown(node: Node, given: dict[str, Parameter]) -> None:
+    for name in given:
+        if node.has_parameter(name) or name.startswith(_ALLOWED):
+            continue
+        known = sorted(node.get_parameters_by_prefix(""))
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
+        raise ParameterRefusedError(f"no parameter {name}: {hint}")
+
+
+def _is_float(default: Any) -> bool:
+    return isinstance(default[0] if isinstance(default, list) and default else default, float)
+
+
+def _as_float(parameter: Parameter) -> Parameter:
+    value = parameter.value
+    if parameter.type_ is Parameter.Type.INTEGER:
+        return Parameter(parameter.name, value=float(value))
+    if parameter.type_ is Parameter.Type.INTEGER_ARRAY:
+        return Parameter(parameter.name, value=[float(each) for each in value])
+    return parameter
+
+
+def run_node(
+    name: str,
+    description: str,
+    rows: Rows,
+    run: Callable[[Ending], int | None],
+    refusals: tuple[type[Exception], ...],
+    arguments: Sequence[str] | None = None,
+) -> int:
+    """Parses the command line, runs a node, and turns what is refused into a line and status 2.
+
+    Args:
+        name: of the executable.
+        description: for its help.
+        rows: its parameters, for its help.
+        run: makes the node and serves it; returns the exit status, None: 0.
+        refusals: what else it raises on bad input.
+        arguments: the command line with the program's name; None for that of the process.
+    """
+    refused: tuple[type[Exception], ...] = (ParameterRefusedError, *refusals)
+    given = list(sys.argv if arguments is None else arguments)
+    _Parser(name, description, rows).parse_args(own_arguments(given)[1:])
+    try:
+        with ros_process(given) as ended:
+            return run(ended) or 0
+    except refused as error:
+        print(f"{name}: {_one_line(error)}", file=sys.stderr)  # noqa: T201 (the command's own words)
+        return BAD_INPUT
+
+
+class _Parser(argparse.ArgumentParser):
+    """Knows --help alone: a node takes ROS arguments only."""
+
+    def __init__(self, name: str, description: str, rows: Rows) -> None:
+        table = "\n".join(
+            f"  {row}  (default {default!r})\n      {d.description}" for row, default, d in rows()
+        )
+        super().__init__(
+            prog=name,
+            description=description,
+            usage=f"{name} [--help] [--ros-args [-p PARAMETER:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]",
+            epilog=f"parameters:\n{table}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the commands that search gaits share: options made of the settings' rows, cache, progress, a table of gaits."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from worm_model.commands.command_line import Parser, ProgressLine, number
+from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search import front as pipeline
+from worm_optimizer.search.cache import Cache, default_directory
+from worm_optimizer.search.search_settings import (
+    FRONT_SETTINGS,
+    SCAN_SETTINGS,
+    SETTINGS,
+    SettingRow,
+    Settings,
+    settings_of,
+)
+
+
+def add_scan_options(parser: Parser) -> None:
+    """Adds what every search takes: model, direction, box, limits, scan, cache, output."""
+    parser.add_direction()
+    _add_settings(parser, SCAN_SETTINGS)
+    parser.add_argument(
+        "--cache", metavar="DIR", help="where results are kept (default: in ~/.cache)"
+    )
+    parser.add_figure()
+    parser.add_json()
+    parser.add_parameters()
+
+
+def add_front_options(parser: Parser) -> None:
+    """Adds those of `add_scan_options` and what decides about a front."""
+    add_scan_options(parser)
+    _add_settings(parser, FRONT_SETTINGS)
+
+
+def chosen_settings(options: argparse.Namespace) -> Settings:
+    """The settings that the options make; raises `OptimizerError` if they are not admissible."""
+    values: dict[str, Any] = {}
+    for option, rows in _by_option(SETTINGS):
+        value = getattr(options, option.replace("-", "_"), None)
+        if value is not None:
+            values |= dict(
+                zip(
+                    (row.parameter for row in rows),
+                    value if len(rows) > 1 else [value],
+                    strict=True,
+                )
+            )
+    return settings_of(values)
+
+
+def _add_settings(parser: Parser, chosen: tuple[SettingRow, ...]) -> None:
+    for option, rows in _by_option(chosen):
+        first = rows[0]
+        meaning = "; ".join(row.meaning for row in rows)
+        default = " ".join(_as_text(row.default) for row in rows)
+        number_kind = int if isinstance(first.default, int) else number
+        parser.add_argument(
+            f"--{option}",
+            type=str if isinstance(first.default, str) else number_kind,
+            nargs=len(rows) if len(rows) > 1 else None,
+            choices=first.choices or None,
+            metavar=("LOW", "HIGH") if len(rows) > 1 else None if first.choices else "X",
+            help=f"{meaning} (default: {default})".replace("%", "%%").replace(" (default: )", ""),
+        )
+
+
+def _by_option(
+    rows: tuple[SettingRow, ...],
+) -> list[tuple[str, list[SettingRow]]]:
+    """The rows of each option, in order; neighbours share one."""
+    grouped = groupby((row for row in rows if row.option), key=lambda row: row.option)
+    return [(option, list(group)) for option, group in grouped]
+
+
+def _as_text(default: object) -> str:
+    if isinstance(default, float):
+        return "" if math.isnan(default) else f"{default:g}"
+    return str(default)
+
+
+def cache_of(options: argparse.Namespace) -> Cache:
+    """The cache that is asked for; raises `OptimizerError` if it cannot be written to."""
+    return Cache.at(Path(options.cache).expanduser() if options.cache else default_directory())
+
+
+def shown_progress(title: str) -> pipeline.Report:
+    """A report that shows its progress on standard error."""
+    bar = ProgressLine(title)
+    return lambda progress: bar(progress.fraction)
+
+
+def gait_table(robust: Mapping[str, Prediction], nominal: Mapping[str, Prediction]) -> str:
+    """Robust and nominal gaits, one line each: nominal optima are fragile, robust ones are not."""
+    header = (
+        f"{'gait':<20} {'S':>6} {'f':>7} {'margin':>6} {'speed':>7} {'nominal':>7} {'power':>6} {'COT':>6}"
+        f" {'n':>4} {'to edges':>11} {'success':>8} {'any φ':>6}\n"
+        f"{'':<20} {'mm':>6} {'Hz':>7} {'mm':>6} {'mm/s':>7} {'mm/s':>7} {'W':>6} {'1':>6}"
+        f" {'1':>4} {'mm':>11} {'1':>8} {'1':>6}"
+    )
+    lines = [header]
+    for kind, gaits in (("robust", robust), ("nominal", nominal)):
+        lines += [_line(f"{kind} {name.replace('_', ' ')}", gait) for name, gait in gaits.items()]
+    return "\n".join(lines)
+
+
+def _line(name: str, gait: Prediction) -> str:
+    edges = f"-{1e3 * gait.stroke_to_lower_edge:.1f} +{1e3 * gait.stroke_to_upper_edge:.1f}"
+    return (
+        f"{name:<20} {1e3 * gait.stroke:6.2f} {gait.frequency:7.4f} {1e3 * gait.margin:6.2f}"
+        f" {1e3 * gait.speed:7.3f} {1e3 * gait.nominal_speed:7.3f} {gait.power:6.3f}"
+        f" {gait.cost_of_transport:6.1f} {gait.grooves_per_cycle:4.2f} {edges:>11}"
+        f" {gait.success_probability:8.3f} {gait.success_probability_any_phase:6.3f}"
+    )

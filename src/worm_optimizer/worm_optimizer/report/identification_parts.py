@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a report shows of an identification: its parameter file, its own report, the fits of the bench tests."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import markdown2
+import numpy as np
+from matplotlib.figure import Figure
+
+from worm_model.analysis.plot_style import BLUE, GREY, new_figure, symbol
+from worm_model.errors import InputError
+from worm_model.identification import bellows, fin
+from worm_model.identification.bellows import Array, BellowsFit, fit_bellows
+from worm_model.identification.fin import FinFit, fit_fin
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.identification_report import (
+    FIGURE_TITLES,
+    FIGURES,
+    FIGURES_HEADING,
+    PAGE,
+)
+from worm_model.identification.inputs import read_bench_test
+from worm_model.parameters import PAPER, SYMBOLS, ParameterFile, load_parameter_file
+
+_SUFFIX = ".png"
+_Fit = TypeVar("_Fit")
+
+
+@dataclass(frozen=True)
+class IdentificationParts:
+    """Parts that are None or empty are left out.
+
+    ``content`` is a parameter file and ``source`` where it lies; ``bellows_fit`` and ``fin_fit`` are fits of bench
+    tests; ``report`` is the report that identification wrote, as HTML, and ``figures`` its images (PNG) by title.
+    """
+
+    content: ParameterFile | None = None
+    source: str = ""
+    bellows_fit: BellowsFit | None = None
+    fin_fit: FinFit | None = None
+    report: str = ""
+    figures: Mapping[str, bytes] = field(default_factory=dict)
+
+
+def add_identification(parser: argparse.ArgumentParser) -> None:
+    """Adds what names the parts of an identification."""
+    parser.add_argument(
+        "--identification",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="a parameter file that identify has written, or the folder of its report; once for each",
+    )
+    parser.add_argument("--bellows", type=Path, metavar="CSV", help="compression_m, force_N")
+    parser.add_argument("--fin", type=Path, metavar="CSV", help="displacement_m, force_N")
+
+
+def identification_of(options: argparse.Namespace) -> IdentificationParts | None:
+    """The parts that are asked for, None where none is; raises InputError or ParameterError if one is no good."""
+    folders = [path for path in options.identification if path.is_dir()]
+    files = [path for path in options.identification if not path.is_dir()]
+    if not (folders or files or options.bellows or options.fin):
+        return None
+    if len(folders) > 1 or len(files) > 1:
+        raise InputError("--identification: give one parameter file and one folder at most")
+    report, figures = _read_folder(folders)
+    return IdentificationParts(
+        content=load_parameter_file(str(files[0])) if files else None,
+        source=str(files[0]) if files else "",
+        bellows_fit=_fit("--bellows", options.bellows, bellows.COLUMNS, fit_bellows),
+        fin_fit=_fit("--fin", options.fin, fin.COLUMNS, fit_fin),
+        report=report,
+        figures=figures,
+    )
+
+
+def _fit(
+    option: str, path: Path | None, columns: tuple[str, str], fit: Callable[[Array, Array], _Fit]
+) -> _Fit | None:
+    if path is None:
+        return None
+    try:
+        test = read_bench_test(path, columns)
+        return fit(test.x, test.y)
+    except IdentificationError as error:
+        raise InputError(f"{option} {path}: {error}") from None
+
+
+def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
+    """Text (HTML) and figures of a report of identify, the bench tests first."""
+    if not folders:
+        return "", {}
+    folder = folders[0]
+    page = folder / PAGE
+    if not page.is_file():
+        raise InputError(
+            f"--identification {folder}: has no {PAGE}; name the folder that identify --report wrote"
+        )
+    images = {path.stem: path for path in sorted((folder / FIGURES).glob(f"*{_SUFFIX}"))}
+    ordered = [name for name in FIGURE_TITLES if name in images]
+    ordered += [name for name in images if name not in FIGURE_TITLES]
+    figures = {
+        FIGURE_TITLES.get(name, name.replace("_", " ")): images[name].read_bytes()
+        for name in ordered
+    }
+    return _as_html(page.read_text(encoding="utf-8")), figures
+
+
+def _as_html(markdown: str) -> str:
+    """Headings, tables and lists of the report, below the page's own headings; its images are shown apart."""
+    text = re.sub(r"\A# .*\n", "", markdown.partition(f"## {FIGURES_HEADING}")[0])
+    text = re.sub(r"(?m)^#+ ", "### ", text)
+    html = str(markdown2.markdown(text, extras=["code-friendly", "tables"], safe_mode="escape"))
+    return html.replace("<table>", '<div class="wide"><table>').replace(
+        "</table>", "</table></div>"
+    )
+
+
+def parameters_figure(content: ParameterFile) -> Figure:
+    """Each parameter that has an interval, as a ratio to the paper's value."""
+    values, paper = content.parameters.as_dict(), PAPER.as_dict()
+    keys = [key for key in values if key in content.intervals]
+    ratio = np.array([values[key] / paper[key] for key in keys])
+    bounds = np.array([content.intervals[key] for key in keys]) / np.array(
+        [[paper[key]] for key in keys]
+    )
+    figure = new_figure(8.0, 1.2 + 0.32 * len(keys))
+    axes = figure.subplots()
+    rows = np.arange(len(keys))
+    axes.axvline(1.0, color=GREY, linestyle="--", label="the paper's value")
+    axes.errorbar(
+        ratio,
+        rows,
+        xerr=[np.maximum(ratio - bounds[:, 0], 0.0), np.maximum(bounds[:, 1] - ratio, 0.0)],
+        color=BLUE,
+        marker="o",
+        linestyle="none",
+        capsize=4,
+        label="identified, 95 %",
+    )
+    axes.set_yticks(rows, [f"{key} ({symbol(SYMBOLS[key])})" for key in keys])
+    axes.invert_yaxis()
+    axes.set_xlabel("value over the paper's (1)")
+    axes.grid(visible=True, axis="x", linewidth=0.4)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+    return figure

@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings for a report: which bags, read into recorded gaits, one for each gait that was played."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from worm_model.bags.bag import METADATA_FILE, Bag
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.errors import InputError
+from worm_model.parameters import (
+    ParameterError,
+    ParameterFile,
+    load_parameter_file,
+    parse_parameter_file,
+)
+from worm_model.run import RESTING, GaitStates, Run
+from worm_model.twin.offline_replay import Replay, Series, replay_run
+from worm_optimizer.report.events import events_of
+from worm_optimizer.report.recorded_gait import RecordedGait, recorded_gait
+
+_ATTACHED = "parameters.yaml"  # the recorder's name for the run's parameter file
+_MANIFEST = "worm_run"
+_PAPER = "the paper's values"
+_CHUNK = 1 << 20
+# Recordings that follow each other within so long, the robot where it was: nobody has touched it.
+_LONGEST_BREAK_NS = 60_000_000_000
+_UNMOVED = 3e-3  # m
+_AT_REST = 10  # samples of the tracker
+_REST_NS = 3_000_000_000  # before a gait whose rest was not announced
+_JOINTS = "joint_states"
+_SERIES = tuple(field.name for field in fields(Run) if field.name != "origin")
+
+
+def bags_of(path: Path) -> list[Path]:
+    """A bag itself; of a folder of bags, such as a campaign's, all of them in the order in which they were closed."""
+    inside = [] if (path / METADATA_FILE).exists() else list(path.glob(f"*/{METADATA_FILE}"))
+    return [file.parent for file in sorted(inside, key=_closed)] or [path]
+
+
+def newest_recording(folder: Path, notify: Callable[[str], None]) -> Path:
+    """What was recorded last in a folder: a bag, or a folder of bags such as a campaign's, in which a gait was run.
+
+    ``notify`` is told of what is passed over. Raises InputError if there is nothing.
+    """
+    bags = [*folder.glob(f"*/{METADATA_FILE}"), *folder.glob(f"*/*/{METADATA_FILE}")]
+    for metadata in sorted(bags, key=_closed, reverse=True):
+        if _holds_gait(metadata.parent, notify):
+            return folder / metadata.relative_to(folder).parts[0]
+    raise InputError(
+        f"no recording of a gait in {folder.resolve()}: name one, or record one (./worm demo)"
+    )
+
+
+def _holds_gait(path: Path, notify: Callable[[str], None]) -> bool:
+    try:
+        with open_bag(path, notify) as bag:
+            states = read_run(bag, names=("gait_state",)).gait_state
+    except BagError as error:
+        notify(f"passed over: {error}")
+        return False
+    played = bool(states.played.any())
+    if not played:
+        notify(f"passed over: in {path} no gait was run")
+    return played
+
+
+def _closed(metadata: Path) -> tuple[float, str]:
+    """When a bag was closed, and its name where two were at once."""
+    return metadata.stat().st_mtime, str(metadata)
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """An open bag, with the parameters that it is compared with and where these come from."""
+
+    bag: Bag
+    name: str
+    run: Run
+    parameters: tuple[ParameterFile, str]
+    provenance: dict[str, str]
+
+
+def read_recorded_gaits(
+    paths: Sequence[Path], parameters: str, notify: Callable[[str], None]
+) -> list[RecordedGait]:
+    """Reads bags, lets the twin follow their gaits, and predicts each, all in the order of the bags.
+
+    The twin goes on from one recording to the next where the robot did: a gait leaves the fins bent, and the next one
+    begins from there. ``parameters`` is a parameter file; empty: the one inside the bag, else the paper's. Raises
+    BagError, ParameterError, or InputError if a bag holds no gait.
+    """
+    with ExitStack() as opened:
+        recordings = [
+            _recording(opened.enter_context(open_bag(path, notify)), path, parameters)
+            for path in paths
+        ]
+        gaits = {}
+        for group in _unbroken(recordings):
+            run = joined([recording.run for recording in group])
+            whole = replay_run(run, group[0].parameters[0].parameters)
+            for recording in group:
+                gaits[id(recording)] = list(_gaits_of(recording, whole, notify))
+    return _named_apart([gait for recording in recordings for gait in gaits[id(recording)]])
+
+
+def _recording(bag: Bag, path: Path, parameters: str) -> _Recording:
+    used = _parameters_of(bag, parameters)
+    name = path.stem if path.is_file() else path.resolve().name
+    return _Recording(bag, name, read_run(bag), used, _provenance(bag, path, used[1]))
+
+
+def _unbroken(recordings: Sequence[_Recording]) -> list[list[_Recording]]:
+    """Recordings by the time of their start, together where one goes on from the other."""
+    groups: list[list[_Recording]] = []
+    for recording in sorted(recordings, key=lambda each: each.run.origin):
+        if groups and _goes_on(groups[-1][-1], recording):
+            groups[-1].append(recording)
+        else:
+            groups.append([recording])
+    return groups
+
+
+def _goes_on(before: _Recording, after: _Recording) -> bool:
+    """Whether a robot was left alone between two recordings."""
+    if before.parameters[0] != after.parameters[0]:
+        return False
+    last, first = before.run.tracker.rear_position, after.run.tracker.rear_position
+    last, first = last[np.isfinite(last)][-_AT_REST:], first[np.isfinite(first)][:_AT_REST]
+    if not (last.size and first.size):
+        return False
+    pause = after.run.origin - _last_stamp(before.run)
+    unmoved = abs(np.median(first) - np.median(last)) < _UNMOVED
+    return before.run.origin < after.run.origin and pause < _LONGEST_BREAK_NS and bool(unmoved)
+
+
+def _gaits_of(
+    recording: _Recording, whole: Replay, notify: Callable[[str], None]
+) -> Iterator[RecordedGait]:
+    parts = parts_of(recording.run)
+    if len(parts) > 1:
+        notify(f"{recording.bag.path} holds {len(parts)} gaits, each is reported")
+    for number, part in enumerate(parts, 1):
+        name = f"{recording.name}_{number}" if len(parts) > 1 else recording.name
+        replay = _cut_replay(whole, part.run)
+        events = events_of(recording.bag, part.run, part.holds, replay)
+        yield recorded_gait(
+            part.run, name, replay, recording.parameters, events, recording.provenance
+        )
+
+
+def _named_apart(gaits: Sequence[RecordedGait]) -> list[RecordedGait]:
+    """The same gaits, those of one name numbered."""
+    names = [gait.name for gait in gaits]
+    return [
+        replace(gait, name=f"{gait.name} ({names[: row + 1].count(gait.name)})")
+        if names.count(gait.name) > 1
+        else gait
+        for row, gait in enumerate(gaits)
+    ]
+
+
+def _parameters_of(bag: Bag, file: str) -> tuple[ParameterFile, str]:
+    if file:
+        return load_parameter_file(file), file
+    for attached in bag.attachments():
+        if attached.name == _ATTACHED:
+            try:
+                content = parse_parameter_file(yaml.safe_load(attached.data))
+            except (ParameterError, yaml.YAMLError) as error:
+                raise InputError(
+                    f"{bag.path}: its parameter file cannot be used ({error}); give --parameters"
+                ) from None
+            return content, "the parameter file inside the recording"
+    return ParameterFile(), _PAPER
+
+
+def _provenance(bag: Bag, path: Path, source: str) -> dict[str, str]:
+    """What the recording says of itself, its files' hashes, and what it was compared with."""
+    files = [path] if path.is_file() else sorted(f for f in path.iterdir() if f.is_file())
+    hashes = {f"sha256 of {file.name}": _sha256(file) for file in files}
+    manifest = {key: value for key, value in bag.metadata.get(_MANIFEST, {}).items() if value}
+    return {"recording": str(path), **hashes, "compared with": source, **manifest}
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while chunk := file.read(_CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class Part:
+    """The run of one gait; it holds what has a stamp from ``start`` to before ``end`` (ns since the epoch)."""
+
+    run: Run
+    start: int
+    end: int
+
+    def holds(self, stamp: int) -> bool:
+        """Whether a stamp lies in the part."""
+        return self.start <= stamp < self.end
+
+
+def parts_of(run: Run) -> list[Part]:
+    """A part a gait that was played, in their order; each begins with the rest before its gait.
+
+    A run of one gait or of none is its own only part.
+    """
+    states = run.gait_state
+    onsets = [int(states.onset[rows].min()) for rows in states.rows_of_runs()]
+    bounds = [_rest_before(states, *pair) for pair in pairwise(onsets)]
+    limits = np.iinfo(np.int64)
+    spans = pairwise([int(limits.min), *bounds, int(limits.max)])
+    return [Part(_cut(run, *span) if bounds else run, *span) for span in spans]
+
+
+def _last_stamp(run: Run) -> int:
+    """The greatest stamp (ns since the epoch) of a run, its origin if it has no samples."""
+    stamps = [getattr(run, name).stamp for name in _SERIES]
+    return int(max((stamp.max() for stamp in stamps if stamp.size), default=run.origin))
+
+
+def joined(runs: Sequence[Run]) -> Run:
+    """Runs by rising time as one, without joint states; where two overlap, the samples of the first count."""
+    if len(runs) == 1:
+        return runs[0]
+    whole = {}
+    for name in _SERIES:
+        if name == _JOINTS:
+            continue
+        kept, last = [], np.iinfo(np.int64).min
+        for series in (getattr(run, name) for run in runs):
+            kept.append(_rows(series, series.stamp > last))
+            last = max(last, int(series.stamp.max(initial=last)))
+        columns = {
+            field.name: np.concatenate([getattr(part, field.name) for part in kept])
+            for field in fields(kept[0])
+        }
+        whole[name] = type(kept[0])(**columns)
+    return Run(origin=runs[0].origin, **whole)
+
+
+def _cut_replay(replay: Replay, run: Run) -> Replay:
+    """What the twin said of a part of a recording, from its first sample to its last."""
+    start, end = run.origin, _last_stamp(run)
+
+    def cut(series: Series) -> Series:
+        rows = (series["stamp_ns"] >= start) & (series["stamp_ns"] <= end)
+        return {name: column[rows] for name, column in series.items()}
+
+    return replace(
+        replay,
+        states=cut(replay.states),
+        residuals=cut(replay.residuals),
+        lengths=cut(replay.lengths),
+        notices=tuple(notice for notice in replay.notices if start <= notice.stamp_ns <= end),
+    )
+
+
+def _rest_before(states: GaitStates, previous: int, onset: int) -> int:
+    """When the rest began that leads to an onset."""
+    rests = states.stamp[
+        (states.state == RESTING) & (states.stamp > previous) & (states.stamp <= onset)
+    ]
+    return int(rests[-1]) if rests.size else max(onset - _REST_NS, (previous + onset) // 2)
+
+
+def _cut(run: Run, start: int, end: int) -> Run:
+    cut, stamps = {}, []
+    for name in _SERIES:
+        series = getattr(run, name)
+        cut[name] = _rows(series, (series.stamp >= start) & (series.stamp < end))
+        stamps += cut[name].stamp[:1].tolist()
+    return Run(origin=min(stamps, default=run.origin), **cut)
+
+
+def _rows(series: Any, rows: NDArray[np.bool_]) -> Any:
+    """Some samples of a series."""
+    columns = {field.name: getattr(series, field.name) for field in fields(series)}
+    arrays = {name: col[rows] for name, col in columns.items() if isinstance(col, np.ndarray)}
+    return replace(series, **arrays)

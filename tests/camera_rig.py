@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rigs before the virtual camera: images of known places, and what the tracker makes of them."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_driver.tracking.camera_model import CameraModel
+from worm_driver.tracking.tracker import Sighting, Tracker
+from worm_driver.tracking.tracker_setup import ModuleMarker, TrackerSetup
+from worm_driver.tracking.vision import Detection, MarkerDetector
+from worm_driver.virtual_robot.camera_images import (
+    CameraSettings,
+    VirtualCamera,
+    exposure_path,
+    load_camera_settings,
+)
+
+Array = NDArray[np.float64]
+SETTINGS = load_camera_settings()
+LENGTH = 0.2952
+RIDGES = 5
+PITCH = 0.0173
+
+
+def looking_at(settings: CameraSettings, place: tuple[float, float, float]) -> CameraSettings:
+    """A camera from which 0.6 m of the pipe around a place fill the image's width."""
+    distance = 0.6 * settings.focal / settings.width / math.cos(settings.yaw)
+    forward = np.array(
+        [
+            -math.sin(settings.yaw) * math.cos(settings.pitch_angle),
+            math.cos(settings.yaw) * math.cos(settings.pitch_angle),
+            math.sin(settings.pitch_angle),
+        ]
+    )
+    x, y, z = np.array(place) - distance * forward
+    return replace(settings, position=(float(x), float(y), float(z)))
+
+
+def model_of(settings: CameraSettings) -> CameraModel:
+    """The calibration that a camera has."""
+    focal = (settings.focal, settings.focal)
+    size = settings.width, settings.height
+    return CameraModel(*size, focal, settings.centre, "plumb_bob", settings.distortion)
+
+
+def setup_of(settings: CameraSettings, **changes: object) -> TrackerSetup:
+    """The setup that a lab would write for a camera's rig."""
+    setup = TrackerSetup(
+        dictionary="DICT_4X4_50",
+        marker_size=settings.marker_size,
+        rear=ModuleMarker(settings.rear.marker, settings.rear.offset),
+        front=ModuleMarker(settings.front.marker, settings.front.offset),
+        line=settings.module_line,
+        reference=settings.reference,
+        camera=model_of(settings),
+    )
+    return replace(setup, **changes)  # type: ignore[arg-type]
+
+
+def crawling(time: float) -> tuple[float, float]:
+    """x1 and x2 (m) of a worm that gains five ridges in 12.5 s: a stroke of 70 mm at 0.2 Hz."""
+    length = LENGTH - 0.035 * (1.0 - math.cos(2.0 * math.pi * 0.2 * time))
+    rear = RIDGES * PITCH * time / 12.5 + 0.008 * math.sin(2.0 * math.pi * 0.2 * time)
+    return rear, rear + length
+
+
+@dataclass(frozen=True)
+class Film:
+    """True places (m), shape (images, 2), and what was seen."""
+
+    truth: Array
+    sightings: list[Sighting]
+
+    @property
+    def errors(self) -> Array:
+        """Seen minus true (m), shape (images, 2); NaN while hidden."""
+        return np.array([[s.rear, s.front] for s in self.sightings]) - self.truth
+
+
+def film(
+    settings: CameraSettings,
+    times: Array,
+    motion: Callable[[float], tuple[float, float]] = crawling,
+    setup: TrackerSetup | None = None,
+    seed: int = 1,
+) -> Film:
+    """Images of a motion, each blurred over its exposure, and what the tracker says."""
+    camera = VirtualCamera(settings, seed)
+    tracker = Tracker(setup or setup_of(settings))
+    detector = MarkerDetector(tracker.setup.dictionary)
+    truth, sightings = [], []
+    for time in times:
+        places = motion(time)
+        before = motion(time - 1e-3)
+        path = exposure_path(
+            (round(time * 1e9), *places), (round(time * 1e9) - 10**6, *before), settings.exposure
+        )
+        image = camera.image(path)
+        sightings.append(tracker.see(detector.detect(image), float(time)))
+        truth.append(places)
+    return Film(np.array(truth), sightings)
+
+
+class PaperCamera:
+    """Corners as a camera without noise sees them, computed here and not by the tracker."""
+
+    def __init__(self, settings: CameraSettings = SETTINGS) -> None:
+        self.settings = settings
+
+    def pixels(self, points: Array) -> Array:
+        """Pixels, shape (n, 2), of points of the pipe's frame, shape (n, 3), m."""
+        s = self.settings
+        cy, sy, cp, sp = (f(a) for a in (s.yaw, s.pitch_angle) for f in (math.cos, math.sin))
+        forward = np.array([-sy * cp, cy * cp, sp])
+        level = np.array([cy, sy, 0.0])
+        down = np.cross(forward, level)
+        right = math.cos(s.roll) * level + math.sin(s.roll) * down
+        axes = np.array([right, np.cross(forward, right), forward])
+        seen = (points - np.array(s.position)) @ axes.T
+        x, y = (seen[:, :2] / seen[:, 2:]).T
+        k1, k2, p1, p2, k3 = s.distortion
+        r2 = x * x + y * y
+        radial = 1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        bent = np.stack(
+            [
+                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+            ],
+            axis=1,
+        )
+        return bent * s.focal + np.array(s.centre)
+
+    def marker(
+        self,
+        number: int,
+        centre: tuple[float, float, float],
+        size: float = SETTINGS.marker_size,
+        tilt: Array | None = None,
+    ) -> Detection:
+        """A marker that faces -y, turned about its centre by a rotation matrix."""
+        half = size / 2.0
+        corners = np.array([[-half, 0, half], [half, 0, half], [half, 0, -half], [-half, 0, -half]])
+        turned = corners if tilt is None else corners @ tilt.T
+        return Detection(number, self.pixels(turned + np.array(centre)), 0.3)
+
+    def references(self) -> list[Detection]:
+        """All reference markers of the rig."""
+        return [self.marker(n, place) for n, place in self.settings.reference.items()]
+
+    def modules(self, rear: float = 0.0, front: float = LENGTH) -> list[Detection]:
+        """Both modules' markers."""
+        y, z = self.settings.module_line
+        return [self.marker(0, (rear, y, z)), self.marker(1, (front, y, z))]
+
+
+def turned(axis: tuple[float, float, float], angle: float) -> Array:
+    """A rotation matrix (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross

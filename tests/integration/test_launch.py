@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""worm.launch.py under ROS' own launch, with virtual robots; skipped where launch is not installed (it is no wheel)."""
+
+import os
+import re
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from harness import LATCHED
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+
+from worm_msgs.action import RunGait
+from worm_msgs.msg import BodyLength, Gait, GaitState, Tracker, TwinState
+
+pytest.importorskip("launch_ros", reason="no launch system is installed")
+ROS2 = shutil.which("ros2")
+pytestmark = [
+    pytest.mark.skipif(ROS2 is None, reason="no ros2 command line is installed"),
+    pytest.mark.timeout(900),
+]
+
+START_S = 240.0  # of six processes, also while others compute; a virtual robot is slow then
+GAIT = RunGait.Goal(
+    gait=Gait(stroke=0.07, frequency=0.2, direction=Gait.FORWARD, margin=0.0), cycles=60
+)
+PAIR = """
+from launch import LaunchDescription
+from launch.actions import GroupAction, IncludeLaunchDescription
+from launch_ros.actions import PushRosNamespace
+from launch_ros.substitutions import FindPackageShare
+from launch.substitutions import PathJoinSubstitution
+
+def robot(name):
+    path = PathJoinSubstitution([FindPackageShare("worm_optimizer"), "launch", "worm.launch.py"])
+    given = {{"mode": "virtual", "namespace": name, "directory": "{folder}/" + name, "bag": ""}}
+    return GroupAction([PushRosNamespace("fleet"), IncludeLaunchDescription(path, launch_arguments=given.items())])
+
+def generate_launch_description():
+    return LaunchDescription([robot("left"), robot("right")])
+"""
+
+
+@pytest.fixture
+def launched(processes, tmp_path, monkeypatch):
+    """Starts worm.launch.py with arguments."""
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_logs"))
+    monkeypatch.setenv("PYTHONUNBUFFERED", "1")
+    processes._env = dict(os.environ)
+
+    def start(*words: str, file: tuple[str, ...] = ("worm_optimizer", "worm.launch.py")):
+        return processes.start("launch", [ROS2, "launch", *file, *words])
+
+    return start
+
+
+def virtual(folder: Path, **settings: object) -> list[str]:
+    given = {"mode": "virtual", "directory": folder / "robot", **settings}
+    return [f"{name}:={value}" for name, value in given.items()]
+
+
+def state_of(probe, name: str = "/worm/driver") -> int:
+    return probe.call(GetState, f"{name}/get_state", GetState.Request(), START_S).current_state.id
+
+
+def wait_for_active(probe, name: str = "/worm/driver") -> None:
+    probe.wait_for(
+        lambda: state_of(probe, name) == State.PRIMARY_STATE_ACTIVE, "activation", START_S
+    )
+
+
+def pids(output: str) -> dict[str, int]:
+    found = re.findall(r"\[(\w+)-\d+\]: process started with pid \[(\d+)\]", output)
+    return {name: int(number) for name, number in found}
+
+
+def runs(pid: int) -> bool:
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
+
+
+def test_after_one_failure_a_robot_is_its_operators(launched, probe, processes, tmp_path):
+    robot = processes.start_executable(
+        "worm_driver", "virtual_robot", "--directory", str(tmp_path / "robot")
+    )
+    robot.wait_for_line("ready:", START_S)
+    launch = launched("mode:=robot", "port:=/nope", "i2c_bus:=none")
+    launch.wait_for_line("launch does not try again", START_S)
+    assert state_of(probe) == State.PRIMARY_STATE_UNCONFIGURED
+
+    text = ParameterValue(
+        type=ParameterType.PARAMETER_STRING, string_value=str(tmp_path / "robot" / "servo_bus")
+    )
+    request = SetParameters.Request(parameters=[Parameter(name="port", value=text)])
+    assert probe.call(SetParameters, "/worm/driver/set_parameters", request).results[0].successful
+    change = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_CONFIGURE))
+    assert probe.call(ChangeState, "/worm/driver/change_state", change).success
+    reports = probe.collect(DiagnosticArray, "/diagnostics")
+    probe.wait_for(
+        lambda: sum(s.name == "worm/driver: gait" for r in reports for s in r.status) >= 5,
+        "five seconds",
+    )
+    assert state_of(probe) == State.PRIMARY_STATE_INACTIVE
+
+
+def test_launch_is_as_patient_as_a_slow_return(launched, probe, tmp_path):
+    """The return from ΔL = -60 mm at 12 mm/s takes 8 s, more than launch waits by itself."""
+    file = tmp_path / "driver.yaml"
+    file.write_text("/worm/driver: {ros__parameters: {return_speed_m_s: 0.012}}\n")
+    launch = launched(*virtual(tmp_path, driver_file=file))
+    wait_for_active(probe)
+    states = probe.collect(GaitState, "gait_state", LATCHED)
+    lengths = probe.collect(BodyLength, "body_length/cable")
+    goal = probe.send_goal(RunGait, "run_gait", GAIT)
+    result = goal.get_result_async()
+    probe.wait_for(lambda: lengths and lengths[-1].length_change < -0.06, "contraction", START_S)
+    launch.interrupt()
+    assert "closed" in probe.result(result, "result of the goal", START_S).result.message
+    probe.wait_for(lambda: launch.exit_code is not None, "end of launch", START_S)
+    assert launch.exit_code == 0
+    assert "escalating" not in launch.output()
+    assert "plug it in again" not in launch.output()
+    assert abs(lengths[-1].length_change) < 0.002
+    assert states[-1].state == GaitState.INACTIVE
+
+
+@pytest.mark.skipif(shutil.which("setpriv") is None, reason="no setpriv (util-linux)")
+def test_sigterm_to_launch_leaves_no_gait_running(launched, probe, tmp_path):
+    launch = launched(*virtual(tmp_path))
+    wait_for_active(probe)
+    states = probe.collect(GaitState, "gait_state", LATCHED)
+    assert probe.send_goal(RunGait, "run_gait", GAIT).accepted
+    probe.wait_for(lambda: states and states[-1].cycle >= 1, "running gait", START_S)
+    started = pids(launch.output())
+    os.kill(launch.pid, signal.SIGTERM)
+    probe.wait_for(lambda: states[-1].state == GaitState.INACTIVE, "end of the driver", START_S)
+    probe.wait_for(lambda: not any(map(runs, started.values())), "end of all", START_S)
+
+
+def test_two_robots_of_one_launch_file_do_not_mix(launched, probe, tmp_path):
+    """Under a PushRosNamespace, each with a twin of its own."""
+    file = tmp_path / "pair.launch.py"
+    file.write_text(PAIR.format(folder=tmp_path))
+    launch = launched(file=(str(file),))
+    names = ("left", "right")
+    for name in names:
+        wait_for_active(probe, f"/fleet/{name}/driver")
+    trackers = {name: probe.collect(Tracker, f"/fleet/{name}/tracker") for name in names}
+    twins = {name: probe.collect(TwinState, f"/fleet/{name}/twin/state") for name in names}
+    reports = probe.collect(DiagnosticArray, "/diagnostics")
+    assert probe.send_goal(RunGait, "/fleet/left/run_gait", GAIT).accepted
+
+    def travel(name: str) -> float:
+        seen = trackers[name]
+        return seen[-1].rear_position - seen[0].rear_position if seen else 0.0
+
+    probe.wait_for(lambda: travel("left") > 0.005, "motion of the left robot", START_S)
+    probe.wait_for(lambda: trackers["right"], "tracker of the right robot", START_S)
+    assert abs(travel("right")) < 0.002
+    probe.wait_for(lambda: twins["left"], "twin of the left robot", START_S)
+    for name in names:
+        assert probe.node.count_publishers(f"/fleet/{name}/twin/state") == 1
+        assert probe.node.count_subscribers(f"/fleet/{name}/body_length/commanded") == 1
+    assert probe.node.count_publishers("/worm/tracker") == 0
+    probe.wait_for(
+        lambda: (
+            {f"fleet/{n}/{part}" for n in names for part in ("driver: gait", "twin: model")}
+            <= {s.name for r in reports for s in r.status}
+        ),
+        "diagnostics of both",
+    )
+    assert all(s.hardware_id for r in reports for s in r.status)
+    launch.interrupt()
+    assert launch.wait(START_S) == 0
+
+
+def test_the_twin_is_missed_and_starts_again_but_the_driver_ends_all(launched, probe, tmp_path):
+    launch = launched(*virtual(tmp_path))
+    wait_for_active(probe)
+    before = pids(launch.output())
+    os.kill(before["twin"], signal.SIGKILL)
+    launch.wait_for_line("twin has ended with exit status -9: it starts again", START_S)
+    probe.wait_for(lambda: pids(launch.output())["twin"] != before["twin"], "another twin", START_S)
+    assert state_of(probe) == State.PRIMARY_STATE_ACTIVE
+    os.kill(before["driver"], signal.SIGKILL)
+    assert launch.wait(START_S) == 1
+    assert "driver has ended with exit status -9" in launch.output()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["mode:=robot", "driver_file:=/nonexistent"], "/nonexistent"),
+        (["mode:=robot", "use_sim_time:=true"], "a robot runs in real time"),
+        (["mode:=simulation"], "simulation"),
+    ],
+)
+def test_what_cannot_work_is_said_without_a_traceback(launched, words, said):
+    launch = launched(*words)
+    assert launch.wait(START_S) == 1
+    assert said in launch.output()
+    told = [
+        line
+        for line in launch.output().splitlines()
+        if line.startswith(("[driver", "[ERROR] [launch"))
+    ]
+    assert not any("Traceback" in line for line in told)
+
+
+def test_every_setting_of_the_system_file_is_an_argument(launched):
+    from harness import system_file
+
+    launch = launched("--show-args")
+    assert launch.wait(START_S) == 0
+    for name in ("mode", "namespace", "log_level", "use_sim_time", *system_file().settings):
+        assert f"'{name}':" in launch.output()

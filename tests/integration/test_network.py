@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two hosts on a cable, as network namespaces: what the second one finds of a robot on the first one."""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from harness import TIMEOUT_S, system_file
+
+from worm_optimizer.operation.processes import Process, executable_command
+
+#: of the processes that the neighbour looks for, and what it may need at most to find them on an open network
+LOOKING_S = 12.0
+
+NEIGHBOUR = """
+import sys, time, rclpy
+from rclpy.executors import SingleThreadedExecutor
+rclpy.init()
+node = rclpy.create_node("neighbour")
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+end = time.monotonic() + float(sys.argv[1])
+found = set()
+while time.monotonic() < end and not found:
+    executor.spin_once(timeout_sec=0.1)
+    found = {name for name in node.get_node_names() if name != "neighbour"}
+print("found:", *sorted(found))
+"""
+
+
+def _ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True, capture_output=True, text=True)
+
+
+class Host:
+    """A network namespace with a cable to the other one. Its programs have a /dev/shm of their own, as hosts do."""
+
+    def __init__(self, name: str, address: str) -> None:
+        self.name, self.address = name, address
+
+    def command(self, *words: str) -> list[str]:
+        private = 'mount -t tmpfs none /dev/shm && exec "$@"'
+        return ["ip", "netns", "exec", self.name, "sh", "-c", private, "sh", *words]
+
+    def udp_ports(self) -> list[str]:
+        """The addresses that programs of this host are bound to."""
+        given = subprocess.run(
+            ["ip", "netns", "exec", self.name, "ss", "-H", "-l", "-u", "-n"],
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        return [line.split()[3] for line in given.stdout.splitlines()]
+
+
+@pytest.fixture
+def hosts() -> Iterator[tuple[Host, Host]]:
+    """The robot's computer and a neighbour, on one network."""
+    mark = f"worm{os.getpid()}"
+    robot, neighbour = Host(f"{mark}a", "10.77.0.1"), Host(f"{mark}b", "10.77.0.2")
+    made = []
+    try:
+        try:
+            for host in (robot, neighbour):
+                _ip("netns", "add", host.name)
+                made.append(host)
+            _ip("-n", robot.name, "link", "add", "cable", "type", "veth", "peer", "name", "cable",
+                "netns", neighbour.name)  # fmt: skip
+            for host in made:
+                _ip("-n", host.name, "address", "add", f"{host.address}/24", "dev", "cable")
+                for device in ("lo", "cable"):
+                    _ip("-n", host.name, "link", "set", device, "up")
+                _ip("-n", host.name, "route", "add", "224.0.0.0/4", "dev", "cable")
+            subprocess.run(robot.command("true"), check=True, capture_output=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            reason = getattr(error, "stderr", "") or error
+            pytest.skip(
+                f"network namespaces need ip (iproute2) and the right to make them: {reason}"
+            )
+        yield robot, neighbour
+    finally:
+        for host in made:
+            _ip("netns", "delete", host.name)
+
+
+def look(host: Host, peer: Host, seconds: float) -> str:
+    """What a neighbour finds that names the robot's computer as a peer and looks as far as ROS can."""
+    widened = {
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+        "ROS_STATIC_PEERS": f"{peer.address};{host.address}",
+    }
+    closed = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "WORM_NETWORK")
+    environment = {k: v for k, v in os.environ.items() if k not in closed} | widened
+    given = subprocess.run(
+        host.command(sys.executable, "-c", NEIGHBOUR, str(seconds)),
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=seconds + TIMEOUT_S,
+    )
+    assert given.returncode == 0, given.stderr
+    return given.stdout
+
+
+def start_driver(processes, host: Host, *environment: str) -> Process:
+    command = executable_command("worm_driver", "driver_node")
+    return processes.start("driver", host.command("env", *environment, *command))
+
+
+def test_a_neighbour_with_static_peers_finds_nothing(processes, probe, hosts):
+    robot, neighbour = hosts
+    start_driver(processes, robot)
+    probe.wait_for(robot.udp_ports, "driver with its ports")
+    assert look(neighbour, robot, LOOKING_S) == "found:\n"
+
+
+def test_the_same_neighbour_finds_a_driver_that_was_let_onto_the_network(processes, probe, hosts):
+    """Else the test before would prove nothing."""
+    robot, neighbour = hosts
+    driver = start_driver(processes, robot, "WORM_NETWORK=1")
+    driver.wait_for_line(r"network: heard on the network \(WORM_NETWORK=1\)", TIMEOUT_S)
+    probe.wait_for(robot.udp_ports, "driver with its ports")
+    assert "driver" in look(neighbour, robot, LOOKING_S)
+
+
+def virtual_nodes() -> list:
+    return system_file().system("virtual", bag="bag", directory="robot").nodes
+
+
+@pytest.mark.parametrize("node", virtual_nodes(), ids=lambda node: node.name)
+def test_every_process_is_bound_to_the_loopback_interface_alone(
+    processes, probe, hosts, tmp_path: Path, monkeypatch, node
+):
+    robot, _ = hosts
+    monkeypatch.chdir(tmp_path)
+    command = executable_command(node.package, node.executable)
+    processes.start(node.name, robot.command(*command, *node.arguments))
+    ports = probe.wait_for(robot.udp_ports, "process with its ports")
+    assert [port for port in ports if not re.match(r"127\.0\.0\.1:\d+$", port)] == []

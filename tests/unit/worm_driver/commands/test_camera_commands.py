@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""markers, calibrate_camera and track, as a person calls them."""
+
+import csv
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from camera_rig import LENGTH, SETTINGS
+
+from worm_driver.commands import calibrate_camera, markers, track
+from worm_driver.tracking.camera_model import load_camera_info
+from worm_driver.tracking.vision import Board, read_image, write_image
+from worm_driver.virtual_robot.camera_images import CameraSettings, Pattern, VirtualCamera
+
+CONFIG = Path(track.__file__).parents[1] / "config"
+SETUP = CONFIG / "virtual_tracker.yaml"
+WHOLE = (slice(None), slice(None))
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory) -> Path:
+    """Three images of a rear module that goes 5 mm a step; in the last one it is hidden."""
+    folder = tmp_path_factory.mktemp("images")
+    camera = VirtualCamera(SETTINGS, 3)
+    for index, rear in enumerate((0.0, 0.005, math.nan)):
+        write_image(folder / f"{index}.png", camera.image(np.array([[rear, LENGTH]])))
+    (folder / "times.csv").write_text("file,time_s\n0.png,1.0\n1.png,1.1\n2.png,1.2\n")
+    return folder
+
+
+def complaint(capsys) -> str:
+    """The only line on standard error."""
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+# --- track ----------------------------------------------------------------------------------------
+
+
+def test_track_writes_the_table(images, tmp_path, capsys):
+    output = tmp_path / "out.csv"
+    arguments = ["--images", str(images), "--setup", str(SETUP), "--output", str(output), "--json"]
+    assert track.main(arguments) == 0
+    rows = list(csv.DictReader(output.open()))
+    columns = ["time_s", "rear_position_m", "front_position_m", "length_m", "reason"]
+    assert list(rows[0]) == columns
+    numbers = np.array([[float(row[name]) for name in columns[:4]] for row in rows])
+    assert numbers[:, 0] == pytest.approx([1.0, 1.1, 1.2])
+    assert numbers[:2, 1] == pytest.approx([0.0, 0.005], abs=2e-4)
+    assert numbers[:, 2] == pytest.approx([LENGTH] * 3, abs=2e-4)
+    assert np.isnan(numbers[2, [1, 3]]).all()
+    assert [row["reason"] for row in rows] == ["", "", "rear marker 0 is not found"]
+    told = json.loads(capsys.readouterr().out)
+    assert (told["images"], told["seen"], told["output"]) == (3, 2, str(output))
+    assert told["reprojection_error_px"] < 0.2
+
+
+def test_track_shows_what_it_found(images, tmp_path, capsys):
+    picture = tmp_path / "preview.png"
+    assert (
+        track.main(["--images", str(images), "--setup", str(SETUP), "--preview", str(picture)]) == 0
+    )
+    assert read_image(picture).shape == (720, 1280)
+    plain = read_image(images / "0.png").astype(int)
+    assert (np.abs(read_image(picture).astype(int) - plain) > 60).sum() > 2000
+    told = capsys.readouterr().err
+    assert "6 markers found" in told
+    assert "L 295." in told
+
+
+def test_a_film_gives_what_its_images_give(images, tmp_path):
+    cv2 = pytest.importorskip("cv2")
+    film = tmp_path / "film.avi"
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (1280, 720))
+    for index in range(3):
+        writer.write(cv2.imread(str(images / f"{index}.png")))
+    writer.release()
+    output = tmp_path / "out.csv"
+    assert track.main(["--video", str(film), "--setup", str(SETUP), "--output", str(output)]) == 0
+    rows = list(csv.DictReader(output.open()))
+    assert [float(row["time_s"]) for row in rows] == pytest.approx([0.0, 0.1, 0.2])
+    assert float(rows[1]["rear_position_m"]) == pytest.approx(0.005, abs=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "give --output, --preview or both"),
+        (["--preview", "{tmp}/picture.txt"], "must end in .png"),
+        (["--output", "{images}/times.csv"], "exists already"),
+        (["--output", "{tmp}/none/out.csv"], "make it first"),
+        (["--output", "{tmp}/out.csv", "--setup", "{tmp}/none.yaml"], "none.yaml: No such file"),
+        (["--output", "{tmp}/out.csv", "--images", "{tmp}"], "holds no images"),
+    ],
+)
+def test_track_refuses_in_one_line(images, tmp_path, capsys, arguments, message):
+    given = [word.format(tmp=tmp_path, images=images) for word in arguments]
+    given = ["--images", str(images), "--setup", str(SETUP), *given]
+    try:
+        status = track.main(given)
+    except SystemExit as left:
+        status = left.code
+    assert status == 2
+    assert message in complaint(capsys)
+    assert not (tmp_path / "out.csv").exists() or (tmp_path / "out.csv").stat().st_size < 100
+
+
+def test_a_bag_is_made_by_the_package_of_bags(images, tmp_path):
+    opening = pytest.importorskip("worm_model.bags.opening")
+    pytest.importorskip("ament_index_python")
+    bag = tmp_path / "bag"
+    if track.main(["--images", str(images), "--setup", str(SETUP), "--output", str(bag)]) == 2:
+        pytest.skip("the workspace is not built")
+    with opening.open_bag(bag, print) as opened:
+        assert {"/worm/tracker", "/worm/body_length/measured"} <= set(opened.topics)
+
+
+# --- markers --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("paper", "size"), [("a4", (210.0, 297.0)), ("letter", (215.9, 279.4))])
+def test_a_page_has_its_true_size(tmp_path, paper, size):
+    output = tmp_path / "markers.pdf"
+    assert markers.main(["--setup", str(SETUP), "--paper", paper, "--output", str(output)]) == 0
+    box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", output.read_bytes())
+    assert [float(side) / 72 * 25.4 for side in box.groups()] == pytest.approx(size, abs=0.01)
+
+
+def test_black_squares_and_the_ruler_have_their_true_size(tmp_path, monkeypatch):
+    from matplotlib.patches import Rectangle
+
+    drawn = []
+    monkeypatch.setattr(markers, "_write", lambda _, sheets: drawn.extend(sheets))
+    arguments = ["--ids", "0", "7", "--size-m", "0.03", "--output", str(tmp_path / "m.pdf")]
+    assert markers.main(arguments) == 0
+    (axes,) = drawn[0].figure.axes
+    to_inches = axes.transData + drawn[0].figure.dpi_scale_trans.inverted()
+
+    def to_mm(points: np.ndarray) -> np.ndarray:
+        return 25.4 * to_inches.transform(points)
+
+    squares = [p for p in axes.patches if isinstance(p, Rectangle) and p.get_facecolor()[0] == 0.0]
+    assert len(squares) == 2
+    for square in squares:
+        corners = to_mm([square.get_xy(), np.array(square.get_xy()) + square.get_width()])
+        assert np.ptp(corners, axis=0) == pytest.approx([30.0, 30.0], abs=1e-6)
+    lengths = [np.ptp(to_mm(line.get_xydata()), axis=0)[0] for line in axes.lines]
+    assert max(lengths) == pytest.approx(100.0, abs=1e-6)
+
+
+def test_markers_that_there_are_not_are_refused(tmp_path, capsys):
+    assert markers.main(["--ids", "50", "--output", str(tmp_path / "m.pdf")]) == 2
+    assert "marker 50: DICT_4X4_50 has 0 to 49" in complaint(capsys)
+    assert markers.main(["--ids", "1", "--size-m", "0.3", "--output", str(tmp_path / "m.pdf")]) == 2
+    assert "does not fit on the paper" in complaint(capsys)
+    assert not (tmp_path / "m.pdf").exists()
+
+
+# --- calibrate_camera -----------------------------------------------------------------------------
+
+
+def board_image(settings: CameraSettings) -> np.ndarray:
+    """The printed board in the plane y = 0, as a camera sees it."""
+    columns, rows, square, dictionary = markers.BOARD
+    cells = Board(columns, rows, square, dictionary).draw(50) / 255.0
+    pattern = Pattern(0.05 + 0.9 * cells, (square / 50, square / 50))
+    seen = VirtualCamera(settings, 1).footprints(0.0, WHOLE)
+    reflectance, share = pattern.average(*seen)
+    levels = 180.0 * (reflectance * share + 0.7 * (1.0 - share))
+    noise = np.random.default_rng(1).normal(0.0, 1.5, levels.shape)
+    return np.clip(levels + noise, 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def board_views(tmp_path_factory) -> Path:
+    """Ten views of the board by the virtual camera's lens, at half its size, from all around."""
+    folder = tmp_path_factory.mktemp("board")
+    lens = replace(SETTINGS, width=640, height=360, focal=505.0, centre=(326.0, 176.0))
+    tilts = [(0.0, 0.0), (0.5, 0.1), (-0.5, 0.1), (0.1, 0.5), (-0.1, -0.5)] * 2
+    aims = [(0, 0), (0.06, 0.05), (-0.06, 0.05), (0.06, -0.05), (-0.06, -0.05)]
+    for index, (yaw, pitch) in enumerate(tilts):
+        distance = 0.24 if index < 5 else 0.3
+        forward = np.array(
+            [-np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)]
+        )
+        x, z = aims[(index * 2) % 5]
+        place = np.array([x, 0.0, z]) - distance * forward
+        view = replace(
+            lens, yaw=yaw, pitch_angle=pitch, roll=0.3 * (index % 3), position=tuple(place)
+        )
+        write_image(folder / f"{index}.png", board_image(view))
+    return folder
+
+
+def test_the_lens_is_found_again(board_views, tmp_path, capsys):
+    output = tmp_path / "camera.yaml"
+    arguments = ["--images", str(board_views), "--output", str(output), "--name", "webcam"]
+    assert calibrate_camera.main(arguments) == 0
+    told = capsys.readouterr()
+    assert float(re.search(r"reprojection error ([\d.]+) px", told.out)[1]) < 0.3
+    camera = load_camera_info(output)
+    assert camera.focal == pytest.approx((505.0, 505.0), rel=5e-3)
+    assert camera.centre == pytest.approx((326.0, 176.0), abs=3.0)
+    assert camera.distortion[0] == pytest.approx(SETTINGS.distortion[0], abs=0.05)
+
+
+def test_too_few_views_are_refused(images, tmp_path, capsys):
+    output = tmp_path / "camera.yaml"
+    assert calibrate_camera.main(["--images", str(images), "--output", str(output)]) == 2
+    assert "the board was found in 0 images that differ, 8 are needed" in complaint(capsys)
+    assert not output.exists()

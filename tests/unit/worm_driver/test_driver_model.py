@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random lives of a driver on the virtual robot, byte for byte and on the virtual clock, against what must always hold.
+
+Ten thousand steps: goals, cancels, stops, transitions, services, faults on the wire and of servos, kills and restarts.
+"""
+
+import math
+from dataclasses import replace
+
+import pytest
+from driver_rig import Rig, settings
+from hypothesis import HealthCheck, Phase, seed
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+
+from worm_driver.errors import DriverError
+from worm_driver.gait import gait_player
+from worm_driver.gait.gait_limits import Gait
+from worm_driver.gait.gait_player import Phase as GaitPhase
+from worm_driver.gait.gait_player import PlayerSettings
+from worm_driver.virtual_robot.wire.faults import make_fault
+
+PARTS, LIVES, STEPS = 10, 20, 50
+
+#: short rests, so that a life of 50 steps sees whole gaits
+QUICK = replace(
+    settings(),
+    player=PlayerSettings(
+        rest_duration=0.05, settle_time=0.02, rest_samples=2, rest_timeout=0.2, flip_timeout=1.5
+    ),
+)
+#: m/s, the cable's limit and what the servo's own control may overshoot it by
+FASTEST = QUICK.max_cable_speed * 1.15
+#: m, by which a cable that stands may creep under its load, and s, in which it must have come to stand
+CREEP, BRAKING = 0.001, 0.20
+#: m, beyond the range of a gait in which a goal may lie (an activation admits so much slack)
+SLACK = 0.0105
+MAY_MOVE = (GaitPhase.RUNNING, GaitPhase.STOPPING, GaitPhase.RETURNING)
+
+FAULTS = st.one_of(
+    st.tuples(
+        st.sampled_from(
+            ["no_answer", "corrupted_crc", "truncated", "duplicated", "fuzzed", "error"]
+        ),
+        st.fixed_dictionaries({"count": st.integers(1, 12)}),
+    ),
+    st.tuples(
+        st.just("late"),
+        st.fixed_dictionaries({"count": st.integers(1, 30), "value": st.floats(0.001, 0.040)}),
+    ),
+    st.tuples(
+        st.sampled_from(["no_answer", "vanished", "stalled", "input_voltage", "overload"]),
+        st.fixed_dictionaries(
+            {"target": st.sampled_from([1, 11, 12]), "duration": st.floats(0.02, 0.4)}
+        ),
+    ),
+    st.tuples(
+        st.sampled_from(["i2c_nack", "ina219_overflow", "ina219_reset"]), st.just({"count": 3})
+    ),
+)
+GAITS = st.builds(Gait, st.floats(0.01, 0.06), st.floats(0.2, 0.4), st.sampled_from([1, -1]))
+ODD_GAITS = st.builds(
+    Gait,
+    st.sampled_from([0.03, math.nan, 0.0, 1e-300, 1.0]),
+    st.sampled_from([math.inf, -0.2, 1e-300]),
+    st.sampled_from([1, 0]),
+    st.sampled_from([0.0, math.inf, 1e300]),
+)
+
+
+class Life(RuleBasedStateMachine):
+    """A driver, its robot, and a record of what was asked of it."""
+
+    @initialize()
+    def open(self) -> None:
+        self.rig: Rig = Rig(QUICK)
+        self.virtual, self.clock = self.rig.virtual, self.rig.clock
+        self.alive = True
+        self.goals: list[int] = []
+        self.troubled_until = 0.0
+        self.moved_until = 0.0
+        self.stood_at: float | None = None
+        self.activate()
+
+    # --- what happens ----------------------------------------------------------------------------
+
+    @precondition(lambda self: self.alive)
+    @rule(cycles=st.integers(1, 20))
+    def time_passes(self, cycles: int) -> None:
+        for _ in range(cycles):
+            self.rig.speeds.clear()
+            before = self.rig.robot.player
+            snapshot = self.rig.run(QUICK.period)
+            if before.phase in MAY_MOVE or snapshot.player.phase in MAY_MOVE:
+                self.moved_until = self.clock.now
+            self.check_motion()
+            self.check_words()
+
+    @precondition(lambda self: self.alive and not self.rig.robot.active)
+    @rule()
+    def activate(self) -> None:
+        self.try_to(lambda now: self.rig.robot.activate(now))
+
+    @precondition(lambda self: self.alive)
+    @rule(gait=GAITS, cycles=st.integers(1, 3), patience=st.integers(0, 60))
+    def goal(self, gait: Gait, cycles: int, patience: int) -> None:
+        number = self.try_to(lambda now: self.rig.robot.start(now, gait, cycles))
+        if number is not None:
+            self.goals.append(number)
+        self.time_passes(patience)
+
+    @precondition(lambda self: self.alive)
+    @rule(gait=ODD_GAITS, cycles=st.sampled_from([1, 0, 2_000_000]))
+    def odd_goal(self, gait: Gait, cycles: int) -> None:
+        with pytest.raises(DriverError):
+            self.rig.robot.start(self.clock.now, gait, cycles)
+
+    @precondition(lambda self: self.alive)
+    @rule()
+    def cancel(self) -> None:
+        self.rig.robot.cancel(self.clock.now)
+
+    @precondition(lambda self: self.alive)
+    @rule()
+    def stop(self) -> None:
+        self.try_to(lambda now: self.rig.robot.stop(now, "stop"))
+        assert not gait_player.moving(self.rig.robot.player) or not self.rig.robot.active
+
+    @precondition(lambda self: self.alive and self.rig.robot.active)
+    @rule(patience=st.sampled_from([0.0, 0.1, 3.0]), again=st.booleans())
+    def deactivate(self, patience: float, again: bool) -> None:
+        self.bring_to_rest(patience)
+        if again and self.alive:
+            self.activate()
+
+    @precondition(lambda self: self.alive and self.rig.robot.player.phase is GaitPhase.FAULT)
+    @rule()
+    def mend(self) -> None:
+        """What an operator does after a fault."""
+        self.bring_to_rest(0.0)
+        self.virtual.board.clear()
+        if self.alive:
+            self.try_to(lambda _: self.rig.robot.reboot())
+            self.pass_without_driver(1.0)
+            self.time_passes(5)
+            if not self.rig.robot.homed:
+                self.home()
+            self.activate()
+
+    def bring_to_rest(self, patience: float) -> None:
+        robot = self.rig.robot
+        robot.begin_release(self.clock.now, "deactivated")
+        end = self.clock.now + patience
+        while not robot.released and self.clock.now < end:
+            self.time_passes(1)
+        problems = robot.release()
+        assert not robot.active
+        assert problems or not any(self.torques())
+        if problems:  # as the node does: everything is closed, and opened again
+            self.restart(0.0)
+
+    @precondition(lambda self: self.alive and not self.rig.robot.active)
+    @rule()
+    def home(self) -> None:
+        self.try_to(lambda _: self.rig.robot.home())
+        cable = self.virtual.servos[0]
+        if self.rig.robot.homed and cable.memory["led"]:
+            assert abs(cable._encoder.raw(cable.motor.position)) < 4096 * 2
+
+    @precondition(lambda self: self.alive and not self.rig.robot.active)
+    @rule()
+    def reboot(self) -> None:
+        self.try_to(lambda _: self.rig.robot.reboot())
+
+    @precondition(lambda self: self.alive)
+    @rule(fault=FAULTS, delay=st.floats(0.0, 0.05))
+    def fault(self, fault: tuple[str, dict], delay: float) -> None:
+        name, arguments = fault
+        self.rig.advance(self.clock.now)
+        self.virtual.board.add(make_fault(name, **arguments).delayed(self.clock.now + delay))
+        self.troubled_until = self.clock.now + delay + arguments.get("duration", 0.4) + 1.0
+        self.time_passes(10)
+
+    @precondition(lambda self: self.alive)
+    @rule(away=st.one_of(st.floats(0.0, 0.06), st.floats(0.0, 0.5)))
+    def suspended(self, away: float) -> None:
+        """The computer is busy, or somebody stops the process."""
+        self.pass_without_driver(away)
+
+    @rule(away=st.floats(0.0, 0.5))
+    def killed_and_started_again(self, away: float) -> None:
+        self.restart(away)
+        if self.alive:
+            self.activate()
+
+    # --- how ---------------------------------------------------------------------------------------
+
+    def try_to(self, action):
+        try:
+            return action(self.clock.now)
+        except DriverError:
+            return None
+
+    def restart(self, away: float) -> None:
+        self.goals.clear()
+        self.stood_at = None
+        self.moved_until = max(self.moved_until, self.clock.now + QUICK.watchdog)
+        self.pass_without_driver(away)
+        for _ in range(3):
+            try:
+                self.rig = Rig(QUICK, self.virtual, self.clock)
+            except DriverError:
+                self.pass_without_driver(1.0)
+            else:
+                self.alive = True
+                return
+        self.alive = False  # a servo that shut down waits for its operator
+
+    def pass_without_driver(self, duration: float) -> None:
+        self.rig.speeds.clear()
+        self.clock.now += duration
+        self.rig.advance(self.clock.now)
+        self.check_motion(whole=False)
+
+    def torques(self) -> list[int]:
+        return [servo.memory["torque_enable"] for servo in self.virtual.servos]
+
+    # --- what must hold --------------------------------------------------------------------------------
+
+    def check_motion(self, *, whole: bool = True) -> None:
+        cable = self.virtual.servos[0]
+        if not cable.memory["torque_enable"]:
+            self.stood_at = None
+            return
+        fastest = max((speed for _, speed in self.rig.speeds), default=0.0)
+        assert fastest <= FASTEST, f"{fastest} m/s"
+        if not whole or self.clock.now <= self.moved_until + BRAKING:
+            self.stood_at = None
+            return
+        here = cable.motor.position
+        if self.stood_at is None:
+            self.stood_at = here
+        crept = abs(QUICK.spools[0].length_change(here - self.stood_at))
+        assert crept <= CREEP, (self.rig.robot.player, crept)
+
+    def check_words(self) -> None:
+        robot = self.rig.robot
+        if not robot.active and not robot.unreleased and not robot.left_on:
+            assert not any(self.torques())
+        if robot.active and self.clock.now > self.troubled_until:
+            assert all(self.torques()) or robot.player.phase is GaitPhase.FAULT
+
+    @invariant()
+    def torque_is_off_or_the_watchdog_armed_or_expired(self) -> None:
+        for servo in getattr(self, "virtual", None).servos if hasattr(self, "virtual") else ():
+            assert not servo.memory["torque_enable"] or servo.memory["bus_watchdog"] != 0
+
+    @invariant()
+    def no_goal_lies_beyond_the_range(self) -> None:
+        if not getattr(self, "alive", False) or not self.rig.robot.active:
+            return
+        cable = self.virtual.servos[0]
+        if cable.memory["torque_enable"] and self.rig.robot.homed:
+            change = QUICK.spools[0].length_change(cable.memory["goal_position"])
+            assert -QUICK.max_stroke - SLACK <= change <= SLACK
+
+    @invariant()
+    def every_goal_but_the_last_has_its_result(self) -> None:
+        if getattr(self, "alive", False) and self.goals:
+            run = self.rig.robot.player.run
+            assert run is not None
+            assert run.number == self.goals[-1]
+            assert self.rig.robot.active or run.ending is not None
+
+    def teardown(self) -> None:
+        """Left alone, whatever was asked for comes to its end."""
+        if not getattr(self, "alive", False) or not self.goals:
+            return
+        self.virtual.board.clear()
+        self.troubled_until = math.inf
+        end = self.clock.now + 20.0
+        while self.rig.robot.player.active_run is not None and self.clock.now < end:
+            self.time_passes(5)
+        assert self.rig.robot.player.active_run is None
+
+
+@pytest.mark.timeout(900)  # of the virtual clock there are some minutes in each part
+@pytest.mark.parametrize("part", range(PARTS))
+def test_whatever_happens(part: int) -> None:
+    seed(part)(Life)
+    run_state_machine_as_test(
+        Life,
+        settings=hypothesis_settings(
+            max_examples=LIVES,
+            stateful_step_count=STEPS,
+            deadline=None,
+            database=None,
+            phases=[Phase.generate],
+            suppress_health_check=list(HealthCheck),
+        ),
+    )

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Answers that come late, at every point of the driver's life: none is believed, none is called a fault of a servo."""
+
+import re
+
+import pytest
+from driver_rig import Rig
+
+from worm_driver.control.telemetry import SILENT
+from worm_driver.errors import DriverError
+from worm_driver.gait.gait_player import Phase
+from worm_driver.virtual_robot.wire.faults import make_fault
+
+#: s, by which answers are late: less than a wait, about one, a cycle, several
+LATE = [0.001, 0.003, 0.005, 0.008, 0.012, 0.016, 0.020, 0.030, 0.040]
+#: what no late answer may be called
+FALSE = re.compile("input voltage|overheating|encoder|shock|overload|restarted|turn count|reports")
+
+
+def marked_home(rig: Rig) -> bool:
+    return rig.cable.memory["led"] == 1
+
+
+def true_zero(rig: Rig) -> float:
+    """Where the driver's 0 is on the shaft, ticks."""
+    return rig.cable._encoder.shaft(0)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+@pytest.mark.parametrize("late", LATE)
+def test_a_home_with_late_answers_is_right_or_leaves_no_mark(late, count):
+    """A stale offset taken for a position moves the zero; a mark that stays then makes the next gait pay out cable."""
+    for begin in range(12):
+        rig = Rig()
+        rig.run(0.05)
+        fault = make_fault("late", count=count, value=late)
+        rig.virtual.board.add(fault.delayed(rig.clock.now + begin * 0.012))
+        try:
+            rig.robot.home()
+        except DriverError:
+            assert not marked_home(rig)
+            assert not rig.robot.homed
+        if marked_home(rig):
+            assert true_zero(rig) == pytest.approx(rig.cable.motor.position, abs=12)
+
+
+def test_a_home_that_failed_is_not_activated_and_can_be_repeated():
+    rig = Rig()
+    rig.run(0.05)
+    rig.inject("no_answer", target=1, duration=3.0)
+    with pytest.raises(DriverError):
+        rig.robot.home()
+    rig.run(4.0)
+    with pytest.raises(DriverError, match="turn count"):
+        rig.robot.activate(rig.clock.now)
+    rig.robot.home()
+    rig.robot.activate(rig.clock.now)
+
+
+@pytest.mark.parametrize("late", LATE)
+def test_half_a_second_of_late_answers_is_forgotten(late):
+    rig = Rig()
+    rig.run(0.2)
+    rig.inject("late", duration=0.5, value=late)
+    rig.run(0.6)
+    snapshot = rig.run(0.05)
+    assert SILENT not in snapshot.servos
+    rig.robot.activate(rig.clock.now)
+    assert rig.run(0.2).player.phase is Phase.IDLE
+
+
+@pytest.mark.parametrize("late", [0.001, 0.003, 0.008, 0.012, 0.020])
+def test_a_driver_that_was_opened_on_late_answers_learns_better(late):
+    rig = Rig()
+    rig.inject("late", count=20, value=late)
+    try:
+        rig = rig.restarted_driver()
+    except DriverError:
+        rig.run(1.0)
+        rig = rig.restarted_driver()
+    rig.run(0.3)
+    rig.robot.activate(rig.clock.now)
+    rig.run(0.2)
+    assert SILENT not in rig.snapshots[-1].servos
+    assert rig.robot.player.phase is Phase.IDLE
+
+
+@pytest.mark.parametrize("duration", [0.02, 0.06, 0.3])
+@pytest.mark.parametrize("late", LATE)
+def test_lateness_in_a_gait_is_called_lateness(late, duration):
+    rig = Rig()
+    rig.run_into_motion()
+    rig.inject("late", duration=duration, value=late)
+    snapshot = rig.run(duration + 0.2)
+    assert not FALSE.search(snapshot.player.message), snapshot.player.message
+    if snapshot.player.phase is Phase.FAULT:
+        assert "gives no state" in snapshot.player.message

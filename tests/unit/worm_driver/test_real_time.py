@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the servo thread asks Linux for, with a Linux that is made up."""
+
+import errno
+import threading
+import time
+
+from worm_driver.control.control_loop import PeriodicThread
+from worm_driver.control.diagnostics import Level, timing_report
+from worm_driver.control.real_time import NOT_ASKED, Urgency, ask_for_urgency
+from worm_driver.control.timing import TimingReport
+
+
+def granted(_: int) -> None:
+    return None
+
+
+def refused(*_: int) -> None:
+    raise PermissionError(errno.EPERM, "Operation not permitted")
+
+
+def test_the_calling_thread_gets_what_was_asked_for():
+    asked: list[int] = []
+    urgency = ask_for_urgency(40, asked.append, lambda: asked.append(-1))
+    assert asked == [40, -1]
+    assert urgency == Urgency(granted=True, words="SCHED_FIFO 40, memory locked")
+
+
+def test_what_is_refused_is_named_with_a_remedy_and_the_rest_is_kept():
+    urgency = ask_for_urgency(40, refused, lambda: None)
+    assert not urgency.granted
+    assert urgency.words.startswith("no SCHED_FIFO 40 (Operation not permitted): grant it")
+    assert "locked memory" not in urgency.words
+    both = ask_for_urgency(40, refused, refused)
+    assert "no SCHED_FIFO 40" in both.words
+    assert "no locked memory" in both.words
+    memory = ask_for_urgency(7, granted, refused)
+    assert memory.words.startswith("no locked memory")
+
+
+def test_it_may_be_turned_off():
+    assert ask_for_urgency(0, refused, refused) is NOT_ASKED
+
+
+def test_it_is_asked_for_by_the_thread_itself_before_its_first_step():
+    seen: list[tuple[str, str]] = []
+
+    def note(what: str) -> None:
+        seen.append((what, threading.current_thread().name))
+
+    def step(_: float) -> bool:
+        note("step")
+        return False
+
+    thread = PeriodicThread("servo", 0.001, step, at_start=lambda: note("start"))
+    thread.start()
+    end = time.monotonic() + 20.0
+    while thread.alive:
+        assert time.monotonic() < end
+        time.sleep(0.001)
+    assert seen == [("start", "servo"), ("step", "servo")]
+
+
+def test_the_diagnostics_tell_it_and_blame_it_only_for_a_late_loop():
+    missing = ask_for_urgency(40, refused, refused)
+    fine = TimingReport(0.01, 0.0005, 0.001, 0, 1000)
+    late = TimingReport(0.01, 0.004, 0.02, 7, 1000)
+    assert timing_report(fine, 0.01, missing).level is Level.OK
+    assert ("real_time_priority", missing.words) in timing_report(fine, 0.01, missing).values
+    assert missing.words in timing_report(late, 0.01, missing).message
+    assert "grant" not in timing_report(late, 0.01, Urgency(granted=True, words="x")).message

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Calibrations: their file, and the geometry of the lens against one that is computed independently."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from camera_rig import SETTINGS, PaperCamera, model_of
+
+from worm_driver.tracking import vision
+from worm_driver.tracking.camera_model import CameraModel, camera_info_text, load_camera_info
+from worm_driver.tracking.tracking_errors import SetupError
+
+BROWN = model_of(SETTINGS)
+RATIONAL = replace(
+    BROWN, model="rational_polynomial", distortion=(0.3, 0.1, 1e-3, -1e-3, 0.02, 0.25, 0.08, 0.01)
+)
+FISHEYE = replace(
+    BROWN, model="equidistant", distortion=(-0.02, 0.01, -0.004, 0.001), focal=(500.0, 501.0)
+)
+STRAIGHT = replace(SETTINGS, position=(0.0, -1.0, 0.0), yaw=0.0, pitch_angle=0.0, roll=0.0)
+
+
+@pytest.mark.parametrize("camera", [BROWN, RATIONAL, FISHEYE], ids=lambda c: c.model)
+def test_the_file_is_read_as_it_was_written(camera: CameraModel, tmp_path):
+    path = tmp_path / "camera.yaml"
+    path.write_text(camera_info_text("webcam", camera))
+    assert load_camera_info(path) == camera
+    content = yaml.safe_load(path.read_text())
+    assert content["camera_matrix"]["rows"] == content["camera_matrix"]["cols"] == 3
+    assert len(content["projection_matrix"]["data"]) == 12
+
+
+@pytest.mark.parametrize("camera", [BROWN, RATIONAL, FISHEYE], ids=lambda c: c.model)
+def test_directions_are_the_inverse_of_projecting(camera: CameraModel):
+    columns, rows = np.meshgrid(np.linspace(0, 1279, 9), np.linspace(0, 719, 7))
+    pixels = np.column_stack([columns.ravel(), rows.ravel()])
+    rays = vision.directions(camera, pixels)
+    points = 0.7 * np.column_stack([rays, np.ones(len(rays))])
+    again = vision.project(camera, points, np.eye(3), np.zeros(3))
+    assert again == pytest.approx(pixels, abs=1e-4)
+
+
+def test_projecting_is_what_an_independent_camera_sees():
+    points = np.random.default_rng(1).uniform(-0.4, 0.4, (50, 3))
+    optical = np.column_stack([points[:, 0], -points[:, 2], points[:, 1] + 1.0])
+    pixels = vision.project(BROWN, optical, np.eye(3), np.zeros(3))
+    assert pixels == pytest.approx(PaperCamera(STRAIGHT).pixels(points), abs=1e-6)
+
+
+def test_where_the_lens_model_folds_over_there_is_no_direction():
+    strong = replace(BROWN, distortion=(-0.9, 0.0, 0.0, 0.0, 0.0))
+    rays = vision.directions(strong, np.array([[652.0, 352.0], [1279.0, 0.0]]))
+    assert np.isfinite(rays[0]).all()
+    assert np.isnan(rays[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"image_width": 0}, "0 x 720 pixels is none"),
+        ({"camera_matrix": {"data": [0.0] * 9}}, "the camera is not calibrated"),
+        ({"camera_matrix": {"data": [1.0] * 8}}, "nine finite numbers"),
+        ({"camera_matrix": {"data": [900.0, 2.0, 640.0, 0, 900.0, 360.0, 0, 0, 1.0]}}, "skew"),
+        ({"camera_matrix": [1.0]}, "camera_matrix has no list named data"),
+        ({"distortion_model": "thin_prism"}, "none of plumb_bob, rational_polynomial, equidistant"),
+        ({"distortion_coefficients": {"data": [0.1, 0.2]}}, "takes 4 or 5 coefficients, not 2"),
+        ({"distortion_coefficients": {"data": ["a"] * 5}}, "no number"),
+        ({"distortion_model": None}, "distortion_model None"),
+    ],
+)
+def test_what_is_no_calibration_is_refused(change, message, tmp_path):
+    content = yaml.safe_load(camera_info_text("camera", BROWN))
+    path = tmp_path / "camera.yaml"
+    path.write_text(yaml.safe_dump({**content, **change}))
+    with pytest.raises(SetupError, match=message):
+        load_camera_info(path)
+    del content["camera_matrix"]
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(SetupError, match="camera_matrix is missing"):
+        load_camera_info(path)
+    path.write_text("- 1")
+    with pytest.raises(SetupError, match="no camera_info"):
+        load_camera_info(path)

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The camera's pose from reference markers, and that a camera or a marker that moved is noticed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from camera_rig import SETTINGS, PaperCamera, setup_of, turned
+from hypothesis import given
+from hypothesis import strategies as st
+
+from worm_driver.tracking.camera_pose import FixedCamera, MovingCamera, find_pose
+from worm_driver.tracking.tracking_errors import PoseError
+
+SETUP = setup_of(SETTINGS)
+
+
+def corners(camera: PaperCamera, *left_out: int) -> dict[int, np.ndarray]:
+    return {d.number: d.corners for d in camera.references() if d.number not in left_out}
+
+
+def fixed(settings=SETTINGS) -> FixedCamera:
+    setup = setup_of(settings)
+    return FixedCamera(setup, setup.camera)
+
+
+@given(st.floats(-0.35, 0.35), st.floats(-0.3, 0.3), st.floats(-0.2, 0.2), st.floats(0.4, 1.0))
+def test_the_pose_is_that_of_the_camera(yaw, pitch, roll, distance):
+    forward = np.array([-np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)])
+    place = np.array([0.2, -0.03, 0.0]) - distance * forward
+    settings = replace(SETTINGS, yaw=yaw, pitch_angle=pitch, roll=roll, position=tuple(place))
+    pose = find_pose(SETUP, SETUP.camera, corners(PaperCamera(settings)))
+    assert pose.position == pytest.approx(place, abs=1e-5)
+    assert pose.rotation[2] == pytest.approx(forward, abs=1e-5)
+    assert pose.facing == -1
+    assert pose.error < 1e-3
+
+
+def test_references_out_of_one_plane():
+    settings = replace(
+        SETTINGS, reference={10: (0, -0.03, 0.07), 11: (0.4, -0.06, 0.07), 12: (0.2, 0.0, -0.08)}
+    )
+    pose = find_pose(setup_of(settings), SETUP.camera, corners(PaperCamera(settings)))
+    assert pose.position == pytest.approx(settings.position, abs=1e-5)
+
+
+def test_a_camera_on_the_other_side_of_the_pipe():
+    """Seen from +y, +x is to the left: the mirror image of a rig in x and y."""
+    mirrored = {n: (-x, -y, z) for n, (x, y, z) in SETTINGS.reference.items()}
+    pose = find_pose(
+        setup_of(replace(SETTINGS, reference=mirrored)), SETUP.camera, corners(PaperCamera())
+    )
+    x, y, z = SETTINGS.position
+    assert pose.facing == 1
+    assert pose.position == pytest.approx([-x, -y, z], abs=1e-5)
+
+
+def test_one_marker_is_too_few():
+    with pytest.raises(PoseError, match="in view: 10; 2 are needed"):
+        find_pose(SETUP, SETUP.camera, corners(PaperCamera(), 11, 12, 13))
+
+
+def test_a_wrong_place_in_the_setup_is_told():
+    wrong = setup_of(replace(SETTINGS, reference={**SETTINGS.reference, 11: (0.41, -0.035, 0.075)}))
+    with pytest.raises(PoseError, match=r"mm beside the places of the setup file: check reference"):
+        find_pose(wrong, wrong.camera, corners(PaperCamera()))
+
+
+def test_prints_on_their_heads_are_told():
+    upside_down = {n: np.roll(quad, 2, axis=0) for n, quad in corners(PaperCamera()).items()}
+    with pytest.raises(PoseError, match="upright"):
+        find_pose(SETUP, SETUP.camera, upside_down)
+
+
+def test_two_poses_that_fit_alike_are_refused():
+    """Small prints side by side, far away: which side is nearer cannot be told through noise."""
+    settings = replace(
+        SETTINGS,
+        reference={10: (0.0, 0.0, 0.0), 11: (0.03, 0.0, 0.0)},
+        marker_size=0.02,
+        position=(0.6, -3.0, 0.4),
+        yaw=0.2,
+        pitch_angle=-0.13,
+    )
+    setup = setup_of(settings)
+    camera = PaperCamera(settings)
+    noise = np.random.default_rng(3)
+    seen = {
+        n: camera.marker(n, place, 0.02).corners + noise.normal(0.0, 0.1, (4, 2))
+        for n, place in settings.reference.items()
+    }
+    with pytest.raises(PoseError, match="two places of the camera fit"):
+        find_pose(setup, setup.camera, seen)
+
+
+def test_noise_averages_out_for_a_fixed_camera():
+    noise = np.random.default_rng(1)
+    camera = fixed()
+    exact = corners(PaperCamera())
+    for _ in range(64):
+        seen = {n: quad + noise.normal(0.0, 0.1, (4, 2)) for n, quad in exact.items()}
+        pose = camera.look(seen).pose
+    single = find_pose(SETUP, SETUP.camera, seen)
+    true = np.array(SETTINGS.position)
+    assert np.linalg.norm(pose.position - true) < 0.5 * np.linalg.norm(single.position - true)
+    assert np.linalg.norm(pose.position - true) < 3e-4
+
+
+def test_a_bumped_camera_is_noticed_and_told_and_found_again():
+    camera = fixed()
+    before, after = PaperCamera(), PaperCamera(replace(SETTINGS, yaw=SETTINGS.yaw + 0.002))
+    for _ in range(5):
+        assert camera.look(corners(before)).problem == ""
+    bumped = camera.look(corners(after))
+    assert bumped.pose is None
+    assert bumped.problem == "camera moved"
+    assert "the camera moved" in bumped.news
+    assert "10 by 2." in bumped.news  # 2 mrad at 1010 pixels
+    found = camera.look(corners(after))
+    assert found.news == ""
+    assert found.pose.position == pytest.approx(SETTINGS.position, abs=1e-5)
+
+
+def test_a_marker_that_came_off_counts_no_more():
+    camera = fixed()
+    exact = corners(PaperCamera())
+    for _ in range(3):
+        camera.look(exact)
+    strayed = {**exact, 12: exact[12] + 4.0}
+    told = camera.look(strayed)
+    assert "reference marker 12 by 5.7 px against the others" in told.news
+    for _ in range(3):
+        after = camera.look(strayed)
+        assert (after.problem, after.news) == ("", "")
+    assert after.pose.position == pytest.approx(SETTINGS.position, abs=1e-5)
+
+
+def test_without_a_reference_marker_nothing_is_believed():
+    camera = fixed()
+    camera.look(corners(PaperCamera()))
+    assert "no reference marker in view" in camera.look({}).problem
+    assert (
+        camera.look(corners(PaperCamera(), 11, 12, 13)).problem == ""
+    )  # one is enough for the check
+
+
+def test_a_moving_camera_is_followed():
+    camera = MovingCamera(SETUP, SETUP.camera)
+    for shift in (0.0, 0.05, 0.2):
+        x, y, z = SETTINGS.position
+        moved = PaperCamera(replace(SETTINGS, position=(x + shift, y, z)))
+        watch = camera.look(corners(moved))
+        assert watch.pose.position == pytest.approx([x + shift, y, z], abs=1e-5)
+    assert "are needed" in camera.look(corners(moved, 10, 11, 12)).problem
+
+
+def test_the_turning_of_the_helper_is_a_rotation():
+    matrix = turned((0.0, 0.0, 1.0), 0.3)
+    assert matrix @ matrix.T == pytest.approx(np.eye(3), abs=1e-12)

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images from folders, with their times."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from worm_driver.tracking.image_sources import (
+    check_size,
+    frames_of_film,
+    frames_of_folder,
+    times_of_folder,
+)
+from worm_driver.tracking.tracking_errors import ImageError
+from worm_driver.tracking.vision import write_image
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for number in (1, 2, 9, 10):
+        write_image(tmp_path / f"image_{number}.png", np.full((4, 6), number, np.uint8))
+    return tmp_path
+
+
+def test_names_are_in_the_order_of_their_numbers(folder: Path):
+    frames = list(frames_of_folder(folder, 25.0))
+    assert [frame.name for frame in frames] == [f"image_{n}.png" for n in (1, 2, 9, 10)]
+    assert [frame.time for frame in frames] == pytest.approx([0.0, 0.04, 0.08, 0.12])
+    assert [int(frame.image[0, 0]) for frame in frames] == [1, 2, 9, 10]
+
+
+def test_times_come_from_the_table(folder: Path):
+    (folder / "times.csv").write_text("file,time_s\nimage_9.png,2.5\nimage_1.png,2.75\n")
+    frames = list(frames_of_folder(folder, 0.0))
+    assert [(frame.name, frame.time) for frame in frames] == [
+        ("image_9.png", 2.5),
+        ("image_1.png", 2.75),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("name,time\n", "must name the columns file,time_s"),
+        ("file,time_s\n", "has no rows"),
+        ("file,time_s\nimage_1.png,1\nimage_2.png,1\n", "line 3: time_s does not rise"),
+        ("file,time_s\nimage_1.png,x\n", "line 2: time_s is 'x', not a number"),
+        ("file,time_s\nimage_1.png\n", "time_s is None"),
+        ("file,time_s\nimage_3.png,1\n", "there is no file 'image_3.png'"),
+        ("file,time_s\n,1\n", "there is no file ''"),
+    ],
+)
+def test_a_wrong_table_is_refused(folder: Path, table: str, message: str):
+    (folder / "times.csv").write_text(table)
+    with pytest.raises(ImageError, match=message):
+        times_of_folder(folder, 30.0)
+
+
+def test_without_times_or_images_nothing_is_guessed(folder: Path, tmp_path_factory):
+    with pytest.raises(ImageError, match=r"add times.csv .* or rate_hz"):
+        times_of_folder(folder, 0.0)
+    with pytest.raises(ImageError, match="holds no images"):
+        times_of_folder(tmp_path_factory.mktemp("empty"), 30.0)
+    with pytest.raises(ImageError, match="is not a folder"):
+        times_of_folder(folder / "image_1.png", 30.0)
+    (folder / "image_2.png").write_bytes(b"no image")
+    with pytest.raises(ImageError, match=r"image_2.png cannot be read"):
+        list(frames_of_folder(folder, 30.0))
+
+
+def test_what_is_no_film_is_refused(folder: Path):
+    with pytest.raises(ImageError, match="is not a file"):
+        next(frames_of_film(folder, 30.0))
+    (folder / "film.mp4").write_bytes(b"no film")
+    with pytest.raises(ImageError, match="is it a film"):
+        next(frames_of_film(folder / "film.mp4", 30.0))
+
+
+def test_images_of_another_size_than_the_calibrations_are_refused():
+    check_size(np.zeros((720, 1280), np.uint8), (1280, 720), "a.png")
+    with pytest.raises(
+        ImageError, match=r"a.png has 640 x 480 pixels, but camera_info is for 1280 x 720"
+    ):
+        check_size(np.zeros((480, 640), np.uint8), (1280, 720), "a.png")

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is asked of OpenCV: encodings, markers' corners, dictionaries."""
+
+import numpy as np
+import pytest
+from camera_rig import SETTINGS, PaperCamera
+
+from worm_driver.tracking import vision
+from worm_driver.tracking.tracking_errors import ImageError
+from worm_driver.virtual_robot.camera_images import VirtualCamera, framed
+
+RAMP = np.tile(np.arange(0, 240, 4, dtype=np.uint8), (8, 1))
+HEIGHT, WIDTH = RAMP.shape
+
+
+def encoded(encoding: str) -> np.ndarray:
+    """The ramp, in grey, in an encoding."""
+    if encoding == "mono8":
+        return RAMP
+    if encoding in ("yuv422", "uyvy", "yuv422_yuy2", "yuyv"):
+        colour = np.full_like(RAMP, 128)
+        order = (colour, RAMP) if encoding in ("yuv422", "uyvy") else (RAMP, colour)
+        return np.stack(order, axis=2).reshape(HEIGHT, -1)
+    channels = 3 if encoding in ("bgr8", "rgb8") else 4
+    return np.repeat(RAMP[:, :, None], channels, axis=2).reshape(HEIGHT, -1)
+
+
+@pytest.mark.parametrize(
+    "encoding",
+    ["mono8", "bgr8", "rgb8", "bgra8", "rgba8", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"],
+)
+@pytest.mark.parametrize("padding", [0, 5])
+def test_every_encoding_gives_the_same_grey(encoding: str, padding: int):
+    rows = np.pad(encoded(encoding), ((0, 0), (0, padding)), constant_values=99)
+    image = vision.grey(rows.ravel(), HEIGHT, WIDTH, rows.shape[1], encoding)
+    assert image.shape == RAMP.shape
+    assert image == pytest.approx(RAMP, abs=1)
+
+
+def test_red_green_and_blue_are_not_mixed_up():
+    pixel = np.array([[10, 100, 200]], np.uint8)
+    bgr = vision.grey(pixel.ravel(), 1, 1, 3, "bgr8")
+    rgb = vision.grey(pixel[:, ::-1].ravel(), 1, 1, 3, "rgb8")
+    assert bgr == rgb
+    assert int(bgr[0, 0]) == round(0.114 * 10 + 0.587 * 100 + 0.299 * 200)
+
+
+def test_other_encodings_are_refused_by_name():
+    with pytest.raises(
+        ImageError, match="'bayer_rggb8' are not supported: set the camera to one of mono8"
+    ):
+        vision.grey(RAMP.ravel(), HEIGHT, WIDTH, WIDTH, "bayer_rggb8")
+    with pytest.raises(ImageError, match="cut off"):
+        vision.grey(RAMP.ravel()[:-1], HEIGHT, WIDTH, WIDTH, "mono8")
+    with pytest.raises(ImageError, match="are no image"):
+        vision.decode_image(b"\xff\xd8 half a picture")
+
+
+def test_the_virtual_cameras_prints_are_those_of_the_dictionary():
+    for number, cells in SETTINGS.markers.items():
+        printed = vision.marker_cells("DICT_4X4_50", number)
+        assert np.array_equal(cells[1:-1, 1:-1] > 0.5, printed)
+
+
+def test_corners_are_where_an_independent_camera_has_them():
+    path = np.array([[0.02, 0.31]])
+    image = VirtualCamera(SETTINGS, 2).image(path)
+    found = {d.number: d for d in vision.MarkerDetector("DICT_4X4_50").detect(image)}
+    paper = PaperCamera()
+    for truth in [*paper.references(), *paper.modules(0.02, 0.31)]:
+        wrong = found[truth.number].corners - truth.corners
+        assert np.abs(wrong).max() < 0.2  # pixels, each corner
+        assert np.abs(wrong.mean(axis=0)).max() < 0.08  # and their middle
+        assert found[truth.number].edge_width < 0.5
+
+
+def test_the_width_of_edges_tells_how_blurred_they_are():
+    """A ramp of w cells has 0.8 w from 10 to 90 %."""
+    cells, pixels = framed(["1011", "0101", "0011", "0010"]), 12
+    sharp = np.kron(np.pad(cells, 2, constant_values=1.0), np.ones((pixels, pixels))) * 200
+    detector = vision.MarkerDetector("DICT_4X4_50")
+    for ramp in (0.25, 0.5, 1.0):
+        box = np.ones(round(ramp * pixels)) / round(ramp * pixels)
+        blurred = np.apply_along_axis(np.convolve, 1, sharp, box, mode="same")
+        (found,) = detector.detect(blurred.astype(np.uint8))
+        assert found.edge_width == pytest.approx(0.8 * ramp, rel=0.2, abs=0.05)
+
+
+def test_no_marker_no_detection():
+    assert (
+        vision.MarkerDetector("DICT_APRILTAG_36h11").detect(np.full((90, 120), 128, np.uint8)) == []
+    )
+
+
+@pytest.mark.parametrize("dictionary", ["DICT_5X5_100", "DICT_APRILTAG_36h11", "DICT_6X6_250"])
+def test_other_dictionaries(dictionary):
+    cells = np.pad(vision.marker_cells(dictionary, 7), 2, constant_values=True)
+    image = (np.kron(cells, np.ones((9, 9))) * 180 + 40).astype(np.uint8)
+    (found,) = vision.MarkerDetector(dictionary).detect(image)
+    assert found.number == 7
+    side = (len(cells) - 4) * 9
+    assert found.corners[0] == pytest.approx([17.5, 17.5], abs=0.1)
+    assert found.corners[2] == pytest.approx([17.5 + side] * 2, abs=0.1)

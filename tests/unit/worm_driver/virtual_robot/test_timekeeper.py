@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far the robot's time may go, with a machine's time that the test makes up."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from worm_driver.virtual_robot.wire.timekeeper import Party, Timekeeper
+from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, Wait
+
+
+def keeper(rate: float = 1.0) -> Timekeeper:
+    made = Timekeeper(rate)
+    made.begin(100.0)
+    return made
+
+
+def test_alone_it_goes_with_the_machine():
+    time = keeper()
+    assert time.alone(101.5) == pytest.approx(1.5)
+    assert time.alone(101.0) == pytest.approx(1.5)  # never back
+
+
+def test_nothing_is_passed_over_and_nobody_who_works_is_left_behind():
+    time = keeper()
+    assert time.together(100.02, [True, True], until=0.01) == pytest.approx(0.01)
+    assert time.together(100.03, [True, False], until=0.02) == pytest.approx(0.01)
+    assert time.together(100.03, [True, True], until=0.02) == pytest.approx(0.02)
+
+
+def test_it_hurries_to_make_up_for_a_little_and_lets_the_rest_be():
+    time = keeper()
+    time.together(100.0, [True], until=0.01)
+    time.together(103.0, [False], until=0.01)  # somebody took three seconds
+    assert time.now == 0.0
+    assert time.held == pytest.approx(2.9)
+    assert time.together(103.0, [True], until=5.0) == pytest.approx(0.1)
+
+
+def test_as_fast_as_possible_it_goes_from_event_to_event():
+    time = keeper(math.inf)
+    for event in (0.5, 0.7, 30.0):
+        assert time.together(100.0, [True], until=event) == event
+    assert time.machine_time(31.0) == 100.0
+    time.begin(100.0)
+    assert time.alone(101.0) == pytest.approx(31.0)  # with nobody there, with the machine again
+
+
+def test_at_another_rate_it_goes_by_that():
+    time = keeper(4.0)
+    assert time.machine_time(2.0) == pytest.approx(100.5)
+    assert time.together(100.01, [True], until=math.inf) == pytest.approx(0.04)
+
+
+@given(
+    steps=st.lists(
+        st.tuples(st.floats(0.0, 5.0), st.booleans(), st.floats(0.0, 0.02)), min_size=1, max_size=60
+    ),
+    rate=st.sampled_from([0.5, 1.0, 20.0, math.inf]),
+)
+def test_whatever_the_machine_does_no_event_is_passed_and_time_never_goes_back(steps, rate):
+    time, machine, event = keeper(rate), 100.0, 0.0
+    for pause, waits, ahead in steps:
+        machine += pause
+        before, event = time.now, time.now + ahead
+        now = time.together(machine, [waits], event)
+        assert before <= now <= event
+        assert waits or now == before
+
+
+def test_bytes_on_their_way_keep_the_time():
+    party = Party(SERIAL, Wait(1, 0.1, True, written=14, read=60), since=5.0)
+    assert party.waits(sent=60, received=14)
+    assert not party.waits(sent=60, received=13)  # a question that has not come through
+    assert not party.waits(sent=61, received=14)  # an answer that has not
+    assert Party(SERIAL, Wait(1, 0.1, False, 14, 60)).waits(sent=61, received=14)  # nor is wanted
+    assert not Party(SERIAL).waits(0, 0)
+    assert Party(I2C, Wait(1, 0.1, False, 0, 0)).waits(sent=61, received=14)
+    assert not party.has_lost(5.1)
+    assert party.has_lost(60.0)

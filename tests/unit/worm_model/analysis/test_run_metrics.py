@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The numbers of a run: which cycles count, mean rates, energy, idle power; and the driver's, on the same data."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from recorded_run import GAIT, simulated_run
+
+from worm_driver.control.driver_settings import Body
+from worm_driver.gait import gait_limits, gait_metrics, gait_player
+from worm_driver.power.ina219 import PowerSample, SampleStatus
+from worm_model.analysis.run_metrics import (
+    AVERAGED_CYCLES,
+    IDLE_SAMPLES,
+    RecordingError,
+    Window,
+    accumulated_energy,
+    averaged_cycles,
+    early_end,
+    idle_power,
+    last_played_gait,
+    performance,
+)
+from worm_model.parameters import PAPER, STANDARD_GRAVITY
+from worm_model.run import FAULT, IDLE, INACTIVE, RESTING, RUNNING, STOPPING, GaitStates, Run
+
+EPOCH = 1_700_000_000_000_000_000  # ns
+MASS = 0.858
+
+
+def gait_states(state, onset, cycles, frequency=0.2, **more):
+    count = len(state)
+    return GaitStates(
+        **{
+            "stamp": EPOCH + np.arange(count, dtype=np.int64),
+            "state": np.array(state),
+            "stroke": np.full(count, 0.07),
+            "frequency": np.full(count, frequency),
+            "direction": np.ones(count, np.int64),
+            "margin": np.zeros(count),
+            "onset": np.array(onset, np.int64),
+            "cycle": np.arange(count),
+            "cycles": np.full(count, cycles),
+            **more,
+        }
+    )
+
+
+def stamps(seconds):
+    return EPOCH + np.round(np.asarray(seconds) * 1e9).astype(np.int64)
+
+
+# --- which cycles count ---------------------------------------------------------------------------
+
+
+def test_the_last_three_of_five_cycles_are_averaged():
+    states = gait_states([INACTIVE, RESTING, RUNNING, RUNNING], [0, 0, EPOCH, EPOCH], 5)
+    played = last_played_gait(states)
+    assert played.cycle_window(3, 5) == Window(EPOCH + 10_000_000_000, EPOCH + 25_000_000_000)
+    assert played.cycle_window(3, 5).duration == 15.0
+    assert averaged_cycles(Run(gait_state=states), played) == (3, 5)
+
+
+def test_a_short_run_is_averaged_as_a_whole():
+    states = gait_states([RUNNING], [EPOCH], 2)
+    assert averaged_cycles(Run(gait_state=states), last_played_gait(states)) == (1, 2)
+
+
+def test_a_recording_without_a_gait_is_refused():
+    with pytest.raises(RecordingError, match="no gait that was run"):
+        last_played_gait(gait_states([INACTIVE, RESTING], [0, 0], 5))
+
+
+@pytest.mark.parametrize(
+    ("state", "reason"),
+    [
+        (FAULT, "ended in FAULT after 2 of 5 cycles"),
+        (STOPPING, "stopped after 2 of 5 cycles"),
+        (IDLE, "ended (idle) after 2 of 5 cycles"),
+    ],
+)
+def test_an_early_end_is_told_with_the_cycles_that_were_played(state, reason):
+    stamp = stamps([-1.0, 0.0, 5.0, 14.9])  # 5 s a cycle
+    states = gait_states([RESTING, RUNNING, RUNNING, state], [0, EPOCH, EPOCH, EPOCH], 5)
+    late = dataclasses.replace(states, stamp=stamp)
+    early = dataclasses.replace(states, stamp=np.append(stamp[:3], stamps([11.0])))
+    run = Run(gait_state=early)
+    assert early_end(run, last_played_gait(early)) == reason
+    assert averaged_cycles(run, last_played_gait(early)) == (1, 2)
+    # told through two clocks, a tenth of a second early: the third cycle was whole
+    assert averaged_cycles(Run(gait_state=late), last_played_gait(late)) == (1, 3)
+
+
+def test_the_end_of_a_whole_gait_is_no_early_end():
+    run = simulated_run(3)
+    assert early_end(run, last_played_gait(run.gait_state)) == ""
+
+
+# --- what is one run ------------------------------------------------------------------------------
+
+
+def test_runs_are_told_apart_by_their_number_however_their_onsets_lie():
+    near = [EPOCH, EPOCH + 1, EPOCH + 2, EPOCH + 3]
+    numbered = gait_states([RUNNING] * 4, near, 5, run=np.array([1, 1, 2, 2]))
+    assert [rows.tolist() for rows in numbered.rows_of_runs()] == [[0, 1], [2, 3]]
+    stepped = [EPOCH, EPOCH + 10**9, EPOCH + 10**9, EPOCH + 10**9]
+    one = gait_states([RUNNING] * 4, stepped, 5, run=np.full(4, 7))
+    assert [rows.tolist() for rows in one.rows_of_runs()] == [[0, 1, 2, 3]]
+
+
+def test_a_driver_that_was_started_anew_counts_from_one_again():
+    states = gait_states(
+        [RUNNING] * 4, [EPOCH] * 4, 5, run=np.ones(4, np.int64), cycle=np.array([1, 2, 1, 2])
+    )
+    assert [rows.tolist() for rows in states.rows_of_runs()] == [[0, 1], [2, 3]]
+
+
+def test_without_numbers_onsets_tell_runs_apart():
+    onsets = [EPOCH, EPOCH + 60_000_000, EPOCH + 60 * 10**9]
+    states = gait_states([RUNNING] * 3, onsets, 5)
+    assert not states.run.any()
+    assert [rows.tolist() for rows in states.rows_of_runs()] == [[0, 1], [2]]
+    assert GaitStates().rows_of_runs() == []
+
+
+# --- rates ----------------------------------------------------------------------------------------
+
+
+@given(
+    speed=st.floats(-0.05, 0.05).filter(lambda v: abs(v) > 1e-4),
+    power=st.floats(0.1, 40.0),
+    phase=st.floats(0.0, 0.03),
+    direction=st.sampled_from([1, -1]),
+)
+def test_steady_motion_gives_its_speed_and_power_at_any_phase_of_the_samples(
+    speed, power, phase, direction
+):
+    time = np.arange(0.0, 30.0, 1.0 / 30.0) + phase
+    window = Window(EPOCH + 5_000_000_000, EPOCH + 20_000_000_000)
+    energy = accumulated_energy((stamps(time), np.full(time.size, power)))
+    result = performance((stamps(time), 0.3 + speed * time), energy, MASS, window, direction)
+    assert result.speed == pytest.approx(direction * speed, rel=1e-6)
+    assert result.power == pytest.approx(power, rel=1e-6)
+    # what goes backwards transports nothing
+    cost = power / (MASS * STANDARD_GRAVITY * abs(speed)) if direction * speed > 0.0 else math.inf
+    assert result.cost_of_transport == pytest.approx(cost)
+
+
+def test_samples_that_are_missing_do_not_count():
+    time = np.arange(0.0, 30.0, 0.1)
+    power = np.full(time.size, 2.0)
+    position = 0.01 * time
+    power[50:60] = math.nan
+    position[97:103] = math.nan
+    window = Window(EPOCH + 10_000_000_000, EPOCH + 20_000_000_000)
+    energy = accumulated_energy((stamps(time), power))
+    result = performance((stamps(time), position), energy, MASS, window, 1)
+    assert result.power == pytest.approx(2.0)
+    assert result.speed == pytest.approx(0.01)
+
+
+def test_energy_is_the_integral_of_power():
+    time = np.linspace(0.0, 2.0, 201)
+    _, energy = accumulated_energy((stamps(time), 3.0 * time))
+    assert energy[-1] == pytest.approx(6.0, rel=1e-6)
+    assert accumulated_energy((stamps([]), np.empty(0)))[1].size == 0
+
+
+def test_standing_still_has_no_finite_cost_of_transport():
+    time = np.arange(0.0, 30.0, 0.1)
+    window = Window(EPOCH, EPOCH + 20_000_000_000)
+    energy = accumulated_energy((stamps(time), np.ones(time.size)))
+    still = performance((stamps(time), 0.0 * time), energy, MASS, window, 1)
+    assert still.cost_of_transport == math.inf
+
+
+@pytest.mark.parametrize("name", ["position of x1", "power"])
+def test_a_recording_that_ends_too_early_is_refused(name):
+    long, short = np.arange(0.0, 30.0, 0.1), np.arange(0.0, 12.0, 0.1)
+    series = {"position of x1": (stamps(long), long), "power": (stamps(long), long)}
+    series[name] = (stamps(short), short)
+    window = Window(EPOCH, EPOCH + 20_000_000_000)
+    with pytest.raises(RecordingError, match=f"no {name} over the averaged cycles"):
+        performance(series["position of x1"], series["power"], MASS, window, 1)
+
+
+# --- the driver's -----------------------------------------------------------------------------------
+
+
+def driver_figures(run: Run, cycles: int) -> gait_metrics.Figures:
+    """What the driver would have measured of a recorded run, its clock at 0 with the first sample."""
+
+    def clock(stamp: np.ndarray) -> list[float]:
+        return ((stamp - run.origin) * 1e-9).tolist()
+
+    seen = np.isfinite(run.tracker.rear_position)
+    positions = zip(clock(run.tracker.stamp[seen]), run.tracker.rear_position[seen], strict=True)
+    power = zip(clock(run.power.stamp), run.power.bus_voltage, run.power.current, strict=True)
+    record = gait_metrics.RunRecord(
+        positions=[(time, float(x1)) for time, x1 in positions],
+        power=[PowerSample(time, SampleStatus.VALID, float(u), float(i)) for time, u, i in power],
+    )
+    played = last_played_gait(run.gait_state)
+    onset = (played.onset - run.origin) * 1e-9
+    gait = gait_limits.Gait(GAIT.stroke, GAIT.frequency, GAIT.direction)
+    ended = gait_player.Run(
+        1, gait, cycles, cycles, rest_start=0.0, onset=onset, end=onset + cycles * GAIT.period
+    )
+    return gait_metrics.figures(ended, record, Body())
+
+
+@pytest.mark.parametrize("cycles", [2, 5])
+def test_the_driver_measures_the_same_of_the_same_run(cycles: int):
+    """It may not import this package: protocol and constants are held together here."""
+    run = simulated_run(cycles)
+    played = last_played_gait(run.gait_state)
+    first, last = averaged_cycles(run, played)
+    mine = performance(
+        (run.tracker.stamp, run.tracker.rear_position),
+        accumulated_energy((run.power.stamp, run.power.valid_power)),
+        PAPER.mass,
+        played.cycle_window(first, last),
+        GAIT.direction,
+    )
+    theirs = driver_figures(run, cycles)
+    assert (theirs.cycles_completed, theirs.cycles_averaged) == (last, last - first + 1)
+    assert theirs.speed == pytest.approx(mine.speed, rel=1e-9)
+    assert theirs.power == pytest.approx(mine.power, rel=2e-3)  # rectangles against trapezoids
+    assert theirs.cost_of_transport == pytest.approx(mine.cost_of_transport, rel=2e-3)
+    assert theirs.idle_power == pytest.approx(idle_power(run, played), rel=1e-12)
+    constants = (
+        gait_metrics.STANDARD_GRAVITY,
+        gait_metrics.AVERAGED_CYCLES,
+        gait_metrics.IDLE_SAMPLES,
+    )
+    assert constants == (STANDARD_GRAVITY, AVERAGED_CYCLES, IDLE_SAMPLES)
+
+
+def test_idle_power_needs_ten_samples_and_a_rest_that_was_told():
+    run = simulated_run(2)
+    played = last_played_gait(run.gait_state)
+    assert idle_power(run, played) == pytest.approx(run.power.power[:10].mean(), rel=1e-12)
+    late = dataclasses.replace(played, rest_start=played.onset - 150_000_000)
+    assert math.isnan(idle_power(run, late))
+    assert math.isnan(idle_power(run, dataclasses.replace(played, rest_start=None)))

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of a run: what they show, and that nothing in their files tells when they were made."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_run import GAIT, REST_S, simulated_run
+
+from worm_model.analysis.plot_style import DPI, MEASURED, save_figure, symbol
+from worm_model.analysis.run_curves import (
+    energy_curves,
+    length_curves,
+    position_curves,
+    settled_power,
+)
+from worm_model.analysis.run_metrics import last_played_gait
+from worm_model.analysis.run_plots import Curve, Frame, energy_figure, motion_figure
+from worm_model.parameters import PAPER
+from worm_model.run import PowerSamples
+from worm_model.simulation.simulator import simulate
+from worm_model.twin.offline_replay import replay_run
+
+
+@pytest.fixture(scope="module")
+def followed():
+    run = simulated_run(3)
+    return run, replay_run(run, PAPER)
+
+
+def true_power(stamp):
+    trajectory = simulate(GAIT, cycles=3)
+    time = (stamp - simulated_run(3).origin) * 1e-9 - REST_S
+    return trajectory.at(np.clip(time, 0.0, 3 * GAIT.period)).power, (time > 0.2) & (time < 7.0)
+
+
+def test_the_power_in_the_states_is_as_good_as_that_beside_the_sensor(followed):
+    """Both come once the lengths about them are known; what is left is the camera's noise of 0.1 mm."""
+    run, replay = followed
+    stamp, settled = settled_power(run, replay)
+    true, moving = true_power(stamp)
+    assert np.count_nonzero(moving) > 100
+    assert np.std((settled - true)[moving]) < 0.4
+    true, moving = true_power(replay.states["stamp_ns"])
+    assert np.std((replay.states["power"] - true)[moving]) < 0.4
+
+
+def test_settled_power_pairs_each_sample_with_its_own_residual(followed):
+    run, replay = followed
+    stamp, settled = settled_power(run, replay)
+    measured = dict(zip(run.power.stamp.tolist(), run.power.power.tolist(), strict=True))
+    residuals = zip(replay.residuals["stamp_ns"], replay.residuals["power"], strict=True)
+    expected = {int(s): measured[int(s)] - r for s, r in residuals if math.isfinite(r)}
+    assert dict(zip(stamp.tolist(), settled.tolist(), strict=True)) == expected
+    assert settled_power(dataclasses.replace(run, power=PowerSamples()), replay)[0].size == 0
+
+
+def test_positions_and_energies_count_from_the_rest_before_the_onset(followed):
+    run, replay = followed
+    onset = last_played_gait(run.gait_state).onset
+    positions, residuals = position_curves(run, replay, onset)
+    energies, _ = energy_curves(run, replay, onset)
+    for curve in (*positions, *energies):
+        assert abs(np.interp(0.0, curve.time, curve.values)) < 0.02
+    assert residuals[0].time.min() >= 0.0
+    assert np.nanstd(residuals[0].values) < 1e-3
+
+
+def test_lengths_of_instruments_that_saw_nothing_are_left_out(followed):
+    run, _ = followed
+    lengths, inputs = length_curves(run, last_played_gait(run.gait_state).onset, PAPER)
+    assert [curve.label for curve in lengths] == ["body, measured", "body, predicted"]
+    assert min(inputs[0].values) == pytest.approx(-GAIT.stroke, rel=1e-2)
+
+
+def test_panels_have_letters_units_and_only_what_lies_in_the_frame():
+    time = np.linspace(-5.0, 5.0, 11)
+    curve = Curve("measured", time, time / 1e3, MEASURED)
+    figure = motion_figure(Frame(-1.0, 3.0, (1.0, 2.0)), [curve], [curve], 0.0173)
+    assert [axes.get_title(loc="left")[:3] for axes in figure.axes] == ["(a)", "(b)"]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["rear module x1 (mm)", "residual (mm)"]
+    line = figure.axes[0].get_lines()[0]
+    assert line.get_xdata().tolist() == [-1.0, 0.0, 1.0, 2.0, 3.0]
+    assert line.get_ydata()[-1] == pytest.approx(3.0)  # mm
+
+
+def test_files_are_the_same_each_time(tmp_path: Path):
+    curve = Curve("measured", np.arange(3.0), np.arange(3.0), MEASURED)
+    for ending in (".png", ".pdf", ".svg"):
+        contents = []
+        for k in range(2):
+            path = tmp_path / f"{k}{ending}"
+            save_figure(energy_figure(Frame(0.0, 2.0), [curve], [curve], [curve]), path)
+            contents.append(path.read_bytes())
+        assert contents[0] == contents[1]
+    assert DPI >= 150
+
+
+def test_symbols_have_their_index_set_low():
+    assert symbol("p_sw") == r"$p_\mathrm{sw}$"
+    assert symbol("η") == "η"

@@ -1,0 +1,448 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of all kinds of writers are read, lazily, and what is wrong with one is said in one line."""
+
+import shutil
+import sqlite3
+import struct
+import tracemalloc
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from mcap.writer import CompressionType, IndexType, Writer
+from mcap_ros2.writer import Writer as Ros2Writer
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from worm_model.bags.bag import Bag
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.cdr import encode
+from worm_model.bags.message_block import Topic
+from worm_model.bags.message_types import topic_of
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.bags.run_writer import write_beside
+
+TYPE = "std_msgs/msg/UInt64"
+COUNT = 500
+TOPICS = [Topic(name, TYPE, 0, "uint64 data\n", "ros2msg", "cdr") for name in ("/a", "/b")]
+
+
+def payload(value: int) -> bytes:
+    return b"\x00\x01\x00\x00" + struct.pack("<Q", value)
+
+
+def by_rosbags(path: Path, plugin: StoragePlugin, mode: CompressionMode, version: int = 9) -> Path:
+    writer = RosbagsWriter(path, version=version, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        store = get_typestore(Stores.ROS2_JAZZY)
+        connections = [writer.add_connection(t, TYPE, typestore=store) for t in ("/a", "/b")]
+        for i in range(COUNT):
+            writer.write(connections[i % 2], i * 1000 + 1, payload(i))
+    return path
+
+
+def by_mcap(
+    path: Path,
+    *,
+    chunked: bool = True,
+    indexed: bool = True,
+    compression=CompressionType.ZSTD,
+    **options,
+) -> Path:
+    """Channel /a and /b; messages in pairs that are out of order within a chunk and across chunks."""
+    indexes = {} if indexed else {"index_types": IndexType.NONE, "use_summary_offsets": False}
+    indexes |= {} if indexed else {"use_statistics": False, "repeat_channels": False}
+    with path.open("xb") as stream:
+        writer = Writer(
+            stream,
+            chunk_size=2000,
+            compression=compression,
+            use_chunking=chunked,
+            **indexes,
+            **options,
+        )
+        writer.start()
+        schema = writer.register_schema(TYPE, "ros2msg", b"uint64 data\n")
+        channels = [writer.register_channel(t, "cdr", schema) for t in ("/a", "/b")]
+        for i in range(0, COUNT, 2):
+            for k in (i + 1, i):
+                writer.add_message(channels[k % 2], k * 1000 + 1, payload(k), k * 1000)
+        writer.finish()
+    return path
+
+
+def by_mcap_ros2(path: Path) -> Path:
+    with path.open("xb") as stream:
+        writer = Ros2Writer(stream)
+        schema = writer.register_msgdef(TYPE, "uint64 data\n")
+        for i in range(COUNT):
+            writer.write_message(("/a", "/b")[i % 2], schema, {"data": i}, i * 1000 + 1, i * 1000)
+        writer.finish()
+    return path
+
+
+def by_worm_model(path: Path) -> Path:
+    with BagWriter(path) as writer:
+        for i in range(COUNT):
+            writer.write(TOPICS[i % 2], payload(i), i * 1000 + 1, i * 1000)
+    return path
+
+
+NONE, FILE, MESSAGE, STORAGE = (
+    CompressionMode.NONE,
+    CompressionMode.FILE,
+    CompressionMode.MESSAGE,
+    CompressionMode.STORAGE,
+)
+WRITERS: dict[str, Callable[[Path], Path]] = {
+    "rosbags mcap": lambda d: by_rosbags(d / "bag", StoragePlugin.MCAP, NONE),
+    "rosbags mcap version 8": lambda d: by_rosbags(d / "bag", StoragePlugin.MCAP, NONE, 8),
+    "rosbags mcap compressed chunks": lambda d: by_rosbags(d / "bag", StoragePlugin.MCAP, STORAGE),
+    "rosbags mcap compressed file": lambda d: by_rosbags(d / "bag", StoragePlugin.MCAP, FILE),
+    "rosbags mcap compressed messages": lambda d: by_rosbags(
+        d / "bag", StoragePlugin.MCAP, MESSAGE
+    ),
+    "rosbags sqlite3": lambda d: by_rosbags(d / "bag", StoragePlugin.SQLITE3, NONE),
+    "rosbags sqlite3 compressed file": lambda d: by_rosbags(d / "bag", StoragePlugin.SQLITE3, FILE),
+    "a sqlite3 file": lambda d: next(
+        by_rosbags(d / "b", StoragePlugin.SQLITE3, NONE).glob("*.db3")
+    ),
+    "mcap zstd": lambda d: by_mcap(d / "a.mcap"),
+    "mcap lz4": lambda d: by_mcap(d / "a.mcap", compression=CompressionType.LZ4),
+    "mcap plain": lambda d: by_mcap(d / "a.mcap", compression=CompressionType.NONE),
+    "mcap without chunks": lambda d: by_mcap(d / "a.mcap", chunked=False),
+    "mcap without index": lambda d: by_mcap(d / "a.mcap", indexed=False),
+    "mcap without chunks or index": lambda d: by_mcap(d / "a.mcap", chunked=False, indexed=False),
+    "mcap without schemas in the summary": lambda d: by_mcap(d / "a.mcap", repeat_schemas=False),
+    "mcap-ros2-support": lambda d: by_mcap_ros2(d / "a.mcap"),
+    "this writer": lambda d: by_worm_model(d / "bag"),
+}
+
+
+def numbers(bag: Bag, topics: list[str] | None = None) -> list[int]:
+    return [struct.unpack_from("<Q", m.data, 4)[0] for m in bag.messages(topics)]
+
+
+@pytest.mark.parametrize("version", [8, 9])
+@pytest.mark.parametrize(
+    ("plugin", "mode"), [(StoragePlugin.SQLITE3, NONE), (StoragePlugin.MCAP, FILE)]
+)
+def test_the_quality_of_service_of_a_topic_is_kept(
+    tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode, version: int
+):
+    forever = QosTime(9223372036, 854775807)
+    latched = Qos(
+        QosHistory.KEEP_LAST,
+        1,
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL,
+        forever,
+        forever,
+        QosLiveliness.AUTOMATIC,
+        forever,
+        avoid_ros_namespace_conventions=False,
+    )
+    writer = RosbagsWriter(tmp_path / "bag", version=version, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection(
+            "/a", TYPE, typestore=get_typestore(Stores.ROS2_JAZZY), offered_qos_profiles=[latched]
+        )
+        writer.write(connection, 1, payload(1))
+    with open_bag(tmp_path / "bag") as bag:
+        (profile,) = yaml.safe_load(dict(bag.topics["/a"].metadata)["offered_qos_profiles"])
+    assert (profile["durability"], profile["reliability"]) == ("transient_local", "reliable")
+    assert (profile["history"], profile["depth"]) == ("keep_last", 1)
+    assert profile["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_bags_of_all_writers_are_read_by_rising_time(tmp_path: Path, writer: str):
+    with open_bag(WRITERS[writer](tmp_path)) as bag:
+        assert {t.name: (t.type_name, t.count) for t in bag.topics.values()} == {
+            "/a": (TYPE, COUNT // 2),
+            "/b": (TYPE, COUNT // 2),
+        }
+        assert (bag.start, bag.end) == (1, (COUNT - 1) * 1000 + 1)
+        assert numbers(bag) == list(range(COUNT))
+        assert numbers(bag, ["/b"]) == list(range(1, COUNT, 2))
+        assert numbers(bag, []) == []
+        assert sum(len(block) for block in bag.blocks()) == COUNT
+        assert sum(len(block) for block in bag.blocks(["/b"])) == COUNT // 2
+
+
+def test_files_of_a_split_bag_are_one(tmp_path: Path):
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    names = [by_mcap(folder / f"bag_{i}.mcap").name for i in (0, 1, 10)]
+    content = {"relative_file_paths": names, "storage_identifier": "mcap"}
+    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": content}))
+    with open_bag(folder) as bag:
+        assert bag.message_count == 3 * COUNT
+        assert numbers(bag) == sorted(list(range(COUNT)) * 3)
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize("chunked", [True, False])
+def test_equal_times_keep_the_order_of_the_file(tmp_path: Path, chunked: bool, indexed: bool):
+    """Also where they lie in several chunks, of which some begin before others end."""
+    times = [(i // 50) * 50 - 60 * (i % 9 == 0) + 100 for i in range(COUNT)]
+    with (tmp_path / "a.mcap").open("xb") as stream:
+        kind = IndexType.ALL if indexed else IndexType.NONE
+        writer = Writer(stream, chunk_size=700, use_chunking=chunked, index_types=kind)
+        writer.start()
+        schema = writer.register_schema(TYPE, "ros2msg", b"uint64 data\n")
+        channels = [writer.register_channel(t, "cdr", schema) for t in ("/b", "/c", "/a")]
+        for i in range(COUNT):
+            writer.add_message(channels[i % 3], times[i], payload(i), i)
+        writer.finish()
+    expected = sorted(range(COUNT), key=lambda i: times[i])
+    with open_bag(tmp_path / "a.mcap") as bag:
+        assert numbers(bag) == expected
+        assert numbers(bag, ["/a", "/c"]) == [i for i in expected if i % 3]
+        assert [m.publish_time for m in bag.messages()] == expected
+        assert [m.topic for m in bag.messages()] == [("/b", "/c", "/a")[i % 3] for i in expected]
+        last = 0
+        for block in bag.blocks():
+            assert len(block) > 0
+            assert int(block.log_time[0]) >= last
+            assert (np.diff(block.log_time.astype(np.int64)) >= 0).all()
+            last = int(block.log_time[-1])
+
+
+def count_messages(bag: Bag) -> int:
+    return sum(1 for _ in bag.messages())
+
+
+def count_in_blocks(bag: Bag) -> int:
+    return sum(len(block) for block in bag.blocks())
+
+
+@pytest.mark.parametrize("count_all", [count_messages, count_in_blocks])
+def test_memory_does_not_grow_with_the_length_of_a_bag(
+    tmp_path: Path, count_all: Callable[[Bag], int]
+):
+    """Nor with chunks each of which overlaps the next one."""
+
+    def peak(count: int) -> int:
+        path = tmp_path / f"{count}"
+        with BagWriter(path) as writer:
+            for i in range(count):
+                writer.write(TOPICS[0], payload(i) + bytes(1000), i ^ 511, i)
+        with open_bag(path) as bag:
+            tracemalloc.start()
+            try:
+                assert count_all(bag) == count
+                return tracemalloc.get_traced_memory()[1]
+            finally:
+                tracemalloc.stop()
+
+    short, long = peak(3_000), peak(30_000)
+    assert long < 1.3 * short
+    assert long < 30_000 * 1000 / 3
+
+
+def check_one_line(error: pytest.ExceptionInfo[BagError], *words: str) -> None:
+    text = str(error.value)
+    assert "\n" not in text
+    for word in words:
+        assert word in text
+
+
+def test_a_bag_that_is_not_there(tmp_path: Path):
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / "no")
+    check_one_line(error, "no does not exist")
+
+
+def test_a_folder_that_is_no_bag(tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("x")
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path)
+    check_one_line(error, "not a bag", "notes.txt")
+
+
+def test_an_empty_file(tmp_path: Path):
+    (tmp_path / "a.mcap").touch()
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / "a.mcap")
+    check_one_line(error, "empty")
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "a.bag"])
+def test_a_foreign_file(tmp_path: Path, name: str):
+    (tmp_path / name).write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / name)
+    check_one_line(error, name)
+
+
+@pytest.mark.parametrize("text", ["", "a: [", "x: 1", "rosbag2_bagfile_information: 3", "\x00"])
+def test_a_metadata_file_that_is_not_rosbag2s(tmp_path: Path, text: str):
+    by_worm_model(tmp_path / "bag")
+    (tmp_path / "bag" / "metadata.yaml").write_text(text)
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / "bag")
+    check_one_line(error, "metadata.yaml")
+
+
+def test_a_file_that_metadata_names_and_that_is_gone(tmp_path: Path):
+    by_worm_model(tmp_path / "bag")
+    (tmp_path / "bag" / "bag_0.mcap").unlink()
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / "bag")
+    check_one_line(error, "bag_0.mcap", "metadata.yaml")
+
+
+def test_a_topic_that_the_bag_lacks(tmp_path: Path):
+    with open_bag(by_worm_model(tmp_path / "bag")) as bag, pytest.raises(BagError) as error:
+        list(bag.messages(["/c"]))
+    check_one_line(error, "no topic /c", "/a, /b")
+
+
+def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
+    from worm_model.bags.recovery import recover
+
+    path = by_mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
+    data = bytearray(path.read_bytes())
+    data[data.index(payload(301)) + 6] ^= 0xFF
+    path.write_bytes(data)
+    with open_bag(path) as bag, pytest.raises(BagError) as error:
+        numbers(bag)
+    check_one_line(error, "damaged", "recover")
+    path.with_name("b.mcap").write_bytes(data[:-1])
+    report = recover(path.with_name("b.mcap"), tmp_path / "saved")
+    assert report.damaged_chunks == 1
+    with open_bag(tmp_path / "saved") as bag:
+        found = numbers(bag)
+    assert 301 not in found
+    assert COUNT - 100 < len(found) < COUNT
+
+
+def test_recovery_does_not_trust_the_summary_of_a_spoilt_file(tmp_path: Path):
+    """What reading advises when it finds damage: recovery walks through the records themselves."""
+    from worm_model.bags.recovery import recover
+
+    path = by_mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
+    data = bytearray(path.read_bytes())
+    data[data.index(payload(301)) + 6] ^= 0xFF
+    path.write_bytes(data)
+    report = recover(path, tmp_path / "saved")
+    assert report.damaged_chunks == 1
+    with open_bag(tmp_path / "saved") as bag:
+        assert COUNT - 100 < len(numbers(bag)) == report.messages < COUNT
+
+
+@pytest.mark.parametrize("offset", [0, 2**40, 2**63 + 5])
+def test_a_message_index_that_points_elsewhere_does_no_harm(tmp_path: Path, offset: int):
+    """It has no checksum: the messages themselves are walked."""
+    path = by_mcap(tmp_path / "a.mcap")
+    data = bytearray(path.read_bytes())
+    entry = data.index(struct.pack("<Q", 301 * 1000 + 1))  # chunks are compressed
+    data[entry + 8 : entry + 16] = struct.pack("<Q", offset)
+    path.write_bytes(data)
+    with open_bag(path) as bag:
+        assert numbers(bag) == list(range(COUNT))
+
+
+def test_a_bag_without_metadata_is_made_whole(tmp_path: Path):
+    by_worm_model(tmp_path / "bag")
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    told: list[str] = []
+    with open_bag(tmp_path / "bag", told.append) as bag:
+        assert numbers(bag) == list(range(COUNT))
+    assert (tmp_path / "bag_recovered" / "metadata.yaml").exists()
+    assert len(told) == 1
+
+
+def test_a_bag_on_a_read_only_medium_says_how_to_recover_it(tmp_path: Path, monkeypatch):
+    by_worm_model(tmp_path / "bag")
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(BagError) as error:
+        open_bag(tmp_path / "bag")
+    check_one_line(error, "--output", "Read-only")
+
+
+def test_the_writer_gives_the_same_bytes_and_overwrites_nothing(tmp_path: Path):
+    for folder in ("x", "y"):
+        (tmp_path / folder).mkdir()
+        by_worm_model(tmp_path / folder / "bag")
+    for name in ("metadata.yaml", "bag_0.mcap"):
+        one, other = ((tmp_path / folder / "bag" / name).read_bytes() for folder in ("x", "y"))
+        assert one == other
+    with pytest.raises(BagError, match="exists already"):
+        by_worm_model(tmp_path / "x" / "bag")
+
+
+def test_a_writer_that_fails_leaves_nothing(tmp_path: Path):
+    with pytest.raises(ZeroDivisionError), BagWriter(tmp_path / "bag"):
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_copy_of_a_bag_under_another_name_is_read(tmp_path: Path):
+    shutil.copytree(by_worm_model(tmp_path / "bag"), tmp_path / "copy")
+    with open_bag(tmp_path / "copy") as bag:
+        assert numbers(bag) == list(range(COUNT))
+
+
+def without_definitions(path: Path, data: bytes) -> Path:
+    """As ROS 2 Humble wrote sqlite3 bags: neither definitions nor type hashes."""
+    kind = "worm_msgs/msg/Power"
+    with RosbagsWriter(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        store = get_typestore(Stores.ROS2_JAZZY)
+        topic = topic_of("/worm/power", kind)
+        store.register(get_types_from_msg(topic.definition, kind))
+        connection = writer.add_connection("/worm/power", kind, typestore=store)
+        writer.write(connection, 1, data)
+    with closing(sqlite3.connect(next(path.glob("*.db3")))) as database, database:
+        database.execute("DELETE FROM message_definitions")
+        database.execute("UPDATE topics SET type_description_hash = ''")
+    return path
+
+
+def test_a_bag_without_definitions_is_read_by_the_installed_ones_which_is_told(tmp_path: Path):
+    (data,) = encode(topic_of("/worm/power", "worm_msgs/msg/Power"), 1, {"power": 2.5}, {})
+    bag = without_definitions(tmp_path / "bag", data)
+    told: list[str] = []
+    with open_bag(bag, told.append) as opened:
+        assert read_run(opened).power.power.tolist() == [2.5]
+        write_beside(opened, tmp_path / "copy", ["/worm/power"], [])
+    assert any("carry no definition" in line for line in told)
+    with open_bag(tmp_path / "copy") as copy:
+        assert "float64 bus_voltage" in copy.topics["/worm/power"].definition
+        assert next(copy.messages()).data == data
+
+
+@pytest.mark.parametrize("surplus", [-8, 8])
+def test_messages_of_another_length_than_the_installed_definition_are_refused(
+    tmp_path: Path, surplus: int
+):
+    (data,) = encode(topic_of("/worm/power", "worm_msgs/msg/Power"), 1, {"power": 2.5}, {})
+    other = data[:surplus] if surplus < 0 else data + bytes(surplus)
+    with open_bag(without_definitions(tmp_path / "bag", other), lambda _: None) as opened:
+        with pytest.raises(BagError, match="/worm/power"):
+            read_run(opened)
+        with pytest.raises(BagError, match="not as long as the installed"):
+            write_beside(opened, tmp_path / "copy", ["/worm/power"], [])
+    assert not (tmp_path / "copy").exists()

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bag says of its run."""
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from worm_model.bags.run_manifest import ManifestError, run_manifest
+
+NOW = 1_800_000_000_000_000_000
+
+
+def test_the_parameter_file_is_kept_with_its_hash(tmp_path: Path):
+    file = tmp_path / "robot.yaml"
+    file.write_text("pitch: 0.0173\n")
+    manifest = run_manifest(file, 7, ["pipe=B, dry"], ["/opt/bin/record", "--all"], NOW)
+    record = manifest.metadata["worm_run"]
+    assert record["parameter_sha256"] == hashlib.sha256(b"pitch: 0.0173\n").hexdigest()
+    assert (record["seed"], record["note.pipe"]) == ("7", "B, dry")
+    assert record["recorded_at"] == "2027-01-15T08:00:00+00:00"
+    assert record["version.mcap"]
+    assert record["command"] == "record --all"
+    assert manifest.attachments[0].data == b"pitch: 0.0173\n"
+
+
+def test_without_a_parameter_file_none_is_claimed():
+    manifest = run_manifest(None, None, [], ["record"], NOW)
+    assert manifest.attachments == ()
+    assert manifest.metadata["worm_run"]["parameter_sha256"] == ""
+
+
+@pytest.mark.parametrize("note", ["pipe", "=B"])
+def test_a_note_has_a_key_and_a_value(note: str):
+    with pytest.raises(ManifestError, match="KEY=VALUE"):
+        run_manifest(None, None, [note], ["record"], NOW)
+
+
+def test_a_parameter_file_that_is_missing_is_named(tmp_path: Path):
+    with pytest.raises(ManifestError, match=r"robot\.yaml"):
+        run_manifest(tmp_path / "robot.yaml", None, [], ["record"], NOW)
+
+
+def test_a_note_that_is_not_text_is_refused():
+    with pytest.raises(ManifestError, match="UTF-8"):
+        run_manifest(None, None, ["pipe=\udcff"], ["record"], NOW)
+
+
+def test_an_argument_that_is_not_text_is_kept_with_escapes():
+    manifest = run_manifest(None, None, [], ["record", "\udcff"], NOW)
+    assert manifest.metadata["worm_run"]["command"] == "record \\udcff"

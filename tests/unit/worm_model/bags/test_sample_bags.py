@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bags that come with the project."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from worm_model.analysis.replay_metrics import report_replay
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import namespace_of, read_run
+from worm_model.parameters import PAPER
+from worm_model.run import POWER_VALID, RUNNING
+from worm_model.twin.offline_replay import replay_run
+from worm_model.twin.samples import rows_of_run
+from worm_model.twin.twin import Twin
+
+BAGS = Path(__file__).resolve().parents[4] / "bags"
+NAMES = ("forward", "reverse", "faults", "killed")
+WHOLE = NAMES[:3]
+
+
+@pytest.fixture
+def bag(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A copy, so that a recovery leaves nothing among the originals."""
+    return Path(shutil.copytree(BAGS / request.param, tmp_path / request.param))
+
+
+def test_they_are_small_and_each_is_explained():
+    size = sum(path.stat().st_size for name in NAMES for path in (BAGS / name).iterdir())
+    assert size < 5_000_000
+    readme = (BAGS / "README.md").read_text()
+    assert all(f"`{name}`" in readme for name in NAMES)
+
+
+@pytest.mark.parametrize("bag", WHOLE, indirect=True)
+def test_independent_readers_read_them(bag: Path):
+    with AnyReader([bag]) as reader:  # checks the type hashes, too
+        count = reader.message_count
+        assert sum(1 for c, _, d in reader.messages() if reader.deserialize(d, c.msgtype)) == count
+    decoded = 0
+    for file in bag.glob("*.mcap"):
+        with file.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+            decoded += sum(1 for _ in reader.iter_decoded_messages())
+    assert decoded == count
+    with open_bag(bag) as own:
+        assert sum(1 for _ in own.messages()) == count
+
+
+@pytest.mark.parametrize("bag", NAMES, indirect=True)
+def test_the_twin_follows_them(bag: Path):
+    with open_bag(bag, lambda _: None) as opened:
+        assert namespace_of(opened) == "/worm"
+        assert opened.metadata["worm_run"]["note.made_by"] == f"bags/make.py {bag.name}"
+        assert float(opened.metadata["worm_gait"]["stroke"]) > 0.05
+        run = read_run(opened)
+    report = report_replay(run, replay_run(run, PAPER), PAPER.pitch)
+    assert report.residuals.x1_rmse < 1e-3
+    assert report.residuals.power_rmse < 1.0
+    assert abs(report.energy_error) < 0.05
+    whole = [cycle for cycle in report.cycles[1:] if cycle.complete]
+    assert [round(cycle.measured_grooves) for cycle in whole] == [cycle.grooves for cycle in whole]
+    direction = run.gait_state.direction[run.gait_state.state == RUNNING][-1]
+    complete = [cycle for cycle in report.cycles if cycle.complete]
+    assert complete
+    assert all(cycle.grooves * direction > 0 for cycle in complete)
+
+
+@pytest.mark.parametrize("bag", NAMES, indirect=True)
+def test_a_live_twin_and_a_replay_say_the_same_to_the_bit(bag: Path):
+    """A few samples at a time, as a node takes them, or the whole recording at once."""
+    with open_bag(bag, lambda _: None) as opened:
+        run = read_run(opened)
+    rows = rows_of_run(run, 10**9)
+    twin = Twin()
+    state = twin.start()
+    outputs = [twin.advance(state, rows[k : k + 7]) for k in range(0, len(rows), 7)]
+    outputs.append(twin.advance(state, rows[:0], to_the_end=True))
+    whole = twin.advance(twin.start(), rows, to_the_end=True)
+    for name in ("states", "residuals", "lengths"):
+        live = np.concatenate([getattr(output, name) for output in outputs])
+        assert live.tobytes() == getattr(whole, name).tobytes()
+    assert repr([e for output in outputs for e in output.events]) == repr(list(whole.events))
+
+
+@pytest.mark.parametrize("bag", ["faults"], indirect=True)
+def test_power_that_was_not_measured_says_so(bag: Path):
+    with open_bag(bag) as opened:
+        power = read_run(opened).power
+    failed = power.status > 2  # a bus error, a sensor that had forgotten its settings
+    assert failed.any()
+    assert np.isnan(power.power[power.status != POWER_VALID]).all()
+    assert np.isfinite(power.power[power.status == POWER_VALID]).all()
+
+
+@pytest.mark.parametrize("bag", ["killed"], indirect=True)
+def test_the_killed_one_is_recovered(bag: Path):
+    told: list[str] = []
+    with open_bag(bag, told.append) as opened:
+        assert opened.path == bag.with_name("killed_recovered")
+        assert opened.message_count > 1000
+    assert len(told) == 1
+    assert {p.name: p.read_bytes() for p in bag.iterdir()} == {
+        p.name: p.read_bytes() for p in (BAGS / "killed").iterdir()
+    }

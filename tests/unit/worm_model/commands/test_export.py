@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of a bag."""
+
+import csv
+import json
+import math
+import struct
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_run import simulated_run, write_bag
+
+from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.cdr import encode
+from worm_model.bags.message_block import Topic
+from worm_model.bags.message_types import topic_of, typestore
+from worm_model.commands import export
+
+RUN = simulated_run(cycles=1)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("bags") / "bag", RUN)
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["export", *map(str, arguments)])
+    return export.main()
+
+
+def table(path: Path) -> dict[str, list[str]]:
+    with path.open(newline="") as stream:
+        rows = list(csv.reader(stream))
+    return {name: [row[i] for row in rows[1:]] for i, name in enumerate(rows[0])}
+
+
+def test_csv_gives_the_numbers_back_exactly(bag: Path, tmp_path: Path, monkeypatch, capsys):
+    assert command(monkeypatch, bag, "--output", tmp_path / "csv", "--json") == 0
+    outcome = json.loads(capsys.readouterr().out)
+    assert set(outcome["rows"]) == {p.name for p in (tmp_path / "csv").iterdir()}
+    tracker = table(tmp_path / "csv" / "worm__tracker.csv")
+    assert list(map(int, tracker["header.stamp_ns"])) == RUN.tracker.stamp.tolist()
+    found = [float(cell) if cell else math.nan for cell in tracker["rear_position"]]
+    np.testing.assert_array_equal(found, RUN.tracker.rear_position)
+    states = table(tmp_path / "csv" / "worm__gait_state.csv")
+    assert list(map(int, states["onset_ns"])) == RUN.gait_state.onset.tolist()
+    assert set(states["message"]) == {""}
+
+
+def test_parquet_keeps_the_types(bag: Path, tmp_path: Path, monkeypatch):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    target = tmp_path / "tables"
+    assert command(monkeypatch, bag, "--output", target, "--format", "parquet") == 0
+    power = parquet.read_table(target / "worm__power.parquet")
+    assert str(power.schema.field("power").type) == "double"
+    assert str(power.schema.field("status").type) == "uint8"
+    assert str(power.schema.field("header.stamp_ns").type) == "int64"
+    assert power["power"].to_pylist() == RUN.power.power.tolist()
+    assert power.num_rows == len(RUN.power.stamp)
+
+
+def joints(store, sec: int, names: list[str]) -> bytes:
+    """A message whose arrays have as many elements as there are names."""
+    kind, empty = "sensor_msgs/msg/JointState", np.empty(0)
+    time = store.types["builtin_interfaces/msg/Time"](sec, 999_999_999)
+    header = store.types["std_msgs/msg/Header"](time, "")
+    values = np.arange(float(len(names)))
+    return bytes(store.serialize_cdr(store.types[kind](header, names, values, empty, empty), kind))
+
+
+def test_sequences_become_a_column_an_element(tmp_path: Path, monkeypatch):
+    """Also if they grow within the bag: what a message lacks is an empty cell, and stamps do not overflow."""
+    topic = topic_of("/worm/joint_states", "sensor_msgs/msg/JointState")
+    store = typestore(topic.type_name, topic.definition, "ros2msg")
+    sec = 1_800_000_000
+    with BagWriter(tmp_path / "bag") as writer:
+        for i, names in enumerate((["a"], ["a", "b"], [], ["a"])):
+            writer.write(topic, joints(store, sec + i, names), i, i)
+    assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv") == 0
+    found = table(tmp_path / "csv" / "worm__joint_states.csv")
+    assert found["position[0]"] == ["0.0", "0.0", "", "0.0"]
+    assert found["position[1]"] == ["", "1.0", "", ""]
+    assert found["name[0]"] == ["a", "a", "", "a"]
+    assert found["name[1]"] == ["", "b", "", ""]
+    assert found["log_time_ns"] == ["0", "1", "2", "3"]
+    assert found["header.stamp_ns"] == [f"{sec + i}999999999" for i in range(4)]
+
+
+def array_bag(path: Path, lengths: list[int]) -> Path:
+    """Stamped arrays of bytes, as the markers and images that a display gets."""
+    topic = Topic("/a", "a/msg/B", 0, ARRAYS, "ros2msg", "cdr")
+    store = typestore(topic.type_name, topic.definition, "ros2msg")
+    t = store.types
+    with BagWriter(path) as writer:
+        for i, length in enumerate(lengths):
+            time = t["builtin_interfaces/msg/Time"](1_800_000_000 + i, 5)
+            stamped = [t["a/msg/C"](time) for _ in range(length % 10)]
+            message = t["a/msg/B"](np.full(length, i, np.uint8), stamped)
+            writer.write(topic, bytes(store.serialize_cdr(message, "a/msg/B")), i, i)
+    return path
+
+
+ARRAYS = (
+    "uint8[] data\nC[] marks\n"
+    + f"{'=' * 80}\nMSG: a/C\nbuiltin_interfaces/Time stamp\n"
+    + f"{'=' * 80}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+)
+
+
+def test_stamps_of_later_elements_that_some_messages_lack_are_right(tmp_path: Path, monkeypatch):
+    bag = array_bag(tmp_path / "bag", [3, 8, 1, 8, 5])
+    assert command(monkeypatch, bag, "--output", tmp_path / "csv") == 0
+    found = table(tmp_path / "csv" / "a.csv")
+    assert found["marks[6].stamp_ns"] == ["", "1800000001000000005", "", "1800000003000000005", ""]
+    assert found["marks[2].stamp_ns"][4] == "1800000004000000005"
+
+
+def test_nullable_times_stay_integers_in_parquet(tmp_path: Path, monkeypatch):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    bag = array_bag(tmp_path / "bag", [3, 8])
+    assert command(monkeypatch, bag, "--output", tmp_path / "x", "--format", "parquet") == 0
+    column = parquet.read_table(tmp_path / "x" / "a.parquet")["marks[6].stamp_ns"]
+    assert str(column.type) == "int64"
+    assert column.to_pylist() == [None, 1800000001000000005]
+
+
+def test_large_arrays_are_lists_in_parquet_and_left_out_by_name_in_csv(
+    tmp_path: Path, monkeypatch, capsys
+):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    bag = array_bag(tmp_path / "bag", [300_000, 2, 300_000])
+    assert command(monkeypatch, bag, "--output", tmp_path / "csv") == 0
+    assert "/a: data is left out" in capsys.readouterr().err
+    assert "data" not in "".join(table(tmp_path / "csv" / "a.csv"))
+    assert command(monkeypatch, bag, "--output", tmp_path / "x", "--format", "parquet") == 0
+    column = parquet.read_table(tmp_path / "x" / "a.parquet")["data"]
+    assert [len(item) for item in column.to_pylist()] == [300_000, 2, 300_000]
+    assert str(column.type.value_type) == "uint8"
+
+
+def test_topics_whose_names_would_be_the_same_file_are_two(tmp_path: Path, monkeypatch, capsys):
+    topics = [Topic(n, "a/msg/B", 0, "int8 x\n", "ros2msg", "cdr") for n in ("/a/b", "/a__b")]
+    with BagWriter(tmp_path / "bag") as writer:
+        for i, topic in enumerate(topics):
+            writer.write(topic, b"\0\1\0\0" + bytes([i]), i, i)
+    assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == {"a__b.csv": 1, "a__b_2.csv": 1}
+    assert table(tmp_path / "csv" / "a__b_2.csv")["x"] == ["1"]
+
+
+def test_two_layouts_of_a_topic_are_one_table(tmp_path: Path, monkeypatch):
+    """A field that was added later is empty in what came before."""
+    old = Topic("/a", "a/msg/B", 0, "int32 x\n", "ros2msg", "cdr")
+    new = replace(old, definition="int32 run\nint32 x\n")
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write(old, b"\0\1\0\0" + struct.pack("<i", 7), 0, 0)
+        writer.write(new, b"\0\1\0\0" + struct.pack("<ii", 1, 8), 1, 1)
+    assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv") == 0
+    found = table(tmp_path / "csv" / "a.csv")
+    assert (found["x"], found["run"]) == (["7", "8"], ["", "1"])
+
+
+def test_only_the_topics_asked_for(bag: Path, tmp_path: Path, monkeypatch):
+    target = tmp_path / "csv"
+    assert command(monkeypatch, bag, "--output", target, "--topic", "/worm/power") == 0
+    assert [p.name for p in target.iterdir()] == ["worm__power.csv"]
+
+
+def test_a_topic_that_cannot_be_decoded_is_left_out_and_told_by_the_status(
+    tmp_path: Path, monkeypatch, capsys
+):
+    power, bad = (topic_of(name, "worm_msgs/msg/Power") for name in ("/worm/power", "/worm/bad"))
+    (data,) = encode(power, 1, {"power": 1.0}, {})
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write(power, data, 1, 1)
+        writer.write(bad, data[:-9], 2, 2)
+    assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv", "--json") == 1
+    assert [p.name for p in (tmp_path / "csv").iterdir()] == ["worm__power.csv"]
+    told = capsys.readouterr()
+    assert "/worm/bad is left out" in told.err
+    assert "shorter" in json.loads(told.out)["left_out"]["/worm/bad"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("{bag}", "--output", "{bag}"),
+        ("no", "--output", "x"),
+        ("{bag}", "--output", "x", "--topic", "/no"),
+    ],
+)
+def test_bad_input_ends_with_status_2(bag: Path, tmp_path: Path, monkeypatch, capsys, arguments):
+    monkeypatch.chdir(tmp_path)
+    assert command(monkeypatch, *(a.format(bag=bag) for a in arguments)) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command recover."""
+
+import errno
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+from recorded_run import simulated_run, write_bag
+
+from worm_model.bags import opening
+from worm_model.bags.bag_writer import BagFiles, BagWriter
+from worm_model.bags.opening import open_bag
+from worm_model.bags.recovery import Recovery
+from worm_model.bags.recovery import recover as recover_bag
+from worm_model.commands import recover
+
+RUN = simulated_run(cycles=1)
+
+
+@pytest.fixture
+def cut(tmp_path: Path) -> Path:
+    """A bag whose file ends in the middle of a chunk, and whose metadata.yaml is gone."""
+    bag = write_bag(tmp_path / "bag", RUN)
+    (bag / "metadata.yaml").unlink()
+    file = bag / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:-2000])
+    return bag
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["recover", *map(str, arguments)])
+    return recover.main()
+
+
+def test_it_says_what_it_saved(cut: Path, tmp_path: Path, monkeypatch, capsys):
+    before = (cut / "bag_0.mcap").read_bytes()
+    assert command(monkeypatch, cut, "--output", tmp_path / "saved", "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    with open_bag(tmp_path / "saved") as bag:
+        assert bag.message_count == report["messages"]
+        assert bag.metadata["worm_run"]["made_by"] == "tests/recorded_run.py"
+    assert report["lost_bytes"] > 0
+    assert (cut / "bag_0.mcap").read_bytes() == before
+    assert not (cut / "metadata.yaml").exists()
+
+
+def test_a_whole_file_without_metadata_loses_nothing(tmp_path: Path, monkeypatch):
+    bag = write_bag(tmp_path / "bag", RUN)
+    assert command(monkeypatch, bag / "bag_0.mcap", "--output", tmp_path / "saved") == 0
+    with open_bag(bag) as one, open_bag(tmp_path / "saved") as other:
+        assert list(one.messages()) == list(other.messages())
+        assert {t.name: t.metadata for t in one.topics.values()} == {
+            t.name: t.metadata for t in other.topics.values()
+        }
+
+
+def test_the_second_recovery_overwrites_nothing(cut: Path, monkeypatch, capsys):
+    assert command(monkeypatch, cut) == 0
+    assert command(monkeypatch, cut) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["no", "empty"])
+def test_nothing_to_save_is_said_in_one_line(tmp_path: Path, monkeypatch, capsys, name: str):
+    (tmp_path / "empty").mkdir()
+    assert command(monkeypatch, tmp_path / name) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_every_gait_of_a_recording_is_kept_once(tmp_path: Path):
+    with BagWriter(tmp_path / "bag") as writer:
+        for stroke in ("0.06", "0.07", "0.06"):
+            writer.add_metadata("worm_gait", {"stroke": stroke, "onset_ns": "1"})
+    recover_bag(tmp_path / "bag", tmp_path / "saved")
+    with open_bag(tmp_path / "saved") as bag:
+        gaits = [dict(record.values) for record in bag.records if record.name == "worm_gait"]
+    assert [gait["stroke"] for gait in gaits] == ["0.06", "0.07"]
+
+
+def test_two_that_open_an_unclosed_bag_at_once_read_the_same_recovery(
+    cut: Path, tmp_path: Path, monkeypatch
+):
+    def meanwhile(source: Path, target: Path) -> Recovery:
+        recover_bag(source, target)  # the other one is faster
+        return recover_bag(source, target)
+
+    monkeypatch.setattr(opening, "recover", meanwhile)
+    with open_bag(cut) as bag:
+        assert bag.path == tmp_path / "bag_recovered"
+        assert bag.message_count > 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag", "bag_recovered"]
+
+
+def test_a_full_disk_ends_with_status_1_and_leaves_nothing(
+    cut: Path, tmp_path: Path, monkeypatch, capsys
+):
+    def full(_: BagFiles) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(BagFiles, "finish", full)
+    target = tmp_path / "saved"
+    assert command(monkeypatch, cut, "--output", target) == 1
+    error = capsys.readouterr().err
+    assert "No space left on device" in error
+    assert error.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag"]
+    shutil.rmtree(cut)
+
+
+def test_the_same_number_of_other_bytes_is_another_recording(cut: Path, tmp_path: Path):
+    """An outdated recovery is recognised by what it was made of."""
+    with open_bag(cut, lambda _: None) as bag:
+        assert bag.path == tmp_path / "bag_recovered"
+    file = cut / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[-1500] ^= 1
+    file.write_bytes(data)
+    with open_bag(cut, lambda _: None) as bag:
+        assert bag.path == tmp_path / "bag_recovered_2"
+
+
+def test_names_with_a_dot_do_not_meet(cut: Path, tmp_path: Path):
+    for name in ("pipe_0.25Hz", "pipe_0.30Hz"):
+        shutil.copytree(cut, tmp_path / name)
+        assert recover_bag(tmp_path / name).bag == tmp_path / f"{name}_recovered"
+    assert recover_bag(cut / "bag_0.mcap").bag == cut / "bag_0_recovered"

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who can hear a process with ROS: what the environment decides, and what is set before the middleware starts."""
+
+import os
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+network = pytest.importorskip("worm_msgs.network", reason="worm_msgs is not built")
+
+FAST_DDS, CYCLONE_DDS = "rmw_fastrtps_cpp", "rmw_cyclonedds_cpp"
+PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+
+
+@pytest.mark.parametrize("middleware", [FAST_DDS, "rmw_fastrtps_dynamic_cpp", CYCLONE_DDS])
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"WORM_NETWORK": "0"},
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"},
+        {"ROS_STATIC_PEERS": "127.0.0.1;localhost"},
+    ],
+)
+def test_nobody_decided_so_it_stays_on_the_machine(middleware, given):
+    environment = dict(given)
+    assert network.bind(environment, middleware).is_local
+    assert set(environment) > set(given)
+    assert PROFILE in environment or "CYCLONEDDS_URI" in environment
+    range_ = environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]
+    assert range_ != "SUBNET"
+    assert (range_ == "OFF") == ("OFF" in given.values())
+    assert network.bind(environment, middleware).is_local
+
+
+def test_a_started_process_inherits_the_binding_and_takes_it_for_ours():
+    environment: dict[str, str] = {}
+    network.bind(environment, FAST_DDS)
+    once = dict(environment)
+    assert network.bind(environment, FAST_DDS).is_local
+    assert environment == once
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"WORM_NETWORK": "1"},
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"},
+        {"ROS_STATIC_PEERS": "192.168.1.7"},
+        {"ROS_STATIC_PEERS": "localhost;robot.lan"},
+        {"ROS_DISCOVERY_SERVER": "192.168.1.7:11811"},
+        {PROFILE: "/home/somebody/profiles.xml"},
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"},
+    ],
+)
+def test_a_decision_for_the_network_is_kept_and_told_by_its_name(given):
+    environment = dict(given)
+    reach = network.bind(environment, FAST_DDS)
+    ((name, value),) = given.items()
+    assert not reach.is_local
+    assert f"{name}={value}" in str(reach)
+    assert "can move the robot" in str(reach)
+    assert environment.get(PROFILE) == given.get(PROFILE)
+    assert environment[name] == value
+
+
+def test_the_decision_takes_an_inherited_binding_back():
+    environment: dict[str, str] = {}
+    network.bind(environment, FAST_DDS)
+    environment["WORM_NETWORK"] = "1"
+    assert not network.bind(environment, FAST_DDS).is_local
+    assert PROFILE not in environment
+    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+
+
+def test_a_middleware_that_cannot_be_kept_here_is_refused_until_somebody_decides():
+    with pytest.raises(network.NetworkError, match=r"rmw_zenoh_cpp cannot be kept.*WORM_NETWORK=1"):
+        network.bind({}, "rmw_zenoh_cpp")
+    assert not network.bind({"WORM_NETWORK": "1"}, "rmw_zenoh_cpp").is_local
+
+
+def test_a_decision_that_says_nothing_is_refused():
+    with pytest.raises(network.NetworkError, match="WORM_NETWORK is 'yes'"):
+        network.bind({"WORM_NETWORK": "yes"}, FAST_DDS)
+
+
+def test_what_is_set_for_each_middleware_is_well_formed_and_names_no_other_address():
+    environment: dict[str, str] = {}
+    network.bind(environment, FAST_DDS)
+    profile = ElementTree.parse(Path(environment[PROFILE])).getroot()
+    found = {e.text for e in profile.iter() if e.tag.endswith("}address")}
+    assert found == {"127.0.0.1"}
+    network.bind(environment, CYCLONE_DDS)
+    cyclone = ElementTree.fromstring(environment["CYCLONEDDS_URI"])
+    addresses = {e.get("address") for e in cyclone.iter() if e.get("address")}
+    assert addresses == {"127.0.0.1"}
+
+
+def test_these_tests_themselves_are_heard_on_this_machine_only():
+    assert network.reach(os.environ, FAST_DDS).is_local
+    assert os.environ[PROFILE].endswith("fastdds_loopback.xml")

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How processes with ROS begin and end."""
+
+import os
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
+
+from worm_msgs.ros_process import Ending, own_arguments, ros_process  # noqa: E402
+
+SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
+
+@pytest.fixture(autouse=True)
+def _signals_put_back() -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_asks_to_end_and_leaves_the_context_usable(ros_domain, number):
+    with ros_process(["test"]) as ended:
+        assert not ended()
+        os.kill(os.getpid(), number)
+        assert ended()
+        rclpy.create_node("last_words").destroy_node()
+    assert not rclpy.ok()
+    os.kill(os.getpid(), number)  # changes nothing any more
+
+
+def test_a_process_that_was_not_asked_gets_its_signals_back(ros_domain):
+    before = [signal.getsignal(number) for number in SIGNALS]
+    with ros_process(["test"]):
+        assert [signal.getsignal(number) for number in SIGNALS] != before
+    assert [signal.getsignal(number) for number in SIGNALS] == before
+
+
+def test_only_a_later_ctrl_c_is_an_impatient_persons():
+    """launch and systemd escalate with SIGTERM by themselves; a terminal and launch pass one Ctrl-C on twice."""
+    now, told = [10.0], []
+    ending = Ending(lambda: now[0])
+    ending.again = lambda: told.append(now[0])
+    for time, number in (
+        (10.0, signal.SIGINT),
+        (11.0, signal.SIGINT),
+        (20.0, signal.SIGTERM),
+        (30.0, signal.SIGHUP),
+    ):
+        now[0] = time
+        ending.on_signal(number, None)
+    assert ending()
+    assert told == []
+    for time in (40.0, 41.0):
+        now[0] = time
+        ending.on_signal(signal.SIGINT, None)
+    assert told == [40.0, 41.0]
+
+
+def test_a_ros_argument_that_cannot_be_used_is_one_line_and_status_2(ros_domain, capsys):
+    arguments = ["test", "--ros-args", "--params-file", "/nope"]
+    for use in (lambda: own_arguments(arguments), lambda: ros_process(arguments).__enter__()):
+        with pytest.raises(SystemExit) as error:
+            use()
+        assert error.value.code == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "/nope" in line
+
+
+def test_what_is_raised_inside_gets_out_with_ros_ended(ros_domain):
+    with pytest.raises(ZeroDivisionError), ros_process(["test"]):
+        raise ZeroDivisionError
+    assert not rclpy.ok()

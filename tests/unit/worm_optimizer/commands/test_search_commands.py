@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command lines optimize, scan_margin and request as scripts rely on them."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from worm_optimizer.commands import optimize, request, scan_margin
+
+GAIT_KEYS = set(
+    "stroke frequency direction margin speed power cost_of_transport grooves_per_cycle groove_phase "
+    "nominal_speed nominal_power success_probability success_probability_any_phase "
+    "stroke_to_lower_edge stroke_to_upper_edge".split()
+)
+QUICK = "--margin 0.0034 --population 20 --generations 5 --samples 20".split()
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One for all tests of this file: the front is computed once."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], cache: Path):
+    def call(command, *arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["command", "--cache", str(cache), *arguments])
+        try:
+            status = command.main()
+        except SystemExit as leave:
+            status = leave.code
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return call
+
+
+def test_optimize_prints_the_contracts_keys(run):
+    status, out, err = run(optimize, *QUICK, "--json")
+    told = json.loads(out)
+    assert status == 0
+    assert "optimizing" in err
+    assert {"front", "hypervolume_share", "missed_branches"} <= set(told)
+    assert 0.5 < told["hypervolume_share"] < 0.995  # so small a search falls short
+    assert told["served"] == "map"
+    gaits = [*told["front"], told["min_power"], told["cruise"], told["max_speed"]]
+    assert all(set(gait) >= GAIT_KEYS for gait in gaits)
+    assert told["min_power"]["power"] == min(gait["power"] for gait in told["front"])
+    assert told["max_speed"]["speed"] == max(gait["speed"] for gait in told["front"])
+    costs = [gait["cost_of_transport"] for gait in told["front"]]
+    assert told["cruise"]["cost_of_transport"] == min(costs)
+    assert told["nominal"]["cruise"]["margin"] == 0.0
+
+
+def test_optimize_keeps_the_limits_of_the_drivers_servos(run):
+    driver = Path(__file__).resolve().parents[4] / "src" / "worm_driver" / "config" / "driver.yaml"
+    limited = ["--limits-from", str(driver), "--servo-model", "XM430-W350", "--max-power", "9"]
+    free, told = (json.loads(run(optimize, *QUICK, *more, "--json")[1]) for more in ([], limited))
+    assert free["limits"] == {}
+    assert told["limits"]["cable_speed"] == pytest.approx(0.1199, abs=1e-4)
+    assert told["limits"]["electrical_power"] == 9.0
+    assert told["max_speed"]["speed"] < free["max_speed"]["speed"]
+    assert "limits             cable speed 0.12 m/s, " in run(optimize, *QUICK, *limited)[1]
+
+
+def test_optimize_for_people_names_margin_phase_and_share(run):
+    status, out, _ = run(optimize, *QUICK)
+    assert status == 0
+    assert "margin             3.40 mm: given" in out
+    assert "groove phase       +1.10 mm" in out
+    assert "branches missed: none" in out
+    assert "nominal max speed" in out
+    assert "assumed at 95 %: rear_mass ±1 %" in out
+
+
+def test_scan_margin_prints_the_contracts_keys(run):
+    status, out, _ = run(scan_margin, "--lowest", "0.003", "--highest", "0.0036", "--json")
+    told = json.loads(out)
+    assert status == 0
+    assert told["margins"] == pytest.approx([0.003, 0.0031, 0.0032, 0.0033, 0.0034, 0.0035, 0.0036])
+    assert len(told["cost_of_transport"]) == 7
+    assert told["cliff_margin"] == 0.0034
+    assert told["lost_branch"] == 2
+    assert told["closed_form_cliff_margin"] == pytest.approx(0.003419, abs=1e-6)
+    assert told["groove_phase"] == pytest.approx(0.0011)
+
+
+def test_scan_margin_without_a_cliff_says_so(run):
+    status, out, _ = run(scan_margin, "--highest", "0.0002")
+    assert status == 0
+    assert "cliff        none among these margins" in out
+
+
+def test_where_nothing_moves_the_cost_is_null(run):
+    _, out, _ = run(scan_margin, "--strokes", "0.01", "0.03", "--highest", "0.0001", "--json")
+    assert json.loads(out)["cost_of_transport"] == [None, None]
+
+
+def test_request_prints_a_gait(run):
+    status, out, _ = run(request, *QUICK, "--speed", "0.005", "--json")
+    gait = json.loads(out)
+    assert status == 0
+    assert set(gait) >= GAIT_KEYS
+    assert gait["speed"] >= 0.005
+    assert gait["margin"] == 0.0034
+
+
+def test_request_defaults_to_cruise(run):
+    plain, named = (
+        run(request, *QUICK, *more, "--json")[1] for more in ([], ["--objective", "cruise"])
+    )
+    assert plain == named
+
+
+def test_request_for_people_shows_the_phase_beside_the_speed(run):
+    status, out, _ = run(request, *QUICK, "--objective", "max_speed")
+    assert status == 0
+    assert "groove phase +1.10 mm" in out
+
+
+def test_an_unreachable_request_is_refused_with_the_nearest(run):
+    status, out, err = run(request, *QUICK, "--power", "0.9", "--json")
+    told = json.loads(out)
+    assert status == 2
+    assert set(told) == {"error", "nearest"}
+    assert told["nearest"]["power"] == pytest.approx(1.25, abs=0.05)
+    assert err == f"request: {told['error']}\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--margin", "-1"], "margin: -1.0 m is not between 0 and 0.1 m"),
+        (["--margin", "nan"], "not a finite number"),
+        (["--strokes", "0.09", "0.01"], "bounds: stroke from 0.09 to 0.01 m"),
+        (["--population", "1"], "give a population of at least 4"),
+        (["--max-power", "-3"], "limits: electrical_power = -3.0"),
+        (["--servo-model", "XM430-W350"], "without the driver's parameter file"),
+        (["--limits-from", "/nowhere.yaml"], "/nowhere.yaml: cannot be read"),
+        (["--parameters", "/nowhere.yaml"], "/nowhere.yaml: cannot be read"),
+        (["--figure", "/nowhere/front.png"], "its folder /nowhere does not exist"),
+        (["--robustness", "luck"], "invalid choice: 'luck'"),
+        (["--robustness", "chance", "--probability", "2"], "probability: 2.0 is not above 0"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(run, arguments, says):
+    status, out, err = run(optimize, *arguments)
+    assert (status, out) == (2, "")
+    assert says in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments"),
+    [
+        (optimize, QUICK),
+        (request, QUICK),
+        (scan_margin, ["--lowest", "0.003", "--highest", "0.0036"]),
+    ],
+)
+def test_a_figure_is_drawn_once_and_never_over_another_file(run, tmp_path, command, arguments):
+    path = tmp_path / "figure.png"
+    assert run(command, *arguments, "--figure", str(path))[0] == 0
+    drawn = path.read_bytes()
+    assert drawn.startswith(PNG)
+    status, _, err = run(command, *arguments, "--figure", str(path))
+    assert status == 2
+    assert "exists already" in err
+    assert path.read_bytes() == drawn
+
+
+def test_a_figure_of_an_unknown_kind_is_refused(run, tmp_path):
+    status, _, err = run(optimize, *QUICK, "--figure", str(tmp_path / "figure.txt"))
+    assert status == 2
+    assert "end its name in .png, .pdf, .svg" in err

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Conversion to and from the messages of worm_msgs."""
+
+import dataclasses
+import math
+
+import pytest
+from gaits_for_tests import QUICK, made_up, made_up_front
+
+pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
+
+from worm_msgs.action import OptimizeGaits, ScanMargin
+from worm_msgs.msg import Gait, GaitPrediction
+from worm_msgs.srv import RequestGait
+from worm_optimizer.nodes.optimizer_messages import (
+    direction_of,
+    fill_response,
+    optimize_feedback,
+    optimize_result,
+    prediction_message,
+    scan_of_goal,
+    scan_result,
+    settings_of_goal,
+)
+from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search.front import Progress
+from worm_optimizer.search.gait_request import GaitAnswer, Objective, RequestStatus
+from worm_optimizer.search.margin import Cliff, MarginPoint, PriceOfRobustness
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.search_settings import Robustness
+
+GAIT_FIELDS = set(Gait.get_fields_and_field_types())
+
+
+def test_every_field_of_the_message_is_a_field_of_the_prediction():
+    of_message = set(GaitPrediction.get_fields_and_field_types()) - {"gait"} | GAIT_FIELDS
+    assert of_message == {row.name for row in dataclasses.fields(Prediction)}
+
+
+def test_speeds_are_along_the_gaits_direction_in_the_message():
+    forward, reverse = made_up(0.005, 2.6), made_up(0.005, 2.6, direction=-1)
+    assert prediction_message(forward).speed == 0.005
+    message = prediction_message(reverse)
+    assert (message.speed, message.nominal_speed) == (0.005, 0.005)
+    assert message.cost_of_transport > 0.0
+    assert message.gait.direction == Gait.REVERSE
+
+
+def test_objectives_have_the_numbers_of_the_message():
+    for objective in Objective:
+        assert getattr(RequestGait.Request, objective.name) == objective.value
+
+
+def test_statuses_have_the_numbers_of_the_message():
+    for status in RequestStatus:
+        assert getattr(RequestGait.Response, status.name) == status.value
+
+
+def test_an_answer_without_a_gait_has_no_figures():
+    response = fill_response(RequestGait.Response(), GaitAnswer(RequestStatus.NO_FRONT, "why"))
+    assert (response.success, response.message) == (False, "why")
+    assert response.status == RequestGait.Response.NO_FRONT
+    assert math.isnan(response.prediction.speed)
+    assert math.isnan(response.prediction.success_probability)
+
+
+def test_an_answer_carries_its_gait():
+    response = fill_response(
+        RequestGait.Response(), GaitAnswer(RequestStatus.DONE, "", made_up(0.005, 2.6))
+    )
+    assert response.success
+    assert response.prediction.gait.stroke == 0.07
+    assert response.prediction.power == 2.6
+
+
+def test_a_goal_leaves_open_what_it_does_not_say():
+    """But for the seed, which is a number like any other: 0 is seed 0."""
+    settings = settings_of_goal(QUICK, OptimizeGaits.Goal(margin=math.nan))
+    seed_0 = dataclasses.replace(QUICK.search, seed=0)
+    assert QUICK.search.seed != 0
+    assert settings == dataclasses.replace(QUICK, search=seed_0)
+
+
+def test_a_goal_says_what_it_wants():
+    goal = OptimizeGaits.Goal(
+        margin=1e-3, population=30, generations=7, seed=5, robustness="chance", probability=0.9
+    )
+    settings = settings_of_goal(QUICK, goal)
+    assert settings.margin == 1e-3
+    assert dataclasses.astuple(settings.search) == (30, 7, 5)
+    assert settings.robustness is Robustness.CHANCE
+    assert settings.probability == 0.9
+
+
+@pytest.mark.parametrize(
+    ("goal", "says"),
+    [
+        ({"margin": -1.0}, "margin"),
+        ({"population": 2}, "population"),
+        ({"seed": 2**40}, "seed"),
+        ({"robustness": "luck"}, "none of margin, chance, any_phase"),
+    ],
+)
+def test_a_goal_that_is_none_is_refused(goal, says):
+    with pytest.raises(OptimizerError, match=says):
+        settings_of_goal(QUICK, OptimizeGaits.Goal(**goal))
+
+
+def test_a_scans_margins_are_the_goals_or_the_defaults():
+    plain = scan_of_goal(QUICK, ScanMargin.Goal(lowest=1e-3))
+    assert dataclasses.astuple(plain.scan) == (1e-3, QUICK.scan.highest, QUICK.scan.step)
+    given = scan_of_goal(QUICK, ScanMargin.Goal(highest=2e-3, step=5e-4))
+    assert given.scan.margins().tolist() == [0.0, 5e-4, 1e-3, 1.5e-3, 2e-3]
+    with pytest.raises(OptimizerError, match="scan:"):
+        scan_of_goal(QUICK, ScanMargin.Goal(lowest=math.nan))
+
+
+def test_directions_are_the_two():
+    assert (direction_of(1), direction_of(-1)) == (1, -1)
+    with pytest.raises(OptimizerError, match="direction: 3"):
+        direction_of(3)
+
+
+def test_a_generation_is_the_feedback():
+    message = optimize_feedback(Progress(0.8, "generation 3 of 7", 3, 7, 0.02, 40))
+    told = (message.fraction, message.generation, message.generations)
+    assert told == (0.8, 3, 7)
+    assert (message.hypervolume, message.front_size) == (0.02, 40)
+
+
+def test_the_result_of_an_optimisation():
+    front = dataclasses.replace(made_up_front(-1), missed_branches=(1,), source="map")
+    message = optimize_result(front)
+    assert message.success
+    assert (message.margin, message.served) == (0.0034, "map")
+    assert list(message.missed_branches) == [1]
+    assert [gait.speed for gait in message.front] == [0.002, 0.005, 0.008]
+    assert message.min_power.power == 1.4
+    assert message.cruise.power == 2.6
+    assert message.max_speed.power == 4.5
+
+
+def test_the_result_of_a_scan():
+    nothing = MarginPoint(2e-3, math.nan, math.nan, math.nan, 0, (), math.nan, math.nan)
+    points = (MarginPoint(1e-3, 50.0, 0.07, 0.2, 2, (1, 2), 0.01, 1.0), nothing)
+    message = scan_result(PriceOfRobustness(points, Cliff(1e-3, 2e-3, math.inf, 2), 1.4e-3, 1.1e-3))
+    assert message.success
+    assert list(message.margins) == [1e-3, 2e-3]
+    assert list(message.optimal_branch) == [2, 0]
+    assert message.cost_of_transport[0] == 50.0
+    assert math.isnan(message.cost_of_transport[1])
+    assert (message.cliff_margin, message.lost_branch) == (1e-3, 2)
+    without = scan_result(PriceOfRobustness(points[:1], None, 1.4e-3, 1.1e-3))
+    assert math.isnan(without.cliff_margin)
+    assert "no cliff" in without.message

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The validation campaign, as far as no robot is needed."""
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from recorded_run import GAIT, simulated_run, write_bag
+
+from worm_model.parameters import ParameterFile
+from worm_optimizer.commands import campaign as command
+from worm_optimizer.operation.campaign_plan import is_promised, make_plan, write_promises
+from worm_optimizer.operation.campaign_runs import (
+    Robot,
+    is_recorded,
+    put_aside,
+    run_gaits,
+)
+from worm_optimizer.operation.system import load_system_file
+from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.gait_map import MapSettings
+from worm_optimizer.search.nsga2 import SearchSettings
+from worm_optimizer.search.search_settings import ScanSettings, Settings
+
+FILE = load_system_file(Path(__file__).parents[4] / "src/worm_optimizer/config/system.yaml")
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory):
+    cache = Cache.at(tmp_path_factory.mktemp("cache"))
+    coarse = Settings(
+        margin=0.0034,
+        scan=ScanSettings(0.003, 0.004, 0.0005),
+        map=MapSettings(21, 17, 1e-5, 1),
+        search=SearchSettings(24, 10, 1),
+        samples=20,
+    )
+    return make_plan(ParameterFile(), coarse, 1, cache, lambda _: None)
+
+
+def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["campaign", *arguments])
+    return command.main()
+
+
+def test_the_plan_has_the_papers_three_gaits_by_rising_speed(plan):
+    assert list(plan.gaits) == ["min_power", "cruise", "max_speed"]
+    speeds = [gait.nominal_speed for gait in plan.gaits.values()]
+    assert speeds == sorted(speeds)
+    assert {gait.margin for gait in plan.gaits.values()} == {0.0034}
+
+
+def test_promises_are_written_once(plan, tmp_path: Path):
+    path = write_promises(plan, tmp_path)
+    content = json.loads(path.read_text())
+    assert content["cruise"] == dataclasses.asdict(plan.gaits["cruise"])
+    with pytest.raises(FileExistsError):
+        write_promises(plan, tmp_path)
+
+
+@pytest.mark.parametrize("mode", ["virtual", "robot"])
+def test_the_same_nodes_run_but_for_the_robot_itself(mode: str):
+    robot = Robot(FILE, mode, {})
+    names = [node.name for node in robot.system().nodes]
+    assert names == [*(["virtual_robot"] if mode == "virtual" else []), "twin", "driver"]
+    recorder = robot.recording_system(Path("/tmp/a bag")).node("recorder")
+    assert recorder.arguments[:2] == ("--output", "/tmp/a bag")
+
+
+def test_a_calibrated_driver_gets_its_file():
+    arguments = (
+        Robot(FILE, "robot", {"driver_file": "driver.yaml"}).system().node("driver").arguments
+    )
+    assert arguments == ("--ros-args", "--params-file", "driver.yaml")
+    assert Robot(FILE, "robot", {}).system().node("driver").arguments == ()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("--set", "port"), "write NAME=VALUE"),
+        (("--set", "prot=/dev/ttyUSB0"), "no setting 'prot'"),
+        (("--margin", "-1"), "margin: -1"),
+        (("--parameters", "none.yaml"), "none.yaml: cannot be read"),
+        (("--mode", "imaginary"), "invalid choice"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing_behind(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+    arguments: tuple[str, ...],
+    complaint: str,
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    try:
+        status = run_command(monkeypatch, *arguments, "--output", "folder")
+    except SystemExit as end:  # of argparse
+        status = end.code
+    assert status == 2
+    told = capsys.readouterr()
+    assert complaint in told.err.splitlines()[-1]
+    assert not (tmp_path / "folder").exists()
+
+
+def test_an_existing_folder_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+):
+    (tmp_path / "folder").mkdir()
+    assert run_command(monkeypatch, "--output", str(tmp_path / "folder")) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert list((tmp_path / "folder").iterdir()) == []
+
+
+# --- a campaign that was broken off ------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("bags") / "cruise", simulated_run())
+
+
+def test_a_gait_counts_as_recorded_from_its_onset_to_the_end_of_its_last_cycle(bag, tmp_path: Path):
+    assert is_recorded(bag)
+    assert not is_recorded(tmp_path / "none")
+    (tmp_path / "empty").mkdir()
+    assert not is_recorded(tmp_path / "empty")
+    run = simulated_run()
+    states, tracker = run.gait_state, run.tracker
+    broken_off = dataclasses.replace(
+        run, gait_state=type(states)(**{k: v[:-1] for k, v in vars(states).items()})
+    )
+    assert not is_recorded(write_bag(tmp_path / "broken_off", broken_off))
+    half = tracker.stamp.size // 2
+    unseen = dataclasses.replace(
+        run, tracker=type(tracker)(**{k: v[:half] for k, v in vars(tracker).items()})
+    )
+    assert not is_recorded(write_bag(tmp_path / "unseen", unseen))
+
+
+def test_what_is_recorded_is_not_run_again(bag, tmp_path: Path):
+    """No node is started: there is none that could be."""
+    nothing = dataclasses.replace(FILE, nodes={})
+    told: list[str] = []
+    gaits = {"cruise": GAIT}
+    run_gaits(Robot(nothing, "virtual", {}), gaits, bag.parent, tmp_path / "no_logs", told.append)
+    assert told == ["cruise: recorded already"]
+
+
+def test_an_unfinished_recording_is_kept_under_another_name(tmp_path: Path):
+    for number in (1, 2):
+        (tmp_path / "cruise").mkdir()
+        (tmp_path / "cruise" / "mark").write_text(str(number))
+        put_aside(tmp_path / "cruise", lambda _: None)
+    put_aside(tmp_path / "cruise", lambda _: None)
+    kept = {path.name: (path / "mark").read_text() for path in tmp_path.iterdir()}
+    assert kept == {"cruise_unfinished_1": "1", "cruise_unfinished_2": "2"}
+
+
+def test_a_folder_goes_on_only_with_the_gaits_it_was_begun_with(plan, tmp_path: Path):
+    write_promises(plan, tmp_path)
+    assert is_promised(plan, tmp_path)
+    other = {name: gait for name, gait in plan.gaits.items() if name != "cruise"}
+    assert not is_promised(dataclasses.replace(plan, gaits=other), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "complaint"),
+    [
+        ([], [], "no campaign was begun there"),
+        (["promised.json"], ["--output", "x"], "leave --output out"),
+        (["promised.json", "report"], [], "is complete"),
+    ],
+)
+def test_what_cannot_be_resumed_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, make, arguments, complaint
+):
+    for name in make:
+        (tmp_path / name).touch()
+    assert run_command(monkeypatch, "--resume", str(tmp_path), *arguments) == 2
+    assert complaint in capsys.readouterr().err.splitlines()[-1]

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the demo shows of its run: a table and a figure."""
+
+import math
+from pathlib import Path
+
+import pytest
+from recorded_run import simulated_run
+
+from worm_model.analysis.run_metrics import Performance, RecordingError, last_played_gait
+from worm_model.parameters import PAPER
+from worm_model.run import Run
+from worm_model.twin.offline_replay import replay_run
+from worm_optimizer.operation.demo_figure import draw_run
+from worm_optimizer.operation.demo_table import comparison_table, relative_difference
+
+
+def test_the_figure_of_a_run_is_written(tmp_path: Path):
+    run = simulated_run(3)
+    window = last_played_gait(run.gait_state).cycle_window(1, 3)
+    draw_run(tmp_path / "run.png", "a run", run, replay_run(run, PAPER), window, PAPER)
+    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(RecordingError, match="no gait"):
+        draw_run(tmp_path / "none.png", "none", Run(), replay_run(run, PAPER), window, PAPER)
+
+
+def test_the_table_shows_differences_to_the_measurement():
+    measured = Performance(0.005, 2.0, 50.0)
+    table = comparison_table(measured, {"twin": Performance(0.0055, 1.9, 45.0)})
+    lines = table.splitlines()
+    assert "5.00 mm/s" in lines[1]
+    assert "%" not in lines[1]
+    for text in ("5.50 mm/s  +10.0 %", "1.90 W   -5.0 %", "45.0  -10.0 %"):
+        assert text in lines[2]
+    for head, value in (("speed", "5.50 mm/s"), ("power", "1.90 W"), ("transport", "45.0")):
+        end = lines[0].index(head) + len(head)
+        assert lines[2].index(value) + len(value) == end
+
+
+def test_differences_of_nothing_are_not_numbers():
+    assert math.isnan(relative_difference(1.0, 0.0))
+    assert relative_difference(-0.9, -1.0) == pytest.approx(0.1)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The system file: settings, modes and the command lines that come out of it."""
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from worm_optimizer.operation.system import (
+    MODES,
+    NodeDescription,
+    SystemFileError,
+    load_system_file,
+)
+
+SHIPPED = Path(__file__).resolve().parents[4] / "src/worm_optimizer/config/system.yaml"
+MINIMAL = {
+    "namespace": "worm",
+    "settings": {"port": {"default": "/dev/bus", "description": "a bus"}},
+    "nodes": {
+        "driver": {
+            "package": "p",
+            "executable": "e",
+            "modes": ["robot", "virtual"],
+            "parameters": {
+                "rate": 100.0,
+                "robot": {"port": "{port}"},
+                "virtual": {"port": "x/{port}"},
+            },
+        },
+        "twin": {"package": "p", "executable": "t"},
+    },
+}
+
+
+def written(folder: Path, content: object) -> Path:
+    path = folder / "system.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_a_mode_selects_nodes_and_parameters(tmp_path):
+    content = load_system_file(written(tmp_path, MINIMAL))
+    assert content.system("robot").node("driver").parameters == {"rate": 100.0, "port": "/dev/bus"}
+    assert content.system("virtual").node("driver").parameters["port"] == "x//dev/bus"
+    assert [node.name for node in content.system("replay").nodes] == ["twin"]
+
+
+def test_a_given_setting_replaces_the_default(tmp_path):
+    content = load_system_file(written(tmp_path, MINIMAL))
+    assert content.system("robot", port="/dev/b").node("driver").parameters["port"] == "/dev/b"
+
+
+def test_command_arguments_keep_the_types_of_parameters():
+    node = NodeDescription(
+        name="driver",
+        package="p",
+        executable="e",
+        arguments=("--seed", "1"),
+        parameters={"i2c_bus": "1", "rate": 100.0, "ids": [1, 2]},
+        remappings={"power": "supply"},
+    )
+    arguments = node.command_arguments("worm")
+    assert arguments[:3] == ["--seed", "1", "--ros-args"]
+    assert "__ns:=/worm" in arguments
+    assert "__node:=driver" in arguments
+    assert "power:=supply" in arguments
+    given = dict(word.split(":=") for word in arguments if ":=" in word)
+    assert yaml.safe_load(given["i2c_bus"]) == "1"
+    assert isinstance(yaml.safe_load(given["rate"]), float)
+    assert yaml.safe_load(given["ids"]) == [1, 2]
+
+
+def test_a_parameter_without_a_value_is_left_to_the_nodes_file(tmp_path):
+    driver = load_system_file(written(tmp_path, MINIMAL)).system("robot", port="").node("driver")
+    assert driver.parameters == {"rate": 100.0}
+
+
+def test_what_the_drivers_file_says_holds_unless_an_argument_was_given():
+    content = load_system_file(SHIPPED)
+    assert not {"port", "i2c_bus"} & set(content.system("robot").node("driver").parameters)
+    given = content.system("robot", port="/dev/b", i2c_bus="none").node("driver").parameters
+    assert (given["port"], given["i2c_bus"]) == ("/dev/b", "none")
+
+
+def test_a_namespace_of_its_own_reaches_the_recorder_and_the_folder_of_the_robot():
+    system = load_system_file(SHIPPED).system("virtual", "fleet/robot7", bag="b")
+    assert system.namespace == "fleet/robot7"
+    arguments = system.node("recorder").arguments
+    pattern = re.compile(arguments[arguments.index("--regex") + 1])
+    assert pattern.match("/fleet/robot7/power")
+    assert pattern.match("/diagnostics")
+    assert not pattern.match("/worm/power")
+    assert not pattern.match("/fleet/robot71/power")
+    port = system.node("driver").parameters["port"]
+    assert port == "/tmp/fleet/robot7/servo_bus"
+
+
+def test_an_argument_without_a_value_is_left_out(tmp_path):
+    twin = {"package": "p", "executable": "t", "arguments": [["--port", "{port}"], ["--seed", 3]]}
+    content = load_system_file(written(tmp_path, {**MINIMAL, "nodes": {"twin": twin}}))
+    assert content.system("replay").node("twin").arguments == ("--port", "/dev/bus", "--seed", "3")
+    assert content.system("replay", port="").node("twin").arguments == ("--seed", "3")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"nodes": {"twin": {"package": "p", "executable": "t", "topics": 1}}},
+            "unknown key topics",
+        ),
+        ({"nodes": {"twin": {"package": "p"}}}, "twin: no setting or key 'executable'"),
+        ({"settings": {}}, "driver: no setting or key 'port'"),
+        ({"settings": {"port": {"default": "x"}}}, "a setting has a default and a description"),
+        ({"more": 1}, "expected the keys"),
+    ],
+)
+def test_a_malformed_file_is_refused_with_its_path(tmp_path, change, message):
+    path = written(tmp_path, {**MINIMAL, **change})
+    with pytest.raises(SystemFileError, match=message) as error:
+        load_system_file(path).system("robot")
+    assert str(path) in str(error.value)
+
+
+def test_unknown_modes_and_settings_are_refused(tmp_path):
+    content = load_system_file(written(tmp_path, MINIMAL))
+    with pytest.raises(SystemFileError, match="mode 'simulation': choose one of robot"):
+        content.system("simulation")
+    with pytest.raises(SystemFileError, match="no setting 'bus'"):
+        content.system("robot", bus="x")
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_shipped_file_fills_every_setting(mode):
+    nodes = load_system_file(SHIPPED).system(mode).nodes
+    assert nodes
+    for node in nodes:
+        assert not any("{" in word for word in node.command_arguments("worm"))
+
+
+def test_on_a_robot_gaits_keep_the_limits_of_its_driver():
+    system = load_system_file(SHIPPED)
+    robot = system.system("robot", driver_file="/etc/driver.yaml", servo_model="XM430-W350")
+    told = robot.node("optimizer").parameters
+    assert told["limits.driver_file"] == "/etc/driver.yaml"
+    assert told["limits.servo_model"] == "XM430-W350"
+    assert not system.system("virtual").node("optimizer").parameters  # the paper's values hold
+
+
+def test_only_the_virtual_robot_is_driven_in_virtual_mode():
+    content = load_system_file(SHIPPED)
+    driver = content.system("virtual", directory="/run/x").node("driver")
+    assert driver.parameters["port"] == "/run/x/servo_bus"
+    assert "virtual_robot" not in [node.name for node in content.system("robot").nodes]

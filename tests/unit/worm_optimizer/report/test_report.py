@@ -1,0 +1,542 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reports of recorded gaits."""
+
+import base64
+import dataclasses
+import functools
+import json
+import math
+import os
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lab_files import write_bench_tests
+from recorded_run import GAIT, simulated_run, write_bag
+from recorded_session import recorded_session
+
+from worm_model.bags.bag import AttachedFile
+from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.run_writer import write_run
+from worm_model.commands.command_line import InputError
+from worm_model.parameters import PAPER, ParameterFile, format_parameter_file
+from worm_model.run import GaitStates, Run, TrackerSamples
+from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.commands import report as command
+from worm_optimizer.report.agreement import agreements, describe, headline, orders, percent
+from worm_optimizer.report.expectation import Band, expect
+from worm_optimizer.report.identification_parts import IdentificationParts
+from worm_optimizer.report.optimisation import optimise, why_no_front
+from worm_optimizer.report.page import Report, build_report
+from worm_optimizer.report.recorded_gait import RecordedGait
+from worm_optimizer.report.recordings import (
+    bags_of,
+    joined,
+    newest_recording,
+    read_recorded_gaits,
+)
+from worm_optimizer.report.run_figures import ridges_passed_at
+from worm_optimizer.search.cache import Cache
+from worm_optimizer.search.gait_map import MapSettings
+from worm_optimizer.search.nsga2 import SearchSettings
+from worm_optimizer.search.search_settings import ScanSettings, Settings
+
+CYCLES = 5
+
+
+def silent(line: str) -> None:
+    raise AssertionError(line)
+
+
+@pytest.fixture(scope="module")
+def gait(tmp_path_factory: pytest.TempPathFactory) -> RecordedGait:
+    bag = write_bag(tmp_path_factory.mktemp("bags") / "five", simulated_run(CYCLES))
+    return read_one(bag)
+
+
+def read_one(bag: Path, parameters: str = "") -> RecordedGait:
+    [gait] = read_recorded_gaits([bag], parameters, silent)
+    return gait
+
+
+def read(path: Path, run: Run, parameters: str = "") -> RecordedGait:
+    return read_one(write_bag(path, run), parameters)
+
+
+def with_speed(gait: RecordedGait, name: str, measured: float, expected: float) -> RecordedGait:
+    """A gait of another name and speeds."""
+    band = Band(expected, 0.9 * expected, 1.1 * expected)
+    return dataclasses.replace(
+        gait,
+        name=name,
+        measured=dataclasses.replace(gait.measured, speed=Band(measured, measured, measured)),
+        expected=dataclasses.replace(
+            gait.expected, bands=dataclasses.replace(gait.expected.bands, speed=band)
+        ),
+    )
+
+
+# --- what is read of a recording -----------------------------------------------------------------
+
+
+def test_measured_figures_are_those_of_the_simulated_robot(gait: RecordedGait):
+    true = evaluate_gait(GAIT)
+    assert gait.measured.speed.value == pytest.approx(true.speed, rel=0.01)
+    assert gait.measured.power.value == pytest.approx(true.power, rel=0.01)
+    assert gait.measured.cost_of_transport.value == pytest.approx(true.cost_of_transport, rel=0.02)
+    assert gait.missing == ()
+    assert gait.averaged_cycles == (3, 5)
+
+
+def test_the_twin_follows_and_the_expectation_holds(gait: RecordedGait):
+    assert gait.twin.speed.value == pytest.approx(gait.measured.speed.value, rel=0.02)
+    assert gait.expected.nominal == evaluate_gait(GAIT)
+    assert all(row.agrees for row in agreements(gait))
+    assert gait.judged.cycles[-1].measured_grooves == pytest.approx(
+        gait.expected.nominal.grooves_per_cycle, abs=0.05
+    )
+
+
+def test_bounds_are_those_of_the_single_cycles(gait: RecordedGait):
+    for band in (gait.measured.speed, gait.measured.power):
+        assert band.low <= band.value <= band.high
+        assert band.low < band.high
+
+
+def test_a_recording_that_ends_early_is_averaged_over_its_last_whole_cycles(tmp_path: Path):
+    run = simulated_run(4)
+    states = dataclasses.replace(run.gait_state, cycles=np.full(run.gait_state.stamp.size, 9))
+    gait = read(tmp_path / "early", dataclasses.replace(run, gait_state=states))
+    assert gait.played.cycles == 9
+    assert gait.averaged_cycles == (2, 4)
+    assert gait.early_end == "ended (idle) after 4 of 9 cycles"
+    assert gait.measured.speed.value == pytest.approx(evaluate_gait(GAIT).speed, rel=0.02)
+
+
+@pytest.mark.parametrize("cycles", [1, 2, 3, 4])
+def test_a_short_run_is_held_against_the_same_cycles_of_the_model(tmp_path: Path, cycles: int):
+    """Its first cycles begin with straight fins and gain other grooves than those after."""
+    gait = read(tmp_path / "short", simulated_run(cycles))
+    assert gait.averaged_cycles == (max(cycles - 2, 1), cycles)
+    assert gait.expected.nominal == evaluate_gait(GAIT, PAPER, cycles, min(cycles, 3))
+    assert gait.measured.speed.value == pytest.approx(gait.expected.nominal.speed, rel=0.01)
+    assert gait.measured.power.value == pytest.approx(gait.expected.nominal.power, rel=0.01)
+    assert all(row.agrees for row in agreements(gait))
+    assert gait.early_end == ""
+
+
+def test_a_fault_is_said_first_and_standing_still_is_not_averaged(tmp_path: Path):
+    """The recording goes on after the fault; only what was played counts."""
+    run = simulated_run(CYCLES)
+    states, onset = run.gait_state, int(run.gait_state.onset[1])
+    row = int(np.flatnonzero(states.cycle == 4)[0])
+    kept = {name: values[: row + 1].copy() for name, values in vars(states).items()}
+    kept["state"][row] = 5
+    kept["stamp"][row] = onset + round(3.4e9 * GAIT.period)
+    kept["cycles"][:] = CYCLES
+    gait = read(tmp_path / "fault", dataclasses.replace(run, gait_state=GaitStates(**kept)))
+    assert gait.averaged_cycles == (1, 3)
+    assert gait.early_end.startswith("ended in FAULT after 3 of 5 cycles")
+    assert headline([gait]).startswith("fault ended in FAULT after 3 of 5 cycles")
+    assert describe([gait]).startswith("fault: ended in FAULT")
+    page = build_report(Report("fault", [gait]), tmp_path / "report").read_text()
+    assert page.index("ended in FAULT") < page.index("<nav")
+
+
+def test_without_a_tracker_power_is_told_and_the_reason_of_the_rest(tmp_path: Path):
+    run = dataclasses.replace(simulated_run(CYCLES), tracker=TrackerSamples())
+    gait = read(tmp_path / "blind", run)
+    assert math.isnan(gait.measured.speed.value)
+    assert math.isnan(gait.measured.cost_of_transport.value)
+    assert gait.measured.power.value == pytest.approx(evaluate_gait(GAIT).power, rel=0.01)
+    assert gait.missing == ("the recording has no position of x1 over the averaged cycles",)
+    assert [row.agrees for row in agreements(gait)] == [None, True, None]
+    build_report(Report("blind", [gait]), tmp_path / "report")
+
+
+def test_a_recording_without_a_gait_is_refused(tmp_path: Path):
+    run = dataclasses.replace(simulated_run(2), gait_state=GaitStates())
+    with pytest.raises(InputError, match="holds no gait"):
+        read(tmp_path / "idle", run)
+
+
+def test_the_parameter_file_inside_the_recording_counts(tmp_path: Path):
+    content = ParameterFile(PAPER.replace(idle_power=1.25))
+    text = format_parameter_file(content).encode()
+    with BagWriter(tmp_path / "own") as writer:
+        writer.add_attachment(AttachedFile("parameters.yaml", "application/yaml", text))
+        write_run(writer, simulated_run(CYCLES))
+    gait = read_one(tmp_path / "own")
+    assert gait.content.parameters.idle_power == 1.25
+    assert gait.parameter_source == "the parameter file inside the recording"
+    (tmp_path / "given.yaml").write_text("idle_power: 0.5\n")
+    given = read_one(tmp_path / "own", str(tmp_path / "given.yaml"))
+    assert given.content.parameters.idle_power == 0.5
+
+
+def test_events_tell_states_and_gaps(gait: RecordedGait):
+    texts = [event.text for event in gait.events]
+    assert "running" in texts
+    assert any("rear marker hidden in 4 of" in text for text in texts)
+    times = [event.time for event in gait.events if math.isfinite(event.time)]
+    assert times == sorted(times)
+
+
+def test_invalid_power_samples_are_counted(tmp_path: Path):
+    run = simulated_run(2)
+    status = run.power.status.copy()
+    status[10:13] = 1
+    power = dataclasses.replace(run.power, status=status)
+    gait = read(tmp_path / "overflow", dataclasses.replace(run, power=power))
+    assert any(f"3 of {status.size} power samples" in event.text for event in gait.events)
+
+
+def test_five_ridges_are_passed_when_the_tracker_says_so(gait: RecordedGait):
+    passed = ridges_passed_at(gait)
+    tracker = gait.run.tracker
+    time = (tracker.stamp - gait.played.onset) * 1e-9
+    rest = np.nanmean(tracker.rear_position[time < 0.0])
+    assert np.nanmax(tracker.rear_position[time < passed - 0.1]) - rest < 5 * PAPER.pitch
+    assert np.nanmax(tracker.rear_position[time <= passed]) - rest == pytest.approx(
+        5 * PAPER.pitch, abs=0.01
+    )
+
+
+# --- several gaits in one recording ---------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def session() -> tuple[Run, Run]:
+    return recorded_session()
+
+
+@pytest.fixture(scope="module")
+def two(session: tuple[Run, Run], tmp_path_factory: pytest.TempPathFactory):
+    """The gaits of one bag that holds both, and what was told."""
+    bag = write_bag(tmp_path_factory.mktemp("bags") / "two", joined(session))
+    told: list[str] = []
+    return read_recorded_gaits([bag], "", told.append), told
+
+
+def test_each_gait_of_a_recording_is_reported_and_that_is_said(two):
+    gaits, told = two
+    assert [(gait.name, gait.played.cycles) for gait in gaits] == [("two_1", 4), ("two_2", CYCLES)]
+    assert len(told) == 1
+    assert "holds 2 gaits" in told[0]
+    for gait in gaits:
+        assert gait.missing == ()
+        assert gait.measured.speed.value == pytest.approx(evaluate_gait(GAIT).speed, rel=0.02)
+        assert len(gait.judged.cycles) == gait.played.cycles
+        assert [event.text for event in gait.events].count("running") == 1
+        assert all(event.time >= 0.0 for event in gait.events if math.isfinite(event.time))
+
+
+def test_the_twin_goes_on_from_one_gait_to_the_next(two):
+    for gait in two[0]:
+        assert gait.judged.residuals.x1_rmse < 1e-3
+        assert gait.judged.cycles[0].grooves == round(gait.judged.cycles[0].measured_grooves)
+
+
+def test_the_twin_goes_on_from_one_bag_to_the_next_where_the_robot_did(
+    session: tuple[Run, Run], two, tmp_path: Path
+):
+    paths = [write_bag(tmp_path / f"bag_{k}", run) for k, run in enumerate(session)]
+    later, earlier = read_recorded_gaits(paths[::-1], "", silent)
+    assert (later.name, earlier.name) == ("bag_1", "bag_0")
+    for gait, whole in zip((earlier, later), two[0], strict=True):
+        assert gait.judged.residuals.x1_rmse == pytest.approx(whole.judged.residuals.x1_rmse)
+    tracker = session[1].tracker
+    moved = dataclasses.replace(tracker, rear_position=tracker.rear_position + 0.05)
+    write_bag(tmp_path / "moved", dataclasses.replace(session[1], tracker=moved))
+    for others in ([paths[1]], [paths[0], tmp_path / "moved"]):
+        alone = read_recorded_gaits(others, "", silent)[-1]
+        assert alone.judged.residuals.x1_rmse > 5.0 * later.judged.residuals.x1_rmse
+
+
+def test_gaits_of_one_name_are_told_apart(tmp_path: Path):
+    paths = [write_bag(tmp_path / f"{k}" / "same", simulated_run(2)) for k in range(2)]
+    gaits = read_recorded_gaits(paths, "", silent)
+    assert [gait.name for gait in gaits] == ["same (1)", "same (2)"]
+
+
+# --- expectations ---------------------------------------------------------------------------------
+
+
+def test_intervals_hold_the_prediction_and_are_the_same_each_time():
+    first, second = expect(GAIT, ParameterFile()), expect(GAIT, ParameterFile())
+    assert first == second
+    for band in dataclasses.astuple(first.bands):
+        value, low, high = band
+        assert low <= value <= high
+
+
+def test_a_file_that_knows_its_parameters_narrows_the_interval():
+    wide = expect(GAIT, ParameterFile()).bands.power
+    exact = {key: (value, value) for key, value in PAPER.as_dict().items()}
+    narrow = expect(GAIT, ParameterFile(PAPER, exact)).bands.power
+    assert narrow.high - narrow.low < 1e-6 < wide.high - wide.low
+
+
+# --- several gaits --------------------------------------------------------------------------------
+
+
+def test_order_is_preserved_or_not_or_not_told(gait: RecordedGait):
+    slow, fast = with_speed(gait, "slow", 1.0, 1.1), with_speed(gait, "fast", 2.0, 1.9)
+    assert orders([gait]) == ()
+    assert orders([fast, slow])[0].preserved is True
+    assert orders([slow, with_speed(gait, "fast", 0.5, 1.9)])[0].preserved is False
+    assert orders([slow, with_speed(gait, "fast", math.nan, 1.9)])[0].preserved is None
+
+
+def test_nothing_that_is_twenty_percent_off_agrees(gait: RecordedGait):
+    """However wide the interval is."""
+    for measured, agrees in ((1.0, True), (1.19, True), (1.21, False), (0.79, False)):
+        wide = with_speed(gait, "wide", measured, 1.0)
+        band = dataclasses.replace(wide.expected.bands, speed=Band(1.0, 0.1, 9.0))
+        expected = dataclasses.replace(wide.expected, bands=band)
+        assert agreements(dataclasses.replace(wide, expected=expected))[0].agrees is agrees
+
+
+def test_the_text_names_what_is_outside(gait: RecordedGait):
+    text = describe([with_speed(gait, "slow", 1.0, 2.0), with_speed(gait, "fast", 0.5, 3.0)])
+    assert re.search(r"slow +speed \(mm/s\).*-50\.0 % +no", text)
+    assert "order by speed: not preserved; expected slow < fast, measured fast < slow" in text
+
+
+# --- the front that belongs to them ---------------------------------------------------------------
+
+
+def made_with(gait: RecordedGait, margin: float, direction: int = 1) -> RecordedGait:
+    played = dataclasses.replace(gait.gait, margin=margin, direction=direction)
+    return dataclasses.replace(gait, played=dataclasses.replace(gait.played, gait=played))
+
+
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Cache:
+    """A cache of its own, and default settings that are done in a second."""
+    quick = functools.partial(
+        Settings,
+        scan=ScanSettings(0.003, 0.004, 0.0002),
+        map=MapSettings(21, 17, 1e-5, 1),
+        search=SearchSettings(24, 10, 1),
+        samples=20,
+    )
+    monkeypatch.setattr("worm_optimizer.report.optimisation.Settings", quick)
+    return Cache.at(tmp_path / "cache")
+
+
+def test_the_front_has_the_margin_that_the_gaits_were_made_with(gait: RecordedGait, coarse: Cache):
+    found = optimise([made_with(gait, 0.002), made_with(gait, 0.002)], coarse, lambda _: None)
+    assert found.front.margin == 0.002
+    assert found.note == ""
+
+
+def test_gaits_of_different_margins_get_the_cliffs_and_the_page_says_so(
+    gait: RecordedGait, coarse: Cache, tmp_path: Path
+):
+    gaits = [made_with(gait, 0.002), made_with(gait, 0.003)]
+    found = optimise(gaits, coarse, lambda _: None)
+    assert found.front.margin == found.price.margin == pytest.approx(0.0034)
+    assert optimise([made_with(gait, 0.0034)], coarse, lambda _: None).front == found.front
+    page = build_report(Report("mixed", gaits, found), tmp_path / "report").read_text()
+    assert "margins from 2.00 to 3.00 mm" in page
+
+
+def test_gaits_without_a_front_in_common_are_shown_without(gait: RecordedGait, tmp_path: Path):
+    assert why_no_front([gait, made_with(gait, 0.002)]) == ""
+    back = made_with(gait, 0.0, direction=-1)
+    assert "different directions" in why_no_front([gait, back])
+    heavy = dataclasses.replace(gait, content=ParameterFile(PAPER.replace(rear_mass=0.5)))
+    assert "different parameters" in why_no_front([gait, heavy])
+    report = Report("mixed", [gait, back], note=why_no_front([gait, back]))
+    assert "different directions" in build_report(report, tmp_path / "report").read_text()
+
+
+@pytest.mark.parametrize(
+    ("difference", "told"),
+    [(-0.0004, "+0.0 %"), (-0.0006, "-0.1 %"), (0.25, "+25.0 %"), (math.nan, "")],
+)
+def test_differences_have_a_sign_but_nothing_has_none_below_zero(difference: float, told: str):
+    assert percent(difference) == told
+
+
+# --- the page -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def odd(gait: RecordedGait) -> RecordedGait:
+    return dataclasses.replace(gait, name="<b>odd & name</b>")
+
+
+@pytest.fixture(scope="module")
+def page(odd: RecordedGait, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_report(Report("A <title>", [odd]), tmp_path_factory.mktemp("page") / "report")
+
+
+def test_the_page_needs_nothing_else_and_figures_lie_beside_it(page: Path):
+    text = page.read_text(encoding="utf-8")
+    sources = re.findall(r'src="([^"]{0,40})', text)
+    assert len(sources) == 4
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    anchors = re.findall(r'href="#([^"]+)"', text)
+    assert len(anchors) == text.count("href=") == 3
+    assert all(f'id="{anchor}"' in text for anchor in anchors)
+    assert "<script" not in text
+    assert "<b>odd" not in text
+    assert "&lt;b&gt;odd &amp; name" in text
+    figures = {path.name for path in (page.parent / "figures").iterdir()}
+    assert figures == {
+        f"run_1_{name}.{kind}"
+        for name in ("motion", "length", "energy", "cycles")
+        for kind in ("png", "pdf")
+    }
+
+
+def test_the_same_recording_gives_the_same_bytes(page: Path, odd: RecordedGait, tmp_path: Path):
+    again = build_report(Report("A <title>", [odd]), tmp_path / "report")
+    files = [path for path in page.parent.rglob("*") if path.is_file()]
+    assert len(files) == 9
+    for path in files:
+        other = again.parent / path.relative_to(page.parent)
+        assert path.read_bytes() == other.read_bytes(), path.name
+
+
+def test_identified_parameters_stand_beside_the_papers(tmp_path: Path):
+    content = ParameterFile(
+        PAPER.replace(gain=0.9), {"gain": (0.88, 0.92)}, {"bags": ["run_01"], "seed": 1}
+    )
+    page = build_report(
+        Report("identified", identification=IdentificationParts(content, "mine.yaml")),
+        tmp_path / "r",
+    )
+    text = page.read_text(encoding="utf-8")
+    assert "0.88 to 0.92" in text
+    assert "run_01" in text
+    assert (tmp_path / "r" / "figures" / "parameters.png").stat().st_size > 0
+
+
+def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    bellows, fin = write_bench_tests(tmp_path)
+    write_bag(tmp_path / "run", simulated_run(2))
+    folder = tmp_path / "identification"
+    (folder / "figures").mkdir(parents=True)
+    (folder / "report.md").write_text(
+        "# Identification\n\n8 runs of <mine>, k_eng and k_dis\n\n| a | b |\n| --- | --- |\n| c | d_e |\n\n"
+        "## Figures\n\n![run](figures/run_01_motion.png)\n"
+    )
+    (folder / "figures" / "run_01_motion.png").write_bytes(b"an image")
+    (tmp_path / "mine.yaml").write_text("gain: 0.9\nintervals: {gain: [0.88, 0.92]}\n")
+    options = ("--bellows", bellows, "--fin", fin, "--identification", folder)
+    options += ("--identification", "mine.yaml", "--without-front", "--output", "page")
+    assert run_command(monkeypatch, "run", *options) == 0
+    text = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
+    for kind, part in (("bellows", "the straight line"), ("fin", "the law fitted to it")):
+        image = (tmp_path / "page" / "figures" / f"{kind}.png").read_bytes()
+        assert base64.b64encode(image).decode() in text
+        assert part in text
+    assert base64.b64encode(b"an image").decode() in text
+    assert "run 01 motion" in text
+    assert "8 runs of &lt;mine&gt;, k_eng and k_dis" in text
+    assert re.search(r"<td>c</td>\s*<td>d_e</td>", text)
+    assert "figures/run_01_motion" not in text
+    assert "0.88 to 0.92" in text
+
+
+def test_the_page_fits_narrow_screens_and_calls_the_campaigns_gaits_by_words(
+    gait: RecordedGait, tmp_path: Path
+):
+    named = dataclasses.replace(gait, name="min_power")
+    text = build_report(Report("narrow", [named]), tmp_path / "report").read_text(encoding="utf-8")
+    assert '<meta name="viewport"' in text
+    assert len(re.findall(r'<div class="wide"><table>', text)) == text.count("<table>") > 0
+    assert text.count('<table class="cards">') == 1
+    assert text.count('<div class="wide"><img') == text.count("<img") == 4
+    assert "Run minimum power</h2>" in text
+    assert "min_power" not in re.sub(r"(?s)<details>.*?</details>", "", text)
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["report", *map(str, arguments)])
+    return command.main()
+
+
+def test_the_newest_recording_is_reported_by_default(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+):
+    monkeypatch.chdir(tmp_path)
+    write_bag(tmp_path / "bags" / "mine", simulated_run(CYCLES))
+    assert run_command(monkeypatch, "--without-front", "--json") == 0
+    content = json.loads(capsys.readouterr().out)
+    assert Path(content["page"]) == tmp_path / "bags" / "mine_report" / "report.html"
+    assert Path(content["page"]).is_file()
+    assert content["runs"][0]["agrees"] == {"speed": True, "power": True, "cost_of_transport": True}
+
+
+def test_a_folder_of_bags_stands_for_them_in_the_order_of_their_ends(tmp_path: Path):
+    for number, name in enumerate(("second", "first")):
+        bag = write_bag(tmp_path / "campaign" / name, simulated_run(2))
+        os.utime(bag / "metadata.yaml", (0, 100 - number))
+    assert [bag.name for bag in bags_of(tmp_path / "campaign")] == ["first", "second"]
+    assert bags_of(bag) == [bag]
+
+
+def test_what_was_recorded_last_may_be_a_campaign(tmp_path: Path):
+    times = {"old": 10, "campaign/cruise": 30, "campaign/max_speed": 40, "single": 35}
+    for name, closed in times.items():
+        write_bag(tmp_path / name, simulated_run(1))
+        os.utime(tmp_path / name / "metadata.yaml", (0, closed))
+    told: list[str] = []
+    assert newest_recording(tmp_path, told.append) == tmp_path / "campaign"
+    os.utime(tmp_path / "single" / "metadata.yaml", (0, 50))
+    assert newest_recording(tmp_path, told.append) == tmp_path / "single"
+    assert not told
+
+
+def test_a_recording_without_a_gait_or_a_broken_one_is_passed_over(tmp_path: Path):
+    write_bag(tmp_path / "good", simulated_run(1))
+    run = simulated_run(1)
+    rested = GaitStates(*(values[:1] for values in vars(run.gait_state).values()))
+    write_bag(tmp_path / "failed", dataclasses.replace(run, gait_state=rested))
+    (tmp_path / "broken").mkdir()
+    for number, name in enumerate(("good", "failed", "broken")):
+        (tmp_path / name / "metadata.yaml").touch()
+        os.utime(tmp_path / name / "metadata.yaml", (0, 10 + number))
+    told: list[str] = []
+    assert newest_recording(tmp_path, told.append) == tmp_path / "good"
+    assert [line.startswith("passed over: ") for line in told] == [True, True]
+    assert "is not rosbag2's" in told[0]
+    assert told[1].endswith("failed no gait was run")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ((), "no recording of a gait in"),
+        (("nowhere",), "nowhere does not exist"),
+        (("nowhere", "--output", "."), "exists already"),
+        (("nowhere", "--identification", "none.yaml"), "none.yaml: cannot be read"),
+        (("nowhere", "--identification", "."), "name the folder that identify --report wrote"),
+        (("nowhere", "--bellows", "none.csv"), "--bellows none.csv"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+    arguments: tuple[str, ...],
+    complaint: str,
+):
+    monkeypatch.chdir(tmp_path)
+    assert run_command(monkeypatch, *arguments) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert complaint in told.err
+    assert told.err.count("\n") == 1

@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Uncertainty, success probability, distances to the edges, and fronts that promise their grooves."""
+
+import numpy as np
+import pytest
+from gaits_for_tests import COARSE_MAP
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from worm_model.parameters import PAPER, ParameterFile
+from worm_model.simulation.closed_form import groove_phase
+from worm_optimizer.robustness.chance import PromiseTask, margins_stood
+from worm_optimizer.robustness.success_probability import stroke_to_edges, success_probability
+from worm_optimizer.robustness.uncertainty import (
+    DEFAULT_HALF_WIDTHS,
+    Scenarios,
+    correlated,
+    description,
+    every_phase,
+    half_widths,
+    phase_guard,
+    phase_known,
+    phase_unknown,
+)
+from worm_optimizer.search.gait_map import MapSettings, build_map
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.task import MarginTask
+
+FILE = ParameterFile()
+PITCH = PAPER.pitch
+TINY_MAP = MapSettings(strokes=21, frequencies=5, tolerance=2e-4, followed=0)
+
+
+def phases_of(scenarios: Scenarios) -> np.ndarray:
+    pitch = scenarios.overrides.get("pitch", np.full(len(scenarios), PITCH))
+    return np.array(
+        [
+            groove_phase(PAPER.replace(pitch=d, initial_length=length))
+            for d, length in zip(pitch, scenarios.overrides["initial_length"], strict=True)
+        ]
+    )
+
+
+def any_phase_task() -> PromiseTask:
+    return PromiseTask(MarginTask(margin=phase_guard(PAPER)), every_phase(PAPER), 1.0)
+
+
+# --- draws ----------------------------------------------------------------------------------------
+
+
+def test_draws_have_the_stated_widths():
+    draws = phase_known(FILE, 4000, seed=1).overrides
+    for key, width in DEFAULT_HALF_WIDTHS.items():
+        value = PAPER.as_dict()[key]
+        inside = np.mean(np.abs(draws[key] / value - 1.0) <= width)
+        assert 0.93 < inside < 0.97, key
+
+
+def test_a_files_intervals_replace_the_defaults_on_each_side():
+    file = ParameterFile(intervals={"slack": (0.0079, 0.0090), "pitch": (0.0173, 0.0173)})
+    below, above = half_widths(file)["slack"]
+    assert (below, above) == pytest.approx((1e-4, 1e-3))
+    draws = phase_known(file, 4000, seed=1).overrides
+    assert np.all(draws["pitch"] == 0.0173)
+    assert np.quantile(draws["slack"], [0.025, 0.975]) == pytest.approx([0.0079, 0.0090], abs=6e-5)
+
+
+def test_what_is_assumed_is_told_apart_from_what_the_file_says():
+    assert description(FILE).startswith(
+        "assumed at 95 %: rear_mass ±1 %, front_mass ±1 %, pitch ±0.5 %"
+    )
+    mixed = description(ParameterFile(intervals={"slack": (0.0079, 0.0090)}))
+    assert mixed.startswith("the parameter file's 95 % intervals of slack; assumed")
+    assert "slack ±" not in mixed
+    everything = {key: (0.9 * PAPER.as_dict()[key], 1.1) for key in DEFAULT_HALF_WIDTHS}
+    assert description(ParameterFile(intervals=everything)) == "the parameter file's 95 % intervals"
+    phase = description(ParameterFile(intervals=everything, run_to_run={"initial_length": 4e-4}))
+    assert phase == "the parameter file's 95 % intervals; φ known to ±0.78 mm in the next run"
+
+
+def test_the_known_phase_is_held_whatever_the_pitch():
+    scenarios = phase_known(FILE, 200, seed=1)
+    assert np.ptp(scenarios.overrides["pitch"]) > 1e-4
+    assert phases_of(scenarios) == pytest.approx(np.full(200, groove_phase(PAPER)), abs=1e-12)
+
+
+def test_an_interval_of_the_initial_length_is_one_of_the_phase():
+    file = ParameterFile(intervals={"initial_length": (0.2950, 0.2954)})
+    spread = phases_of(phase_known(file, 2000, seed=1)) - groove_phase(PAPER)
+    assert np.quantile(spread, [0.025, 0.975]) == pytest.approx([-2e-4, 2e-4], abs=2e-5)
+
+
+def test_the_next_run_has_a_phase_of_its_own():
+    """The interval is the mean's; what differs from run to run comes on top: 0.3 mm and 0.4 mm are 0.5 mm."""
+    sigma = 4e-4 / 1.959963984540054
+    file = ParameterFile(
+        intervals={"initial_length": (0.2949, 0.2955)}, run_to_run={"initial_length": sigma}
+    )
+    spread = phases_of(phase_known(file, 2000, seed=1)) - groove_phase(PAPER)
+    assert np.quantile(spread, [0.025, 0.975]) == pytest.approx([-5e-4, 5e-4], abs=4e-5)
+
+
+def test_draws_correlate_as_the_file_says_and_keep_their_widths():
+    file = ParameterFile(
+        intervals={"slack": (0.0076, 0.0084)},
+        correlations={("slack", "gain"): -0.9, ("bellows_damping", "power_factor"): -0.99},
+    )
+    draws = phase_known(file, 4000, seed=1).overrides
+    plain = phase_known(FILE, 4000, seed=1).overrides
+    assert np.corrcoef(draws["slack"], draws["gain"])[0, 1] == pytest.approx(-0.9, abs=0.02)
+    assert abs(np.corrcoef(plain["slack"], plain["gain"])[0, 1]) < 0.05
+    assert np.quantile(draws["slack"], [0.025, 0.975]) == pytest.approx([0.0076, 0.0084], abs=5e-5)
+    assert draws["clearance"] == pytest.approx(plain["clearance"], rel=1e-12)
+
+
+def test_correlations_that_exclude_each_other_are_drawn_as_near_as_can_be():
+    random = np.random.default_rng(1)
+    independent = {key: random.standard_normal(20_000) for key in "abc"}
+    impossible = {("a", "b"): 0.9, ("b", "c"): 0.9, ("a", "c"): -0.9}
+    drawn = np.corrcoef(list(correlated(independent, impossible).values()))
+    assert np.all(np.isfinite(drawn))
+    assert drawn[0, 1] == pytest.approx(drawn[1, 2], abs=0.02)
+    assert 0.3 < drawn[0, 1] < 0.9
+    assert -0.9 < drawn[0, 2] < 0.0
+
+
+def test_the_unknown_phase_fills_the_pitch():
+    phases = phases_of(phase_unknown(FILE, 1000, seed=1)) / PITCH
+    assert phases.min() < -0.48
+    assert phases.max() > 0.48
+    assert abs(np.mean(phases)) < 0.03
+
+
+def test_every_phase_is_even_and_changes_nothing_else():
+    scenarios = every_phase(PAPER)
+    assert set(scenarios.overrides) == {"initial_length"}
+    spacing = PITCH / len(scenarios)
+    assert np.diff(np.sort(phases_of(scenarios))) == pytest.approx(
+        np.full(len(scenarios) - 1, spacing)
+    )
+
+
+@given(st.integers(0, 1000), st.integers(1, 20))
+@settings(max_examples=20, deadline=None)
+def test_the_same_seed_draws_the_same(seed, samples):
+    first, second = (phase_unknown(FILE, samples, seed).overrides for _ in range(2))
+    assert all(np.array_equal(first[key], second[key]) for key in first)
+
+
+def test_wide_intervals_stay_admissible():
+    wide = {key: (0.01 * value, 3.0 * value) for key, value in PAPER.as_dict().items() if value}
+    scenarios = phase_known(ParameterFile(intervals=wide), 300, seed=1)
+    probability = success_probability(MarginTask(), [0.08], [0.2], [1], scenarios)
+    assert 0.0 < probability[0] < 1.0
+
+
+# --- the paper's claim ----------------------------------------------------------------------------
+
+
+def test_nominal_gaits_are_fragile_and_robust_ones_are_not():
+    nominal, robust = MarginTask(), MarginTask(margin=3.4e-3)
+    scenarios = phase_known(FILE, 200, seed=1)
+    success = []
+    for task in (nominal, robust):
+        front = build_map(task, COARSE_MAP).front
+        success.append(
+            success_probability(task, front.stroke, front.frequency, front.branch, scenarios)
+        )
+    assert success[0].max() < 0.7
+    assert success[1].min() > 0.99
+
+
+def test_without_the_phase_even_robust_gaits_fail_at_times():
+    task = MarginTask(margin=3.4e-3)
+    front = build_map(task, COARSE_MAP).front
+    gaits = front.stroke, front.frequency, front.branch
+    probability = success_probability(task, *gaits, phase_unknown(FILE, 200, seed=1))
+    assert 0.3 < probability.min() <= probability.max() < 0.8
+
+
+def test_a_gait_that_promises_nothing_keeps_it():
+    scenarios = phase_known(FILE, 10, seed=1)
+    assert success_probability(MarginTask(), [0.05], [0.2], [0], scenarios).tolist() == [1.0]
+
+
+# --- edges ----------------------------------------------------------------------------------------
+
+
+def test_the_branch_ends_at_the_told_distances():
+    task = MarginTask(margin=3.4e-3)
+    stroke, frequency = np.array([0.0754, 0.0550, 0.06]), np.array([0.147, 0.08, 0.3])
+    lower, upper = stroke_to_edges(task, stroke, frequency)
+    nominal = task.with_margin(0.0)
+    branch = nominal.grooves(stroke, frequency)
+    hair = 2e-5
+    assert np.all(nominal.grooves(stroke - lower + hair, frequency) == branch)
+    assert np.all(nominal.grooves(stroke - lower - hair, frequency) != branch)
+    inside = stroke + upper < task.bounds.stroke_high
+    assert np.all(nominal.grooves(stroke + upper - hair, frequency) == branch)
+    assert np.all(nominal.grooves(stroke + upper + hair, frequency)[inside] != branch[inside])
+
+
+def test_a_branch_that_reaches_the_bound_ends_there():
+    task = MarginTask()
+    _, upper = stroke_to_edges(task, np.array([0.08]), np.array([0.2]))
+    assert upper[0] == pytest.approx(0.01)
+
+
+# --- promises -------------------------------------------------------------------------------------
+
+
+def test_any_phase_gaits_keep_their_promise_at_phases_that_they_were_not_made_with():
+    front = build_map(any_phase_task(), TINY_MAP).front
+    assert set(front.branch.tolist()) == {1, 2}
+    phase = np.linspace(-0.5, 0.5, 500) * PITCH
+    other = Scenarios({"initial_length": PAPER.initial_length + phase})
+    gaits = front.stroke, front.frequency, front.branch
+    assert success_probability(MarginTask(), *gaits, other).min() == 1.0
+
+
+def test_any_phase_gaits_cost_stroke():
+    known = build_map(MarginTask(), TINY_MAP).front
+    every = build_map(any_phase_task(), TINY_MAP).front
+    for branch in (1, 2):
+        shortest = [front.stroke[front.branch == branch].min() for front in (known, every)]
+        assert shortest[1] > shortest[0] + 5e-3
+
+
+def test_a_chance_constrained_front_keeps_its_probability_on_other_draws():
+    task = MarginTask()
+    promise = PromiseTask(task, phase_known(FILE, 60, seed=7), 0.9)
+    front = build_map(promise, TINY_MAP).front
+    kept = success_probability(
+        task, front.stroke, front.frequency, front.branch, phase_known(FILE, 300, seed=8)
+    )
+    assert kept.min() > 0.75  # 60 draws tell 0.9 to within 0.04, one standard deviation
+    assert np.median(kept) > 0.85
+
+
+def test_a_higher_probability_amounts_to_a_larger_margin():
+    task, scenarios = MarginTask(), phase_known(FILE, 60, seed=7)
+    least = [
+        margins_stood(task, build_map(PromiseTask(task, scenarios, p), TINY_MAP).front).min()
+        for p in (0.6, 0.95)
+    ]
+    assert 0.0 < least[0] < least[1] < 3.4e-3
+
+
+def test_a_gait_stands_the_told_margin_and_no_more():
+    task = MarginTask()
+    front = task.points([0.0754, 0.0754, 0.0550], [0.147, 0.2, 0.08])
+    margins = margins_stood(task, front)
+    assert np.all(margins > 3e-3)
+    assert np.all(task.grooves(front.stroke, front.frequency, margins) >= front.branch)
+    assert np.all(task.grooves(front.stroke, front.frequency, margins + 1e-6) < front.branch)
+
+
+def test_a_promise_that_the_nominal_robot_breaks_stands_no_margin():
+    task = MarginTask()
+    front = task.points([0.06], [0.2])
+    too_much = type(front)(*vars(front).values())
+    too_much.branch[:] = 5
+    assert margins_stood(task, too_much).tolist() == [0.0]
+
+
+@pytest.mark.parametrize("probability", [0.0, 1.1, -1.0])
+def test_a_probability_that_is_none_is_refused(probability):
+    with pytest.raises(OptimizerError, match="probability"):
+        PromiseTask(MarginTask(), every_phase(PAPER), probability)

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits from the driver's parameter file and its servo models, and fronts that keep them."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from gaits_for_tests import COARSE_MAP
+
+from worm_driver.servos import registers
+from worm_driver.virtual_robot.servo import control_table
+from worm_model.gait import Gait
+from worm_model.parameters import PAPER
+from worm_optimizer.search.actuator_limits import NO_LIMITS, ActuatorLimits, peaks
+from worm_optimizer.search.gait_map import build_map
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.servo_limits import (
+    DRIVER_DEFAULTS,
+    limits_of,
+    load_driver_file,
+    servo_model,
+    servo_models,
+    within,
+)
+from worm_optimizer.search.task import Bounds, MarginTask
+
+ROOT = Path(__file__).resolve().parents[4]
+DRIVER_FILE = ROOT / "src" / "worm_driver" / "config" / "driver.yaml"
+
+
+@pytest.fixture
+def driver_file(tmp_path):
+    def write(**parameters) -> Path:
+        path = tmp_path / "driver.yaml"
+        path.write_text(yaml.safe_dump({"/worm/driver": {"ros__parameters": parameters}}))
+        return path
+
+    return write
+
+
+def test_the_defaults_are_those_of_the_driver(driver_file):
+    assert load_driver_file(DRIVER_FILE) == load_driver_file(driver_file(port="/dev/x"))
+    driver = yaml.safe_load(DRIVER_FILE.read_text())["/**/driver"]["ros__parameters"]
+    for name, default in DRIVER_DEFAULTS.items():
+        value = driver
+        for part in name.split("."):
+            value = value[part]
+        assert value == default, name
+
+
+def test_the_models_are_those_that_the_driver_knows():
+    known = {model.name.removesuffix("-T"): model for model in registers.MODELS.values()}
+    assert set(servo_models()) == set(known) == set(control_table.MODELS)
+    for name, model in servo_models().items():
+        virtual = control_table.MODELS[name]
+        assert model.voltage == virtual.nominal_voltage
+        assert model.no_load_speed == pytest.approx(virtual.no_load_speed, rel=2e-3)
+        assert model.stall_torque == virtual.stall_torque
+        assert model.stall_current == virtual.stall_current
+        limit = virtual.registers["velocity_limit"].initial * 0.0239691227
+        assert model.velocity_limit == pytest.approx(limit, rel=2e-3)
+        assert model.measures_current == known[name].measures_current
+
+
+def test_an_xm430_on_the_drivers_spool():
+    """By hand: 45.8 rpm and 4.1 N·m · 2.0 A/2.3 A on a spool of 25 mm; 3.2 A at 12 V."""
+    limits = limits_of(load_driver_file(DRIVER_FILE), servo_model("XM430-W350"), None)
+    assert limits.cable_speed == pytest.approx(0.025 * 45.8 * 2 * math.pi / 60)
+    assert limits.cable_force == pytest.approx(4.1 * 2.0 / 2.3 / 0.025)
+    assert limits.electrical_power == pytest.approx(38.4)
+    assert limits.stall_force == pytest.approx(4.1 / 0.025)
+    assert limits.no_load_speed == pytest.approx(0.025 * 46.0 * 2 * math.pi / 60)
+
+
+@pytest.mark.parametrize("name", ["XM430-W350", "XM430-W350-T", "XM430-W350-R"])
+def test_a_model_has_the_names_of_its_connectors(name):
+    assert servo_model(name) == servo_models()["XM430-W350"]
+
+
+def test_a_weaker_supply_means_less_speed_and_torque():
+    driver, model = load_driver_file(DRIVER_FILE), servo_model("XM430-W350")
+    full, weak = limits_of(driver, model, None), limits_of(driver, model, 10.0)
+    assert weak.no_load_speed == pytest.approx(full.no_load_speed * 10.0 / 12.0)
+    assert weak.cable_speed == weak.no_load_speed  # now below the limit in the servo
+    assert weak.stall_force == pytest.approx(full.stall_force * 10.0 / 12.0)
+    assert weak.cable_force == pytest.approx(weak.stall_force)  # it stalls below the driver's 2 A
+    assert weak.electrical_power == pytest.approx(32.0)
+
+
+def test_two_cables_pull_together_and_the_slimmer_spool_is_the_slower(driver_file):
+    radii = [0.02, 0.025]
+    two = load_driver_file(driver_file(cable_servos={"ids": [1, 2], "spool_radius_m": radii}))
+    limits = limits_of(two, servo_model("XL430-W250"), None)
+    assert limits.cable_force == pytest.approx(2 * 0.9 * 1.5 / 0.025)  # a share: it has no current
+    assert limits.stall_force == pytest.approx(2 * 1.5 / 0.025)
+    assert limits.no_load_speed == pytest.approx(0.02 * 61.0 * 2 * math.pi / 60)
+
+
+def test_without_a_model_the_drivers_own_limits_are_left():
+    driver = load_driver_file(DRIVER_FILE)
+    assert limits_of(driver, None, None) == ActuatorLimits(cable_speed=0.12)
+    assert limits_of(driver, None, 12.0).electrical_power == pytest.approx(38.4)
+
+
+def test_the_range_of_the_sensor_is_that_of_its_shunt_or_none(driver_file):
+    coarse = load_driver_file(driver_file(**{"ina219.shunt_resistance_ohm": 0.2}))
+    assert coarse.sensor_current == pytest.approx(1.6)
+    assert load_driver_file(driver_file(i2c_bus="")).sensor_current == math.inf
+
+
+def test_a_driver_that_takes_less_narrows_the_box_and_a_stricter_limit_stays(driver_file):
+    file = driver_file(limits={"max_stroke_m": 0.05, "max_frequency_Hz": 1.0})
+    bounds, limits = within(Bounds(), ActuatorLimits(cable_speed=0.01), str(file), "", None)
+    assert bounds == Bounds(stroke_high=0.05)
+    assert limits == ActuatorLimits(cable_speed=0.01)
+    assert within(Bounds(), NO_LIMITS, "", "", None) == (Bounds(), NO_LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("{", "cannot be read"),
+        ("a: 1", "holds no ros__parameters of a node named driver"),
+        ("driver: {ros__parameters: {cable_servos.spool_radius_m: 0.02}}", "expected a list"),
+        ("driver: {ros__parameters: {limits.max_stroke_m: true}}", "max_stroke_m: True is not"),
+        ("driver: {ros__parameters: {cable_servos.spool_radius_m: [-1]}}", "-1 is not a positive"),
+    ],
+)
+def test_a_file_that_is_none_is_refused_with_its_path(tmp_path, content, says):
+    path = tmp_path / "driver.yaml"
+    path.write_text(content)
+    with pytest.raises(OptimizerError, match=says) as told:
+        load_driver_file(path)
+    assert str(told.value).startswith(str(path))
+
+
+def test_what_says_nothing_is_refused():
+    with pytest.raises(OptimizerError, match="'XM1' is none of XL330-M288"):
+        within(Bounds(), NO_LIMITS, str(DRIVER_FILE), "XM1", None)
+    with pytest.raises(OptimizerError, match="without the driver's parameter file"):
+        within(Bounds(), NO_LIMITS, "", "XM430-W350", None)
+    with pytest.raises(OptimizerError, match="supply voltage: -1"):
+        within(Bounds(), NO_LIMITS, str(DRIVER_FILE), "", -1.0)
+
+
+def front_under(limits: ActuatorLimits):
+    task = MarginTask(margin=0.002, limits=limits)
+    return build_map(task, COARSE_MAP).front
+
+
+@pytest.mark.parametrize(
+    ("limits", "peak"),
+    [
+        (ActuatorLimits(cable_force=90.0), "force"),
+        (ActuatorLimits(electrical_power=12.0), "power"),
+        (ActuatorLimits(stall_force=164.0, no_load_speed=0.12), "motor_load"),
+    ],
+)
+def test_a_front_keeps_a_limit_that_only_a_simulation_can_tell(limits, peak):
+    free, limited = front_under(NO_LIMITS), front_under(limits)
+    bound = {"force": limits.cable_force, "power": limits.electrical_power, "motor_load": 1.0}[peak]
+
+    def worst(front) -> float:
+        gaits = zip(front.stroke, front.frequency, strict=True)
+        return max(getattr(peaks(Gait(float(s), float(f)), PAPER, limits), peak) for s, f in gaits)
+
+    assert worst(free) > bound  # so the limit takes something away
+    assert worst(limited) <= bound
+    assert 0.0 < limited.speed.max() < free.speed.max()
+    slow = free.speed < 0.5 * limited.speed.max()
+    assert np.isin(np.round(free.speed[slow], 6), np.round(limited.speed, 6)).all()
+
+
+def test_the_motors_line_counts_while_the_cable_is_pulled():
+    """F/F_stall + v/v0 at the moment where it is greatest, and below the sum of both peaks."""
+    gait, limits = Gait(0.07, 0.3), ActuatorLimits(stall_force=164.0, no_load_speed=0.12)
+    peak = peaks(gait, PAPER, limits)
+    speed = math.pi * gait.stroke * gait.frequency
+    assert peak.motor_load < peak.force / 164.0 + speed / 0.12
+    assert peak.motor_load > max(peak.force / 164.0, speed / 0.12)
+    assert peaks(gait, PAPER).motor_load == 0.0

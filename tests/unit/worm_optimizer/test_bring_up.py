@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A gait that fails is run once more, and a failure names the load; with an operator that is made up."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from worm_model.gait import Gait
+from worm_optimizer.nodes.operator_node import GaitFailedError
+from worm_optimizer.operation import bring_up
+from worm_optimizer.operation.bring_up import Session, load
+from worm_optimizer.operation.processes import ProcessGroup
+from worm_optimizer.operation.system import System
+
+GAIT = Gait(0.07, 0.2)
+
+
+class Operator:
+    """Fails as many gaits as it is told to, and notes what it is asked for."""
+
+    def __init__(self, failures: int, late_cycles: int = 0) -> None:
+        self.failures, self.late_cycles = failures, late_cycles
+        self.asked: list[str] = []
+
+    def run_gait(self, gait: Gait, cycles: int, progress) -> None:
+        assert (gait, cycles) == (GAIT, 5)
+        self.asked.append("run")
+        progress(1)
+        if self.failures:
+            self.failures -= 1
+            raise GaitFailedError("the gait failed: fault: servo 1 gives no state")
+
+    def activate(self, node: str) -> None:
+        self.asked.append(f"activate {node}")
+
+    def deactivate(self, node: str) -> None:
+        self.asked.append(f"deactivate {node}")
+
+
+@pytest.fixture
+def idle(monkeypatch):
+    monkeypatch.setattr(os, "getloadavg", lambda: (0.3, 0.3, 0.3))
+
+
+def run(operator: Operator, folder: Path) -> list[str]:
+    told: list[str] = []
+    system = System("worm", ())
+    Session(ProcessGroup(folder), operator, system, told.append).run_gait(GAIT)
+    return told
+
+
+def test_a_gait_that_succeeds_is_run_once(idle, tmp_path):
+    operator = Operator(0)
+    assert run(operator, tmp_path) == ["cycle 1 of 5"]
+    assert operator.asked == ["run"]
+
+
+def test_a_gait_that_fails_is_run_once_more_and_that_is_said(idle, tmp_path):
+    operator = Operator(1)
+    told = run(operator, tmp_path)
+    assert "the gait failed: fault: servo 1 gives no state: once more" in told
+    assert operator.asked == ["run", "deactivate driver", "activate driver", "run"]
+
+
+def test_a_gait_that_fails_twice_has_failed(idle, tmp_path):
+    with pytest.raises(GaitFailedError, match=r"gives no state, twice$"):
+        run(Operator(2), tmp_path)
+
+
+def test_a_failure_names_the_load_and_the_late_cycles(monkeypatch, tmp_path):
+    monkeypatch.setattr(os, "getloadavg", lambda: (9.0, 1.0, 1.0))
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    words = r"twice \(the computer was busy: load average 9.0 on 2 processors, 31 cycles of the driver late\)"
+    with pytest.raises(GaitFailedError, match=words):
+        run(Operator(2, late_cycles=31), tmp_path)
+
+
+def test_an_idle_computer_is_not_blamed(idle):
+    assert load(0) == ""
+    assert "load average" not in load(3)
+    assert bring_up.BUSY >= 1.0
