@@ -7,8 +7,8 @@ Samples are taken in the order of their stamps, each ``delay_s`` plus the look-a
 - the **length that drives** does: measured lengths joined by straight lines, or, between two of them that are more
   than ``measured_stale_s`` apart, the answer to the command; which of them is known by looking ahead;
 - the **motion** follows, exactly; no derivative of a measured length enters it;
-- **power** needs the length's rate (eq:Fc, eq:power_model): exact of the answer, of measured lengths the slope of a
-  parabola through those within ± ``smoothing_s``; energy is the trapezoid sum of power;
+- **power** needs the length's rate (eq:Fc, eq:power_model): of measured lengths the slope of a parabola through those
+  within ± ``smoothing_s``, else, exact, that of the answer; energy is the trapezoid sum of power;
 - what an instrument says is **compared** (`judge`).
 
 Where no length is known ahead, the motion waits, and what instruments say then is compared with nothing.
@@ -222,13 +222,13 @@ def _spend(
 ) -> float:
     """Power at a stamp that the motion has come to, with the energy up to it; returns the length's rate in m/s."""
     m, sample = memory.record[0], memory.sample[0]
-    rate = sample[LENGTH_RATE]
-    if m.on_estimate:
-        if m.engaged:
-            rate = (effective(m.command, a) - m.length_change) / a.time_constant
-    else:
-        slope = _slope(memory, stamp, rules)
-        rate = rate if math.isnan(slope) else slope
+    rate = math.nan if m.on_estimate else _slope(memory, stamp, rules)
+    if math.isnan(rate):
+        # Where measured lengths begin or end to drive, the line from one to the other length is no motion of the body.
+        known = m.engaged and (m.on_estimate or m.answered)
+        rate = sample[LENGTH_RATE]
+        if known:
+            rate = (effective(m.command, a) - m.answer) / a.time_constant
     force = sample[FORCE] - drag_of(c) * (rate - sample[LENGTH_RATE])
     power = p[IDLE_POWER] + p[POWER_FACTOR] * max(-force * rate, 0.0)
     before = m.power if stamp > m.track_ns else power

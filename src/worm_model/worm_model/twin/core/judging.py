@@ -186,6 +186,14 @@ def _judge_power(memory: Memory, stamp: int, power: float, rules: Rules, out: Ro
 
 
 @entry
+def _settled(memory: Memory, rules: Rules) -> bool:
+    """Whether the lengths are known that the predicted power rests on; at the end of a recording some never will be."""
+    m = memory.record[0]
+    window = round(rules.smoothing * NANOSECONDS)
+    return bool(m.on_estimate) or m.present >= memory.rows[m.place].stamp + window
+
+
+@entry
 def judge(memory: Memory, rules: Rules, c: Constants, out: Rows) -> bool:
     """Compares the sample that is being taken, as far as answer and motion came to it; True if the tracker moved."""
     m = memory.record[0]
@@ -197,6 +205,6 @@ def judge(memory: Memory, rules: Rules, c: Constants, out: Rows) -> bool:
         _record(memory, row.stamp, LENGTH, residual, math.nan, rules, out)
     elif row.kind == POSITION_SAMPLE and m.arrived and not math.isnan(row.a):
         return _judge_position(memory, row.stamp, row.a, rules, c, out)
-    elif row.kind > POSITION_SAMPLE and m.arrived:
+    elif row.kind > POSITION_SAMPLE and m.arrived and _settled(memory, rules):
         _judge_power(memory, row.stamp, row.a, rules, out)
     return False
