@@ -17,7 +17,12 @@ BLOCK_LINE = re.compile(
     r"^(?: {4,}|\t)?(?:\$ )?((?:\./worm|ros2 (?:run|launch)) .*)$", re.MULTILINE
 )
 INLINE = re.compile(r"`((?:\./worm|ros2 (?:run|launch)) [^`\n]+)`")
-SHORTCUTS = ("demo", "report", "campaign")  # subcommands that are executables of worm_optimizer
+SHORTCUTS = (
+    "demo",
+    "report",
+    "campaign",
+    "study",
+)  # subcommands that are executables of worm_optimizer
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,8 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "health = worm_model.commands.health:main",
     "watch = worm_model.nodes.watch_node:main",
 ]
+# What pip brings where there is no rosdep, as for a worker of a study; requirements*.txt pin the versions.
+NEEDED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "mcap", "rosbags", "pyarrow"]
 
 setup(
     name=NAME,
@@ -31,6 +33,7 @@ setup(
     maintainer_email="maintainers@worm.invalid",
     packages=find_packages(),
     package_data={NAME: ["config/*"]},
+    install_requires=NEEDED,
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

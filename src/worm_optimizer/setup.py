@@ -14,7 +14,11 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "demo = worm_optimizer.commands.demo:main",
     "report = worm_optimizer.commands.report:main",
     "campaign = worm_optimizer.commands.campaign:main",
+    "study = worm_optimizer.commands.study:main",
 ]
+# What pip brings for a worker of a study, which needs no ROS; requirements*.txt pin the versions.
+NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo", "jinja2", "markdown2"]
+STUDY = ["dask", "distributed", "xarray", "zarr"]
 
 setup(
     name=NAME,
@@ -24,13 +28,14 @@ setup(
     maintainer="The worm robot maintainers",
     maintainer_email="maintainers@worm.invalid",
     packages=find_packages(),
-    package_data={NAME: ["config/*", "report/*.jinja"]},
+    package_data={NAME: ["config/*", "report/*.jinja", "study/*.jinja"]},
+    install_requires=NEEDED,
+    extras_require={"study": STUDY, "test": ["pytest"]},  # colcon test takes pytest for it
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
-    extras_require={"test": ["pytest"]},  # colcon test takes pytest for it
     entry_points={"console_scripts": EXECUTABLES},
 )

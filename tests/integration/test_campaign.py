@@ -7,9 +7,9 @@ import pytest
 from harness import system_file
 
 from worm_model.gait import Gait
-from worm_optimizer.commands.report import read_gaits
 from worm_optimizer.operation.campaign_runs import Robot, run_gaits
 from worm_optimizer.report.agreement import agreements, orders
+from worm_optimizer.report.recordings import read_recorded_gaits
 
 pytestmark = pytest.mark.integration
 
@@ -22,7 +22,7 @@ def test_each_gait_has_a_recording_of_its_own_that_agrees(ros_domain: int, tmp_p
     robot = Robot(system_file(), "virtual", {"directory": str(tmp_path / "robot")})
     run_gaits(robot, GAITS, tmp_path, tmp_path / "logs", say=print)
 
-    recorded = read_gaits([tmp_path / name for name in GAITS], "")
+    recorded = read_recorded_gaits([tmp_path / name for name in GAITS], "", print)
     assert [gait.name for gait in recorded] == list(GAITS)
     for gait, played in zip(recorded, GAITS.values(), strict=True):
         assert gait.gait == played

@@ -17,7 +17,7 @@ PATIENCE = 10.0  # s, only a failure waits for so long
 class NotingRobot:
     """Counts cycles; needs a few of them to come to rest."""
 
-    settings = SimpleNamespace(period=0.002)
+    settings = SimpleNamespace(period=0.002, real_time_priority=0)
 
     def __init__(self) -> None:
         self.cycles = 0

@@ -50,7 +50,7 @@ def all_figures(result: Identification) -> Iterator[tuple[str, Figure]]:
         prediction = predict(run.recording, run.traverse, result.parameters, offset)
         yield f"{run.name}_motion", _motion(run, prediction, result.parameters.pitch)
         yield f"{run.name}_length", _length(run, prediction, result.parameters.slack)
-        yield f"{run.name}_energy", _energy(run, prediction)
+        yield f"{run.name}_energy", energy_of_run(run, prediction)
 
 
 def bellows_figure(fit: BellowsFit) -> Figure:
@@ -140,7 +140,7 @@ def _length(run: Run, prediction: RunPrediction, slack: float) -> Figure:
     )
 
 
-def _energy(run: Run, prediction: RunPrediction) -> Figure:
+def energy_of_run(run: Run, prediction: RunPrediction) -> Figure:
     """Source power and accumulated energy, measured and predicted, and their difference."""
     time, power = measured_power(run.recording, run.traverse)
     expected = np.interp(time, prediction.time, prediction.energy)

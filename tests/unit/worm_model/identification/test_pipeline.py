@@ -12,7 +12,7 @@ from worm_model.identification.estimate import Estimate
 from worm_model.identification.fin import fit_fin
 from worm_model.identification.held_out import run_errors
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.identification_figures import energy_figure
+from worm_model.identification.identification_figures import energy_of_run
 from worm_model.identification.identification_report import text_of
 from worm_model.identification.reference_values import MEASURED
 from worm_model.identification.results import correlations, parameter_file, summary
@@ -265,12 +265,12 @@ def test_the_energy_figure_shows_what_is_left_over(results):
     result = results[0]
     run = result.runs[0]
     prediction = predict(run.recording, run.traverse, result.parameters)
-    figure = energy_figure(run, prediction)
+    figure = energy_of_run(run, prediction)
     left = figure.axes[2].lines[0].get_ydata()
     assert left[0] == pytest.approx(0.0)
     curves = [line.get_ydata()[-1] for line in figure.axes[1].lines]
     assert left[-1] == pytest.approx(curves[0] - curves[1])
     blind = replace(run, recording=without_power_after(run.recording, 0.0))
     assert [
-        len(axes.lines[0].get_xdata()) for axes in energy_figure(blind, prediction).axes[:1]
+        len(axes.lines[0].get_xdata()) for axes in energy_of_run(blind, prediction).axes[:1]
     ] == [0]

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Spreads work over Dask workers: the cores of this machine, or a cluster that is there already.
+
+The client hands out pieces and takes back what they made, a few for each worker at a time, so that its memory
+holds pieces and not the study. Only workers with this code get any: each is asked before, and those of
+another version are named and left alone. What a lost worker had is handed to another.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
+from dataclasses import dataclass, field
+from typing import Any
+
+from distributed import Client, Future, KilledWorker, LocalCluster, wait
+
+from worm_model.errors import InputError
+from worm_optimizer.study.version import identity
+
+_AHEAD = 2  # pieces for each worker that are handed out: one in work, one waiting
+_LOOK = 1.0  # s between two looks at who is there
+_CONNECT = 10.0  # s
+
+Say = Callable[[str], None]
+
+
+class ClusterError(InputError):
+    """The cluster cannot be used; the message says why and what to do."""
+
+
+class LostError(RuntimeError):
+    """The cluster was lost on the way; the message says what is known of it."""
+
+
+@contextlib.contextmanager
+def connected(scheduler: str, workers: int) -> Iterator[Client]:
+    """A client of the cluster at an address; of one on this machine, with so many workers, if that is empty.
+
+    Raises `ClusterError` if nobody answers at the address.
+    """
+    for name in ("distributed", "bokeh"):  # what matters is said here, in words
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    if not scheduler:
+        with (
+            LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,
+            ) as cluster,
+            Client(cluster) as client,
+        ):
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=_CONNECT)
+    except (OSError, ValueError) as error:
+        raise ClusterError(
+            f"no Dask scheduler answers at {scheduler} ({' '.join(str(error).split())}): "
+            "start one with `dask scheduler`, or leave --scheduler out"
+        ) from None
+    with client:
+        yield client
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+@dataclass
+class _Crew:
+    """Who may work: each worker is asked once which code it has."""
+
+    client: Client
+    say: Say
+    mine: str = field(default_factory=identity)
+    able: set[str] = field(default_factory=set)
+    refused: dict[str, str] = field(default_factory=dict)
+    silent: set[str] = field(default_factory=set)  # who has not answered yet and is asked again
+
+    def look(self) -> None:
+        """Brings the lists up to date."""
+        present = set(self.client.scheduler_info(n_workers=-1)["workers"])
+        self.able &= present
+        self.refused = {each: why for each, why in self.refused.items() if each in present}
+        new = present - self.able - set(self.refused)
+        self.silent &= new
+        if not new:
+            return
+        answers = self.client.run(identity, workers=sorted(new), on_error="return")
+        for address, answer in sorted(answers.items()):
+            if answer == self.mine:
+                self.able.add(address)
+            elif isinstance(answer, str | ImportError | AttributeError):
+                self.refused[address] = _refusal(answer, self.mine)
+                self.say(f"worker {address} is refused: {self.refused[address]}")
+            else:
+                self.silent.add(address)
+        self.silent -= self.able | set(self.refused)
+
+
+def _refusal(answer: str | BaseException, mine: str) -> str:
+    if isinstance(answer, BaseException):
+        return f"it cannot import worm_optimizer.study ({answer}); install worm_model and worm_optimizer there"
+    return f"it has another version (code {answer}, here {mine}); install the same there"
+
+
+@dataclass
+class _Desk:
+    """What has been handed out, and to whom it may go; a piece is kept until its result is back."""
+
+    client: Client
+    crew: _Crew
+    function: Callable[..., Any]
+    pieces: Iterator[tuple[int, tuple[Any, ...]]]
+    kept: dict[int, tuple[Any, ...]] = field(default_factory=dict)
+    out: dict[Future, tuple[int, frozenset[str]]] = field(default_factory=dict)
+    attempts: int = 0
+
+    def fill(self) -> None:
+        """Hands out what those who are there have room for; what nobody is left for first."""
+        able = self.crew.able
+        if not able:
+            return
+        for future in [future for future, (_, to) in self.out.items() if not to & able]:
+            future.cancel()
+            self.hand_out(self.out.pop(future)[0])
+        room = max(_AHEAD * len(able) - len(self.out), 0)
+        for place, piece in itertools.islice(self.pieces, room):
+            self.kept[place] = piece
+            self.hand_out(place)
+
+    def hand_out(self, place: int) -> None:
+        """Hands out a piece, maybe again."""
+        self.attempts += 1
+        able = sorted(self.crew.able)
+        key = f"worm-study-{os.getpid()}-{place}-{self.attempts}"
+        future = self.client.submit(
+            self.function, *self.kept[place], key=key, workers=able, pure=False
+        )
+        self.out[future] = (place, frozenset(able))
+
+    def results(self) -> Iterator[tuple[int, Any]]:
+        """What has come back."""
+        for future in _finished(list(self.out)):
+            place, _ = self.out.pop(future)
+            if future.status in ("cancelled", "lost"):
+                self.hand_out(place)
+                continue
+            yield place, _result(future)
+            del self.kept[place]
+
+    def clear(self) -> None:
+        """Takes everything back."""
+        with contextlib.suppress(Exception):  # the scheduler may be gone
+            self.client.cancel(list(self.out))
+
+
+def spread(
+    client: Client, function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]], say: Say
+) -> Iterator[tuple[int, Any]]:
+    """(place, result) of ``function(*piece)`` for each piece, as they finish.
+
+    Raises `ClusterError` if every worker is refused, `LostError` if the scheduler is lost or a piece ends every
+    worker that it is given to; else what the function raises.
+    """
+    crew = _Crew(client, say)
+    desk = _Desk(client, crew, function, enumerate(pieces))
+    told = False
+    try:
+        while True:
+            if client.status != "running":
+                raise LostError("the connection to the scheduler is lost")
+            crew.look()
+            if crew.refused and not crew.able:
+                address, why = next(iter(crew.refused.items()))
+                raise ClusterError(f"no worker can be used: worker {address}: {why}")
+            if not crew.able and not told:
+                there = (
+                    f"{len(crew.silent)} have not answered yet" if crew.silent else "none is there"
+                )
+                say(f"waiting for workers, {there} (Ctrl-C ends this; what is finished stays)")
+            told = not crew.able
+            desk.fill()
+            if crew.able and not desk.kept:
+                return
+            yield from desk.results()
+    finally:
+        desk.clear()
+
+
+def _finished(futures: list[Future]) -> list[Future]:
+    """Those that are over, after a moment at most."""
+    if not futures:
+        time.sleep(_LOOK)  # nobody is there to work
+    with contextlib.suppress(TimeoutError, CancelledError):
+        wait(futures, timeout=_LOOK, return_when="FIRST_COMPLETED")
+    return [future for future in futures if future.done()]
+
+
+def _result(future: Future) -> Any:
+    try:
+        return future.result()
+    except KilledWorker as error:
+        raise LostError(
+            f"each worker that a piece was given to has died ({error.task}): "
+            "look at the workers' logs; out of memory is the usual cause"
+        ) from None

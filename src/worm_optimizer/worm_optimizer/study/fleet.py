@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many bags, each read, replayed and judged by itself, as rows of one Parquet table.
+
+A gait of a bag is a row, and so is a bag that cannot be used: its reason says why. Rows are kept one file a bag
+beside the output until all are there, so that a reading that was killed goes on where it was.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import math
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as parquet
+
+from worm_model.errors import InputError
+from worm_model.identification.drift import ADVICE
+from worm_model.identification.drift_estimates import estimate_bags
+from worm_model.parameters import load_parameter_file
+from worm_optimizer.report.recorded_gait import RecordedGait
+from worm_optimizer.report.recordings import read_recorded_gaits
+from worm_optimizer.study.engine import LostError, Say, connected, cores, spread
+from worm_optimizer.study.run import Counts
+from worm_optimizer.study.version import identity
+
+READ, FAILED = "read", "failed"
+_IDENTITY = b"worm_fleet"  # of the table's metadata
+_STORAGE = (".mcap", ".db3")
+_RECOVERED = "_recovered"  # ends the name of what `recover` makes
+_HEALTH = tuple(f"{key}{part}" for key in ADVICE for part in ("", "_low", "_high"))
+_TEXTS = ("bag", "gait", "state", "reason", "start", "parameters", "notes")
+_NUMBERS = (
+    *("stroke_m", "frequency_Hz", "direction", "margin_m", "cycles", "groove_phase_m"),
+    *("speed_m_s", "power_W", "cost_of_transport"),
+    *("expected_speed_m_s", "expected_power_W", "expected_cost_of_transport"),
+    *("twin_speed_m_s", "twin_power_W"),
+    *("x1_rmse_m", "length_rmse_m", "power_rmse_W", "energy_error", "events"),
+    *_HEALTH,
+)
+SCHEMA = pa.schema(
+    [(name, pa.string()) for name in _TEXTS] + [(name, pa.float64()) for name in _NUMBERS]
+)
+
+Row = dict[str, Any]
+
+
+class UnseenError(RuntimeError):
+    """A worker does not see a bag; the message is its path."""
+
+
+def bags_below(folder: Path) -> list[Path]:
+    """All bags below a folder: those with a metadata.yaml, and recordings without one; raises `InputError` if none."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; name one that holds bags")
+    closed = {path.parent for path in folder.rglob("metadata.yaml")}
+    loose = {
+        path
+        for ending in _STORAGE
+        for path in folder.rglob(f"*{ending}")
+        if path.parent not in closed
+    }
+    # what was recovered from a bag stands beside it, and reading the bag itself is enough
+    copies = {bag.with_name(f"{bag.name}{_RECOVERED}") for bag in closed | loose}
+    found = (closed | loose) - copies
+    if not found:
+        raise InputError(
+            f"{folder}: holds no bag (a folder with metadata.yaml, or a file *.mcap, *.db3)"
+        )
+    return sorted(found)
+
+
+def bag_rows(path: str, name: str, parameters: str) -> list[Row]:
+    """The rows of one bag; ``name`` is what the table calls it, ``parameters`` the text of a parameter file's path.
+
+    Raises `UnseenError` if this machine does not see the bag.
+    """
+    if not Path(path).exists():
+        raise UnseenError(path)
+    empty: Row = {**dict.fromkeys(_TEXTS, ""), **dict.fromkeys(_NUMBERS, math.nan), "bag": name}
+    notes: list[str] = []
+    try:
+        gaits = read_recorded_gaits([Path(path)], parameters, notes.append)
+    except (InputError, OSError) as error:
+        return [{**empty, "state": FAILED, "reason": _one_line(error)}]
+    rows = [{**empty, **_row_of(gait)} for gait in gaits]
+    used = gaits[0].content.parameters
+    healthy, left_out = estimate_bags([Path(path)], used)
+    for bag in healthy:
+        notes += bag.remarks
+        for row in rows:
+            for key, estimate in bag.estimates.items():
+                known = estimate.identifiable
+                row[key] = estimate.value if known else math.nan
+                row[f"{key}_low"], row[f"{key}_high"] = estimate.low, estimate.high
+    notes += [f"health: {bag.reason}" for bag in left_out]
+    for row in rows:
+        row["notes"] = "; ".join([*filter(None, [row["notes"]]), *notes])
+    return rows
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())
+
+
+def _row_of(gait: RecordedGait) -> Row:
+    """A gait of a bag as a row, SI units."""
+    played, nominal = gait.gait, gait.expected.nominal
+    residuals = gait.judged.residuals
+    return {
+        "gait": gait.name,
+        "state": READ,
+        "start": datetime.fromtimestamp(gait.played.onset * 1e-9, timezone.utc).isoformat(),
+        "parameters": gait.parameter_source,
+        "notes": "; ".join(filter(None, [gait.early_end, *gait.missing])),
+        "stroke_m": played.stroke,
+        "frequency_Hz": played.frequency,
+        "direction": float(played.direction),
+        "margin_m": played.margin,
+        "cycles": float(gait.played.cycles),
+        "groove_phase_m": nominal.groove_phase,
+        "speed_m_s": gait.measured.speed.value,
+        "power_W": gait.measured.power.value,
+        "cost_of_transport": gait.measured.cost_of_transport.value,
+        "expected_speed_m_s": gait.expected.bands.speed.value,
+        "expected_power_W": gait.expected.bands.power.value,
+        "expected_cost_of_transport": gait.expected.bands.cost_of_transport.value,
+        "twin_speed_m_s": gait.twin.speed.value,
+        "twin_power_W": gait.twin.power.value,
+        "x1_rmse_m": residuals.x1_rmse,
+        "length_rmse_m": residuals.length_rmse,
+        "power_rmse_W": residuals.power_rmse,
+        "energy_error": gait.judged.energy_error,
+        "events": float(len(gait.events)),
+    }
+
+
+def read_fleet(
+    folder: Path,
+    parameters: str,
+    output: Path,
+    scheduler: str,
+    workers: int | None,
+    say: Say,
+    progress: Callable[[float], None],
+) -> Counts:
+    """Reads all bags below ``folder`` into the table ``output``; counts bags. Workers must see the folder.
+
+    ``parameters`` is a parameter file; empty: the one inside each bag, else the paper's. Raises `InputError` if
+    the output is another fleet's, `LostError` if the cluster is lost; what was read stays, the same call goes on.
+    """
+    load_parameter_file(parameters)  # raises on one that cannot be used, before anything is read
+    bags = bags_below(folder)
+    marks = [_mark(bag, parameters) for bag in bags]
+    whole = hashlib.sha256(" ".join([*marks, identity()]).encode()).hexdigest()[:24]
+    if output.exists():
+        return _known(output, whole)
+    with _parts(output) as parts:
+        todo = [k for k, mark in enumerate(marks) if not (parts / f"{mark}.json").exists()]
+        progress(1.0 - len(todo) / len(bags))
+        names = [str(bag.relative_to(folder)) for bag in bags]
+        source = str(Path(parameters).resolve()) if parameters else ""
+        if todo:
+            with connected(scheduler, min(workers or cores(), len(todo))) as client:
+                pieces = [(str(bags[k].resolve()), names[k], source) for k in todo]
+                _read(
+                    client,
+                    pieces,
+                    [parts / f"{marks[k]}.json" for k in todo],
+                    len(bags),
+                    say,
+                    progress,
+                )
+        rows = [row for mark in marks for row in json.loads((parts / f"{mark}.json").read_text())]
+        table = pa.Table.from_pylist(rows, SCHEMA).replace_schema_metadata(
+            {_IDENTITY: whole.encode()}
+        )
+        draft = parts / "table"
+        parquet.write_table(table, draft)
+        draft.rename(output)
+        shutil.rmtree(parts)
+    return _known(output, whole)
+
+
+def _read(
+    client: Any,
+    pieces: Sequence[tuple[str, str, str]],
+    files: Sequence[Path],
+    bags: int,
+    say: Say,
+    progress: Callable[[float], None],
+) -> None:
+    done = bags - len(pieces)
+    try:
+        for place, rows in spread(client, bag_rows, pieces, say):
+            draft = files[place].with_suffix(".part")
+            draft.write_text(json.dumps(rows), encoding="utf-8")
+            draft.rename(files[place])
+            done += 1
+            progress(done / bags)
+    except UnseenError as error:
+        raise InputError(
+            f"a worker does not see {error}: put the bags where all workers see them, or leave --scheduler out"
+        ) from None
+    except (LostError, OSError) as error:
+        raise type(error)(
+            f"{error}; {done} of {bags} bags are read: repeat the command to go on"
+        ) from None
+
+
+def _mark(bag: Path, parameters: str) -> str:
+    """Name of what a bag's rows follow from: its files' sizes and times, the parameter file, the code."""
+    files = [bag] if bag.is_file() else sorted(path for path in bag.iterdir() if path.is_file())
+    text = [str(bag.resolve()), identity(), Path(parameters).read_text() if parameters else ""]
+    text += [f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}" for path in files]
+    return hashlib.sha256("\n".join(text).encode()).hexdigest()[:24]
+
+
+def _known(output: Path, whole: str) -> Counts:
+    """The counts of a finished table; raises `InputError` if it is another fleet's."""
+    try:
+        table = parquet.read_table(output, columns=["bag", "state"])
+    except (OSError, pa.ArrowException):
+        table = None
+    if table is None or (table.schema.metadata or {}).get(_IDENTITY) != whole.encode():
+        raise InputError(
+            f"{output}: exists already and holds other bags, or the same read otherwise; give another name, "
+            "nothing is overwritten"
+        )
+    states = dict(zip(table["bag"].to_pylist(), table["state"].to_pylist(), strict=True))
+    return Counts(len(states), len(states), sum(state == FAILED for state in states.values()))
+
+
+@contextlib.contextmanager
+def _parts(output: Path) -> Iterator[Path]:
+    """The folder of the rows until all are there, for this process alone."""
+    if not output.parent.is_dir():
+        raise InputError(f"{output}: its folder {output.parent} does not exist; make it first")
+    parts = output.with_name(f"{output.name}.part")
+    parts.mkdir(exist_ok=True)
+    with (parts / ".lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(
+                f"{output}: another process works on it; wait for it, or give another name"
+            ) from None
+        yield parts

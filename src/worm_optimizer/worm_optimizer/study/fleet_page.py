@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One HTML page of a fleet: measured against expected, parameters that drift, and the bags that could not be read."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as parquet
+
+from worm_model.identification.drift import ADVICE, Chart, State, chart_of
+from worm_model.identification.drift_figure import draw_health
+from worm_model.identification.estimate import Estimate
+from worm_model.parameters import ParameterFile, load_parameter_file
+from worm_optimizer.study.fleet import FAILED, Row
+from worm_optimizer.study.page import Image, Table, encoded, render
+from worm_optimizer.study.study_plots import compared_figure, png
+
+
+def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
+    """Writes the page of a fleet's table; raises FileExistsError rather than overwrite one."""
+    rows = parquet.read_table(table).to_pylist()
+    read = sorted(
+        (row for row in rows if row["state"] != FAILED), key=lambda row: str(row["start"])
+    )
+    failed = [row for row in rows if row["state"] == FAILED]
+    charts, names = fleet_charts(read, load_parameter_file(parameters))
+    images = []
+    if read:
+        images.append(
+            Image(
+                encoded(png(compared_figure(read))),
+                "Each gait as measured, over what the model expects of its command.",
+            )
+        )
+    if names:
+        images.append(
+            Image(_health(names, charts), "Parameters from each bag alone, in the order of time.")
+        )
+    render(
+        page,
+        title="Fleet",
+        lead=_lead(rows, failed, charts),
+        tables=[_gaits_table(read), *_failed_table(failed)],
+        images=images,
+        limits=[],
+        sources=[],
+    )
+
+
+def fleet_charts(read: Sequence[Row], known: ParameterFile) -> tuple[list[Chart], list[str]]:
+    """Control charts over the bags whose health was told, and these bags' names; see `drift.chart_of`."""
+    bags = {row["bag"]: row for row in read if any(math.isfinite(row[key]) for key in ADVICE)}
+    charts = [
+        chart_of(key, [_estimate(row, key) for row in bags.values()], known) for key in ADVICE
+    ]
+    return charts, list(bags)
+
+
+def _estimate(row: Row, key: str) -> Estimate:
+    value = row[key]
+    return Estimate(value, row[f"{key}_low"], row[f"{key}_high"], math.isfinite(value), "")
+
+
+def _health(names: Sequence[str], charts: Sequence[Chart]) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "health.png"
+        draw_health(names, charts, file)
+        return encoded(file.read_bytes())
+
+
+def _lead(rows: Sequence[Row], failed: Sequence[Row], charts: Sequence[Chart]) -> list[str]:
+    bags = {row["bag"] for row in rows}
+    lines = [
+        f"{len(bags)} bags, {len(rows) - len(failed)} gaits; {len(failed)} bags could not be used."
+    ]
+    for chart in charts:
+        if chart.state not in (State.WITHIN, State.TOO_FEW):
+            lines.append(f"{chart.key}: {chart.state.value}; {chart.advice}.")
+    few = [chart.key for chart in charts if chart.state is State.TOO_FEW]
+    if few:
+        lines.append(f"Too few bags for limits of {', '.join(few)}.")
+    return lines
+
+
+def _gaits_table(read: Sequence[Row]) -> Table:
+    heads = (
+        "gait",
+        "start",
+        "S (mm)",
+        "f (Hz)",
+        "speed (mm/s)",
+        "expected",
+        "power (W)",
+        "expected",
+        "COT",
+        "events",
+    )
+    return Table("Gaits", heads, [_cells(row) for row in read])
+
+
+def _cells(row: Row) -> list[str]:
+    def told(value: Any, scale: float = 1.0, digits: int = 3) -> str:
+        return f"{scale * value:.{digits}f}" if math.isfinite(value) else "–"
+
+    return [
+        *(str(row["gait"]), str(row["start"])[:19]),
+        *(told(row["stroke_m"], 1e3, 1), told(row["frequency_Hz"], digits=4)),
+        *(told(row["speed_m_s"], 1e3), told(row["expected_speed_m_s"], 1e3)),
+        *(told(row["power_W"]), told(row["expected_power_W"])),
+        *(told(row["cost_of_transport"], digits=1), told(row["events"], digits=0)),
+    ]
+
+
+def _failed_table(failed: Sequence[Row]) -> list[Table]:
+    if not failed:
+        return []
+    rows = [[str(row["bag"]), str(row["reason"])] for row in failed]
+    return [Table("Bags that could not be used", ("bag", "reason"), rows, words=True)]

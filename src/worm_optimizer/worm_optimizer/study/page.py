@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One HTML page of a study: the best design, its neighbours, what failed, and what the model cannot know."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jinja2
+
+from worm_optimizer.study.plan import Study
+from worm_optimizer.study.store import open_result
+from worm_optimizer.study.study_plots import label, pictures, png, shown
+from worm_optimizer.study.summary import Summary, summarise
+
+_BEST = 10  # designs in the table
+_COUPLED = {
+    "bellows_stiffness": "A stiffer or softer bellows returns faster or slower: on a real one time_constant, gain and "
+    "slack change with it. Here they stay unless the study varies them, and bellows_stiffness touches the power alone.",
+    "bellows_damping": "Damping and stiffness of a bellows come from one material; here they are varied apart.",
+    "slack": "Less slack needs a cable that is held tight; whether it stays so over a run is not modelled.",
+    "pitch": "Another pitch needs other fins: threshold and stiffnesses stay unless the study varies them, and with a "
+    "fixed initial_length the groove phase changes with it (vary or fix groove_phase_m).",
+    "clearance": "Clearance comes with the shape of the fin: its stiffnesses stay unless the study varies them.",
+    "switching_threshold": "The threshold comes from the fin's shape and material, as do its stiffnesses.",
+    "spool_radius_m": "Of the spool only speed and force of the servos are considered, not winding or inertia.",
+}
+_ALWAYS = (
+    "Every figure is the model's, for the groove phase of the point; a robot that starts elsewhere in a groove gains "
+    "other grooves.",
+    "Designs that differ by less than the parameters' own uncertainty (success_probability) are not told apart by it.",
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under a title; ``words`` if the cells hold words rather than numbers."""
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    words: bool = False
+
+
+@dataclass(frozen=True)
+class Image:
+    """A PNG as base64 text."""
+
+    png: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Source:
+    """A text that is shown as it is."""
+
+    title: str
+    text: str
+
+
+def write_page(output: Path, study: Study, page: Path) -> None:
+    """Writes the page of what is in ``output``; raises FileExistsError rather than overwrite one."""
+    summary = summarise(output, study)
+    with open_result(output) as data:
+        origin = {key: data.attrs[key] for key in ("study_hash", "parameter_hash", "code")}
+        versions = json.loads(data.attrs["versions"])
+    render(
+        page,
+        title=study.title,
+        lead=_lead(summary),
+        tables=[_best_table(summary), *_failed_table(summary)],
+        images=[Image(encoded(png(each.figure)), each.caption) for each in pictures(summary)],
+        limits=[*(text for key, text in _COUPLED.items() if key in study.varied), *_ALWAYS],
+        sources=[
+            Source("The study", study.text),
+            Source("Where the numbers come from", json.dumps({**origin, **versions}, indent=1)),
+        ],
+    )
+
+
+def render(page: Path, **content: object) -> None:
+    """Fills the template; raises FileExistsError rather than overwrite a page."""
+    text = (Path(__file__).parent / "study.html.jinja").read_text(encoding="utf-8")
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    with page.open("x", encoding="utf-8") as file:
+        file.write(environment.from_string(text).render(**content))
+
+
+def encoded(content: bytes) -> str:
+    """Bytes as base64 text."""
+    return base64.b64encode(content).decode()
+
+
+def _lead(summary: Summary) -> list[str]:
+    failed = sum(summary.failed.values())
+    lines = [
+        f"{summary.done} of {summary.points} points are computed"
+        + (f"; {failed} of them are not admissible" if failed else "")
+        + (f"; {summary.still} have no gait that does it" if summary.still else "")
+        + "."
+    ]
+    if summary.best is None:
+        return [*lines, f"No point has {summary.goal}."]
+    lines.append(f"Best is {summary.goal}: {_told(summary, summary.best)}")
+    if summary.own is not None and summary.own != summary.best:
+        lines.append(
+            f"The robot of the parameter file, for comparison: {_told(summary, summary.own)}"
+        )
+    return lines
+
+
+def _told(summary: Summary, row: int) -> str:
+    """A design and what was found of it, in words."""
+    design, found = (
+        ", ".join(f"{label(column)} {shown(column)[row]:.4g}" for column in columns)
+        for columns in (summary.varied, summary.figures)
+    )
+    return f"{design}. There: {found}."
+
+
+def _best_table(summary: Summary) -> Table:
+    columns = [*summary.varied, *summary.figures]
+    order = summary.rank.argsort()[: min(_BEST, len(summary.rank) - summary.still)]
+    rows = [[f"{shown(column)[row]:.4g}" for column in columns] for row in order]
+    return Table(f"The best, by {summary.goal}", [label(column) for column in columns], rows)
+
+
+def _failed_table(summary: Summary) -> list[Table]:
+    if not summary.failed:
+        return []
+    rows = [[reason, str(count)] for reason, count in summary.failed.most_common(_BEST)]
+    return [Table("Points that are not admissible", ["reason", "points"], rows, words=True)]

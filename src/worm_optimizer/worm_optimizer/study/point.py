@@ -1,0 +1,351 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a study computes for one point: the one module here that calls search and robustness."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from worm_model.errors import InputError
+from worm_model.gait import FORWARD
+from worm_model.parameters import KEYS, ParameterFile, Parameters
+from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
+from worm_model.simulation.simulator import SimulationError, cost_of_transport
+from worm_optimizer.robustness.chance import PromiseTask
+from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.robustness.success_probability import success_probability
+from worm_optimizer.robustness.uncertainty import (
+    every_phase,
+    phase_guard,
+    phase_known,
+    phase_unknown,
+)
+from worm_optimizer.search.actuator_limits import ActuatorLimits
+from worm_optimizer.search.front import thinned
+from worm_optimizer.search.gait_map import build_map
+from worm_optimizer.search.gait_request import GaitRequest, Objective, RequestStatus, select
+from worm_optimizer.search.margin import PriceOfRobustness, price_of_robustness, scan
+from worm_optimizer.search.servo_limits import (
+    DrivenBy,
+    limits_of,
+    servo_model,
+)
+from worm_optimizer.search.task import Bounds, MarginTask, Points, Task
+from worm_optimizer.study.plan import LIMITS, PARAMETER_FILE, Array, Study
+
+FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # dimensions beside the point's own
+OPEN, DONE, FAILED = 0, 1, 2  # values of the variable "state"
+REASON_LENGTH = 200  # characters
+THREE_GAITS = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
+REQUESTS = {
+    "at_power_W": Objective.MAX_SPEED_AT_POWER,
+    "at_speed_m_s": Objective.MIN_POWER_AT_SPEED,
+}
+
+
+class PointError(InputError):
+    """A point cannot be computed; the message says why."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A result of every point: its further dimensions, unit, name in words, and what stands for none."""
+
+    dimensions: tuple[str, ...]
+    unit: str
+    long_name: str
+
+
+def gait_names(study: Study) -> list[str]:
+    """Names of the gaits of a point: the paper's three and those that a speed or a power is given for."""
+    named = {*study.fixed, *study.varied}
+    wanted = [objective for key, objective in REQUESTS.items() if key in named]
+    return [objective.name.lower() for objective in (*THREE_GAITS, *wanted)]
+
+
+_OF_GAIT = {
+    "stroke": ("m", "stroke"),
+    "frequency": ("Hz", "frequency"),
+    "speed": ("m/s", "speed along the direction, with the margin"),
+    "power": ("W", "mean source power, with the margin"),
+    "cost_of_transport": ("1", "cost of transport, with the margin"),
+    "grooves_per_cycle": ("1", "grooves gained in the poorest averaged cycle, with the margin"),
+}
+_NOMINAL = {
+    "nominal_speed": ("m/s", "speed along the direction, without a margin"),
+    "nominal_power": ("W", "mean source power, without a margin"),
+}
+
+
+def variables(study: Study) -> dict[str, Variable]:
+    """The results of a study, by name."""
+    found = {
+        "margin": Variable((), "m", "margin that front and gaits keep"),
+        "groove_phase": Variable((), "m", "groove phase that every speed holds for"),
+        "closed_form_cliff_margin": Variable((), "m", "margin of the cliff in the slow limit"),
+    }
+    if "front" in study.compute:
+        found["front_size"] = Variable((), "1", "gaits of the whole front")
+        found |= {
+            f"front_{name}": Variable((FRONT,), unit, f"of the front: {words}")
+            for name, (unit, words) in _OF_GAIT.items()
+            if name != "cost_of_transport"
+        }
+    if "gaits" in study.compute or "success" in study.compute:
+        rows = {**_OF_GAIT, **_NOMINAL}
+        found |= {name: Variable((GAIT,), *row) for name, row in rows.items()}
+    if "cliff" in study.compute or study.margin_at_cliff:
+        found["cliff_margin"] = Variable((), "m", "last margin before the cliff of the scan")
+        found["cliff_rise"] = Variable(
+            (), "1", "factor of the lowest cost of transport at the cliff"
+        )
+        found["scan_cost_of_transport"] = Variable(
+            (SCAN,), "1", "lowest cost of transport of the scan"
+        )
+    if "success" in study.compute:
+        for name, words in (
+            ("", "at the known groove phase"),
+            ("_any_phase", "at an unknown phase"),
+        ):
+            text = f"share of parameter draws in which the predicted grooves are gained, {words}"
+            found[f"success_probability{name}"] = Variable((GAIT,), "1", text)
+    if "any_phase" in study.compute:
+        found |= {
+            f"any_phase_{name}": Variable((GAIT,), unit, f"of any-phase gaits: {words}")
+            for name, (unit, words) in _OF_GAIT.items()
+        }
+    return found
+
+
+def dimensions(study: Study) -> dict[str, Sequence[Any]]:
+    """The further dimensions with their coordinates."""
+    return {
+        FRONT: list(range(study.resolution.front_gaits)),
+        GAIT: gait_names(study),
+        SCAN: [float(margin) for margin in study.scan.margins()],
+    }
+
+
+Results = dict[str, np.ndarray]
+
+
+def compute_block(study: Study, points: Array) -> Results:
+    """The variables of points of shape (n, len(study.varied)), each of shape (n, …), with state and reason."""
+    sizes = {name: len(values) for name, values in dimensions(study).items()}
+    results: Results = {
+        name: np.full((len(points), *(sizes[d] for d in variable.dimensions)), np.nan)
+        for name, variable in variables(study).items()
+    }
+    results["state"] = np.full(len(points), DONE, dtype=np.uint8)
+    results["reason"] = np.full(len(points), "", dtype=f"<U{REASON_LENGTH}")
+    for row, point in enumerate(points):
+        try:
+            found = compute_point(study, dict(zip(study.varied, point.tolist(), strict=True)))
+        except (InputError, SimulationError) as error:
+            results["state"][row] = FAILED
+            results["reason"][row] = " ".join(str(error).split())[:REASON_LENGTH]
+            continue
+        for name, value in found.items():
+            results[name][row] = value
+    return results
+
+
+@dataclass(frozen=True)
+class _FrontGait:
+    """What a choice among the gaits of a front looks at."""
+
+    stroke: float
+    frequency: float
+    speed: float
+    power: float
+    cost_of_transport: float
+    grooves_per_cycle: float
+    margin: float
+
+
+def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
+    """The variables of one point, by name; ``values`` by name as in `Study.varied`.
+
+    Raises `InputError` or `SimulationError` if the point is not admissible. What does not exist (a front where no
+    gait moves) is left out, and stays NaN.
+    """
+    asked = {**study.fixed, **values}
+    content = content_of(study, asked)
+    task = task_of(study, asked, content.parameters)
+    found: dict[str, Any] = {
+        "groove_phase": groove_phase(content.parameters),
+        "closed_form_cliff_margin": cliff_margin(content.parameters),
+    }
+    margin: float | None = asked.get("margin_m")
+    if "cliff" in study.compute or study.margin_at_cliff:
+        points = list(scan(task, study.resolution.map, study.scan.margins()))
+        price = price_of_robustness(points, content.parameters)
+        found |= _cliff(price)
+        if study.margin_at_cliff:
+            margin = price.margin
+    if margin is not None:
+        found["margin"] = margin
+        if {"front", "gaits", "success"} & set(study.compute):
+            found |= _robust(study, asked, content, task.with_margin(margin))
+    if "any_phase" in study.compute:
+        guarded = task.with_margin(phase_guard(content.parameters))
+        promise = PromiseTask(guarded, every_phase(content.parameters), 1.0)
+        chosen = _chosen(study, asked, _front(study, promise), content.parameters, margin=0.0)
+        found |= {f"any_phase_{name}": column for name, column in chosen.items()}
+    return found
+
+
+def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
+    """The robot of a point: its parameter file with what is asked for in the place of the file's values.
+
+    An interval moves with its value: it keeps its width relative to it.
+    """
+    content = study.files[int(asked.get(PARAMETER_FILE, 0))][1]
+    old = content.parameters
+    changes = {key: asked[key] for key in KEYS if key in asked}
+    new = old.replace(**changes)
+    if "groove_phase_m" in asked:
+        phase = asked["groove_phase_m"]
+        if not -0.5 * new.pitch < phase <= 0.5 * new.pitch:
+            raise PointError(
+                f"groove_phase_m: {phase:g} m is not within half a pitch of {new.pitch:g} m"
+            )
+        new = new.replace(initial_length=front_groove(old) * new.pitch + phase)
+    ratio = {
+        key: value / old.as_dict()[key] if old.as_dict()[key] else 1.0
+        for key, value in new.as_dict().items()
+    }
+    return dataclasses.replace(
+        content,
+        parameters=new,
+        intervals={
+            key: (ratio[key] * low, ratio[key] * high)
+            for key, (low, high) in content.intervals.items()
+        },
+        run_to_run={key: ratio[key] * value for key, value in content.run_to_run.items()},
+    )
+
+
+def task_of(study: Study, asked: Mapping[str, float], parameters: Parameters) -> MarginTask:
+    """The optimisation task of a point, without a margin yet."""
+    plain = Bounds()
+    box = {
+        "stroke_low": asked.get("min_stroke_m", plain.stroke_low),
+        "stroke_high": asked.get("max_stroke_m", plain.stroke_high),
+        "frequency_low": asked.get("min_frequency_Hz", plain.frequency_low),
+        "frequency_high": asked.get("max_frequency_Hz", plain.frequency_high),
+    }
+    limits = ActuatorLimits(*(asked.get(name, math.inf) for name in LIMITS))
+    if study.hardware.driver is not None:
+        driver = _driver(study.hardware.driver, asked)
+        box["stroke_high"] = min(box["stroke_high"], driver.max_stroke)
+        box["frequency_high"] = min(box["frequency_high"], driver.max_frequency)
+        model = servo_model(study.hardware.model)
+        limits = limits.tightened(limits_of(driver, model, study.hardware.voltage))
+    direction = int(asked.get("direction", FORWARD))
+    return MarginTask(parameters, direction, bounds=Bounds(**box), limits=limits)
+
+
+def _driver(plain: DrivenBy, asked: Mapping[str, float]) -> DrivenBy:
+    """The driver's limits with the point's spools."""
+    if "spool_radius_m" not in asked:
+        return plain
+    radius = asked["spool_radius_m"]
+    if not radius > 0.0:
+        raise PointError(f"spool_radius_m: {radius:g} m is not positive")
+    return dataclasses.replace(plain, spool_radii=(radius,) * len(plain.spool_radii))
+
+
+def _cliff(price: PriceOfRobustness) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "scan_cost_of_transport": [point.cost_of_transport for point in price.points]
+    }
+    if price.cliff is not None:
+        found |= {"cliff_margin": price.cliff.margin, "cliff_rise": price.cliff.rise}
+    return found
+
+
+def _front(study: Study, task: Task) -> Points:
+    return build_map(task, study.resolution.map).front
+
+
+def _robust(
+    study: Study, asked: Mapping[str, float], content: ParameterFile, task: MarginTask
+) -> dict[str, Any]:
+    """Front, gaits and success probabilities with the task's margin."""
+    front = _front(study, task)
+    found: dict[str, Any] = {}
+    if "front" in study.compute:
+        found["front_size"] = len(front)
+        if len(front):
+            found |= _kept_front(study, front, content.parameters)
+    if not len(front) or not {"gaits", "success"} & set(study.compute):
+        return found
+    chosen = _chosen(study, asked, front, content.parameters, task.margin)
+    found |= chosen
+    known = np.isfinite(chosen["stroke"])
+    gaits = chosen["stroke"][known], chosen["frequency"][known]
+    nominal = task.with_margin(0.0).table(*gaits)
+    found["nominal_speed"] = _spread(nominal.speed, known)
+    found["nominal_power"] = _spread(nominal.power, known)
+    if "success" in study.compute:
+        promised = chosen["grooves_per_cycle"][known]
+        samples, seed = study.resolution.samples, study.resolution.seed
+        for name, draw in (("", phase_known), ("_any_phase", phase_unknown)):
+            share = success_probability(task, *gaits, promised, draw(content, samples, seed))
+            found[f"success_probability{name}"] = _spread(share, known)
+    return found
+
+
+def _spread(values: Array, known: np.ndarray) -> Array:
+    """Values at the places that are known, NaN elsewhere."""
+    spread = np.full(known.shape, np.nan)
+    spread[known] = values
+    return spread
+
+
+def _kept_front(study: Study, front: Points, parameters: Parameters) -> dict[str, Array]:
+    """A front thinned to the gaits that are kept, NaN after them."""
+    count = study.resolution.front_gaits
+    kept = front.take(thinned(front, parameters, count))
+    columns = {
+        **{name: getattr(kept, name) for name in ("stroke", "frequency", "speed", "power")},
+        "grooves_per_cycle": kept.branch,
+    }
+    return {
+        f"front_{name}": np.pad(
+            column.astype(float), (0, count - len(kept)), constant_values=np.nan
+        )
+        for name, column in columns.items()
+    }
+
+
+def _chosen(
+    study: Study, asked: Mapping[str, float], front: Points, parameters: Parameters, margin: float
+) -> dict[str, Array]:
+    """The columns of the gaits of `gait_names`; NaN for one that no gait of the front can be."""
+    names = gait_names(study)
+    columns = {name: np.full(len(names), np.nan) for name in _OF_GAIT}
+    if not len(front):
+        return columns
+    cost = cost_of_transport(front.speed, front.power, parameters.mass)
+    rows = (
+        *(front.stroke, front.frequency, front.speed, front.power, cost, front.branch),
+        np.full(len(front), margin),
+    )
+    gaits = [_FrontGait(*map(float, row)) for row in zip(*rows, strict=True)]
+    wanted = [GaitRequest(objective) for objective in THREE_GAITS]
+    wanted += [
+        GaitRequest(objective, asked[key]) for key, objective in REQUESTS.items() if key in asked
+    ]
+    for place, request in enumerate(wanted):
+        answer = select(cast("Sequence[Prediction]", gaits), request)
+        if answer.status is RequestStatus.DONE:
+            for name, column in columns.items():
+                column[place] = getattr(answer.prediction, name)
+    return columns

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a study has found, on disk as it is found: a Zarr store whose chunks are the study's blocks.
+
+A block's variables are written first and its ``state`` last, so that a block counts as finished only when all
+of it is there; one that was interrupted is computed again. Nothing in it depends on when or where it was
+computed, so that a study that was killed and resumed ends with the same bytes. The format is Zarr's second,
+which every release of xarray and zarr reads.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import dask.array
+import numcodecs
+import numpy as np
+import xarray
+import zarr
+
+from worm_model.errors import InputError
+from worm_model.parameters import format_parameter_file
+from worm_optimizer.study.plan import PARAMETER_FILE, QUANTITY_UNITS, Study
+from worm_optimizer.study.point import (
+    FAILED,
+    OPEN,
+    REASON_LENGTH,
+    Results,
+    dimensions,
+    variables,
+)
+from worm_optimizer.study.version import identity, versions
+
+_FORMAT = 2
+_NEW = int(zarr.__version__.split(".")[0]) >= 3  # the release for Python 3.10 is older
+_DIMENSION_UNITS = {"front_gait": "1", "gait": "", "scan_margin": "m"}
+
+
+class StoreError(InputError):
+    """An output cannot be used for this study; the message says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Store:
+    """A study's output, held by this process alone."""
+
+    path: Path
+    study: Study
+
+    def open_blocks(self) -> list[slice]:
+        """The blocks that are not finished."""
+        state = self._group("r")["state"]
+        return [block for block in self.study.blocks if np.any(state[block] == OPEN)]
+
+    def counts(self) -> tuple[int, int]:
+        """Points that are finished, and those among them that failed."""
+        state = self._group("r")["state"]
+        finished = failed = 0
+        for block in self.study.blocks:
+            part = state[block]
+            finished += int(np.count_nonzero(part != OPEN))
+            failed += int(np.count_nonzero(part == FAILED))
+        return finished, failed
+
+    def write(self, block: slice, results: Results) -> None:
+        """Writes a finished block; raises OSError if the disk does not take it."""
+        group = self._group("r+")
+        for name in sorted(results, key=lambda name: name == "state"):
+            group[name][block] = results[name]
+
+    def _group(self, mode: Any) -> Any:
+        return zarr.open_group(str(self.path), mode=mode)
+
+
+def open_result(path: str | Path) -> xarray.Dataset:
+    """The dataset of a study, read as it is used; what is not finished is NaN."""
+    return xarray.open_zarr(str(path), consolidated=True)
+
+
+@contextlib.contextmanager
+def held(path: Path, study: Study) -> Iterator[Store]:
+    """The output of a study, made if it is not there yet, for this process alone.
+
+    Raises `StoreError` if it is another study's, of another version of the code, or in use.
+    """
+    if not path.exists():
+        _make(path, study)
+    marker = path / ".zgroup"
+    if not marker.is_file():
+        raise StoreError(
+            f"{path}: exists already and is no study; give another name, nothing is overwritten"
+        )
+    with marker.open("r+b") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise StoreError(
+                f"{path}: another process works on it; wait for it, or give another name"
+            ) from None
+        _check(path, study)
+        yield Store(path, study)
+
+
+def _check(path: Path, study: Study) -> None:
+    """That an output is this study's, by this code."""
+    try:
+        attributes = json.loads((path / ".zattrs").read_text(encoding="utf-8"))
+        found, code = attributes["study_hash"], attributes["code"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise StoreError(
+            f"{path}: exists already and is no study; give another name, nothing is overwritten"
+        ) from None
+    if found != study.identity:
+        raise StoreError(
+            f"{path}: holds another study ({attributes.get('title', '')}); give another name, nothing is overwritten"
+        )
+    if code != identity():
+        raise StoreError(
+            f"{path}: was begun by another version (code {code}, this is {identity()}); "
+            "go on with that one, or give another name"
+        )
+
+
+def _make(path: Path, study: Study) -> None:
+    """Lays out an empty store beside and moves it into place, so that none is half there."""
+    if not path.parent.is_dir():
+        raise StoreError(f"{path}: its folder {path.parent} does not exist; make it first")
+    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        dataset = _template(study)
+        encoding = {name: _encoding(study, dataset[name]) for name in dataset.variables}
+        dataset.to_zarr(
+            draft,
+            mode="w-",
+            zarr_format=_FORMAT,
+            consolidated=True,
+            compute=False,
+            encoding=encoding,
+        )
+        with contextlib.suppress(OSError):  # another client was faster: its store is used
+            draft.rename(path)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _encoding(study: Study, array: xarray.DataArray) -> dict[str, Any]:
+    """A chunk a block; compressed in one thread, so that the same numbers make the same bytes."""
+    coordinate = array.name in array.coords
+    chunks = tuple(
+        size if coordinate or name != "point" else study.block_points
+        for name, size in array.sizes.items()
+    )
+    compressor = numcodecs.Zstd(level=1)
+    return {
+        "chunks": chunks,
+        **({"compressors": [compressor]} if _NEW else {"compressor": compressor}),
+        "_FillValue": np.nan if array.dtype.kind == "f" and not coordinate else None,
+    }
+
+
+def _template(study: Study) -> xarray.Dataset:
+    """The dataset without results: names, units, points, provenance."""
+    sizes = {name: len(values) for name, values in dimensions(study).items()}
+    data: dict[str, Any] = {}
+    for name, variable in variables(study).items():
+        shape = (study.size, *(sizes[d] for d in variable.dimensions))
+        chunks = (study.block_points, *shape[1:])
+        empty = dask.array.full(shape, np.nan, chunks=chunks)
+        attributes = {"units": variable.unit, "long_name": variable.long_name}
+        data[name] = (("point", *variable.dimensions), empty, attributes)
+    for name, dtype, words in (
+        ("state", np.dtype("u1"), "0 not finished, 1 done, 2 failed"),
+        ("reason", np.dtype(f"<U{REASON_LENGTH}"), "why a point failed"),
+    ):
+        # written at once, as nothing that they may hold could stand for "not written"
+        data[name] = ("point", np.zeros(study.size, dtype), {"long_name": words})
+    used = {name for variable in variables(study).values() for name in variable.dimensions}
+    coordinates: dict[str, Any] = {
+        name: (name, values, {"units": _DIMENSION_UNITS[name]} if _DIMENSION_UNITS[name] else {})
+        for name, values in dimensions(study).items()
+        if name in used
+    }
+    points = study.points()
+    for column, name in enumerate(study.varied):
+        if name == PARAMETER_FILE:
+            names = np.array([file for file, _ in study.files])
+            coordinates[name] = ("point", names[points[:, column].astype(int)])
+        else:
+            attributes = {"units": QUANTITY_UNITS[name]}
+            coordinates[name] = ("point", points[:, column], attributes)
+    return xarray.Dataset(data, coordinates, _provenance(study))
+
+
+def _provenance(study: Study) -> dict[str, Any]:
+    """What the numbers follow from; nothing of when and where they were computed."""
+    parameters = "".join(format_parameter_file(content) for _, content in study.files)
+    return {
+        "title": study.title,
+        "study": study.text,
+        "study_hash": study.identity,
+        "parameters": [name for name, _ in study.files],
+        "parameter_hash": hashlib.sha256(parameters.encode()).hexdigest()[:24],
+        "fixed": json.dumps(dict(study.fixed)),
+        "code": identity(),
+        "versions": json.dumps(versions()),
+        "Conventions": "SI units in the attribute units",
+    }

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of a study: what is sought over two quantities, the best design's neighbours, parallel coordinates."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from worm_model.analysis.plot_style import BLUE, GREY, VERMILION, finish, new_figure
+from worm_optimizer.study.summary import Column, Summary
+
+Array = NDArray[np.float64]
+
+_COMPARED = (("speed_m_s", 1e3, "speed (mm/s)"), ("power_W", 1.0, "power (W)"))  # of a fleet
+_LINES = 400  # of parallel coordinates, beyond which nothing can be told apart
+_SHOWN = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}  # how a person reads these units
+
+
+def label(column: Column) -> str:
+    """A quantity with the unit that it is shown in."""
+    unit = _SHOWN.get(column.unit, (1.0, column.unit))[1]
+    name = column.name.replace("_", " ")
+    return f"{name} ({unit})" if unit not in ("1", "") else name
+
+
+def shown(column: Column) -> Array:
+    """Values in the unit that they are shown in."""
+    return column.values * _SHOWN.get(column.unit, (1.0, ""))[0]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure with its caption."""
+
+    figure: Figure
+    caption: str
+
+
+def pictures(summary: Summary) -> list[Picture]:
+    """The figures that a study's varied quantities allow."""
+    varied = summary.varied
+    made = []
+    if len(varied) >= 2:
+        first, second = varied[:2]
+        made.append(
+            Picture(
+                _over_two(summary, first, second),
+                f"Over {label(first)} and {label(second)}. Where other quantities vary as well, each place shows the "
+                f"best of its points: {summary.goal}. The star is the best design.",
+            )
+        )
+    if summary.best is not None and varied:
+        made.append(
+            Picture(
+                _neighbours(summary),
+                "The best design (star) and its neighbours: points that differ from it in one quantity alone, on a "
+                "line; all points, grey, where none do.",
+            )
+        )
+    if len(varied) > 2:
+        made.append(
+            Picture(
+                _parallel(summary),
+                f"Parallel coordinates: a line a point, coloured by {label(summary.figures[0])}; "
+                "the best design is the broad one.",
+            )
+        )
+    return made
+
+
+def _over_two(summary: Summary, first: Column, second: Column) -> Figure:
+    columns = [*summary.figures]
+    figure = new_figure(4.2 * len(columns), 3.8)
+    for axes, column in zip(
+        figure.subplots(1, len(columns), squeeze=False)[0], columns, strict=True
+    ):
+        x, y, z = shown(first), shown(second), shown(column)
+        order = np.argsort(-summary.rank)  # the best of those at one place is drawn last
+        if _is_grid(first, second):
+            xs, ys = np.unique(x), np.unique(y)
+            field = np.full((ys.size, xs.size), np.nan)
+            field[np.searchsorted(ys, y[order]), np.searchsorted(xs, x[order])] = z[order]
+            drawn = axes.pcolormesh(xs, ys, field, shading="nearest", cmap="viridis")
+        else:
+            drawn = axes.scatter(x[order], y[order], c=z[order], s=22, cmap="viridis")
+        figure.colorbar(drawn, ax=axes, label=label(column))
+        if summary.best is not None:
+            axes.plot(
+                x[summary.best],
+                y[summary.best],
+                "*",
+                color=VERMILION,
+                markersize=14,
+                markeredgecolor="white",
+            )
+        axes.set_xlabel(label(first))
+        axes.set_ylabel(label(second))
+    return figure
+
+
+def _is_grid(first: Column, second: Column) -> bool:
+    places = np.unique(first.values).size * np.unique(second.values).size
+    return places <= first.values.size
+
+
+def _neighbours(summary: Summary) -> Figure:
+    best = summary.best
+    assert best is not None
+    varied, columns = summary.varied, summary.figures
+    figure = new_figure(3.0 * len(varied) + 0.6, 2.3 * len(columns))
+    panels = figure.subplots(len(columns), len(varied), squeeze=False, sharex="col", sharey="row")
+    for k, quantity in enumerate(varied):
+        others = [other.values for j, other in enumerate(varied) if j != k]
+        alike = [values == values[best] for values in others]
+        rows = np.flatnonzero(np.all([np.ones(quantity.values.size, dtype=bool), *alike], axis=0))
+        sampled = rows.size < 2
+        if sampled:
+            rows = np.arange(quantity.values.size)
+        rows = rows[np.argsort(quantity.values[rows])]
+        for j, column in enumerate(columns):
+            axes = panels[j, k]
+            style = "." if sampled else ".-"
+            axes.plot(
+                shown(quantity)[rows], shown(column)[rows], style, color=GREY if sampled else BLUE
+            )
+            axes.plot(
+                shown(quantity)[best], shown(column)[best], "*", color=VERMILION, markersize=12
+            )
+            finish(axes, label(column) if k == 0 else "")
+            if j == len(columns) - 1:
+                axes.set_xlabel(label(quantity))
+    return figure
+
+
+def _parallel(summary: Summary) -> Figure:
+    columns = [*summary.varied, *summary.figures]
+    known = np.flatnonzero(np.isfinite(summary.figures[0].values))
+    rows = (
+        known[np.linspace(0, known.size - 1, min(known.size, _LINES)).astype(int)]
+        if known.size
+        else known
+    )
+    figure = new_figure(1.7 * len(columns) + 1.0, 4.2)
+    axes = figure.subplots()
+    scaled = np.stack([_unit(column.values) for column in columns], axis=1)
+    shade = colormaps["viridis"]
+    colour = _unit(summary.figures[0].values)
+    for row in rows:
+        axes.plot(scaled[row], color=shade(colour[row]), linewidth=0.7, alpha=0.6)
+    if summary.best is not None:
+        axes.plot(scaled[summary.best], color=VERMILION, linewidth=2.5)
+    axes.set_xticks(
+        range(len(columns)),
+        [label(column).replace(" ", "\n") for column in columns],
+        fontsize="small",
+    )
+    axes.set_yticks([])
+    axes.set_ylim(-0.12, 1.12)
+    for place, column in enumerate(columns):
+        values = shown(column)[np.isfinite(column.values)]
+        axes.axvline(place, color="black", linewidth=0.6)
+        if values.size:
+            axes.text(place, -0.03, f"{values.min():.4g}", ha="center", va="top", fontsize="small")
+            axes.text(
+                place, 1.03, f"{values.max():.4g}", ha="center", va="bottom", fontsize="small"
+            )
+    return figure
+
+
+def _unit(values: Array) -> Array:
+    """Values between 0 and 1; 0.5 where they are all the same."""
+    known = values[np.isfinite(values)]
+    low, high = (known.min(), known.max()) if known.size else (0.0, 0.0)
+    return (
+        (values - low) / (high - low) if high > low else np.where(np.isfinite(values), 0.5, np.nan)
+    )
+
+
+def png(figure: Figure) -> bytes:
+    """A figure as a PNG; the same figure makes the same bytes."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def compared_figure(gaits: Sequence[Mapping[str, float]]) -> Figure:
+    """Speed and power of a fleet's gaits as measured, over what the model expects of their command."""
+    figure = new_figure(9.0, 4.2)
+    for axes, (key, scale, text) in zip(figure.subplots(1, 2), _COMPARED, strict=True):
+        measured = [scale * row[key] for row in gaits]
+        expected = [scale * row[f"expected_{key}"] for row in gaits]
+        ends = [value for value in (*measured, *expected) if math.isfinite(value)] or [0.0]
+        axes.plot([min(ends), max(ends)], [min(ends), max(ends)], color=GREY, linewidth=1.0)
+        axes.plot(expected, measured, "o", color=BLUE, markersize=5, alpha=0.7)
+        axes.set_xlabel(f"expected {text}")
+        finish(axes, f"measured {text}")
+        axes.margins(0.08)
+    return figure

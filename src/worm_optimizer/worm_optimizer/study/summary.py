@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a study says in a few numbers: its best design, the columns that figures and page show, what failed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray
+from numpy.typing import NDArray
+
+from worm_optimizer.study.plan import PARAMETER_FILE, Study
+from worm_optimizer.study.point import DONE, FAILED, OPEN, REQUESTS, gait_names
+from worm_optimizer.study.store import open_result
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A quantity of every point: ``values`` of shape (points,) in ``unit``."""
+
+    name: str
+    unit: str
+    values: Array
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Of the points that are done: what ``varied``, the ``figures`` found, ``rank`` (0 is best), index of the ``best``.
+
+    ``own`` is the index of the point that is the parameter file itself, None if none is; ``goal`` says in words
+    what best means. ``failed`` counts reasons; ``still`` are points at which no gait moves.
+    """
+
+    varied: tuple[Column, ...]
+    figures: tuple[Column, ...]
+    rank: NDArray[np.int64]
+    best: int | None
+    own: int | None
+    goal: str
+    points: int
+    done: int
+    failed: Counter[str]
+    still: int
+
+
+def summarise(path: Path, study: Study) -> Summary:
+    """Reads a study's output."""
+    with open_result(path) as data:
+        state = data["state"].values
+        done = np.flatnonzero(state == DONE)
+        taken = data.isel(point=done).load()
+        reasons = data["reason"].isel(point=np.flatnonzero(state == FAILED)).values
+    varied = tuple(
+        Column(name, taken[name].attrs.get("units", ""), taken[name].values)
+        for name in study.varied
+        if name != PARAMETER_FILE and np.unique(taken[name].values).size > 1
+    )
+    figures, goal = _figures(taken, study)
+    key, sign = figures[0].values, (-1.0 if "highest" in goal else 1.0)
+    known = np.isfinite(key)
+    rank = np.argsort(np.argsort(np.where(known, sign * key, np.inf), kind="stable"))
+    return Summary(
+        varied=varied,
+        figures=figures,
+        rank=rank,
+        best=int(np.argmin(rank)) if known.any() else None,
+        own=_own(varied, study),
+        goal=goal,
+        points=study.size,
+        done=int(np.count_nonzero(state != OPEN)),
+        failed=Counter(str(reason) for reason in reasons),
+        still=int(done.size - np.count_nonzero(known)),
+    )
+
+
+def _own(varied: tuple[Column, ...], study: Study) -> int | None:
+    """The point whose varied parameters are those of the one parameter file."""
+    values = study.files[0][1].parameters.as_dict()
+    if len(study.files) > 1 or not all(column.name in values for column in varied):
+        return None
+    same = [np.isclose(column.values, values[column.name], rtol=1e-9) for column in varied]
+    rows = np.flatnonzero(np.all(same, axis=0)) if same else np.empty(0)
+    return int(rows[0]) if rows.size else None
+
+
+def _figures(data: xarray.Dataset, study: Study) -> tuple[tuple[Column, ...], str]:
+    """The columns to look at, the one that decides first, and what is best in words."""
+
+    def column(name: str, gait: str = "", title: str = "") -> Column:
+        array = data[name].sel(gait=gait) if gait else data[name]
+        values = np.where(np.isfinite(array.values), array.values, np.nan)
+        return Column(title or name, data[name].attrs.get("units", ""), values)
+
+    prefix = "" if "speed" in data else "any_phase_"
+    cliff = [column("cliff_margin" if "cliff_margin" in data else "closed_form_cliff_margin")]
+    if f"{prefix}speed" not in data:
+        return (cliff[0],), "the highest margin at the cliff"
+    wanted = [key for key in REQUESTS if REQUESTS[key].name.lower() in gait_names(study)]
+    if wanted == ["at_power_W"] and "at_power_W" in study.fixed:
+        watts = f"{study.fixed['at_power_W']:.3g}"
+        fastest = column(f"{prefix}speed", "max_speed_at_power", f"speed at {watts} W")
+        cost = column(
+            f"{prefix}cost_of_transport", "max_speed_at_power", f"cost of transport at {watts} W"
+        )
+        return (fastest, cost, *cliff), f"the highest speed at {watts} W"
+    cost = column(f"{prefix}cost_of_transport", "cruise", "cost of transport")
+    speed = column(f"{prefix}speed", "cruise", "cruising speed")
+    return (cost, speed, *cliff), "the lowest cost of transport of the cruising gait"

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real workers in processes of their own, killed as the kernel does it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from distributed import Client, LocalCluster
+from study_cases import SMALL, contents
+
+from worm_optimizer.study.engine import ClusterError, LostError, connected, spread
+from worm_optimizer.study.plan import parse_study
+from worm_optimizer.study.run import run_study
+from worm_optimizer.study.store import held
+
+ROOT = Path(__file__).resolve().parents[4]
+STUDY = parse_study(SMALL, Path())
+COMMAND = [
+    sys.executable,
+    "-c",
+    "import sys; from worm_optimizer.commands.study import main; sys.exit(main())",
+]
+pytestmark = pytest.mark.timeout(300)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[LocalCluster]:
+    with LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address="127.0.0.1:0",
+        memory_limit=0,
+    ) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, cluster) -> Path:
+    """The small study, computed without trouble."""
+    path = tmp_path_factory.mktemp("whole") / "study.zarr"
+    counts = run_study(STUDY, path, cluster.scheduler_address, None, print, lambda done: None)
+    assert (counts.points, counts.done, counts.failed) == (6, 6, 3)
+    return path
+
+
+def until(condition: Callable[[], object], seconds: float = 120.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.05)
+
+
+def suicide(place: int, marker: str) -> int:
+    """Ends its worker the first time it is called."""
+    if not Path(marker).exists():
+        Path(marker).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return place
+
+
+def refuse(place: int) -> int:
+    raise ValueError(f"piece {place}")
+
+
+def test_what_a_killed_worker_had_is_done_by_another(cluster, tmp_path):
+    with connected(cluster.scheduler_address, 0) as client:
+        pieces = [(k, str(tmp_path / "killed")) for k in range(4)]
+        found = dict(spread(client, suicide, pieces, print))
+    assert (tmp_path / "killed").exists()
+    assert found == {k: k for k in range(4)}
+
+
+def test_an_error_of_the_work_is_passed_on(cluster):
+    with (
+        connected(cluster.scheduler_address, 0) as client,
+        pytest.raises(ValueError, match="piece"),
+    ):
+        list(spread(client, refuse, [(1,)], print))
+
+
+def test_a_killed_client_goes_on_where_it_was_with_the_same_bytes(whole, tmp_path, cluster):
+    study, output = tmp_path / "study.yaml", tmp_path / "study.zarr"
+    study.write_text(SMALL)
+    command = [
+        *COMMAND,
+        str(study),
+        "--output",
+        str(output),
+        "--scheduler",
+        cluster.scheduler_address,
+    ]
+
+    def finished() -> int:
+        return sum(1 for file in output.glob("speed/*") if file.name[0].isdigit())
+
+    client = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    until(lambda: finished() >= 1 or client.poll() is not None)
+    client.kill()
+    client.wait()
+    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
+    assert '"done": 6, "failed": 3' in done.stdout
+    assert contents(output) == contents(whole)
+
+
+def test_a_killed_scheduler_is_told_and_the_study_goes_on_elsewhere(whole, tmp_path, cluster):
+    output = tmp_path / "study.zarr"
+    own = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
+        + ["--scheduler-file", str(tmp_path / "address.json")],
+        stderr=subprocess.DEVNULL,
+    )
+    until((tmp_path / "address.json").exists)
+    address = json.loads((tmp_path / "address.json").read_text())["address"]
+    worker = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_worker",
+            address,
+            "--no-nanny",
+            "--nthreads",
+            "1",
+        ]
+        + ["--no-dashboard"],
+        stderr=subprocess.DEVNULL,
+    )
+
+    def kill_after_the_first(done: float) -> None:
+        if done > 0.0:
+            own.kill()
+
+    try:
+        with pytest.raises(LostError, match=r"of 6 points are in .*repeat the command"):
+            run_study(STUDY, output, address, None, print, kill_after_the_first)
+    finally:
+        for process in (own, worker):
+            process.kill()
+            process.wait()
+    with held(output, STUDY) as store:
+        assert 1 <= store.counts()[0] < 6
+    run_study(STUDY, output, cluster.scheduler_address, None, print, lambda done: None)
+    assert contents(output) == contents(whole)
+
+
+def test_a_worker_of_another_version_is_refused_by_name(tmp_path):
+    package = tmp_path / "worm_optimizer"
+    subprocess.run(
+        ["cp", "-r", str(ROOT / "src/worm_optimizer/worm_optimizer"), str(package)], check=True
+    )
+    with (package / "study/point.py").open("a") as file:
+        file.write("\n# another version\n")
+    path = f"{tmp_path}:{ROOT}/src/worm_model"
+    with (
+        LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty,
+        subprocess.Popen(
+            [sys.executable, "-m", "distributed.cli.dask_worker", empty.scheduler_address]
+            + ["--no-nanny", "--nthreads", "1", "--no-dashboard"],
+            env={**os.environ, "PYTHONPATH": path},
+            stderr=subprocess.DEVNULL,
+        ) as worker,
+        Client(empty) as client,
+    ):
+        try:
+            client.wait_for_workers(1, timeout=120)
+            name = next(iter(client.scheduler_info(n_workers=-1)["workers"]))
+            with pytest.raises(ClusterError, match=f"worker {name}.*another version"):
+                list(spread(client, refuse, [(1,)], print))
+        finally:
+            worker.kill()
+
+
+def test_no_scheduler_is_one_line():
+    with (
+        pytest.raises(ClusterError, match="no Dask scheduler answers at tcp"),
+        connected("tcp://127.0.0.1:1", 0),
+    ):
+        pass

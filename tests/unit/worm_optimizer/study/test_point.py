@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from study_cases import SMALL
+
+from worm_model.gait import Gait
+from worm_model.parameters import PAPER, ParameterFile
+from worm_model.simulation.closed_form import groove_phase
+from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.search.gait_map import build_map
+from worm_optimizer.search.task import MarginTask
+from worm_optimizer.study.plan import parse_study
+from worm_optimizer.study.point import (
+    DONE,
+    FAILED,
+    PointError,
+    compute_block,
+    compute_point,
+    content_of,
+    dimensions,
+    gait_names,
+    task_of,
+    variables,
+)
+
+STUDY = parse_study(SMALL, Path())
+
+
+def test_the_gaits_are_those_of_the_front_of_the_point():
+    found = compute_point(
+        STUDY, {"parameter_file": 0, "slack": 0.004, "switching_threshold": 0.0175}
+    )
+    robot = PAPER.replace(slack=0.004)
+    front = build_map(MarginTask(robot, margin=0.002), STUDY.resolution.map).front
+    assert gait_names(STUDY) == ["min_power", "cruise", "max_speed", "max_speed_at_power"]
+    assert found["speed"][2] == front.speed.max()
+    assert found["power"][0] == front.power.min()
+    assert found["front_size"] == len(front)
+    # and each is what the simulator says of that gait
+    for k in range(4):
+        gait = Gait(found["stroke"][k], found["frequency"][k], margin=0.002)
+        assert found["power"][k] == pytest.approx(evaluate_gait(gait, robot).power, rel=1e-12)
+        nominal = evaluate_gait(dataclasses.replace(gait, margin=0.0), robot)
+        assert found["nominal_speed"][k] == pytest.approx(nominal.speed, rel=1e-12)
+    assert found["power"][3] <= 2.6
+    assert all(
+        speed <= found["speed"][3]
+        for speed, power in zip(front.speed, front.power, strict=True)
+        if power <= 2.6
+    )
+
+
+def test_a_point_that_is_not_admissible_says_why_and_the_others_stay():
+    results = compute_block(STUDY, STUDY.points())
+    assert results["state"].tolist() == [FAILED, DONE] * 3
+    assert "less than half the pitch" in results["reason"][0]
+    assert np.isnan(results["speed"][0]).all()
+    assert np.isfinite(results["speed"][1]).all()
+
+
+def test_results_have_the_shapes_that_are_announced():
+    sizes = {name: len(values) for name, values in dimensions(STUDY).items()}
+    results = compute_block(STUDY, STUDY.points()[:1])
+    announced = {
+        name: (1, *(sizes[d] for d in v.dimensions)) for name, v in variables(STUDY).items()
+    }
+    assert {name: results[name].shape for name in announced} == announced
+    assert set(results) == {*announced, "state", "reason"}
+
+
+def test_where_no_gait_moves_there_is_none_and_nothing_fails():
+    study = parse_study(SMALL.replace("margin_m: 0.002", "margin_m: 0.09"), Path())
+    results = compute_block(study, study.points()[1:2])
+    assert results["state"].tolist() == [DONE]
+    assert np.isnan(results["speed"]).all()
+    assert results["front_size"] == [0.0]
+
+
+def test_the_groove_phase_can_be_held_while_the_pitch_varies():
+    robots = [
+        content_of(STUDY, {"pitch": pitch, "groove_phase_m": 0.001}).parameters
+        for pitch in (0.015, 0.0173, 0.019)
+    ]
+    assert [groove_phase(robot) for robot in robots] == pytest.approx([0.001] * 3, abs=1e-12)
+    with pytest.raises(PointError, match="not within half a pitch"):
+        content_of(STUDY, {"groove_phase_m": 0.02})
+
+
+def test_an_interval_moves_with_its_value():
+    content = ParameterFile(PAPER, {"gain": (0.80, 0.92)}, run_to_run={"gain": 0.01})
+    study = dataclasses.replace(STUDY, files=(("robot", content),))
+    changed = content_of(study, {"gain": 0.43})
+    assert changed.intervals["gain"] == pytest.approx((0.40, 0.46))
+    assert changed.run_to_run["gain"] == pytest.approx(0.005)
+
+
+def test_a_larger_spool_pulls_faster_and_weaker(tmp_path):
+    driver = tmp_path / "driver.yaml"
+    driver.write_text(
+        "driver:\n  ros__parameters:\n    cable_servos.spool_radius_m: [0.025]\n"
+        "    limits.max_cable_speed_m_s: 10.0\n"
+    )
+    text = SMALL + f"hardware: {{driver: {driver}, servo_model: XL330-M288}}\n"
+    study = parse_study(text, Path())
+    small, large = (
+        task_of(study, {"spool_radius_m": radius}, PAPER).limits for radius in (0.01, 0.02)
+    )
+    assert large.no_load_speed == pytest.approx(2.0 * small.no_load_speed)
+    assert large.stall_force == pytest.approx(0.5 * small.stall_force)
+
+
+def test_cliff_success_and_any_phase():
+    text = SMALL.replace("[front, gaits]", "[gaits, cliff, success, any_phase]").replace(
+        "margin_m: 0.002", "margin_m: cliff"
+    )
+    study = parse_study(
+        text + "scan: {lowest_m: 0.003, highest_m: 0.004, step_m: 0.0002}\n", Path()
+    )
+    found = compute_point(
+        study, {"parameter_file": 0, "slack": 0.008, "switching_threshold": 0.0175}
+    )
+    assert found["cliff_margin"] == pytest.approx(0.0034, abs=2.1e-4)
+    assert found["margin"] == found["cliff_margin"]
+    assert found["closed_form_cliff_margin"] == pytest.approx(0.0034, abs=1e-4)
+    assert len(found["scan_cost_of_transport"]) == len(dimensions(study)["scan_margin"]) == 6
+    success = found["success_probability"]
+    assert ((success >= 0.0) & (success <= 1.0))[np.isfinite(success)].all()
+    # an any-phase gait gains what it promises wherever in a groove the robot starts
+    for k in np.flatnonzero(np.isfinite(found["any_phase_speed"])):
+        gait = Gait(found["any_phase_stroke"][k], found["any_phase_frequency"][k])
+        for turn in np.linspace(-0.49, 0.49, 9):
+            start = PAPER.initial_length + turn * PAPER.pitch
+            gained = evaluate_gait(gait, PAPER.replace(initial_length=start)).min_grooves
+            assert gained >= found["any_phase_grooves_per_cycle"][k] - 0.05
+    assert found["any_phase_grooves_per_cycle"][2] >= 1.0
