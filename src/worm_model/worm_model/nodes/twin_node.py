@@ -150,7 +150,7 @@ class TwinNode(Node):
             self._lengths.publish(twin_messages.length_message(length))
         for state in output.states:
             self._states.publish(twin_messages.state_message(state))
-        if output.states and self._joints.get_subscription_count():
+        if len(output.states) and self._joints.get_subscription_count():
             self._joints.publish(twin_messages.joint_state(output.states[-1]))
         for residuals in output.residuals:
             self._residuals.publish(twin_messages.residuals_message(residuals, output.warnings))
