@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,9 +12,11 @@ from worm_driver.virtual_robot.offline_run import Run, rehearse, sinusoid
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.twin.core import Twin
+from worm_model.run import GaitStates, LengthSamples, PowerSamples
+from worm_model.run import Run as Recording
 from worm_model.twin.hypotheses import FIRST_CYCLE, hypotheses
-from worm_model.twin.records import Activity, CommandedLength, GaitSample, PowerSample, Sample
+from worm_model.twin.offline_replay import replay_run
+from worm_model.twin.records import Activity
 
 TITLE = "missed-anchor alarm from power alone: detection and false alarms in runs of five cycles"
 GAITS = [
@@ -57,25 +58,32 @@ def rough_run(gait: Gait, seed: int) -> Run:
     return rehearse(settings, command, end + AFTER_S, direction=gait.direction)
 
 
-def samples_of(run: Run, gait: Gait) -> list[Sample]:
+def recording_of(run: Run, gait: Gait) -> Recording:
     """What the twin hears without a camera."""
 
-    def stamp(time: float) -> int:
-        return ZERO_NS + round(time * 1e9)
+    def stamp(time: np.ndarray | float) -> np.ndarray:
+        return ZERO_NS + np.rint(np.asarray(time) * 1e9).astype(np.int64)
 
-    onset, end = stamp(run.onset), stamp(run.onset + CYCLES * gait.period)
-    samples: list[Sample] = [
-        GaitSample(stamp(0.1), Activity.RESTING, gait),
-        GaitSample(onset, Activity.RUNNING, gait, onset),
-        GaitSample(end + 3_000_000, Activity.IDLE),
-    ]
-    for time in run.servo_time:
-        playing = onset < stamp(time) < end
-        change = gait.command(time - run.onset) if playing else 0.0
-        samples.append(CommandedLength(stamp(time), change))
-    for time, power in zip(run.power_time, run.bus_voltage * run.current, strict=True):
-        samples.append(PowerSample(stamp(time), float(power)))
-    return sorted(samples, key=lambda sample: sample.stamp_ns)
+    told = stamp(np.array([0.1, run.onset, run.onset + CYCLES * gait.period + 0.003]))
+    one = np.ones(3)
+    since = np.asarray(run.servo_time) - run.onset
+    playing = (since > 0.0) & (since < CYCLES * gait.period)
+    change = np.where(playing, [gait.command(time) for time in since.tolist()], 0.0)
+    power, none = np.asarray(run.bus_voltage) * np.asarray(run.current), 0 * run.power_time
+    return Recording(
+        origin=ZERO_NS,
+        commanded=LengthSamples(stamp(run.servo_time), PAPER.initial_length + change, change),
+        power=PowerSamples(stamp(run.power_time), none.astype(np.int64), none, none, power),
+        gait_state=GaitStates(
+            stamp=told,
+            state=np.array([Activity.RESTING, Activity.RUNNING, Activity.IDLE]),
+            stroke=gait.stroke * one,
+            frequency=gait.frequency * one,
+            direction=np.full(3, gait.direction),
+            margin=gait.margin * one,
+            onset=np.array([0, told[1], told[1]]),
+        ),
+    )
 
 
 def true_grooves(run: Run, gait: Gait) -> np.ndarray:
@@ -88,10 +96,8 @@ def true_grooves(run: Run, gait: Gait) -> np.ndarray:
 
 def alarms(run: Run, gait: Gait) -> set[int]:
     """Cycles, 1 the first, in which the twin reports a missed groove."""
-    twin = Twin()
-    _, output = twin.step(twin.start(), samples_of(run, gait))
-    text = "; ".join(notice.text for notice in output.notices)
-    return {int(cycle) for cycle in re.findall(r"cycle (\d+): its power", text)}
+    notices = replay_run(recording_of(run, gait), PAPER).notices
+    return {notice.cycle for notice in notices if notice.code == "missed_groove"}
 
 
 def count(gait: Gait) -> Counts:

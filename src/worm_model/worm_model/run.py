@@ -8,6 +8,7 @@ are SI units, float64 of shape (n,) unless said otherwise. A topic that was not 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,18 @@ SAME_ONSET_NS = (
 def state_name(state: int) -> str:
     """A value of GaitState.state in words."""
     return STATE_NAMES[state] if 0 <= state < len(STATE_NAMES) else f"state {state}"
+
+
+def is_another_run(before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) -> Any:
+    """Whether one gait state is of another run than the one before it: what is one run is decided here alone.
+
+    Each is (number of the run, number of the cycle, onset in ns), numbers or arrays of one shape. The driver's number
+    of the run tells (a driver that was started anew counts from 1, and its cycles do, too); in a recording without
+    numbers, onsets that differ by more than `SAME_ONSET_NS` do.
+    """
+    (run, cycle, onset), (next_run, next_cycle, next_onset) = before, after
+    restarted, moved = next_cycle < cycle, abs(next_onset - onset) > SAME_ONSET_NS
+    return (next_run != run) | np.where(next_run > 0, restarted, moved)
 
 
 def seconds(stamp: Stamps, origin: int) -> Array:
@@ -98,8 +111,9 @@ class GaitStates:
     run: Codes = field(default_factory=_stamps)
 
     def __post_init__(self) -> None:
-        if self.run.size != self.stamp.size:
-            object.__setattr__(self, "run", np.zeros(self.stamp.size, np.int64))
+        for name in ("cycle", "cycles", "run"):  # 0 where a recording does not tell
+            if getattr(self, name).size != self.stamp.size:
+                object.__setattr__(self, name, np.zeros(self.stamp.size, np.int64))
 
     @property
     def played(self) -> NDArray[np.bool_]:
@@ -107,19 +121,15 @@ class GaitStates:
         return (self.state == RUNNING) & (self.onset > 0)
 
     def rows_of_runs(self) -> list[NDArray[np.int64]]:
-        """The rows of `played` run by run, in the order of their stamps: what is one run is decided here alone.
-
-        By the driver's number of the run (a driver that was started anew counts from 1, and its cycles do, too); in a
-        recording without numbers, by onsets that differ by more than `SAME_ONSET_NS`.
-        """
+        """The rows of `played` run by run, in the order of their stamps; what is one run: `is_another_run`."""
         rows = np.flatnonzero(self.played)
         rows = rows[np.argsort(self.stamp[rows], kind="stable")]
         if not rows.size:
             return []
-        restarted = np.diff(self.cycle[rows]) < 0
-        moved = np.abs(np.diff(self.onset[rows])) > SAME_ONSET_NS
-        number = self.run[rows]
-        another = (np.diff(number) != 0) | np.where(number[1:] > 0, restarted, moved)
+        before, after = (
+            (self.run[part], self.cycle[part], self.onset[part]) for part in (rows[:-1], rows[1:])
+        )
+        another = is_another_run(before, after)
         return np.split(rows, np.flatnonzero(another) + 1)
 
 

@@ -6,13 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from twin_samples import CommandedLength, GaitSample, TrackerSample, follow, rows_of
 
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import simulate
-from worm_model.twin.anchors import Cycle
-from worm_model.twin.core import Twin
-from worm_model.twin.estimated_length import Actuation, engage, respond
+from worm_model.twin.core.memory import PHASES
 from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.hypotheses import (
     BIAS,
@@ -21,21 +20,14 @@ from worm_model.twin.hypotheses import (
     MISS,
     MISS_AGAIN,
     NOISE_W,
-    PHASES,
-    PowerWatch,
+    PowerScores,
+    close_cycle,
     hypotheses,
     miss_probabilities,
-    observe_power,
 )
-from worm_model.twin.records import (
-    Activity,
-    CommandedLength,
-    GaitSample,
-    LengthSource,
-    StateRecord,
-    TrackerSample,
-)
+from worm_model.twin.records import Activity, LengthSource, StateRecord
 from worm_model.twin.scene import FREE, HOLDING, YIELDING, Sighting, engagement, scene
+from worm_model.twin.twin import Twin
 from worm_model.twin.twin_status import Level, report
 
 GAIT = Gait(0.08, 0.2)
@@ -46,22 +38,25 @@ def test_a_forecast_from_rest_is_the_simulators():
     twin = Twin()
     found = forecast(twin, twin.start(), GAIT, 20.0)
     exact = simulate(GAIT, cycles=4).at(found.time)
-    # At 50 Hz, the step of the length rate at the onset is not in a chord.
+    # The paper's start has v1 = 0, that of a robot at rest ẏ = 0: 0.1 mm until the transient has died out.
     assert found.rear_position == pytest.approx(exact.x1, abs=2e-4)
     assert found.front_position == pytest.approx(exact.x2, abs=2e-4)
+    assert found.rear_position[100:] == pytest.approx(exact.x1[100:], abs=1e-6)
     assert found.energy == pytest.approx(exact.energy[-1], rel=0.01)
     assert found.nominal.speed > 0.0
 
 
 def test_a_forecast_begins_where_the_twin_is():
     twin = Twin()
-    state, _ = twin.step(
-        twin.start(),
+    state = twin.start()
+    follow(
         [GaitSample(ONSET, Activity.RUNNING, GAIT, ONSET)]
         + [
             CommandedLength(ONSET + round(t * 1e9), GAIT.command(t))
             for t in np.arange(1, 1001) * 0.01
         ],
+        twin,
+        state=state,
     )
     now = simulate(GAIT).at([10.0])
     found = forecast(twin, state, replace(GAIT, direction=REVERSE))
@@ -75,17 +70,6 @@ def test_an_impossible_horizon_is_refused(horizon):
     twin = Twin()
     with pytest.raises(ForecastError, match="horizon"):
         forecast(twin, twin.start(), GAIT, horizon)
-
-
-def test_the_command_is_followed_exactly_through_the_clip():
-    """One long ramp through the slack is the same as the same ramp in many steps."""
-    start = engage(0, PAPER)
-    whole = respond(start, 10**9, -0.02, PAPER)
-    stepped: Actuation = start
-    for k in range(1, 1001):
-        stepped = respond(stepped, k * 10**6, -0.02 * k / 1000, PAPER)
-    assert whole.length_change == pytest.approx(stepped.length_change, abs=1e-12)
-    assert whole.rate == pytest.approx(stepped.rate, abs=1e-11)
 
 
 def record(**changes) -> StateRecord:
@@ -129,10 +113,12 @@ def test_a_twin_without_input_does_not_call_itself_well():
     ]
     seen = [TrackerSample(ONSET + round(t * 1e9), 0.5, 0.7952) for t in np.arange(1, 10) / 30]
     samples = [*rest, start, *sorted(moves + seen, key=lambda s: s.stamp_ns)]
-    state, _ = twin.step(twin.start(), samples)
-    assert report(state, 0.5).level is Level.OK
-    assert "as expected" in report(state, 0.5).message
-    silent = report(state, 3.2)
+    state = twin.start()
+    newest = twin.advance(state, rows_of(samples), to_the_end=True).residuals[-1]
+    assert report(state, newest, 0.5).level is Level.OK
+    assert "as expected" in report(state, newest, 0.5).message
+    assert report(twin.start(), None).message == "no length yet"
+    silent = report(state, newest, 3.2)
     assert silent.level is Level.WARN
     assert silent.message.startswith("no input for 3 s")
 
@@ -144,17 +130,14 @@ def test_fins_are_coloured_by_what_they_do():
     assert engagement(0.005, PAPER, REVERSE) is HOLDING
 
 
-def cycles_of_power(waves: list) -> list[str]:
-    """Alarms of a watch that sees these waves, one a cycle."""
+def cycles_of_power(waves: list) -> list[int]:
+    """Cycles that are told to be misses by their power, one wave a cycle."""
     pair = hypotheses(GAIT, PAPER)
-    watch, texts = PowerWatch(), []
+    scores, told = PowerScores(), []
     for number, wave in enumerate(waves, start=1):
-        for k, power in enumerate(wave):
-            cycle = Cycle(number, (k + 0.5) / PHASES, 0)
-            watch, text = observe_power(watch, cycle, power, pair)
-            texts += [text] if text else []
-    _, text = observe_power(watch, Cycle(len(waves) + 1, math.nan, 0), PAPER.idle_power, pair)
-    return texts + ([text] if text else [])
+        scores, found = close_cycle(scores, number, np.array(wave), np.ones(PHASES), pair)
+        told += [cycle for cycle, _ in found]
+    return told
 
 
 def test_power_tells_a_missed_groove_against_a_model_that_is_off():
@@ -164,10 +147,8 @@ def test_power_tells_a_missed_groove_against_a_model_that_is_off():
     usual = 1.1 * np.array(pair.expected) + 0.2
     missed = usual + np.array(pair.difference)
     assert cycles_of_power([usual] * 6) == []
-    (text,) = cycles_of_power([usual] * 4 + [missed] + [usual] * 2)
-    assert text.startswith("cycle 5")
-    (text,) = cycles_of_power([usual] * 20 + [missed] + [usual] * 20)
-    assert text.startswith("cycle 21")
+    assert cycles_of_power([usual] * 4 + [missed] + [usual] * 2) == [5]
+    assert cycles_of_power([usual] * 20 + [missed] + [usual] * 20) == [21]
 
 
 @pytest.mark.parametrize("cycle", [2, 3, 4, 5])
@@ -178,8 +159,7 @@ def test_power_tells_a_missed_groove_in_any_cycle_of_five_but_the_first(cycle, b
     waves = [np.array(pair.expected) + bias * difference for _ in range(5)]
     assert cycles_of_power(waves) == []
     waves[cycle - 1] += difference
-    (text,) = cycles_of_power(waves)
-    assert text.startswith(f"cycle {cycle}: its power is that of a missed groove")
+    assert cycles_of_power(waves) == [cycle]
 
 
 def test_the_probability_of_a_miss_is_that_of_bayes_rule():
@@ -211,7 +191,8 @@ def test_the_tracker_gives_the_length_where_nothing_else_does():
         TrackerSample(ONSET - round(t * 1e9), 0.5, 0.5 + 0.297) for t in np.arange(40, 0, -1) / 30
     ]
     start = GaitSample(ONSET, Activity.RUNNING, GAIT, ONSET)
-    state, output = twin.step(twin.start(), [*rest, start])
-    assert state.run.initial_length == pytest.approx(0.297)
+    state = twin.start()
+    output = follow([*rest, start], twin, state=state)
+    assert state.initial_length == pytest.approx(0.297)
     assert output.states[-1].rear_position == pytest.approx(0.5)
     assert output.states[-1].groove_phase == pytest.approx(0.297 - 17 * PAPER.pitch)

@@ -8,19 +8,19 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from twin_samples import (
+    CommandedLength,
+    GaitSample,
+    MeasuredLength,
+    Told,
+    TrackerSample,
+    follow,
+)
 
 from worm_driver.virtual_robot.plant import BodyParameters, Plant, PlantEffects, make_grooves
 from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_model.parameters import PAPER
-from worm_model.twin.core import Twin
-from worm_model.twin.records import (
-    Activity,
-    CommandedLength,
-    GaitSample,
-    MeasuredLength,
-    Output,
-    TrackerSample,
-)
+from worm_model.twin.records import Activity
 
 ONSET = 1_700_000_000_000_000_000
 CYCLES, PAUSE_S, STEP_S, ORIGIN = 3, 6.0, 1e-3, 0.4
@@ -70,10 +70,9 @@ def session(second: Gait) -> list:
     return sorted(samples, key=lambda sample: sample.stamp_ns)
 
 
-def positions(samples: list) -> tuple[float, Output]:
+def positions(samples: list) -> tuple[float, Told]:
     """(how far the twin believes the rear module went, all that it said)."""
-    twin = Twin()
-    _, output = twin.step(twin.start(), samples)
+    output = follow(samples)
     return output.states[-1].rear_position - output.states[0].rear_position, output
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well the twin follows a run: residuals of x1, length and power, over the gait and cycle by cycle."""
+"""How well the twin follows a recording: residuals of x1, length and power, run by run and cycle by cycle."""
 
 from __future__ import annotations
 
@@ -10,10 +10,16 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.analysis.run_metrics import root_mean_square
-from worm_model.run import RUNNING, Run
+from worm_model.analysis.run_metrics import (
+    END_TOLERANCE_NS,
+    PlayedGait,
+    played_gaits,
+    root_mean_square,
+)
+from worm_model.run import RUNNING, STOPPING, Run
 from worm_model.simulation.quadrature import accumulated
 from worm_model.twin.offline_replay import Replay, Series
+from worm_model.twin.records import Event, Health
 
 Array = NDArray[np.float64]
 
@@ -38,7 +44,7 @@ class CycleReport:
     """One cycle of the gait.
 
     Attributes:
-        start: s since the run's first sample.
+        start: s since the recording's first sample.
         grooves: grooves that the twin's rear anchor gained in it, along +x.
         measured_grooves: displacement of the rear module as the tracker saw it, in pitches.
         residuals: over the cycle.
@@ -53,59 +59,86 @@ class CycleReport:
 
 
 @dataclass(frozen=True)
-class ReplayReport:
-    """A whole run: residuals from the gait's onset on (of everything, where no gait was recorded).
+class RunReport:
+    """One run of a recording; ``health`` is the worst in it, ``events`` are at times in s since the first sample."""
 
-    `energy_error` is (measured − predicted) / measured at the run's end.
+    played: PlayedGait
+    onset: float
+    cycles: tuple[CycleReport, ...]
+    events: tuple[tuple[float, Event], ...]
+    health: Health
+
+
+@dataclass(frozen=True)
+class ReplayReport:
+    """A recording: residuals from the last gait's onset on (of everything, where no gait was recorded).
+
+    `energy_error` is (measured − predicted) / measured at the last run's end; `cycles` are the last run's.
     """
 
     residuals: Residuals
     energy_error: float
     cycles: tuple[CycleReport, ...]
+    runs: tuple[RunReport, ...]
 
 
 def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
     """Judge a replay; `pitch` of the grooves in m."""
-    onset, period = _gait(run)
-    end = _end(run)
-    start = run.origin if onset is None else onset
-    cycles: tuple[CycleReport, ...] = ()
-    if onset is not None:
-        count = max(math.ceil((end - onset) / period - 1e-6), 0)
-        borders = [onset + round(k * period) for k in range(count + 1)]
-        cycles = tuple(
-            _cycle(run, replay, (first, last), pitch, end) for first, last in pairwise(borders)
-        )
+    played = played_gaits(run.gait_state)
+    ends = [*(p.onset for p in played[1:]), np.iinfo(np.int64).max][: len(played)]
+    runs = tuple(
+        _run_report(run, replay, pitch, p, end) for p, end in zip(played, ends, strict=True)
+    )
+    start = played[-1].onset if played else run.origin
+    end = _end(run, played[-1]) if played else _last(run)
     return ReplayReport(
         residuals=_residuals(replay.residuals, start, end + 1),
         energy_error=_energy_error(run, replay, start),
-        cycles=cycles,
+        cycles=runs[-1].cycles if runs else (),
+        runs=runs,
     )
 
 
-def _gait(run: Run) -> tuple[int | None, float]:
-    """Onset (ns) and period (ns) of the last gait that ran."""
-    states = run.gait_state
-    running = np.flatnonzero(states.played)
-    if not len(running):
-        return None, math.nan
-    last = running[-1]
-    return int(states.onset[last]), 1e9 / float(states.frequency[last])
+def _last(run: Run) -> int:
+    lasts = [s.stamp[-1] for s in (run.commanded, run.measured, run.tracker) if len(s.stamp)]
+    return int(max(lasts, default=run.origin))
 
 
-def _end(run: Run) -> int:
-    """Stamp (ns) at which the gait was over, as far as it was recorded."""
-    states = run.gait_state
-    last = max(
-        (int(s.stamp[-1]) for s in (run.commanded, run.measured, run.tracker) if len(s.stamp)),
-        default=run.origin,
+def _end(run: Run, played: PlayedGait) -> int:
+    """Stamp (ns) at which a run was over, as far as it was recorded: its last cycle asked for, or an earlier stop."""
+    states, last = run.gait_state, _last(run)
+    asked = played.cycle_window(1, played.cycles).end if played.cycles else last
+    over = states.stamp[(states.stamp > played.onset) & ~np.isin(states.state, (RUNNING, STOPPING))]
+    stopped = int(over.min(initial=last))
+    if stopped + END_TOLERANCE_NS >= asked:  # told a little before or after it
+        return min(asked, last)
+    return min(max(stopped, played.onset), last)
+
+
+def _run_report(
+    run: Run, replay: Replay, pitch: float, played: PlayedGait, until: int
+) -> RunReport:
+    """A run; ``until`` (ns) is when the next one begins."""
+    onset, end, period = played.onset, _end(run, played), 1e9 * played.gait.period
+    count = max(math.ceil((end - onset) / period - 1e-6), 0)
+    borders = [onset + round(k * period) for k in range(count + 1)]
+    stamp = replay.residuals["stamp_ns"]
+    inside = (stamp >= onset) & (stamp <= end)
+    health = replay.residuals["health"][inside]
+    events = tuple(
+        ((event.stamp_ns - run.origin) * 1e-9, event)
+        for event in replay.notices
+        if event.code and onset <= event.stamp_ns < until
     )
-    running = np.flatnonzero(states.state == RUNNING)
-    if not len(running):
-        return last
-    row = running[-1]
-    asked = int(states.onset[row]) + round(states.cycles[row] * 1e9 / states.frequency[row])
-    return min(last, asked) if states.cycles[row] else last
+    return RunReport(
+        played=played,
+        onset=(onset - run.origin) * 1e-9,
+        cycles=tuple(
+            _cycle(run, replay, (first, last), pitch, end) for first, last in pairwise(borders)
+        ),
+        events=events,
+        health=Health(int(health.max(initial=0))),
+    )
 
 
 def _residuals(series: Series, start: int, end: int) -> Residuals:
@@ -151,14 +184,13 @@ def _energy(run: Run, start: int, end: int) -> float:
 
 def _cycle(run: Run, replay: Replay, span: tuple[int, int], pitch: float, end: int) -> CycleReport:
     first, last = span
-    states = replay.states
     displacement = _at(run.tracker.stamp, run.tracker.rear_position, last) - _at(
         run.tracker.stamp, run.tracker.rear_position, first
     )
-    gained = _step_at(states, last) - _step_at(states, first)
+    states = replay.states
     return CycleReport(
         start=(first - run.origin) * 1e-9,
-        grooves=gained,
+        grooves=_grooves_at(states, last) - _grooves_at(states, first),
         measured_grooves=displacement / pitch,
         residuals=_residuals(replay.residuals, first, last),
         complete=last <= end,
@@ -174,7 +206,7 @@ def _at(stamp: NDArray[np.int64], values: Array, when: int) -> float:
     return float(np.interp(0.0, (stamp - when) * 1e-9, values))
 
 
-def _step_at(states: Series, when: int) -> float:
-    """Rear groove of the twin at a stamp, as of the last state before."""
+def _grooves_at(states: Series, when: int) -> float:
+    """Rear groove of the twin at a stamp, as of the last state until then."""
     row = int(np.searchsorted(states["stamp_ns"], when, side="right")) - 1
     return float(states["rear_groove"][row]) if row >= 0 else 0.0

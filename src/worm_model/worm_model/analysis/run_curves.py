@@ -71,10 +71,7 @@ def energy_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]
 
 
 def settled_power(run: Run, replay: Replay) -> Samples:
-    """What the twin says of the power (W) at the sensor's stamps, once the lengths around each are known.
-
-    The power in its states is provisional: it comes from the newest lengths alone and carries their noise.
-    """
+    """What the twin says of the power (W) at the sensor's stamps."""
     residuals = replay.residuals
     judged = np.isfinite(residuals["power"])
     stamp, residual = residuals["stamp_ns"][judged], residuals["power"][judged]

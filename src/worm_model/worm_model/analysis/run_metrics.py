@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -27,7 +28,7 @@ Samples = tuple[Stamps, Array]  # stamps in ns since the epoch and values, NaN w
 
 AVERAGED_CYCLES = AVERAGED
 IDLE_SAMPLES = 10  # valid samples at rest that the idle power is the mean of (eq:Pidle_est)
-_END_TOLERANCE_NS = 100_000_000  # the end of a gait is told through two clocks
+END_TOLERANCE_NS = 100_000_000  # the end of a gait is told through two clocks
 _FOREVER = int(np.iinfo(np.int64).max)
 
 
@@ -52,6 +53,7 @@ class Window:
 class PlayedGait:
     """A gait as it was played: ``cycles`` were asked for, from the ``onset`` on (ns since the epoch).
 
+    ``run`` is the driver's number of the run, 0 in recordings from before it had one.
     ``end`` is the stamp (ns) at which the driver told that it played no more, ``state_after`` what it told then, one
     of `worm_model.run.STATE_NAMES`; both are None where the recording ends before. ``rest_start`` is the stamp (ns)
     from which on the robot rested before the onset, None if that was not told.
@@ -63,6 +65,7 @@ class PlayedGait:
     end: int | None = None
     state_after: int | None = None
     rest_start: int | None = None
+    run: int = 0
 
     def cycle_window(self, first: int, last: int) -> Window:
         """The span of the cycles ``first`` to ``last``, counted from 1."""
@@ -71,7 +74,7 @@ class PlayedGait:
 
     def whole_cycles_until(self, stamp: int) -> int:
         """How many of the cycles that were asked for had been played at a stamp (ns)."""
-        played_until = stamp if self.end is None else min(stamp, self.end + _END_TOLERANCE_NS)
+        played_until = stamp if self.end is None else min(stamp, self.end + END_TOLERANCE_NS)
         cycles = math.floor((played_until - self.onset) / (1e9 * self.gait.period))
         return max(min(cycles, self.cycles), 0)
 
@@ -83,7 +86,20 @@ def last_played_gait(states: GaitStates) -> PlayedGait:
         raise RecordingError(
             "the recording holds no gait that was run: record one, with the topic gait_state"
         )
-    row = int(runs[-1][-1])
+    return _played_gait(states, runs[-1])
+
+
+def played_gaits(states: GaitStates) -> list[PlayedGait]:
+    """The gaits that were played, in their order; one that is not admissible is left out."""
+    found = []
+    for rows in states.rows_of_runs():
+        with suppress(RecordingError):
+            found.append(_played_gait(states, rows))
+    return found
+
+
+def _played_gait(states: GaitStates, rows: NDArray[np.int64]) -> PlayedGait:
+    row = int(rows[-1])
     try:
         gait = Gait(
             float(states.stroke[row]),
@@ -104,6 +120,7 @@ def last_played_gait(states: GaitStates) -> PlayedGait:
         end=None if after is None else int(states.stamp[after]),
         state_after=None if after is None else int(states.state[after]),
         rest_start=int(rests[-1]) if rests.size else None,
+        run=int(states.run[row]),
     )
 
 

@@ -136,8 +136,8 @@ def _gait_states(run: Run) -> tuple[str, Stamps, Numbers]:
         "gait.margin": states.margin,
         "onset.sec": np.asarray(states.onset) // 10**9,
         "onset.nanosec": np.asarray(states.onset) % 10**9,
+        "run": states.run,
         "cycle": states.cycle,
         "cycles": states.cycles,
-        "run": states.run,
     }
     return "gait_state", states.stamp, numbers

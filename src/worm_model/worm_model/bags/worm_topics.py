@@ -15,6 +15,7 @@ GAIT_STATE = "worm_msgs/msg/GaitState"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TWIN_STATE = "worm_msgs/msg/TwinState"
 TWIN_RESIDUALS = "worm_msgs/msg/TwinResiduals"
+TWIN_EVENT = "worm_msgs/msg/TwinEvent"
 
 TYPES = {
     "body_length/commanded": BODY_LENGTH,
@@ -27,10 +28,11 @@ TYPES = {
     "joint_states": JOINT_STATE,
     "twin/state": TWIN_STATE,
     "twin/residuals": TWIN_RESIDUALS,
+    "twin/events": TWIN_EVENT,
 }
 
 LATCHED = frozenset({"gait_state"})  # published once, for those who come later
-TWIN_TOPICS = ("body_length/estimated", "twin/state", "twin/residuals")
+TWIN_TOPICS = ("body_length/estimated", "twin/state", "twin/residuals", "twin/events")
 
 
 def offered_qos(name: str) -> str:

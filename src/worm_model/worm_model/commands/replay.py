@@ -5,11 +5,19 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-from worm_model.analysis.replay_metrics import CycleReport, ReplayReport, report_replay
+import numpy as np
+
+from worm_model.analysis.replay_metrics import (
+    CycleReport,
+    ReplayReport,
+    RunReport,
+    report_replay,
+)
 from worm_model.bags.bag import Bag
 from worm_model.bags.message_block import Message
 from worm_model.bags.message_types import parse_ahead, topic_of
@@ -25,12 +33,16 @@ from worm_model.commands.command_line import (
     run_command,
 )
 from worm_model.parameters import Parameters, load_parameters
-from worm_model.run import Run
+from worm_model.run import Run, Stamps
 from worm_model.simulation import warm_up
 from worm_model.twin.offline_replay import Replay, Series, replay_run
+from worm_model.twin.records import RESIDUAL_ROW, Event, LengthSource, ResidualRecord
 
 INPUTS = ("gait_state", "body_length/commanded", "body_length/measured", "tracker", "power")
-ESTIMATED = 2  # BodyLength.ESTIMATED
+#: columns that say how a residual's health came about; its message has it in words
+NOT_PUBLISHED = frozenset(RESIDUAL_ROW.names or ()) - {
+    *(field.name for field in fields(ResidualRecord) if field.name != "stamp_ns")
+}
 _notify = notifier("replay")
 
 
@@ -50,28 +62,80 @@ def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str) -> None
 def _messages(name: str, replay: Replay, namespace: str) -> list[Message]:
     """Messages of one of the twin's topics; their stamp is taken for the time of reception."""
     topic = topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
+    stamp, numbers, texts = twin_columns(name, replay)
+    return stamped_messages(topic, stamp, numbers, texts)
+
+
+def twin_columns(
+    name: str, replay: Replay
+) -> tuple[Stamps, dict[str, Any], dict[str, Sequence[str]]]:
+    """(stamps in ns, numbers, texts) of the messages of one of the twin's topics, a column per field."""
+    if name == "twin/events":
+        notices = replay.notices
+        numbers: dict[str, Any] = {
+            key: np.array([getattr(notice, key) for notice in notices], kind)
+            for key, kind in (("run", np.int64), ("cycle", np.int64), ("probability", float))
+        }
+        texts: dict[str, Sequence[str]] = {
+            "code": [n.code for n in notices],
+            "message": [n.text for n in notices],
+        }
+        return np.array([n.stamp_ns for n in notices], np.int64), numbers, texts
     series: Series = {
         "twin/state": replay.states,
         "twin/residuals": replay.residuals,
         "body_length/estimated": replay.lengths,
     }[name]
-    numbers: dict[str, Any] = {key: v for key, v in series.items() if key != "stamp_ns"}
-    texts = {}
-    if name == "twin/residuals":
-        texts["message"] = replay.messages
+    numbers = {key: v for key, v in series.items() if key not in NOT_PUBLISHED}
     if name == "body_length/estimated":
-        numbers["source"] = ESTIMATED
-    return stamped_messages(topic, series["stamp_ns"], numbers, texts)
+        numbers["source"] = LengthSource.ESTIMATED
+    return (
+        series["stamp_ns"],
+        numbers,
+        {"message": replay.messages} if name == "twin/residuals" else {},
+    )
 
 
-def report_json(report: ReplayReport, duration: float, elapsed: float) -> dict[str, Any]:
+def report_json(
+    report: ReplayReport, replay: Replay, duration: float, elapsed: float
+) -> dict[str, Any]:
     """The report as the machine-readable output has it."""
     return {
         **asdict(report.residuals),
         "energy_error": report.energy_error,
         "cycles": [_cycle_json(cycle) for cycle in report.cycles],
+        "runs": [_run_json(run) for run in report.runs],
+        "events": [_event_json(*found) for run in report.runs for found in run.events],
+        "dropped": replay.dropped or {},
         "duration": duration,
         "real_time_factor": duration / elapsed,
+    }
+
+
+def _run_json(run: RunReport) -> dict[str, Any]:
+    gait = run.played.gait
+    return {
+        "onset_s": run.onset,
+        "run": run.played.run,
+        "gait": {
+            "stroke": gait.stroke,
+            "frequency": gait.frequency,
+            "direction": gait.direction,
+            "margin": gait.margin,
+        },
+        "cycles": [_cycle_json(cycle) for cycle in run.cycles],
+        "events": [_event_json(*found) for found in run.events],
+        "health": run.health.name.lower(),
+    }
+
+
+def _event_json(time: float, event: Event) -> dict[str, Any]:
+    return {
+        "time_s": time,
+        "cycle": event.cycle,
+        "code": event.code,
+        "probability": event.probability,
+        "message": event.text,
     }
 
 
@@ -94,17 +158,26 @@ def describe(report: ReplayReport, duration: float, elapsed: float) -> str:
         f"power   {total.power_rmse:8.3f} W  rms, {total.power_residual:+.3f} W  mean",
         f"energy  {100 * report.energy_error:+8.2f} % of what was measured",
     ]
-    if report.cycles:
-        lines.append("cycle  start s  grooves (measured)  x1 mm   length mm  power W  (rms)")
-    for number, cycle in enumerate(report.cycles, 1):
-        part = cycle.residuals
+    for number, run in enumerate(report.runs, 1):
+        gait = run.played.gait
         lines.append(
-            f"{number:5}  {cycle.start:7.2f}  {cycle.grooves:7.0f} ({cycle.measured_grooves:8.2f})  "
-            f"{1e3 * part.x1_rmse:6.2f}  {1e3 * part.length_rmse:9.2f}  {part.power_rmse:7.2f}"
-            f"{'' if cycle.complete else '  (cut off)'}"
+            f"run {number} of {len(report.runs)}: {1e3 * gait.stroke:.1f} mm at {gait.frequency:.3f} Hz "
+            f"{'forward' if gait.direction > 0 else 'reverse'}, {run.health.name.lower()} at worst"
         )
+        lines.append("cycle  start s  grooves (measured)  x1 mm   length mm  power W  (rms)")
+        lines += [_cycle_line(count, cycle) for count, cycle in enumerate(run.cycles, 1)]
+        lines += [f"  {time:.2f} s  {event.text}" for time, event in run.events]
     lines.append(f"{duration:.1f} s in {elapsed:.3f} s: {duration / elapsed:.0f} times real time")
     return "\n".join(lines)
+
+
+def _cycle_line(number: int, cycle: CycleReport) -> str:
+    part = cycle.residuals
+    return (
+        f"{number:5}  {cycle.start:7.2f}  {cycle.grooves:7.0f} ({cycle.measured_grooves:8.2f})  "
+        f"{1e3 * part.x1_rmse:6.2f}  {1e3 * part.length_rmse:9.2f}  {part.power_rmse:7.2f}"
+        f"{'' if cycle.complete else '  (cut off)'}"
+    )
 
 
 def _parser() -> Parser:
@@ -135,7 +208,9 @@ def _replay(options: argparse.Namespace) -> None:
     report = report_replay(run, followed, parameters.pitch)
     elapsed = time.perf_counter() - begin
     print_result(
-        options, report_json(report, duration, elapsed), describe(report, duration, elapsed)
+        options,
+        report_json(report, followed, duration, elapsed),
+        describe(report, duration, elapsed),
     )
 
 

@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 from worm_model.identification.block_least_squares import Problem, Quantity, Solution, solve
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.robust import noise_of
-from worm_model.simulation.actuation import effective_command
-from worm_model.simulation.kernel.lag import follow_target
+from worm_model.simulation.kernel.actuation_law import Actuator, respond_at
 
 Array = NDArray[np.float64]
 
-GRID_STEP = 0.008  # s, on which a response is computed: a tenth of the fastest relaxation of a fin
 CLOCK_SPREAD = 0.02  # s, standard deviation of the offset before the data are seen: clocks, and the servo's delay
 LATEST_ENGAGEMENT = 0.25  # s after the onset
 ENGAGEMENT_SPREAD = 0.05  # s
@@ -58,16 +56,6 @@ class ActuationFit:
         return np.array([self.slack, self.gain, self.time_constant])
 
 
-def response(recording: Recording, values: Array, engagement: float = 0.0) -> tuple[Array, Array]:
-    """(times (n,) in s, ΔL (n,) in m) of a run's command under (δ_s, K, τ), from the engagement on a fine grid."""
-    times = np.arange(engagement, recording.command_time[-1] + GRID_STEP, GRID_STEP)
-    command = np.interp(times, recording.command_time, recording.command)
-    target = values[1] * effective_command(command, values[0])
-    length_change = np.empty_like(times)
-    follow_target(times, target, values[2], 0.0, length_change)
-    return times, length_change
-
-
 def predicted_length_change(
     recording: Recording,
     values: Array,
@@ -75,9 +63,19 @@ def predicted_length_change(
     clock_offset: float = 0.0,
     engagement: float = 0.0,
 ) -> Array:
-    """ΔL in m at the camera's ``times`` (n,) in s; 0 before the engagement."""
-    grid, length_change = response(recording, values, engagement)
-    return np.interp(times + clock_offset, grid, length_change, left=0.0)
+    """ΔL in m at the camera's ``times`` (n,) in s, ascending, under (δ_s, K, τ); 0 before the engagement (s)."""
+    slack, gain, time_constant = map(float, values)
+    length_change = np.empty(len(times))
+    respond_at(
+        recording.command_time,
+        recording.command,
+        engagement,
+        0.0,
+        Actuator(gain, slack, time_constant),
+        times + clock_offset,
+        length_change,
+    )
+    return length_change
 
 
 def fitted_samples(recording: Recording) -> NDArray[np.bool_]:

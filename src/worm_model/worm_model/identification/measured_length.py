@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.identification.actuation_fit import (
-    GRID_STEP,
     fit_actuation,
     predicted_length_change,
 )
@@ -27,6 +26,7 @@ from worm_model.simulation.smoothing import smooth
 Array = NDArray[np.float64]
 
 HALF_WINDOW = 2.0  # s
+GRID_STEP = 0.008  # s, of the smoothed length: a tenth of the fastest relaxation of a fin
 FINE_STEP = 0.001  # s, for the rate of the actuation fit
 
 

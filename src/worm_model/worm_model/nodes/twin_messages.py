@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -13,20 +13,17 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from worm_model.gait import Gait, GaitError
+from worm_model.gait import Gait
 from worm_model.twin.forecast import Forecast
+from worm_model.twin.health_words import residual_message
 from worm_model.twin.records import (
     NANOSECONDS,
-    Activity,
-    CommandedLength,
-    GaitSample,
-    LengthRecord,
-    MeasuredLength,
-    PowerSample,
+    RESIDUAL_ROW,
+    STATE_ROW,
+    Event,
     ResidualRecord,
-    StateRecord,
-    TrackerSample,
 )
+from worm_model.twin.samples import Kind
 from worm_model.twin.scene import FRAME
 from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.msg import (
@@ -35,6 +32,7 @@ from worm_msgs.msg import (
     GaitState,
     Power,
     Tracker,
+    TwinEvent,
     TwinResiduals,
     TwinState,
 )
@@ -52,51 +50,49 @@ def time_message(stamp_ns: int) -> Time:
     return Time(sec=seconds, nanosec=rest)
 
 
-# --- messages to samples; they take rclpy's messages and those read from a bag alike ---------------
+# --- messages to samples: the row of SAMPLE of each ------------------------------------------------
+
+Row = tuple[int | float, ...]
 
 
-def commanded_length(message: Any) -> CommandedLength:
+def commanded_length(message: Any) -> Row:
     """Of a BodyLength with source COMMANDED."""
-    return CommandedLength(nanoseconds(message.header.stamp), message.length_change)
+    return _row(Kind.COMMAND, message, message.length_change)
 
 
-def measured_length(message: Any) -> MeasuredLength:
+def measured_length(message: Any) -> Row:
     """Of a BodyLength with source MEASURED."""
-    return MeasuredLength(nanoseconds(message.header.stamp), message.length)
+    return _row(Kind.LENGTH, message, message.length)
 
 
-def tracker_sample(message: Any) -> TrackerSample:
+def tracker_sample(message: Any) -> Row:
     """Of a Tracker."""
-    stamp = nanoseconds(message.header.stamp)
-    return TrackerSample(stamp, message.rear_position, message.front_position)
+    return _row(Kind.POSITION, message, message.rear_position, message.front_position)
 
 
-def power_sample(message: Any) -> PowerSample:
+def power_sample(message: Any) -> Row:
     """Of a Power; NaN unless the sensor calls it valid."""
-    valid = message.status == Power.VALID
-    return PowerSample(nanoseconds(message.header.stamp), message.power if valid else math.nan)
+    return _row(Kind.POWER, message, message.power if message.status == Power.VALID else math.nan)
 
 
-def gait_sample(message: Any) -> GaitSample:
-    """Of a GaitState; a gait that is not admissible counts as none."""
-    gait: Gait | None
-    try:
-        gait = gait_of(message.gait)
-    except GaitError:
-        gait = None
-    return GaitSample(
-        nanoseconds(message.header.stamp),
-        Activity(message.state),
-        gait,
-        nanoseconds(message.onset),
-    )
+def gait_sample(message: Any) -> Row:
+    """Of a GaitState."""
+    stamp, gait = nanoseconds(message.header.stamp), message.gait
+    told = nanoseconds(message.onset), message.state, message.run, message.cycle
+    values = gait.stroke, gait.frequency, float(gait.direction), gait.margin
+    return (stamp, Kind.GAIT, *told, stamp, *values)
+
+
+def _row(kind: int, message: Any, a: float, b: float = 0.0) -> Row:
+    stamp = nanoseconds(message.header.stamp)
+    return (stamp, kind, 0, 0, 0, 0, stamp, a, b, 0.0, 0.0)
 
 
 #: of urdf/worm.urdf: x1, and x2 - x1
 JOINTS = ("rear_position", "body_length")
 
 #: topic -> (message type, conversion); what the twin listens to
-INPUTS: Mapping[str, tuple[type, Any]] = {
+INPUTS: Mapping[str, tuple[type, Callable[[Any], Row]]] = {
     "gait_state": (GaitState, gait_sample),
     "body_length/commanded": (BodyLength, commanded_length),
     "body_length/measured": (BodyLength, measured_length),
@@ -105,41 +101,63 @@ INPUTS: Mapping[str, tuple[type, Any]] = {
 }
 
 
-# --- records to messages ----------------------------------------------------------------------------
+# --- what the twin yields, as messages ---------------------------------------------------------------
+
+_STATE = tuple(name for name in STATE_ROW.names or () if name != "stamp_ns")
+_RESIDUALS = tuple(
+    field.name
+    for field in dataclasses.fields(ResidualRecord)
+    if field.name in (RESIDUAL_ROW.names or ())
+)[1:]
 
 
-def state_message(record: StateRecord) -> TwinState:
-    """The record as TwinState."""
-    message = _filled(TwinState(), record)
+def state_message(row: Any) -> TwinState:
+    """A row of STATE_ROW as TwinState."""
+    message = _filled(TwinState(), row, _STATE)
     message.header.frame_id = FRAME
     return message
 
 
-def residuals_message(record: ResidualRecord) -> TwinResiduals:
-    """The record as TwinResiduals."""
-    return _filled(TwinResiduals(), record)
+def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
+    """A row of RESIDUAL_ROW as TwinResiduals; ``warnings`` are the texts that it refers to."""
+    message = _filled(TwinResiduals(), row, _RESIDUALS)
+    if message.health > TwinResiduals.HEALTHY:
+        message.message = residual_message(row, warnings)
+    return message
 
 
-def length_message(record: LengthRecord) -> BodyLength:
-    """The record as BodyLength, source ESTIMATED."""
-    return _filled(BodyLength(source=BodyLength.ESTIMATED), record)
+def length_message(row: Any) -> BodyLength:
+    """A row of LENGTH_ROW as BodyLength, source ESTIMATED."""
+    return _filled(BodyLength(source=BodyLength.ESTIMATED), row, ("length", "length_change"))
 
 
-def joint_state(record: StateRecord) -> JointState:
-    """Where the modules are, as the joints of urdf/worm.urdf (m)."""
-    return JointState(
-        header=Header(stamp=time_message(record.stamp_ns)),
-        name=list(JOINTS),
-        position=[record.rear_position, record.front_position - record.rear_position],
+def event_message(event: Event) -> TwinEvent:
+    """An event as TwinEvent."""
+    return TwinEvent(
+        header=Header(stamp=time_message(event.stamp_ns)),
+        code=event.code,
+        run=event.run,
+        cycle=event.cycle,
+        probability=event.probability,
+        message=event.text,
     )
 
 
-def _filled(message: Any, record: Any) -> Any:
-    """Copies a record's fields; they carry the names of the message's."""
-    message.header = Header(stamp=time_message(record.stamp_ns))
-    for name, value in vars(record).items():
-        if name != "stamp_ns":
-            setattr(message, name, value)
+def joint_state(row: Any) -> JointState:
+    """Where the modules are, as the joints of urdf/worm.urdf (m); of a row of STATE_ROW."""
+    rear = float(row["rear_position"])
+    return JointState(
+        header=Header(stamp=time_message(int(row["stamp_ns"]))),
+        name=list(JOINTS),
+        position=[rear, float(row["front_position"]) - rear],
+    )
+
+
+def _filled(message: Any, row: Any, names: Sequence[str]) -> Any:
+    """Copies a row's fields; they carry the names of the message's."""
+    message.header.stamp = time_message(int(row["stamp_ns"]))
+    for name in names:
+        setattr(message, name, row[name].item())
     return message
 
 

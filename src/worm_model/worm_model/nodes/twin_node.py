@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The digital twin as a ROS node: takes samples, lets the core step, publishes.
+"""The digital twin as a ROS node: takes samples, lets the twin advance, publishes.
 
 Its subscriptions are looked at every ``POLL_S`` instead of being called back by the executor, which takes some
-0.2 ms of Python a message; all else (parameters, services, timers) is a SingleThreadedExecutor's.
+0.2 ms of Python a message; all else (parameters, services, timers) is a SingleThreadedExecutor's. The twin takes
+samples when they are ``delay_s`` old, so that looking rarely costs nothing.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import CallbackGroup
@@ -28,19 +31,20 @@ from worm_model.nodes import twin_messages
 from worm_model.nodes.scene_markers import marker_array
 from worm_model.parameters import ParameterError, load_parameters
 from worm_model.simulation import warm_up
-from worm_model.twin.core import Twin
 from worm_model.twin.forecast import ForecastError, forecast
-from worm_model.twin.records import Notice, Output, Sample, Severity, StateRecord, TrackerSample
+from worm_model.twin.records import Event, Severity, StateRecord
+from worm_model.twin.samples import SAMPLE, Kind
 from worm_model.twin.scene import LOST_S, Sighting, scene
+from worm_model.twin.twin import Output, Twin
 from worm_model.twin.twin_status import Level, report
-from worm_msgs.msg import BodyLength, TwinResiduals, TwinState
+from worm_msgs.msg import BodyLength, TwinEvent, TwinResiduals, TwinState
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import Ending, spare_pauses
 from worm_msgs.srv import PredictGait
 
-POLL_S = 0.002
-POLLS_PER_SPIN = 5  # how often the executor gets its turn
+POLL_S = 0.02
 MARKER_PERIOD_S = 0.1
+SIGHTINGS = 100  # of the tracker that are remembered: 3 s of a camera at 30 Hz
 BURST = 200  # of records that one poll may yield, after a stall of the machine
 DEPTH = 1000  # of samples that may wait, for every topic
 
@@ -88,45 +92,51 @@ class TwinNode(Node):
         self._joints = self.create_publisher(JointState, "twin/joint_states", 10)
         self._residuals = self.create_publisher(TwinResiduals, "twin/residuals", BURST)
         self._lengths = self.create_publisher(BodyLength, "body_length/estimated", BURST)
+        self._events = self.create_publisher(TwinEvent, "twin/events", _LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
         self._markers = self.create_publisher(MarkerArray, "twin/markers", 10)
-        self._shown: StateRecord | None = None
+        self._shown: np.void | None = None
+        self._residual: np.void | None = None
         self._heard = self._moved = time.monotonic()  # when the last input and the last state came
-        self._sighting = Sighting()
+        self._sightings: deque[Sighting] = deque([Sighting()], maxlen=SIGHTINGS)
         self.create_service(PredictGait, "predict_gait", self._predict)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self.create_timer(MARKER_PERIOD_S, self._publish_markers, clock=steady)
 
     def poll(self) -> None:
-        """Takes all that has come, in the order of its stamps, and publishes what it yields."""
-        samples = [sample for take in self._inputs for sample in take()]
-        if not samples:
+        """Takes all that has come and publishes what it yields."""
+        taken = [row for take in self._inputs for row in take()]
+        if not taken:
             return
         self._heard = time.monotonic()
-        samples.sort(key=lambda sample: sample.stamp_ns)
-        self._state, output = self._twin.step(self._state, samples)
+        samples = np.array(taken, SAMPLE)
+        samples = samples[np.argsort(samples["stamp"], kind="stable")]
+        output = self._twin.advance(self._state, samples)
         self._publish(output)
-        if output.states:
-            self._shown, self._moved = output.states[-1], self._heard
-        for sample in samples:
-            if isinstance(sample, TrackerSample):
-                self._sighting = Sighting(
-                    sample.rear_position, sample.front_position, sample.stamp_ns
-                )
+        if len(output.states):
+            self._shown, self._moved = output.states[-1].copy(), self._heard
+        if len(output.residuals):
+            self._residual = output.residuals[-1].copy()
+        for row in samples[samples["kind"] == Kind.POSITION]:
+            self._sightings.append(Sighting(float(row["a"]), float(row["b"]), int(row["stamp"])))
 
     def _subscribe(
-        self, topic: str, kind: type, convert: Callable[[Any], Sample], group: CallbackGroup
-    ) -> Callable[[], list[Sample]]:
+        self,
+        topic: str,
+        kind: type,
+        convert: Callable[[Any], twin_messages.Row],
+        group: CallbackGroup,
+    ) -> Callable[[], list[twin_messages.Row]]:
         qos = _LATCHED if topic == "gait_state" else DEPTH
         subscription = self.create_subscription(
             kind, topic, lambda _: None, qos, callback_group=group
         )
 
-        def take() -> list[Sample]:
-            samples = []
+        def take() -> list[twin_messages.Row]:
+            samples: list[twin_messages.Row] = []
             handle = subscription.handle
             with handle:
                 while (taken := handle.take_message(kind, False)) is not None:
@@ -140,21 +150,22 @@ class TwinNode(Node):
             self._lengths.publish(twin_messages.length_message(length))
         for state in output.states:
             self._states.publish(twin_messages.state_message(state))
-        if output.states and self._joints.get_subscription_count():
+        if len(output.states) and self._joints.get_subscription_count():
             self._joints.publish(twin_messages.joint_state(output.states[-1]))
         for residuals in output.residuals:
-            self._residuals.publish(twin_messages.residuals_message(residuals))
-        for notice in output.notices:
-            self._log(notice)
+            self._residuals.publish(twin_messages.residuals_message(residuals, output.warnings))
+        for event in output.events:
+            self._events.publish(twin_messages.event_message(event))
+            self._log(event)
 
-    def _log(self, notice: Notice) -> None:
+    def _log(self, event: Event) -> None:
         # one call each: rclpy raises where one line logs with different severities
-        if notice.severity is Severity.ERROR:
-            self.get_logger().error(notice.text)
-        elif notice.severity is Severity.WARNING:
-            self.get_logger().warning(notice.text)
+        if event.severity is Severity.ERROR:
+            self.get_logger().error(event.text)
+        elif event.severity is Severity.WARNING:
+            self.get_logger().warning(event.text)
         else:
-            self.get_logger().info(notice.text)
+            self.get_logger().info(event.text)
 
     # --- parameters -----------------------------------------------------------------------------
 
@@ -194,14 +205,17 @@ class TwinNode(Node):
         if self._shown is None or silent or not self._markers.get_subscription_count():
             return
         parameters = self._twin.effective_parameters(self._state)
-        shapes = scene(self._shown, self._sighting, parameters, self._state.run.direction)
-        stamp = twin_messages.time_message(self._shown.stamp_ns)
+        shown = StateRecord(*self._shown.item())
+        # The robot as it was then: the twin is behind by its delay.
+        seen = min(self._sightings, key=lambda sighting: abs(sighting.stamp_ns - shown.stamp_ns))
+        shapes = scene(shown, seen, parameters, self._state.direction)
+        stamp = twin_messages.time_message(shown.stamp_ns)
         self._markers.publish(marker_array(shapes, stamp))
 
     # --- diagnostics ------------------------------------------------------------------------------
 
     def _publish_diagnostics(self) -> None:
-        found = report(self._state, time.monotonic() - self._heard)
+        found = report(self._state, self._residual, time.monotonic() - self._heard)
         robot = self.get_namespace().strip("/")
         status = DiagnosticStatus(
             level=_LEVELS[found.level],
@@ -218,12 +232,9 @@ class TwinNode(Node):
 def _spin(node: TwinNode, ended: Callable[[], bool]) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    polls = 0
     while not ended():
         node.poll()
-        polls += 1
-        if polls % POLLS_PER_SPIN == 0:
-            executor.spin_once(timeout_sec=0.0)
+        executor.spin_once(timeout_sec=0.0)
         time.sleep(POLL_S)
 
 

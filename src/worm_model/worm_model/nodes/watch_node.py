@@ -7,6 +7,8 @@ import argparse
 import shutil
 import sys
 import time
+from collections import deque
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -15,14 +17,16 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from worm_model.commands.command_line import Parser, run_command
-from worm_model.nodes.twin_messages import gait_sample
+from worm_model.gait import GaitError
+from worm_model.nodes.twin_messages import gait_of, nanoseconds
 from worm_model.parameters import load_parameters
-from worm_model.twin.records import Health, LengthSource
-from worm_model.twin.watch_view import CLEAR, View, render
+from worm_model.twin.records import Activity, Health, LengthSource
+from worm_model.twin.watch_view import CLEAR, NAN, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
 from worm_msgs.ros_process import own_arguments, ros_process, spin
 
 PERIOD_S = 0.2
+REMEMBERED = 200  # samples of an instrument: 2 s at 100 Hz
 NEWEST = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -35,6 +39,9 @@ class WatchNode(Node):
         self._pitch = pitch
         self.view = View()
         self._heard: dict[str, float] = {}
+        # What the instruments said of late: the twin is behind by its delay, and is shown beside what was seen then.
+        self._seen: deque[tuple[int, tuple[float, float]]] = deque(maxlen=REMEMBERED)
+        self._measured: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
         self.create_subscription(TwinState, "twin/state", self._on_state, NEWEST)
         self.create_subscription(TwinResiduals, "twin/residuals", self._on_residuals, 100)
         self.create_subscription(Tracker, "tracker", self._on_tracker, NEWEST)
@@ -56,6 +63,7 @@ class WatchNode(Node):
 
     def _on_state(self, message: Any) -> None:
         self._note("twin")
+        stamp = nanoseconds(message.header.stamp)
         self.view = replace(
             self.view,
             source=LengthSource(message.length_source),
@@ -66,7 +74,8 @@ class WatchNode(Node):
             initial_length=message.initial_length,
             groove_phase=message.groove_phase,
             cable_force=message.cable_force,
-            power=(message.power, self.view.power[1]),
+            robot=_nearest(self._seen, stamp, (NAN, NAN)),
+            power=(message.power, _nearest(self._measured, stamp, NAN)),
             energy=(message.energy, self.view.energy[1]),
         )
 
@@ -79,22 +88,23 @@ class WatchNode(Node):
 
     def _on_tracker(self, message: Any) -> None:
         self._note("tracker")
-        self.view = replace(self.view, robot=(message.rear_position, message.front_position))
+        place = message.rear_position, message.front_position
+        self._seen.append((nanoseconds(message.header.stamp), place))
 
     def _on_power(self, message: Any) -> None:
         self._note("power")
-        self.view = replace(self.view, power=(self.view.power[0], message.power))
+        self._measured.append((nanoseconds(message.header.stamp), message.power))
 
     def _on_gait(self, message: Any) -> None:
-        sample = gait_sample(message)
-        gait = ""
-        if sample.gait is not None:
-            way = "forward" if sample.gait.direction > 0 else "reverse"
-            gait = f"{1e3 * sample.gait.stroke:.1f} mm at {sample.gait.frequency:.3f} Hz {way}"
+        text = ""
+        with suppress(GaitError):  # none
+            gait = gait_of(message.gait)
+            way = "forward" if gait.direction > 0 else "reverse"
+            text = f"{1e3 * gait.stroke:.1f} mm at {gait.frequency:.3f} Hz {way}"
         self.view = replace(
             self.view,
-            activity=sample.activity,
-            gait=gait,
+            activity=Activity(message.state),
+            gait=text,
             cycle=message.cycle,
             cycles=message.cycles,
         )
@@ -103,6 +113,13 @@ class WatchNode(Node):
         width = min(shutil.get_terminal_size().columns, 120)
         sys.stdout.write(CLEAR + "\n".join(render(self.seen(), self._pitch, width)) + "\n")
         sys.stdout.flush()
+
+
+def _nearest(samples: deque[tuple[int, Any]], stamp: int, default: Any) -> Any:
+    """What an instrument said about a stamp (ns)."""
+    if not samples:
+        return default
+    return min(samples, key=lambda sample: abs(sample[0] - stamp))[1]
 
 
 def main() -> int:

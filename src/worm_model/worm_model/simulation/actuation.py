@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
-from worm_model.simulation.kernel.lag import follow_target
+from worm_model.simulation.kernel.actuation_law import Actuator, respond_at
 
 Array = NDArray[np.float64]
 
@@ -31,23 +31,35 @@ def effective_command(command: ArrayLike, slack: float) -> Array:
 
 
 def length_change_of_command(
-    times: ArrayLike, commands: ArrayLike, parameters: Parameters, start: float = 0.0
+    times: ArrayLike,
+    commands: ArrayLike,
+    parameters: Parameters,
+    start: float = 0.0,
+    at: ArrayLike | None = None,
+    engaged: float | None = None,
 ) -> Array:
-    """ΔL in m at ``times`` of a sampled command, piecewise linear between samples, exact.
+    """ΔL in m of a sampled command, piecewise linear between samples, exact.
 
-    ``times`` (n,) in s, not decreasing; ``commands`` (n,) in m; ``start`` is ΔL at the first time, m. The
-    clip is applied to the samples, so that within the one interval in which the command crosses −δ_s the
-    effective command is the chord. Raises ValueError if the shapes differ.
+    ``times`` (n,) in s, not decreasing; ``commands`` (n,) in m; ``at`` (m,) in s, ascending, are the times asked
+    for, by default ``times``. ΔL is ``start`` (m) until ``engaged`` (s), by default the first time. Raises
+    ValueError if the shapes differ or there is no sample.
     """
-    time = np.asarray(times, dtype=float)
-    target = parameters.gain * effective_command(commands, parameters.slack)
-    if time.shape != target.shape or time.ndim != 1:
+    time = np.ascontiguousarray(times, dtype=float)
+    command = np.ascontiguousarray(commands, dtype=float)
+    if time.shape != command.shape or time.ndim != 1 or not time.size:
         raise ValueError(
-            f"times {time.shape} and commands {target.shape} must be one-dimensional and equally long"
+            f"times {time.shape} and commands {command.shape} must be one-dimensional, equally long and not empty"
         )
-    length_change = np.empty_like(target)
-    follow_target(time, target, parameters.time_constant, start, length_change)
+    asked = time if at is None else np.ascontiguousarray(at, dtype=float)
+    length_change = np.empty_like(asked)
+    since = float(time[0]) if engaged is None else engaged
+    respond_at(time, command, since, start, actuator(parameters), asked, length_change)
     return length_change
+
+
+def actuator(parameters: Parameters) -> Actuator:
+    """What the kernel needs of the actuation."""
+    return Actuator(parameters.gain, parameters.slack, parameters.time_constant)
 
 
 def _steady_sinusoid(gait: Gait, parameters: Parameters) -> tuple[float, float, float]:

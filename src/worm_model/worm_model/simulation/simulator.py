@@ -238,6 +238,39 @@ def _events(rows: Array) -> list[Event]:
     return [Event(float(time), *fins[int(stop)], bool(switched)) for time, stop, switched in rows]
 
 
+def play_gait(
+    gait: Gait, parameters: Parameters, start: LocomotionState, times: ArrayLike
+) -> Motions:
+    """A gait that begins at time 0 from a state: dense output at ``times`` (n,) in s, ascending, at least one.
+
+    Energy counts from time 0. Raises ValueError for other times and `SimulationError` on chatter.
+    """
+    samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
+    samples[:, march.TIME] = _ascending(times, 0.0, math.inf)
+    ledger = np.zeros(march.LEDGER_SIZE)
+    run.play_on(
+        gait.stroke,
+        gait.frequency,
+        parameter_row(parameters),
+        _constants_of(parameters, gait.direction, 0.0),
+        start.length_change,
+        _motion_of(start),
+        ledger,
+        samples,
+    )
+    if ledger[march.CHATTER]:
+        raise SimulationError(f"{gait}: the anchors switch to and fro without end")
+    return _motions(samples, parameters)
+
+
+def _motion_of(state: LocomotionState) -> Motion:
+    grooves, regions = (
+        (state.rear_groove, state.front_groove),
+        (state.rear_region, state.front_region),
+    )
+    return Motion(state.y, state.y_rate, *grooves, *regions)
+
+
 def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -> Trajectory:
     """The trajectory of a gait from the start: x1 = 0, v1 = 0, ΔL = 0, anchors on the lattice."""
     check_cycles(cycles, cycles)
@@ -337,15 +370,9 @@ class Locomotion:
         samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
         samples[:, march.TIME] = _ascending(times, knots[0], knots[-1])
         ledger = np.zeros(march.LEDGER_SIZE)
-        before = Motion(
-            state.y,
-            state.y_rate,
-            state.rear_groove,
-            state.front_groove,
-            state.rear_region,
-            state.front_region,
+        after = run.run_sampled(
+            knots, forms, _motion_of(state), self._constants(), ledger, samples, _NO_ROWS
         )
-        after = run.run_sampled(knots, forms, before, self._constants(), ledger, samples, _NO_ROWS)
         if ledger[march.CHATTER]:
             raise SimulationError(f"at {state.time:g} s: the anchors switch to and fro without end")
         last = knots[-1] - knots[-2] if knots.size > 1 else 0.0

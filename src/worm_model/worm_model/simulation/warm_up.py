@@ -18,7 +18,7 @@ from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.batch import evaluate_gaits
 from worm_model.simulation.kernel import dry_friction
 from worm_model.simulation.simulator import Locomotion, evaluate_gait, simulate
-from worm_model.twin.offline.follow import replay_columns
+from worm_model.twin.offline_replay import replay_run
 
 
 def main() -> None:
@@ -33,7 +33,7 @@ def main() -> None:
     model.follow(model.start(), [0.1, 0.2], [-0.001, -0.002])
     length_change_of_command([0.0, 0.1], [0.0, -0.01], PAPER)
     samples = np.empty((2, dry_friction.SAMPLE_COLUMNS))
-    replay_columns(_recording(gait), PAPER)
+    replay_run(_recording(gait), PAPER)
     dry_friction.slide(0.01, np.zeros(2), worm_of(PAPER, FORWARD), ALIKE, ALIKE, samples)
 
 

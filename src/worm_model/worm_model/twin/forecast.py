@@ -9,19 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.gait import Gait
-from worm_model.parameters import Parameters
-from worm_model.simulation.actuation import effective_command, length_change_of_command
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import (
     GaitResult,
     Locomotion,
-    LocomotionState,
     SimulationError,
     evaluate_gait,
+    play_gait,
 )
-from worm_model.twin.core import Twin
-from worm_model.twin.track import power_at_rate
-from worm_model.twin.twin_state import TwinState
+from worm_model.twin.run_start import motion_of
+from worm_model.twin.twin import Twin, TwinState
 
 Array = NDArray[np.float64]
 
@@ -71,41 +68,19 @@ def _ahead(
     twin: Twin, state: TwinState, gait: Gait, horizon: float, figures: tuple[GaitResult, GaitResult]
 ) -> Forecast:
     parameters = twin.effective_parameters(state)
-    model = Locomotion(parameters, gait.direction)
-    motion, origin = _present(state, model, parameters)
+    m = state.record
+    start = motion_of(m) if m["moving"] else Locomotion(parameters, gait.direction).start()
     time: Array = np.arange(1, round(horizon / STEP_S) + 1, dtype=float) * STEP_S
-    changes, rates = _answer(motion.length_change, time, gait, parameters)
-    after, motions = model.follow(motion, motion.time + time, changes)
-    power = power_at_rate(motions.cable_force, motions.length_rate, rates, parameters)
+    motions = play_gait(gait, parameters, start, time)
+    origin = float(m["origin"]) + int(m["moved"]) * parameters.pitch
     return Forecast(
         robust=figures[0],
         nominal=figures[1],
         time=time,
         rear_position=origin + motions.x1,
         front_position=origin + motions.x2,
-        power=power,
-        energy=float(np.sum(power) * STEP_S),
-        grooves=gait.direction * (after.rear_groove - motion.rear_groove),
+        power=motions.power,
+        energy=float(motions.energy[-1]),
+        grooves=gait.direction * (int(motions.rear_groove[-1]) - start.rear_groove),
         groove_phase=groove_phase(parameters),
     )
-
-
-def _present(
-    state: TwinState, model: Locomotion, parameters: Parameters
-) -> tuple[LocomotionState, float]:
-    """The motion from which the gait would begin, and the tracker's position of its zero."""
-    if state.track is None:
-        return model.start(), state.run.origin
-    moved = state.anchors.grooves_at(state.track.stamp_ns)
-    return state.track.motion, state.run.origin + moved * parameters.pitch
-
-
-def _answer(
-    length_change: float, time: Array, gait: Gait, parameters: Parameters
-) -> tuple[Array, Array]:
-    """ΔL in m and its rate in m/s at the times, the command beginning at 0 from the present length."""
-    command = np.array([gait.command(moment) for moment in time.tolist()])
-    times, commands = np.concatenate([[0.0], time]), np.concatenate([[0.0], command])
-    changes = length_change_of_command(times, commands, parameters, length_change)[1:]
-    target = parameters.gain * effective_command(command, parameters.slack)
-    return changes, (target - changes) / parameters.time_constant

@@ -24,9 +24,8 @@ import numpy as np
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.simulation.simulator import SimulationError, evaluate_gait, simulate
-from worm_model.twin.anchors import Cycle
+from worm_model.twin.core.memory import PHASES
 
-PHASES = 200  # of a cycle at which both predictions are kept
 TRANSIENT = 6  # cycles before the predicted one
 MARGIN_STEP = 0.0005  # m
 MOST_MARGIN = 0.02  # m
@@ -100,60 +99,38 @@ def _steady_power(gait: Gait, parameters: Parameters) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class PowerWatch:
-    """Sums of the running cycle and the scores of those before, each with its cycle's number.
+class PowerScores:
+    """The scores of the last cycles, each with its cycle's number.
 
     ``told`` are the cycles among them that an alarm was raised for; ``missed`` counts the alarms.
     """
 
-    cycle: int = 1
-    projection: float = 0.0
-    norm: float = 0.0
-    samples: int = 0
     scores: tuple[tuple[int, float], ...] = ()
     told: frozenset[int] = frozenset()
     missed: int = 0
 
 
-def observe_power(
-    watch: PowerWatch, cycle: Cycle, power: float, pair: Hypotheses
-) -> tuple[PowerWatch, str]:
-    """(watch, alarm or nothing) with a power sample (W) in a cycle."""
-    text = ""
-    if cycle.number > watch.cycle:
-        watch, text = close_watch(watch, cycle.number, pair)
-    if math.isnan(cycle.phase):
-        return watch, text
-    k = min(int(cycle.phase * PHASES), PHASES - 1)
-    difference = pair.difference[k]
-    watch = replace(
-        watch,
-        projection=watch.projection + (power - pair.expected[k]) * difference,
-        norm=watch.norm + difference * difference,
-        samples=watch.samples + 1,
-    )
-    return watch, text
+def close_cycle(
+    before: PowerScores, cycle: int, power: np.ndarray, count: np.ndarray, pair: Hypotheses
+) -> tuple[PowerScores, list[tuple[int, float]]]:
+    """(the scores, cycles whose power is newly told to be that of a miss, with its probability) once a cycle is over.
 
-
-def close_watch(watch: PowerWatch, next_cycle: int, pair: Hypotheses) -> tuple[PowerWatch, str]:
-    """(watch, alarm or nothing) once the watch's cycle is over and another one has begun."""
-    ended = PowerWatch(next_cycle, scores=watch.scores, told=watch.told, missed=watch.missed)
-    if watch.cycle < FIRST_CYCLE or watch.samples < FEWEST_SAMPLES or watch.norm == 0.0:
-        return ended, ""
-    scores = (*watch.scores, (watch.cycle, watch.projection / watch.norm))[-REMEMBERED:]
+    ``power`` (PHASES,) is the sum of what was measured in W at each phase, ``count`` (PHASES,) of how many samples.
+    """
+    difference = np.array(pair.difference)
+    norm = float(np.sum(count * difference**2))
+    if cycle < FIRST_CYCLE or count.sum() < FEWEST_SAMPLES or norm == 0.0:
+        return before, []
+    projection = float(np.sum((power - count * np.array(pair.expected)) * difference))
+    scores = (*before.scores, (cycle, projection / norm))[-REMEMBERED:]
     probable = miss_probabilities([score for _, score in scores], pair.difference_rms)
-    found = {
-        cycle: probability
-        for (cycle, _), probability in zip(scores, probable, strict=True)
-        if probability > ALARM and cycle not in watch.told
-    }
-    told = (watch.told | set(found)) & {cycle for cycle, _ in scores}
-    ended = replace(ended, scores=scores, told=told, missed=watch.missed + len(found))
-    texts = [
-        f"cycle {cycle}: its power is that of a missed groove (probability {100 * probability:.0f} %)"
-        for cycle, probability in found.items()
+    found = [
+        (number, probability)
+        for (number, _), probability in zip(scores, probable, strict=True)
+        if probability > ALARM and number not in before.told
     ]
-    return ended, "; ".join(texts)
+    told = (before.told | {number for number, _ in found}) & {number for number, _ in scores}
+    return PowerScores(scores, told, before.missed + len(found)), found
 
 
 def miss_probabilities(scores: Sequence[float], difference_rms: float) -> list[float]:

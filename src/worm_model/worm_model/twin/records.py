@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes into the twin and what comes out of it: frozen records, stamps in integer nanoseconds.
+"""What comes out of the twin: records and their rows, stamps in integer nanoseconds.
 
-Field by field the outputs are the messages TwinState, TwinResiduals and BodyLength of worm_msgs; the
-node and the offline replay convert them, the core knows no ROS.
+Field by field they are the messages TwinState, TwinResiduals and TwinEvent of worm_msgs; the node and the offline
+replay convert them, the core knows no ROS.
 """
 
 from __future__ import annotations
 
 import enum
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import get_type_hints
 
-from worm_model.gait import Gait
+import numpy as np
 
 NANOSECONDS = 1_000_000_000
 
@@ -50,52 +53,6 @@ class Health(enum.IntEnum):
 
 
 @dataclass(frozen=True)
-class CommandedLength:
-    """``length_change``: u_cmd in m, contraction negative."""
-
-    stamp_ns: int
-    length_change: float
-
-
-@dataclass(frozen=True)
-class MeasuredLength:
-    """``length``: realised body length L in m, as an instrument sees it."""
-
-    stamp_ns: int
-    length: float
-
-
-@dataclass(frozen=True)
-class TrackerSample:
-    """Module positions in m in the tracker's frame; NaN where a marker is hidden."""
-
-    stamp_ns: int
-    rear_position: float
-    front_position: float
-
-
-@dataclass(frozen=True)
-class PowerSample:
-    """``power`` in W; NaN where the sensor gave none."""
-
-    stamp_ns: int
-    power: float
-
-
-@dataclass(frozen=True)
-class GaitSample:
-    """What the driver does from a stamp on; ``onset_ns`` is 0 before it is known, ``gait`` None when there is none."""
-
-    stamp_ns: int
-    activity: Activity
-    gait: Gait | None = None
-    onset_ns: int = 0
-
-
-Sample = CommandedLength | MeasuredLength | TrackerSample | PowerSample | GaitSample
-
-
-@dataclass(frozen=True)
 class StateRecord:
     """The message TwinState: positions in the tracker's frame, SI."""
 
@@ -120,6 +77,15 @@ class StateRecord:
     energy: float
 
 
+def row_type(record: type, more: Mapping[str, type] | None = None) -> np.dtype[np.void]:
+    """The numeric fields of a kind of record as a structured type: int64 where one is a whole number, else float64."""
+    fields = {name: kind for name, kind in get_type_hints(record).items() if kind is not str}
+    fields |= more or {}
+    return np.dtype(
+        [(n, np.int64 if issubclass(k, int) else np.float64) for n, k in fields.items()]
+    )
+
+
 @dataclass(frozen=True)
 class ResidualRecord:
     """The message TwinResiduals: measured minus predicted, NaN where there is no measurement."""
@@ -136,17 +102,8 @@ class ResidualRecord:
     message: str
 
 
-@dataclass(frozen=True)
-class LengthRecord:
-    """The message BodyLength with source ESTIMATED, m."""
-
-    stamp_ns: int
-    length: float
-    length_change: float
-
-
 class Severity(enum.IntEnum):
-    """Of a notice."""
+    """Of an event."""
 
     INFO = 0
     WARNING = 1
@@ -154,19 +111,33 @@ class Severity(enum.IntEnum):
 
 
 @dataclass(frozen=True)
-class Notice:
-    """Something that the operator should read."""
+class Event:
+    """The message TwinEvent: something that the operator should read.
+
+    ``code`` is one of those of TwinEvent, or empty for what is only worth a word; ``cycle`` and ``run`` are 0 where
+    they do not apply, ``probability`` is NaN where none was computed.
+    """
 
     stamp_ns: int
     severity: Severity
     text: str
+    code: str = ""
+    cycle: int = 0
+    run: int = 0
+    probability: float = math.nan
 
 
-@dataclass(frozen=True)
-class Output:
-    """What one step of the twin yields, each in stamp order."""
-
-    states: tuple[StateRecord, ...] = ()
-    residuals: tuple[ResidualRecord, ...] = ()
-    lengths: tuple[LengthRecord, ...] = ()
-    notices: tuple[Notice, ...] = ()
+STATE_ROW = row_type(StateRecord)
+#: a residual with its channels' sizes (in usual ones, NaN without a say) and levels, and the number of the warning
+RESIDUAL_ROW = row_type(
+    ResidualRecord,
+    {
+        "position_size": float,
+        "length_size": float,
+        "power_size": float,
+        "position_level": int,
+        "length_level": int,
+        "power_level": int,
+        "warning": int,
+    },
+)

@@ -18,6 +18,12 @@ def _row(default: float, low: float, high: float, text: str) -> float:
 class TwinSettings:
     """How the twin takes its samples; times in s, lengths in m, powers in W. Raises ValueError out of range."""
 
+    delay_s: float = _row(
+        0.25,
+        0.02,
+        2.0,
+        "samples are taken in order once they are this old; what comes later is left",
+    )
     measured_stale_s: float = _row(
         0.2, 0.01, 10.0, "a measured length older than this against the command no longer drives"
     )
@@ -32,9 +38,6 @@ class TwinSettings:
     )
     jump_ahead_s: float = _row(
         60.0, 1.0, 86400.0, "samples that agree on being ahead by more than this mean a clock jump"
-    )
-    start_hold_s: float = _row(
-        0.05, 0.0, 1.0, "while the driver rests before a gait, the twin runs this far behind"
     )
     # Below the driver's 10 ms by more than its jitter, so that each of its lengths yields a state.
     output_period_s: float = _row(

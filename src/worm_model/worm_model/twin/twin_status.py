@@ -6,12 +6,13 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass
+from typing import Any
 
-from worm_model.twin.records import Health
-from worm_model.twin.residuals import health
-from worm_model.twin.streams import Verdict
-from worm_model.twin.twin_state import TwinState
+from worm_model.twin.health_words import COMPLAINTS, residual_message
+from worm_model.twin.records import NANOSECONDS, Health, LengthSource
+from worm_model.twin.twin import TwinState
 
+SAYS_S = 5.0  # after which residuals say nothing of the present any more
 SILENT_S = 2.0  # without any input, after which health says nothing of the present
 
 
@@ -40,29 +41,33 @@ _LEVELS = {
 }
 
 
-def report(state: TwinState, silent_s: float = 0.0) -> Report:
-    """The twin's health and the figures behind it, ``silent_s`` after its newest sample came."""
-    found, message = health(state.monitor, state.streams.now_ns)
-    level = _LEVELS[found]
+def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
+    """The twin's health and the figures behind it.
+
+    ``newest`` is its last row of residuals, None before the first; ``silent_s`` how long ago its newest sample came.
+    """
+    m, now = state.record, state.now_ns
+    health = Health.UNKNOWN
+    if newest is not None and now - newest["stamp_ns"] <= SAYS_S * NANOSECONDS:
+        health = Health(int(newest["health"]))
+    message = residual_message(newest, state.warnings) if health > Health.HEALTHY else ""
+    level = _LEVELS[health]
     if silent_s > SILENT_S:
         level, message = Level.WARN, f"no input for {silent_s:.0f} s: is the driver running?"
     elif not message:
-        message = "no length yet" if state.track is None else _sentence(found)
-    counts = state.streams.counts
-    source = "none" if state.track is None else state.track.rows[-1].knot.source.name.lower()
+        message = _sentence(health) if m["moving"] else "no length yet"
     values = [
-        ("length source", source),
-        ("run", "running" if state.run.active else "none"),
-        ("initial length (m)", f"{state.run.initial_length:.5f}"),
-        ("grooves missed", str(state.anchors.missed)),
-        ("grooves missed by power", str(state.watch.missed)),
-        ("grooves gained", str(state.anchors.extra)),
+        ("length source", LengthSource(int(m["source"])).name.lower() if m["moving"] else "none"),
+        ("run", "running" if state.is_running else "none"),
+        ("initial length (m)", f"{state.initial_length:.5f}"),
+        ("grooves missed", str(state.history.missed)),
+        ("grooves missed by power", str(state.history.power.missed)),
+        ("grooves gained", str(state.history.extra)),
     ]
-    values += [(f"samples {verdict.value}", str(counts.get(verdict, 0))) for verdict in Verdict]
-    values += [
-        (f"{name} residual (usual ones)", f"{math.sqrt(channel.mean_square):.2f}")
-        for name, channel in sorted(state.monitor.channels.items())
-    ]
+    values += [(f"samples {name}", str(count)) for name, count in state.counts.items()]
+    for name in COMPLAINTS:
+        if newest is not None and math.isfinite(newest[f"{name}_size"]):
+            values.append((f"{name} residual (usual ones)", f"{newest[f'{name}_size']:.2f}"))
     return Report(level, message, tuple(values))
 
 

@@ -263,15 +263,10 @@ def _cut_replay(replay: Replay, run: Run) -> Replay:
         rows = (series["stamp_ns"] >= start) & (series["stamp_ns"] <= end)
         return {name: column[rows] for name, column in series.items()}
 
-    stamps = replay.residuals["stamp_ns"].tolist()
-    return Replay(
+    return replace(
+        replay,
         states=cut(replay.states),
         residuals=cut(replay.residuals),
-        messages=tuple(
-            text
-            for stamp, text in zip(stamps, replay.messages, strict=True)
-            if start <= stamp <= end
-        ),
         lengths=cut(replay.lengths),
         notices=tuple(notice for notice in replay.notices if start <= notice.stamp_ns <= end),
     )

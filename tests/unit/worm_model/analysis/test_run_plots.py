@@ -36,15 +36,15 @@ def true_power(stamp):
     return trajectory.at(np.clip(time, 0.0, 3 * GAIT.period)).power, (time > 0.2) & (time < 7.0)
 
 
-def test_settled_power_lacks_the_noise_of_the_provisional_one(followed):
+def test_the_power_in_the_states_is_as_good_as_that_beside_the_sensor(followed):
+    """Both come once the lengths about them are known; what is left is the camera's noise of 0.1 mm."""
     run, replay = followed
     stamp, settled = settled_power(run, replay)
     true, moving = true_power(stamp)
-    error = np.std((settled - true)[moving])
-    true, moving = true_power(replay.states["stamp_ns"])
-    provisional = np.std((replay.states["power"] - true)[moving])
     assert np.count_nonzero(moving) > 100
-    assert error < 0.6 * provisional
+    assert np.std((settled - true)[moving]) < 0.4
+    true, moving = true_power(replay.states["stamp_ns"])
+    assert np.std((replay.states["power"] - true)[moving]) < 0.4
 
 
 def test_settled_power_pairs_each_sample_with_its_own_residual(followed):

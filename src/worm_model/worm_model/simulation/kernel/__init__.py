@@ -13,6 +13,7 @@ import hashlib
 import importlib
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numba
@@ -20,10 +21,13 @@ import numba
 SOURCES = sorted(Path(__file__).parent.glob("[!_]*.py"))
 
 
-def cache_directory() -> Path:
-    """Where compiled code is kept: NUMBA_CACHE_DIR, else the user's cache, else the temporary directory."""
+def cache_directory(more: Sequence[Path] = ()) -> Path:
+    """Where code compiled from these sources and more is kept.
+
+    That is NUMBA_CACHE_DIR, else the user's cache, else the temporary directory.
+    """
     digest = hashlib.sha256()
-    for source in (Path(__file__), *SOURCES):
+    for source in (Path(__file__), *SOURCES, *more):
         digest.update(source.read_bytes())
     home = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
     base = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(home) / "worm_model")
@@ -41,14 +45,17 @@ def cache_directory() -> Path:
     )
 
 
-def _load() -> None:
+def load_compiled(package: str, folder: Path) -> None:
+    """Imports the modules of a package in a folder whose compiled code builds on the kernel, and is kept with it."""
+    sources = sorted(folder.glob("[!_]*.py"))
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_directory())
+    own = folder == Path(__file__).parent
+    numba.config.CACHE_DIR = str(cache_directory(() if own else sources))
     try:
-        for source in SOURCES:
-            importlib.import_module(f"{__name__}.{source.stem}")
+        for source in sources:
+            importlib.import_module(f"{package}.{source.stem}")
     finally:
         numba.config.CACHE_DIR = before
 
 
-_load()
+load_compiled(__name__, Path(__file__).parent)

@@ -7,13 +7,21 @@ import math
 
 import numpy as np
 
+from worm_model.simulation.kernel.actuation_law import (
+    Actuator,
+    answer_to_line,
+    answer_to_sinusoid,
+    value_at,
+)
 from worm_model.simulation.kernel.compiled import compiled, entry, inlined, unlocked
 from worm_model.simulation.kernel.linear import Coefficients, Wave
 from worm_model.simulation.kernel.march import (
     CHATTER,
     LEDGER_SIZE,
     SAMPLE_COLUMNS,
+    SAMPLED,
     SWITCHES,
+    TIME,
     WORK_DONE,
     Segment,
     march,
@@ -76,47 +84,54 @@ def start_motion(c: Constants, length_rate: float) -> Motion:
 
 
 @inlined
-def _clipped_segment(
-    start: float, end: float, length_change: float, p: np.ndarray, mass: float
-) -> Segment:
-    """ΔL relaxes to −K·δ_s while the command is within the slack."""
-    rest = -p[GAIN] * p[SLACK]
-    form = Coefficients(rest, 0.0, 0.0, 0.0, 0.0, 0.0, length_change - rest, 0.0, 0.0, 0.0)
-    return Segment(start, end - start, form, Wave(mass, 0.0, -1.0 / p[TIME_CONSTANT]))
+def actuator_of(p: np.ndarray) -> Actuator:
+    """K, δ_s and τ of a parameter row."""
+    return Actuator(p[GAIN], p[SLACK], p[TIME_CONSTANT])
 
 
-@inlined
-def _open_segment(
-    start: float,
-    end: float,
-    phase: float,
-    length_change: float,
+@compiled
+def play(
+    first: float,
+    last: float,
     stroke: float,
-    p: np.ndarray,
-    omega: float,
-    mass: float,
-) -> Segment:
-    """ΔL follows the sinusoid, whose phase at the start of the segment is given."""
-    lag = omega * p[TIME_CONSTANT]
-    amplitude = 0.5 * p[GAIN] * stroke / (1.0 + lag * lag)
-    # amplitude·(cos(ωt) + lag·sin(ωt)), ωt = phase + ωσ
-    cos = amplitude * (math.cos(phase) + lag * math.sin(phase))
-    sin = amplitude * (lag * math.cos(phase) - math.sin(phase))
-    mean = -0.5 * p[GAIN] * stroke
-    form = Coefficients(mean, 0.0, 0.0, 0.0, cos, sin, length_change - mean - cos, 0.0, 0.0, 0.0)
-    return Segment(start, end - start, form, Wave(mass, omega, -1.0 / p[TIME_CONSTANT]))
+    frequency: float,
+    length_change: float,
+    motion: Motion,
+    c: Constants,
+    a: Actuator,
+    ledger: np.ndarray,
+    samples: np.ndarray,
+    events: np.ndarray,
+) -> tuple[float, Motion]:
+    """Plays a gait from ``first`` to ``last`` in s since its onset; returns (ΔL in m, the motion) at the end.
 
-
-@inlined
-def _end_value(segment: Segment) -> float:
-    form, wave = segment.length_change, segment.wave
-    angle = wave.omega * segment.duration
-    return (
-        form.one
-        + form.cos * math.cos(angle)
-        + form.sin * math.sin(angle)
-        + form.exp * math.exp(wave.q * segment.duration)
-    )
+    ``length_change`` is ΔL at the start; the arrays are those of `march`. Within a cycle the command leaves the
+    slack at the phase arccos(1 − 2·δ_s/S) and comes back to it as long before the end.
+    """
+    period = 1.0 / frequency
+    opening = 0.5 * period
+    if stroke > a.slack:
+        opening = math.acos(1.0 - 2.0 * a.slack / stroke) / (2.0 * math.pi * frequency)
+    start, cycle = first, math.floor(first * frequency + 1e-9)
+    while start < last and ledger[CHATTER] == 0.0:
+        begin = cycle * period
+        borders = (begin + opening, begin + period - opening, begin + period)
+        for part in range(3):
+            end = min(borders[part], last)
+            if end <= start or ledger[CHATTER] != 0.0:
+                continue
+            omega = 2.0 * math.pi * frequency if part == 1 else 0.0
+            if part == 1:
+                phase = omega * (start - begin)
+                form = answer_to_sinusoid(length_change, stroke, omega, phase, a)
+            else:
+                form = answer_to_line(length_change, -a.gain * a.slack, 0.0, a)
+            segment = Segment(start, end - start, form, Wave(c.mass, omega, -1.0 / a.time_constant))
+            motion = march(segment, motion, c, ledger, samples, events)
+            length_change = value_at(form, end - start, omega, a.time_constant)
+            start = end
+        cycle += 1
+    return length_change, motion
 
 
 @entry
@@ -137,39 +152,16 @@ def run_gait(
     ``boundaries`` (cycles + 1, 2) receives x1 in m and the cable work so far in J at the start of each
     cycle and at the end; the other arrays are those of `march`.
     """
-    c = constants_of(p, direction, margin)
-    period = 1.0 / frequency
-    omega = 2.0 * math.pi * frequency
-    opening = math.acos(max(-1.0, 1.0 - 2.0 * p[SLACK] / stroke)) / omega
-    clipped_throughout = stroke <= p[SLACK]
-    if clipped_throughout:
-        opening = 0.5 * period
+    c, a = constants_of(p, direction, margin), actuator_of(p)
     motion = start_motion(c, -p[GAIN] * p[SLACK] / p[TIME_CONSTANT])
-    length_change = 0.0
+    length_change, period = 0.0, 1.0 / frequency
     boundaries[0, 0] = boundaries[0, 1] = 0.0
     for cycle in range(cycles):
-        start = cycle * period
-        segment = _clipped_segment(start, start + opening, length_change, p, c.mass)
-        motion = march(segment, motion, c, ledger, samples, events)
-        length_change = _end_value(segment)
-        if not clipped_throughout:
-            opened = _open_segment(
-                start + opening,
-                start + period - opening,
-                omega * opening,
-                length_change,
-                stroke,
-                p,
-                omega,
-                c.mass,
-            )
-            motion = march(opened, motion, c, ledger, samples, events)
-            length_change = _end_value(opened)
-        segment = _clipped_segment(
-            start + period - opening, start + period, length_change, p, c.mass
+        first = cycle * period
+        last = first + period
+        length_change, motion = play(
+            first, last, stroke, frequency, length_change, motion, c, a, ledger, samples, events
         )
-        motion = march(segment, motion, c, ledger, samples, events)
-        length_change = _end_value(segment)
         if ledger[CHATTER] != 0.0:
             return
         boundaries[cycle + 1, 0] = motion.y - c.mu * length_change
@@ -269,4 +261,34 @@ def run_sampled(
         motion = march(segment, motion, c, ledger, samples, events)
         if ledger[CHATTER] != 0.0:
             break
+    return motion
+
+
+@compiled
+def step(
+    segment: Segment, motion: Motion, c: Constants, ledger: np.ndarray, sample: np.ndarray
+) -> Motion:
+    """The motion at a segment's end, which ``sample`` (1, SAMPLE_COLUMNS) describes; see `march`."""
+    ledger[SAMPLED] = 0.0
+    sample[0, TIME] = segment.start + segment.duration
+    return march(segment, motion, c, ledger, sample, sample[:0])
+
+
+@entry
+def play_on(
+    stroke: float,
+    frequency: float,
+    p: np.ndarray,
+    c: Constants,
+    length_change: float,
+    motion: Motion,
+    ledger: np.ndarray,
+    samples: np.ndarray,
+) -> Motion:
+    """Plays a gait that begins at time 0 with a motion and ΔL (m), up to the last row's time of ``samples``."""
+    last = samples[samples.shape[0] - 1, TIME]
+    a = actuator_of(p)
+    _, motion = play(
+        0.0, last, stroke, frequency, length_change, motion, c, a, ledger, samples, samples[:0]
+    )
     return motion

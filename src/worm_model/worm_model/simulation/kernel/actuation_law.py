@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The actuation law: slack clip (eq:slack_clip) and first-order lag (eq:first_order_actuation), exact.
+
+Every user of the law has it from here: the gait's own sinusoid, sampled commands (straight lines between samples),
+fits, the twin and what-if. The effective command min(u_cmd, −δ_s) is a constant, a line or a sinusoid between the
+moments at which the command crosses −δ_s, which are located exactly; in between ΔL has a closed form, that of
+τ·d(ΔL)/dt + ΔL = K·u_eff.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from worm_model.simulation.kernel.compiled import compiled, inlined, unlocked
+from worm_model.simulation.kernel.linear import Coefficients
+
+
+class Actuator(NamedTuple):
+    """K in 1, δ_s in m, τ in s."""
+
+    gain: float
+    slack: float
+    time_constant: float
+
+
+@inlined
+def effective(command: float, a: Actuator) -> float:
+    """K·u_eff in m, towards which ΔL moves."""
+    return a.gain * min(command, -a.slack)
+
+
+@inlined
+def answer_to_line(length_change: float, target: float, slope: float, a: Actuator) -> Coefficients:
+    """ΔL (m) from its value on while its target moves along a straight line with a slope in m/s.
+
+    The answer to a ramp lags it by τ·slope; what is left of that decays.
+    """
+    behind = target - a.time_constant * slope
+    return Coefficients(behind, slope, 0.0, 0.0, 0.0, 0.0, length_change - behind, 0.0, 0.0, 0.0)
+
+
+@inlined
+def answer_to_sinusoid(
+    length_change: float, stroke: float, omega: float, phase: float, a: Actuator
+) -> Coefficients:
+    """ΔL (m) from its value on under u_cmd = −S/2·(1 − cos(phase + ωσ)), beyond the slack."""
+    lag = omega * a.time_constant
+    amplitude = 0.5 * a.gain * stroke / (1.0 + lag * lag)
+    # amplitude·(cos(ωt) + lag·sin(ωt)), ωt = phase + ωσ
+    cos = amplitude * (math.cos(phase) + lag * math.sin(phase))
+    sin = amplitude * (lag * math.cos(phase) - math.sin(phase))
+    mean = -0.5 * a.gain * stroke
+    rest = length_change - mean - cos
+    return Coefficients(mean, 0.0, 0.0, 0.0, cos, sin, rest, 0.0, 0.0, 0.0)
+
+
+@inlined
+def value_at(form: Coefficients, time: float, omega: float, time_constant: float) -> float:
+    """ΔL in m at a time in s after the form's start."""
+    wave = 0.0
+    if omega != 0.0:
+        wave = form.cos * math.cos(omega * time) + form.sin * math.sin(omega * time)
+    return form.one + form.t1 * time + wave + form.exp * math.exp(-time / time_constant)
+
+
+@inlined
+def crossing(start: float, end: float, a: Actuator) -> float:
+    """Share of the way at which a command that moves in a straight line crosses −δ_s; 1 if it does not."""
+    before, after = start + a.slack, end + a.slack
+    return before / (before - after) if before * after < 0.0 else 1.0
+
+
+@compiled
+def respond(length_change: float, start: float, end: float, duration: float, a: Actuator) -> float:
+    """ΔL in m after a command (m) has moved in a straight line from start to end in so many s."""
+    if duration <= 0.0:
+        return length_change
+    share = crossing(start, end, a)
+    if share < 1.0:
+        form = answer_to_line(
+            length_change,
+            effective(start, a),
+            (effective(-a.slack, a) - effective(start, a)) / (share * duration),
+            a,
+        )
+        length_change = value_at(form, share * duration, 0.0, a.time_constant)
+        duration, start = (1.0 - share) * duration, -a.slack
+    slope = (effective(end, a) - effective(start, a)) / duration
+    form = answer_to_line(length_change, effective(start, a), slope, a)
+    return value_at(form, duration, 0.0, a.time_constant)
+
+
+@unlocked
+def respond_at(
+    times: np.ndarray,
+    commands: np.ndarray,
+    engaged: float,
+    start: float,
+    a: Actuator,
+    at: np.ndarray,
+    response: np.ndarray,
+) -> None:
+    """Fills the ``response`` (m,) at the times ``at`` (m,) in s to commands (n,) in m at ``times`` (n,) in s, exact.
+
+    Both ascend; where two times are equal the command steps; it stays at its first and last value outside them.
+    ΔL is ``start`` until ``engaged`` (s), and answers from there on.
+    """
+    value, now, k = start, engaged, 0
+    while k < times.size and times[k] <= engaged:
+        k += 1
+    command = commands[max(k - 1, 0)]
+    if 0 < k < times.size:
+        share = (engaged - times[k - 1]) / (times[k] - times[k - 1])
+        command += share * (commands[k] - command)
+    for j in range(at.size):
+        while k < times.size and times[k] <= at[j]:
+            value = respond(value, command, commands[k], times[k] - now, a)
+            now, command = times[k], commands[k]
+            k += 1
+        if at[j] <= now:
+            response[j] = value if at[j] >= engaged else start
+            continue
+        end = command
+        if k < times.size:
+            end += (at[j] - now) / (times[k] - now) * (commands[k] - command)
+        response[j] = respond(value, command, end, at[j] - now, a)

@@ -1,0 +1,466 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The twin goes from sample to sample: answer to the command, motion, power, residuals.
+
+Samples are taken in the order of their stamps, each ``delay_s`` plus the look-ahead behind the newest one. At each
+
+- the **answer** to the command (`worm_model.simulation.kernel.actuation_law`) comes to its stamp, exactly;
+- the **length that drives** does: measured lengths joined by straight lines, or, between two of them that are more
+  than ``measured_stale_s`` apart, the answer to the command; which of them is known by looking ahead;
+- the **motion** follows, exactly; no derivative of a measured length enters it;
+- **power** needs the length's rate (eq:Fc, eq:power_model): of measured lengths the slope of a parabola through those
+  within ± ``smoothing_s``, else, exact, that of the answer; energy is the trapezoid sum of power;
+- what an instrument says is **compared** (`judge`).
+
+Where no length is known ahead, the motion waits, and what instruments say then is compared with nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from worm_model.simulation.kernel.actuation_law import (
+    Actuator,
+    answer_to_line,
+    crossing,
+    effective,
+    respond,
+    value_at,
+)
+from worm_model.simulation.kernel.compiled import entry, unlocked
+from worm_model.simulation.kernel.linear import Coefficients, Wave
+from worm_model.simulation.kernel.march import (
+    CHATTER,
+    FORCE,
+    FRONT_FORCE,
+    LENGTH_RATE,
+    REAR_FORCE,
+    V1,
+    X1,
+    X2,
+    Segment,
+)
+from worm_model.simulation.kernel.mode import Constants, Motion, region_of
+from worm_model.simulation.kernel.whole_run import IDLE_POWER, POWER_FACTOR, step
+from worm_model.twin.core.intake import COMMAND, GAIT, JUMPED_BACK, LENGTH, POSITION, QUIET, admit
+from worm_model.twin.core.judging import judge
+from worm_model.twin.core.memory import NANOSECONDS, Memory, Rows, Rules
+
+SECOND = 1e-9  # of a nanosecond
+MOVED_M = 1e-6  # beyond which a command has left 0
+FEWEST_LENGTHS = 4  # in a window; a parabola through three would follow the noise
+ESTIMATED, MEASURED = 2, 3  # as in `worm_model.twin.records.LengthSource`
+
+# Why Python is asked
+DONE, WENT_BACK, WENT_AHEAD, WORD, CYCLE, BEGINS, PAUSE, GAVE_UP, TRACKER_MOVED = range(9)
+
+
+@entry
+def begins(rows: np.ndarray, k: int) -> bool:
+    """Whether a row is the onset of a run, beyond which nothing looks."""
+    return rows[k].kind == GAIT and rows[k].onset == rows[k].stamp
+
+
+@entry
+def next_of(memory: Memory, kind: int, until: int) -> int:
+    """The first row of a kind after the one that is being taken, up to a stamp; −1 if there is none."""
+    m, rows = memory.record[0], memory.rows
+    k = m.place + 1
+    while k < m.filled and rows[k].stamp <= until and not begins(rows, k):
+        if rows[k].kind == kind:
+            return k
+        k += 1
+    return -1
+
+
+@entry
+def _line(value: float, slope: float) -> Coefficients:
+    return Coefficients(value, slope, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@entry
+def _slope(memory: Memory, stamp: int, rules: Rules) -> float:
+    """Slope in m/s at a stamp of the parabola through the measured lengths about it.
+
+    Where the motion began counts as one of them. NaN if they are too few, or none is on one side: a parabola does
+    not extrapolate.
+    """
+    m, rows = memory.record[0], memory.rows
+    half = rules.smoothing
+    window = round(half * NANOSECONDS) + 1
+    k = m.place
+    while k > 0 and rows[k - 1].stamp >= max(stamp - window, m.track_ns):
+        k -= 1
+    n, earlier, later = 0, 0, 0
+    s1, s2, s3, s4, y0, y1, y2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    at_start = m.track_ns >= stamp - window
+    while at_start or (
+        k < m.filled and rows[k].stamp <= stamp + window and not (k > m.place and begins(rows, k))
+    ):
+        if at_start:
+            when, change = m.track_ns, m.track_change
+        else:
+            when, change = rows[k].stamp, rows[k].a - m.initial_length
+        if at_start or (rows[k].kind == LENGTH and when > m.track_ns):
+            t = (when - stamp) * SECOND / half
+            y = change - m.length_change
+            n += 1
+            earlier += 1 if when <= stamp else 0
+            later += 1 if when >= stamp else 0
+            s1 += t
+            s2 += t * t
+            s3 += t * t * t
+            s4 += t * t * t * t
+            y0 += y
+            y1 += t * y
+            y2 += t * t * y
+        k += 0 if at_start else 1
+        at_start = False
+    if n < FEWEST_LENGTHS or earlier == 0 or later == 0:
+        return math.nan
+    # Cramer's rule for the slope of the normal equations [n s1 s2; s1 s2 s3; s2 s3 s4].
+    determinant = n * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
+    if abs(determinant) < 1e-9 * n * n * n:
+        return math.nan
+    slope = n * (y1 * s4 - s3 * y2) - y0 * (s1 * s4 - s2 * s3) + s2 * (s1 * y2 - y1 * s2)
+    return slope / determinant / half
+
+
+@entry
+def put_at_rest(
+    memory: Memory, stamp: int, length_change: float, source: int, c: Constants
+) -> None:
+    """The twin at rest in the pose of its run, at a stamp with ΔL in m."""
+    m = memory.record[0]
+    x1 = m.pose_x1
+    x2 = x1 + c.initial_length + length_change
+    m.moving, m.source, m.switched = 1, source, 0
+    m.on_estimate = 1 if source == ESTIMATED else 0
+    m.motion_ns = m.track_ns = m.power_ns = stamp
+    m.track_change = length_change
+    m.length_change, m.y, m.y_rate = length_change, x1 + c.mu * length_change, 0.0
+    m.rear_groove, m.front_groove = 0, m.pose_front
+    m.rear_region = region_of(x1, c.half_clearance)
+    m.front_region = region_of(x2 - m.pose_front * c.pitch, c.half_clearance)
+    m.power = m.energy = 0.0
+    _move(memory, _line(length_change, 0.0), SECOND, 0.0, c)
+
+
+@entry
+def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Constants) -> None:
+    """The motion after a duration (s) under a length; the kernel's sample tells of its end."""
+    m = memory.record[0]
+    motion = Motion(m.y, m.y_rate, m.rear_groove, m.front_groove, m.rear_region, m.front_region)
+    segment = Segment(0.0, duration, form, Wave(c.mass, 0.0, q))
+    motion = step(segment, motion, c, memory.ledger, memory.sample)
+    m.y, m.y_rate = motion.y, motion.rate
+    m.rear_groove, m.front_groove = motion.rear_groove, motion.front_groove
+    m.rear_region, m.front_region = motion.rear_region, motion.front_region
+
+
+@entry
+def _move_along(memory: Memory, stamp: int, knot: int, target: float, c: Constants) -> None:
+    """The motion at a stamp, ΔL moving in a straight line to a knot at its own stamp."""
+    m = memory.record[0]
+    duration = (stamp - m.motion_ns) * SECOND
+    if duration <= 0.0:
+        return
+    slope = (target - m.length_change) / ((knot - m.motion_ns) * SECOND)
+    form = Coefficients(m.length_change, slope, 0, 0, 0, 0, 0, 0, 0, 0)
+    _move(memory, form, duration, 0.0, c)
+    m.length_change = target if stamp == knot else m.length_change + slope * duration
+    m.motion_ns, m.on_estimate = stamp, 0
+
+
+@entry
+def _move_with_answer(
+    memory: Memory, stamp: int, start: float, end: float, before: float, c: Constants, a: Actuator
+) -> None:
+    """The motion at a stamp, ΔL being the answer to a command that moved from start to end (m), split at the clip."""
+    m = memory.record[0]
+    left = (stamp - m.motion_ns) * SECOND
+    if left <= 0.0:
+        return
+    q, value = -1.0 / a.time_constant, before
+    if not m.engaged:
+        _move(memory, _line(value, 0.0), left, 0.0, c)
+    else:
+        share = crossing(start, end, a)
+        for part in range(2):
+            last = end if part or share == 1.0 else -a.slack
+            duration = left if part or share == 1.0 else share * left
+            slope = (effective(last, a) - effective(start, a)) / duration
+            form = answer_to_line(value, effective(start, a), slope, a)
+            _move(memory, form, duration, q, c)
+            value = value_at(form, duration, 0.0, a.time_constant)
+            left, start = left - duration, last
+            if share == 1.0 or left <= 0.0:
+                break
+    m.length_change, m.motion_ns, m.on_estimate = m.answer, stamp, 1
+
+
+@entry
+def _answer(memory: Memory, stamp: int, command: float, a: Actuator) -> None:
+    """The answer to the command at a stamp, the command moving in a straight line to a value in m."""
+    m = memory.record[0]
+    if m.engaged:
+        duration = (stamp - m.command_ns) * SECOND
+        m.answer = respond(m.answer, m.command, command, duration, a)
+    m.command_ns, m.command = stamp, command
+
+
+@entry
+def drag_of(c: Constants) -> float:
+    """How F_c (N) depends on the length's rate (m/s) while all else stays; left out is the share of L̈ in M1·ẍ1."""
+    return c.bellows_damping + c.friction * c.mu
+
+
+@entry
+def _spend(
+    memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: np.ndarray
+) -> float:
+    """Power at a stamp that the motion has come to, with the energy up to it; returns the length's rate in m/s."""
+    m, sample = memory.record[0], memory.sample[0]
+    rate = math.nan if m.on_estimate else _slope(memory, stamp, rules)
+    if math.isnan(rate):
+        # Where measured lengths begin or end to drive, the line from one to the other length is no motion of the body.
+        known = m.engaged and (m.on_estimate or m.answered)
+        rate = sample[LENGTH_RATE]
+        if known:
+            rate = (effective(m.command, a) - m.answer) / a.time_constant
+    force = sample[FORCE] - drag_of(c) * (rate - sample[LENGTH_RATE])
+    power = p[IDLE_POWER] + p[POWER_FACTOR] * max(-force * rate, 0.0)
+    before = m.power if stamp > m.track_ns else power
+    m.energy += 0.5 * (before + power) * (stamp - m.power_ns) * SECOND
+    m.power_ns, m.power = stamp, power
+    return rate
+
+
+@entry
+def publish(memory: Memory, rate: float, c: Constants, out: Rows) -> None:
+    """Adds a state where the motion stands; the length's rate in m/s."""
+    m, sample = memory.record[0], memory.sample[0]
+    row = out.states[out.counts[0]]
+    zero = m.origin + m.moved * c.pitch
+    front = math.ceil(c.initial_length / c.pitch - 0.5 - 1e-12)
+    y_rate = sample[V1] + c.mu * sample[LENGTH_RATE]
+    row.stamp_ns, row.length_source = m.motion_ns, m.source
+    row.initial_length = c.initial_length
+    row.groove_phase = c.initial_length - front * c.pitch
+    row.length, row.length_rate = c.initial_length + m.length_change, rate
+    row.rear_position, row.front_position = zero + sample[X1], zero + sample[X2]
+    row.rear_velocity = y_rate - c.mu * rate
+    row.front_velocity = y_rate + (1.0 - c.mu) * rate
+    row.rear_anchor = zero + m.rear_groove * c.pitch
+    row.front_anchor = zero + m.front_groove * c.pitch
+    row.rear_groove = m.rear_groove + m.moved
+    row.front_groove = m.front_groove - m.pose_front + m.moved
+    row.cable_force = sample[FORCE] - drag_of(c) * (rate - sample[LENGTH_RATE])
+    row.rear_fin_force, row.front_fin_force = sample[REAR_FORCE], sample[FRONT_FORCE]
+    row.power, row.energy = m.power, m.energy
+    out.counts[0] += 1
+    m.published_ns = m.motion_ns
+
+
+@entry
+def begin_track(
+    memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: np.ndarray, out: Rows
+) -> None:
+    """Puts the twin at rest at a stamp, the length being the answer to the command, and publishes it."""
+    m = memory.record[0]
+    put_at_rest(memory, stamp, m.answer, ESTIMATED, c)
+    publish(memory, _spend(memory, stamp, rules, c, a, p), c, out)
+
+
+@entry
+def _follow_command(memory: Memory, next_command: int, a: Actuator) -> None:
+    """The answer at the sample that is taken; `answered` says whether it came there."""
+    m, row = memory.record[0], memory.rows[memory.record[0].place]
+    m.answered = 1
+    if row.kind == COMMAND:
+        if not m.command_ns:
+            m.command_ns = row.stamp
+        _answer(memory, row.stamp, row.a, a)
+    elif m.command_ns and next_command >= 0:
+        after = memory.rows[next_command]
+        share = (row.stamp - m.command_ns) / (after.stamp - m.command_ns)
+        _answer(memory, row.stamp, m.command + share * (after.a - m.command), a)
+    else:
+        m.answered = 0
+
+
+@entry
+def _follow(
+    memory: Memory, rules: Rules, c: Constants, a: Actuator, p: np.ndarray, out: Rows
+) -> None:
+    """Answer and motion at the sample that is taken.
+
+    `answered` and `arrived` say whether they came there, `drives` whether it is a length that drives.
+    """
+    m, row = memory.record[0], memory.rows[memory.record[0].place]
+    stamp, until = row.stamp, row.stamp + rules.look_ahead
+    next_command = next_of(memory, COMMAND, until)
+    next_length = next_of(memory, LENGTH, until)
+    start, before = m.command, m.answer
+    _follow_command(memory, next_command, a)
+    fresh = next_length >= 0 and m.measured_ns > 0
+    fresh = fresh and memory.rows[next_length].stamp - m.measured_ns <= rules.stale
+    measured = row.kind == LENGTH
+    m.arrived = 1
+    m.drives = 1 if measured or (row.kind == COMMAND and not fresh) else 0
+    if measured:
+        m.measured_ns = stamp
+    if m.drives:
+        m.source = MEASURED if measured else ESTIMATED
+    if not m.moving:
+        m.arrived = m.drives
+        if m.drives:
+            length_change = row.a - m.initial_length if measured else m.answer
+            put_at_rest(memory, stamp, length_change, m.source, c)
+            publish(memory, _spend(memory, stamp, rules, c, a, p), c, out)
+    elif measured:
+        _move_along(memory, stamp, stamp, row.a - m.initial_length, c)
+    elif m.drives and not m.on_estimate:
+        _move_along(memory, stamp, stamp, m.answer, c)
+        m.on_estimate = 1
+    elif m.drives:
+        _move_with_answer(memory, stamp, start, m.command, before, c, a)
+    else:
+        first = next_length >= 0 and (fresh or not m.answered)
+        first = first or (0 <= next_length < next_command)
+        _follow_between(memory, start, before, next_length if first else -1, next_command, c, a)
+
+
+@entry
+def _follow_between(
+    memory: Memory,
+    start: float,
+    before: float,
+    next_length: int,
+    next_command: int,
+    c: Constants,
+    a: Actuator,
+) -> None:
+    """The motion at a sample that does not drive, on its way to the next one that does, as far as one is known.
+
+    ``next_length`` is the measured length that does, −1 if it is the answer to the command.
+    """
+    m, rows = memory.record[0], memory.rows
+    stamp = rows[m.place].stamp
+    if next_length >= 0:
+        after = rows[next_length]
+        _move_along(memory, stamp, after.stamp, after.a - m.initial_length, c)
+    elif not m.answered:
+        m.arrived = 0
+    elif m.on_estimate:
+        _move_with_answer(memory, stamp, start, m.command, before, c, a)
+    else:
+        after = rows[next_command]
+        duration = (after.stamp - stamp) * SECOND
+        target = m.answer
+        if m.engaged:
+            target = respond(m.answer, m.command, after.a, duration, a)
+        _move_along(memory, stamp, after.stamp, target, c)
+
+
+@entry
+def _leaves_zero(memory: Memory, rules: Rules) -> bool:
+    """Whether the command is about to leave 0 without any word of the driver."""
+    m = memory.record[0]
+    row = memory.rows[m.place]
+    if m.activity >= 0 or m.engaged or row.kind != COMMAND:
+        return False
+    k = next_of(memory, COMMAND, row.stamp + rules.look_ahead)
+    return row.a < -MOVED_M or (k >= 0 and memory.rows[k].a < -MOVED_M)
+
+
+@entry
+def _gap(memory: Memory, rules: Rules) -> bool:
+    """Whether the next length that drives comes after a pause; it is told once."""
+    m, row = memory.record[0], memory.rows[memory.record[0].place]
+    if not m.moving or row.stamp - m.motion_ns <= rules.pause - rules.look_ahead:
+        return False
+    stamp = row.stamp
+    if row.kind != LENGTH and row.kind != COMMAND:
+        until = row.stamp + rules.look_ahead
+        k = max(next_of(memory, COMMAND, until), next_of(memory, LENGTH, until))
+        if k < 0:
+            return False
+        stamp = memory.rows[k].stamp
+    if stamp - m.motion_ns <= rules.pause or m.paused_ns > m.motion_ns:
+        return False
+    m.event_value = (stamp - m.motion_ns) * SECOND
+    m.paused_ns = row.stamp
+    m.blind_s += m.event_value
+    return True
+
+
+@entry
+def _take_next(
+    memory: Memory, rules: Rules, c: Constants, a: Actuator, p: np.ndarray, out: Rows
+) -> int:
+    """Takes the next row, or says why Python is asked first."""
+    m, row = memory.record[0], memory.rows[memory.record[0].place]
+    if m.cycle_end_ns and row.stamp >= m.cycle_end_ns:
+        return CYCLE
+    if row.kind == GAIT:
+        m.taken_ns = row.stamp
+        return WORD
+    if _leaves_zero(memory, rules):
+        m.taken_ns = row.stamp
+        return BEGINS
+    if _gap(memory, rules):
+        return PAUSE
+    moving = m.moving
+    _follow(memory, rules, c, a, p, out)
+    if memory.ledger[CHATTER] != 0.0:
+        memory.ledger[CHATTER] = 0.0
+        put_at_rest(memory, row.stamp, m.length_change, m.source, c)
+        m.taken_ns = row.stamp
+        m.place += 1
+        return GAVE_UP
+    if row.kind == COMMAND and row.stamp - m.estimated_ns >= rules.period:
+        line = out.lengths[out.counts[2]]
+        line.stamp_ns, line.length_change = row.stamp, m.answer
+        line.length = c.initial_length + m.answer
+        out.counts[2] += 1
+        m.estimated_ns = row.stamp
+    if m.arrived and (m.drives or row.kind > POSITION):
+        rate = _spend(memory, row.stamp, rules, c, a, p)
+        if m.drives and moving and row.stamp - m.published_ns >= rules.period:
+            publish(memory, rate, c, out)
+    jumped = judge(memory, rules, c, out)
+    m.taken_ns = row.stamp
+    m.place += 1
+    return TRACKER_MOVED if jumped else DONE
+
+
+@unlocked
+def advance(
+    memory: Memory,
+    samples: np.ndarray,
+    first: int,
+    lag: int,
+    rules: Rules,
+    c: Constants,
+    a: Actuator,
+    p: np.ndarray,
+    out: Rows,
+) -> tuple[int, int]:
+    """Admits samples from the ``first`` on and takes those whose time has come, ``lag`` ns behind the newest.
+
+    Returns (why it stops, the sample to go on with).
+    """
+    m = memory.record[0]
+    while True:
+        while m.place < m.filled and memory.rows[m.place].stamp <= m.present - lag:
+            why = _take_next(memory, rules, c, a, p, out)
+            if why != DONE:
+                return why, first
+        if first == samples.shape[0]:
+            return DONE, first
+        said = admit(memory, samples[first : first + 1], rules)
+        first += 1
+        if said != QUIET:
+            return WENT_BACK if said == JUMPED_BACK else WENT_AHEAD, first

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples for the twin with names, as tests write them, and what the twin makes of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_model.gait import Gait
+from worm_model.twin.health_words import residual_message
+from worm_model.twin.records import Activity, Event
+from worm_model.twin.samples import SAMPLE, Kind
+from worm_model.twin.twin import Twin, TwinState
+
+
+@dataclass(frozen=True)
+class CommandedLength:
+    stamp_ns: int
+    length_change: float
+
+    def row(self) -> tuple:
+        return _row(self.stamp_ns, Kind.COMMAND, self.length_change)
+
+
+@dataclass(frozen=True)
+class MeasuredLength:
+    stamp_ns: int
+    length: float
+
+    def row(self) -> tuple:
+        return _row(self.stamp_ns, Kind.LENGTH, self.length)
+
+
+@dataclass(frozen=True)
+class TrackerSample:
+    stamp_ns: int
+    rear_position: float
+    front_position: float
+
+    def row(self) -> tuple:
+        return _row(self.stamp_ns, Kind.POSITION, self.rear_position, self.front_position)
+
+
+@dataclass(frozen=True)
+class PowerSample:
+    stamp_ns: int
+    power: float
+
+    def row(self) -> tuple:
+        return _row(self.stamp_ns, Kind.POWER, self.power)
+
+
+@dataclass(frozen=True)
+class GaitSample:
+    stamp_ns: int
+    activity: Activity
+    gait: Gait | None = None
+    onset_ns: int = 0
+    run: int = 0
+    cycle: int = 0
+
+    def row(self) -> tuple:
+        gait = (0.0, 0.0, 0.0, 0.0)
+        if self.gait is not None:
+            gait = (self.gait.stroke, self.gait.frequency, self.gait.direction, self.gait.margin)
+        told = (self.onset_ns, self.activity, self.run, self.cycle, self.stamp_ns)
+        return (self.stamp_ns, Kind.GAIT, *told, *gait)
+
+
+Sample = CommandedLength | MeasuredLength | TrackerSample | PowerSample | GaitSample
+
+
+def _row(stamp: int, kind: Kind, a: float, b: float = 0.0) -> tuple:
+    return (stamp, kind, 0, 0, 0, 0, stamp, a, b, 0.0, 0.0)
+
+
+def rows_of(samples: Sequence[Sample]) -> np.ndarray:
+    return np.array([sample.row() for sample in samples], SAMPLE)
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the twin said, in records with attributes; residuals have a ``message``."""
+
+    states: list
+    residuals: list
+    lengths: list
+    notices: list[Event]
+
+
+def follow(
+    samples: Sequence[Sample],
+    twin: Twin | None = None,
+    *,
+    chunk: int = 0,
+    state: TwinState | None = None,
+    end: bool = True,
+) -> Told:
+    """The samples through a twin, so many at a time (0: all at once), to the end."""
+    twin = twin or Twin()
+    state = state or twin.start()
+    rows = rows_of(samples)
+    chunk = chunk or max(len(rows), 1)
+    outputs = [twin.advance(state, rows[k : k + chunk]) for k in range(0, len(rows), chunk)]
+    if end:
+        outputs.append(twin.advance(state, rows[:0], to_the_end=True))
+    residuals = [
+        (row, residual_message(row, output.warnings))
+        for output in outputs
+        for row in output.residuals
+    ]
+    return Told(
+        states=[_Record(row) for output in outputs for row in output.states],
+        residuals=[_Record(row, message) for row, message in residuals],
+        lengths=[_Record(row) for output in outputs for row in output.lengths],
+        notices=[event for output in outputs for event in output.events],
+    )
+
+
+class _Record:
+    """A row with attributes; equal if every number is, to the bit."""
+
+    def __init__(self, row: np.void, message: str = "") -> None:
+        self._row, self.message = row.item(), message
+        self._names = row.dtype.names
+
+    def __getattr__(self, name: str) -> float:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return self._row[self._names.index(name)]
+
+    def __repr__(self) -> str:
+        return f"{self._row} {self.message}"
+
+    def __eq__(self, other: object) -> bool:
+        return repr(self) == repr(other)
+
+    def __hash__(self) -> int:
+        return hash(repr(self))
+
+
+def finite(values: Sequence[float]) -> list[float]:
+    """Those that are numbers."""
+    return [value for value in values if math.isfinite(value)]
