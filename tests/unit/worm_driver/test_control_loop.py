@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from worm_driver.clock import MachineClock
 from worm_driver.control.control_loop import ControlLoop, PeriodicThread, PowerLoop
 from worm_driver.errors import DriverError, LimitError, PowerSensorError
 from worm_driver.power.ina219 import PowerSample, SampleStatus
@@ -21,6 +22,7 @@ class NotingRobot:
 
     def __init__(self) -> None:
         self.cycles = 0
+        self.active = False
         self.until_rest = 5
         self.releasing = ""
         self.releases = 0
@@ -231,6 +233,43 @@ def test_a_periodic_thread_reports_its_timing():
     assert report.mean_period == pytest.approx(0.001, rel=0.5)
     assert report.missed >= 0
     assert thread.end(PATIENCE)
+
+
+class SteppedClock(MachineClock):
+    """Time that passes only where somebody waits, or says so."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def sleep_until(self, due: float) -> None:
+        self.now = max(self.now, due)
+
+
+@pytest.mark.parametrize(
+    ("active", "missed"), [((True, True), 9), ((False, True), 0), ((True, False), 0)]
+)
+def test_only_setting_up_and_letting_go_may_take_more_than_a_cycle(robot, active, missed):
+    """What takes 95 ms of a loop of 10 ms while the torque is on is late."""
+    clock = SteppedClock()
+    robot.settings = SimpleNamespace(period=0.01, real_time_priority=0)
+    robot.active, after = active
+    loop = ControlLoop(robot, lambda _: None, clock)
+
+    def long(now: float) -> None:
+        clock.now += 0.095
+        robot.active = after
+
+    loop.submit(long, patience=PATIENCE)
+    loop.start()
+    wait_for(lambda: loop.report().cycles >= 100)
+    loop.let_go()
+    assert loop.join(PATIENCE)
+    assert loop.report().missed == missed
+    assert (loop.report().max_error < 0.001) == (missed == 0)
 
 
 def test_a_bus_that_only_fails_is_opened_anew():

@@ -58,6 +58,11 @@ class PeriodicThread:
         self._meter = PeriodMeter(period)
         self._report = self._meter.report()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._excused = False
+
+    def excuse(self) -> None:
+        """In a step: that it takes time is meant to be, and counts as no missed deadline."""
+        self._excused = True
 
     def start(self) -> None:
         """Starts the thread."""
@@ -98,6 +103,9 @@ class PeriodicThread:
         due, going = grid.start, True
         while going and not self._ending.is_set():
             previous, due = due, grid.next_after(clock())
+            if self._excused:
+                self._excused, previous = False, due - period
+                self._meter.pause()
             clock.sleep_until(due)
             now = clock()
             self._meter.cycle(now, skipped=round((due - previous) / period) - 1)
@@ -222,11 +230,15 @@ class ControlLoop:
         if self._leaving:
             self._robot.begin_release(now, self._leaving)
             self._leaving = ""
-        self._serve(now)
+        before = self._robot.active
+        if self._serve(now) and not (before and self._robot.active):
+            self._thread.excuse()  # setting servos up, or letting go of them, takes many cycles
         self._on_snapshot(self._robot.cycle(now))
         return not (leaving and self._robot.released)
 
-    def _serve(self, now: float) -> None:
+    def _serve(self, now: float) -> bool:
+        """Carries the commands out; whether there was one."""
+        served = bool(self._commands)
         while self._commands:
             command = self._commands.popleft()
             if not command.answer.set_running_or_notify_cancel():
@@ -240,6 +252,7 @@ class ControlLoop:
                 command.answer.set_result(command.action(now))
             except Exception as error:  # noqa: BLE001 (the one who asked gets it)
                 command.answer.set_exception(error)
+        return served
 
     def _at_start(self) -> None:
         if self._clock.epoch_ns is not None:

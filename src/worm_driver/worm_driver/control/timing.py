@@ -64,6 +64,10 @@ class PeriodMeter:
                 self._periods.popleft()
         self._last = start
 
+    def pause(self) -> None:
+        """Notes that the time until the next cycle is no period."""
+        self._last = None
+
     def report(self) -> TimingReport:
         """The quality so far."""
         periods = tuple(self._periods)
