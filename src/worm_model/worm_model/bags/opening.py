@@ -12,12 +12,14 @@ from worm_model.bags.bag import Bag, Notify
 from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
 from worm_model.bags.bag_metadata import METADATA_FILE, read_metadata
 from worm_model.bags.mcap_storage import McapFile, McapStorage
+from worm_model.bags.message_types import PACKAGE
 from worm_model.bags.recorder import STATE, UNFINISHED
 from worm_model.bags.recovery import (
     SOURCE,
     SOURCE_SHA256,
     fingerprint,
     mcap_files,
+    named,
     open_files,
     recover,
     recovered_path,
@@ -28,7 +30,7 @@ from worm_model.bags.rosbags_storage import RosbagsStorage
 _log = logging.getLogger("worm_model.bags")
 
 
-def open_bag(path: Path, notify: Notify = _log.warning) -> Bag:
+def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None = None) -> Bag:
     """Open a bag for reading.
 
     A bag that was not closed (killed recorder, full disk, power cut) or is spoilt is recovered into a new one beside
@@ -37,10 +39,26 @@ def open_bag(path: Path, notify: Notify = _log.warning) -> Bag:
     Args:
         path: a rosbag2 directory, or one file of it (``.mcap``, ``.db3``).
         notify: told in one line when the bag had to be recovered, and what in it contradicts itself.
+        definitions: as `Bag.define` takes it.
 
     Raises:
-        BagError: it is missing, empty, foreign, damaged beyond recovery, or still being recorded.
+        BagError: it is missing, empty, foreign, damaged beyond recovery, or still being recorded; or the definitions
+            do not fit.
     """
+    if definitions is not None and not any(definitions.glob("*.msg")):
+        raise BagError(
+            f"{definitions} holds no .msg file; give the folder with those of {PACKAGE}, such as {PACKAGE}/msg"
+        )
+    bag = _open(path, notify)
+    try:
+        bag.define(definitions)
+    except BagError:
+        bag.close()
+        raise
+    return bag
+
+
+def _open(path: Path, notify: Notify) -> Bag:
     if not path.exists():
         raise BagError(f"{path} does not exist")
     if path.is_file():
@@ -109,12 +127,13 @@ def _open_mcap(path: Path, paths: Sequence[Path], notify: Notify) -> Bag:
 
 def _recovered(path: Path, notify: Notify) -> Bag:
     """The bag that an unclosed one was, or is now, recovered into."""
+    path = named(path)
     content = _content(path)
     number = 1
     while (target := recovered_path(path, number)).exists():
         if _is_recovery(target, path, content):
             notify(f"{path} was not closed; reading {target}, into which it was recovered before")
-            return open_bag(target, notify)
+            return _open(target, notify)
         number += 1
     try:
         report = recover(path, target)
@@ -126,7 +145,7 @@ def _recovered(path: Path, notify: Notify) -> Bag:
             f"recover it elsewhere: worm_model recover {path} --output FOLDER"
         ) from None
     notify(f"{path} was not closed, or is spoilt; recovered {report}")
-    return open_bag(target, notify)
+    return _open(target, notify)
 
 
 def _content(path: Path) -> str:

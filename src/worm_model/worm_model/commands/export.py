@@ -164,13 +164,14 @@ def _parser() -> Parser:
     parser.add_argument(
         "--topic", action="append", default=[], help="only this one; may be repeated"
     )
+    parser.add_definitions()
     parser.add_json()
     return parser
 
 
 def _export(options: argparse.Namespace) -> int:
     output = new_file(options.output)
-    with open_bag(options.bag, _NOTIFY) as bag:
+    with open_bag(options.bag, _NOTIFY, options.definitions) as bag:
         exported = export(bag, output, options.format, options.topic)
     for name, reason in exported.left_out.items():
         _NOTIFY(f"{name} is left out: {reason}")
