@@ -71,7 +71,11 @@ class ColumnBuilder:
             try:
                 self._add_channel(messages, rows, topic)
             except BagError as error:
-                hint = "" if topic.definition else f"; it carries none, {REMEDY}"
+                hint = (
+                    ""
+                    if topic.definition or not topic.type_name
+                    else f"; the bag carries none of it: {REMEDY}"
+                )
                 raise BagError(f"{topic.name}: {error}{hint}") from None
         self.count += len(messages)
 
@@ -144,7 +148,12 @@ class _Layout:
         self._numbers: dict[str, tuple[np.dtype[Any], int, int | None]] = {}
         self._texts: dict[str, tuple[int, int]] = {}
         self._words: list[int] = []  # offsets of lengths
-        self._walk(type_name, "")
+        try:
+            self._walk(type_name, "")
+        except RecursionError:
+            raise BagError(
+                "its definition contains itself, or a message is nested too deeply"
+            ) from None
         surplus = len(message) - self._position
         if surplus > PADDING_BYTES:
             raise BagError(f"a message is {surplus} bytes longer than its definition says")

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 from rosbags.interfaces import Nodetype
@@ -33,6 +34,7 @@ from worm_model.bags.message_block import Topic
 PACKAGE = "worm_msgs"
 SEPARATOR = "=" * 80
 REMEDY = "give the definitions that it was recorded with by --definitions FOLDER, or source that workspace"
+REASON_LENGTH = 200  # of a parser that repeats the whole definition
 _CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
 _UNREADABLE = (TypesysError, ValueError, KeyError, IndexError, RecursionError)
 
@@ -199,7 +201,7 @@ def typestore(type_name: str, definition: str, definition_format: str) -> Typest
     except DefinitionError:
         raise
     except (*_UNREADABLE, SyntaxError) as error:  # SyntaxError: of the code that rosbags makes
-        reason = " ".join(str(error).split())
+        reason = shorten(str(error), REASON_LENGTH, placeholder=" …")
         raise DefinitionError(f"the definition of {type_name} cannot be read: {reason}") from None
     return store
 
@@ -247,6 +249,8 @@ def with_definition(topic: Topic, definitions: Path | None = None) -> Topic:
     """
     if topic.definition:
         return topic
+    if not topic.type_name:
+        raise DefinitionError(f"{topic.name} tells neither its type nor a definition")
     installed = topic_of(topic.name, topic.type_name, definitions=definitions)
     if topic.type_hash not in ("", installed.type_hash):
         raise DefinitionError(

@@ -70,10 +70,10 @@ def _open(path: Path, notify: Notify) -> Bag:
     content = read_metadata(path)
     files = _named_files(path, content)
     if content.get("storage_identifier") != "mcap" or content.get("compression_mode"):
-        return _compared(Bag(path, RosbagsStorage(path), notify))
+        return _compared(Bag(path, RosbagsStorage(path), notify), files)
     if _is_unfinished(content):
         return _recovered(path, notify)
-    return _compared(_open_mcap(path, files, notify))
+    return _compared(_open_mcap(path, files, notify), files)
 
 
 def _open_without_metadata(path: Path, notify: Notify) -> Bag:
@@ -103,8 +103,11 @@ def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
     return [path / name for name in names]
 
 
-def _compared(bag: Bag) -> Bag:
-    """The bag; a difference to what its metadata.yaml declares is told."""
+def _compared(bag: Bag, files: Sequence[Path]) -> Bag:
+    """The bag; a difference to what its metadata.yaml declares, the files among it, is told."""
+    beside = sorted({file.name for file in bag.path.glob("*.mcap")} - {file.name for file in files})
+    if beside and files[0].parent == bag.path:  # not where the bag had to be recovered
+        bag.notify(f"{bag.path}: {', '.join(beside)} not read: {METADATA_FILE} names no such file")
     counts = {topic.name: topic.count for topic in bag.topics.values()}
     for topic, missing in undeclared(bag.path, counts):
         bag.notify(
