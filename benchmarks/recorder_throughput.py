@@ -86,6 +86,7 @@ def _load(rate: int, size: int) -> list[Row]:
     name = f"{rate} messages/s of {size} B, {rate * size / 1e6:.0f} MB/s"
     rate_recorded = recorded / SECONDS
     return [
+        Row(f"{name}: sent", f"{sent / SECONDS:.0f} messages/s", "", "what the load achieved"),
         Row(f"{name}: recorded", f"{rate_recorded:.0f} messages/s", "", f"over {SECONDS:.0f} s"),
         Row(
             f"{name}: missing", f"{sent - recorded} messages", "0", "sent less recorded, by number"

@@ -57,6 +57,8 @@ def test_everything_is_published_in_order_with_the_bags_time(
         [m.rear_position for m in trackers], RUN.tracker.rear_position, equal_nan=True
     )
     assert [m.power for m in powers] == RUN.power.power.tolist()
+    last = RUN.gait_state.stamp[-1]
+    probe.wait_for(lambda: states and stamp(states[-1]) == last, "the last state")
     assert states[-1].state == RUN.gait_state.state[-1]
     times = [clock(m) for m in clocks]
     assert times == sorted(times)
@@ -142,7 +144,8 @@ def test_a_bag_of_an_older_definition_is_played_in_the_installed_layout(
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
     with open_bag(bag) as opened:
         recorded = read_run(opened).gait_state
-    probe.wait_for(lambda: stamp(states[-1]) == recorded.stamp[-1], "the last state")
+    last = recorded.stamp[-1]
+    probe.wait_for(lambda: states and stamp(states[-1]) == last, "the last state")
     assert {m.run for m in states} == {0}
     assert {m.gait.stroke for m in states} <= set(recorded.stroke.tolist())
 

@@ -4,15 +4,19 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
+import numpy as np
+
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_metadata import METADATA_FILE as METADATA_FILE
+from worm_model.bags.cdr import check_length
 from worm_model.bags.message_block import Message, Messages, Topic
+from worm_model.bags.message_types import PACKAGE, with_definition
 
 Notify = Callable[[str], None]
 _log = logging.getLogger("worm_model.bags")
@@ -84,17 +88,40 @@ class Bag:
         self.notify = notify
         self._storage = storage
         self.channels = storage.channels
-        self.topics: dict[str, Topic] = {}
-        for channel in sorted(self.channels, key=lambda c: c.name):
-            known = self.topics.get(channel.name)
-            count = channel.count + (known.count if known else 0)
-            self.topics[channel.name] = replace(channel, count=count)
-        bare = [c.name for c in self.channels if c.count and not c.definition]
-        if bare:
-            notify(
-                f"{path}: {', '.join(bare)} carry no definition; the installed ones are taken, "
-                "if type hash and length of the messages allow it"
-            )
+        self.topics = _by_name(self.channels)
+        self._given: dict[Topic, Topic] = {}
+
+    def define(self, definitions: Path | None) -> None:
+        """Take definitions for topics that carry none, and tell which.
+
+        Args:
+            definitions: folder with the ``.msg`` files of worm_msgs as they were at the recording; None: what is
+                installed is taken later, for each topic that is decoded.
+
+        Raises:
+            BagError: what is in the folder is incomplete, or another type by its hash.
+        """
+        bare = [c for c in self.channels if c.count and not c.definition]
+        given = [c for c in bare if definitions and _is_defined(c, definitions)]
+        for channel in given:
+            defined = with_definition(channel, definitions)
+            self._given[replace(channel, count=0)] = replace(defined, count=0)
+        self.channels = tuple(
+            replace(self._given.get(replace(c, count=0), c), count=c.count) for c in self.channels
+        )
+        self.topics = _by_name(self.channels)
+        self._tell(given, f"those in {definitions} are taken")
+        rest = [c for c in bare if c not in given]
+        self._tell(
+            rest, "the installed ones are taken, if type hash and length of the messages allow it"
+        )
+        if definitions and not given:
+            self.notify(f"{self.path} has no use for {definitions}: {_why_useless(bare)}")
+
+    def _tell(self, channels: Sequence[Topic], what: str) -> None:
+        if channels:
+            names = ", ".join(channel.name for channel in channels)
+            self.notify(f"{self.path}: {names} carry no definition; {what}")
 
     def __enter__(self) -> Bag:
         return self
@@ -160,4 +187,36 @@ class Bag:
             raise BagError(
                 f"{self.path} has no topic {unknown[0]}; it has {', '.join(self.topics) or 'none'}"
             )
-        return self._storage.blocks(wanted) if wanted else iter(())
+        blocks = self._storage.blocks(wanted) if wanted else iter(())
+        return map(self._defined, blocks) if self._given else blocks
+
+    def _defined(self, block: Messages) -> Messages:
+        """The messages with the definitions that were given, which must fit."""
+        taken = np.array([channel in self._given for channel in block.channels], bool)
+        channels = tuple(self._given.get(channel, channel) for channel in block.channels)
+        defined = replace(block, channels=channels)
+        for message in defined.select(taken[block.channel]) if taken.any() else ():
+            check_length(message.channel, message.data)
+        return defined
+
+
+def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
+    """Topics by name, with the layout that was last and the messages of all."""
+    topics: dict[str, Topic] = {}
+    for channel in sorted(channels, key=lambda c: c.name):
+        known = topics.get(channel.name)
+        count = channel.count + (known.count if known else 0)
+        topics[channel.name] = replace(channel, count=count)
+    return topics
+
+
+def _is_defined(channel: Topic, definitions: Path) -> bool:
+    """Whether a folder of worm_msgs' definitions has that of a topic."""
+    package, _, kind = channel.type_name.partition("/msg/")
+    return package == PACKAGE and (definitions / f"{kind}.msg").is_file()
+
+
+def _why_useless(bare: Sequence[Topic]) -> str:
+    if not bare:
+        return "its topics carry their definitions"
+    return f"it has none of {', '.join(sorted({channel.type_name for channel in bare}))}"

@@ -22,8 +22,8 @@ from rosbags.serde import SerdeError
 from rosbags.typesys.store import Typestore
 
 from worm_model.bags.bag_errors import BagError, DefinitionError
-from worm_model.bags.message_block import Bytes, Integers, Messages, Topic
-from worm_model.bags.message_types import Types, parse_types, typestore, with_definition
+from worm_model.bags.message_block import Bytes, Integers, Message, Messages, Topic
+from worm_model.bags.message_types import REMEDY, Types, parse_types, typestore, with_definition
 
 HEADER_BYTES = 4
 PADDING_BYTES = 3  # that a middleware may append to a message
@@ -71,7 +71,12 @@ class ColumnBuilder:
             try:
                 self._add_channel(messages, rows, topic)
             except BagError as error:
-                raise BagError(f"{topic.name}: {error}") from None
+                hint = (
+                    ""
+                    if topic.definition or not topic.type_name
+                    else f"; the bag carries none of it: {REMEDY}"
+                )
+                raise BagError(f"{topic.name}: {error}{hint}") from None
         self.count += len(messages)
 
     def _add_channel(self, messages: Messages, waiting: Integers, topic: Topic) -> None:
@@ -143,7 +148,12 @@ class _Layout:
         self._numbers: dict[str, tuple[np.dtype[Any], int, int | None]] = {}
         self._texts: dict[str, tuple[int, int]] = {}
         self._words: list[int] = []  # offsets of lengths
-        self._walk(type_name, "")
+        try:
+            self._walk(type_name, "")
+        except RecursionError:
+            raise BagError(
+                "its definition contains itself, or a message is nested too deeply"
+            ) from None
         surplus = len(message) - self._position
         if surplus > PADDING_BYTES:
             raise BagError(f"a message is {surplus} bytes longer than its definition says")
@@ -304,9 +314,23 @@ def check_length(topic: Topic, data: bytes) -> None:
         store.deserialize_cdr(data, topic.type_name)
     except SerdeError:
         raise BagError(
-            f"{topic.name} carries no definition, and a message of it is not as long as the installed "
-            f"{topic.type_name} says; source the workspace that it was recorded with"
+            f"{topic.name} carries no definition, and a message of it is not as long as the {topic.type_name} "
+            f"that is taken for it says; {REMEDY}"
         ) from None
+
+
+def defined_message(message: Message) -> Message:
+    """A message with a definition: its own, or the installed one, which must fit.
+
+    Raises:
+        BagError: it is longer or shorter than the installed definition says, or that is missing or another by its
+            hash.
+    """
+    if message.channel.definition:
+        return message
+    channel = with_definition(message.channel)
+    check_length(channel, message.data)
+    return message._replace(channel=channel)
 
 
 class Converter:

@@ -14,6 +14,7 @@ from rosbags.serde import SerdeError
 from worm_model.bags.bag import AttachedFile, Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_writer import ROSBAG2_RECORD, BagWriter
+from worm_model.bags.cdr import defined_message
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import Types, parse_types, typestore, with_definition
 from worm_model.bags.recorder import Manifest
@@ -137,16 +138,13 @@ def clean_bag(bag: Bag, output: Path) -> Cleaner:
     """
     host = bag.metadata.get(RUN_RECORD, {}).get(HOST, "")
     cleaner = Cleaner(host, bag.topics)
-    defined = {replace(c, count=0): replace(with_definition(c), count=0) for c in bag.channels}
     with BagWriter(output) as writer:
         for attached in bag.attachments():
             writer.add_attachment(cleaner.attachment(attached))
         for record in bag.records:
             if record.name != ROSBAG2_RECORD:
                 writer.add_metadata(record.name, cleaner.values(dict(record.values)))
-        for topic in defined.values():
-            writer.add_topic(topic)
-        writer.write_all(
-            cleaner.message(m._replace(channel=defined[m.channel])) for m in bag.messages()
-        )
+        for channel in bag.channels:
+            writer.add_topic(with_definition(channel))
+        writer.write_all(cleaner.message(defined_message(m)) for m in bag.messages())
     return cleaner

@@ -278,6 +278,10 @@ def scan(data: Buffer) -> Contents:
     contents = _Walk(data, summary.places if summary else []).run()
     if complaint and contents.whole:
         contents.complaints.append(complaint)
+    if contents.whole and (appended := _appended(data, contents.end)):
+        contents.complaints.append(
+            f"behind its end lie {appended} bytes of something else, such as another bag's file, which are not read"
+        )
     if summary is not None:
         contents.expected = dict(summary.statistics.channel_message_counts)
     if summary is not None and contents.sound:
@@ -289,6 +293,17 @@ def scan(data: Buffer) -> Contents:
     else:
         _look_into_extents(data, contents)
     return contents
+
+
+def _appended(data: Buffer, end: int) -> int:
+    """Number of bytes behind the first footer and its MAGIC; `end`: of the data section."""
+    try:
+        for opcode, _, last in walk_records(data[end : len(data) - len(MAGIC)]):
+            if opcode == Opcode.FOOTER:
+                return len(data) - end - last - len(MAGIC)
+    except DAMAGE:
+        return 0  # the summary is spoilt, of which others tell
+    return 0
 
 
 def verify(data: Buffer, contents: Contents) -> None:

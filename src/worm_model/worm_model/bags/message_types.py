@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 from rosbags.interfaces import Nodetype
@@ -32,6 +33,8 @@ from worm_model.bags.message_block import Topic
 
 PACKAGE = "worm_msgs"
 SEPARATOR = "=" * 80
+REMEDY = "give the definitions that it was recorded with by --definitions FOLDER, or source that workspace"
+REASON_LENGTH = 200  # of a parser that repeats the whole definition
 _CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
 _UNREADABLE = (TypesysError, ValueError, KeyError, IndexError, RecursionError)
 
@@ -42,7 +45,10 @@ Types = Mapping[str, Fields]
 # --- what is installed ----------------------------------------------------------------------------
 
 
-def _folders(package: str) -> Iterator[Path]:
+def _folders(package: str, definitions: Path | None = None) -> Iterator[Path]:
+    if package == PACKAGE and definitions is not None:
+        yield definitions
+        return  # what it lacks is not filled up: the layouts of two times would mix
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
             yield Path(prefix, "share", package, "msg")
@@ -66,12 +72,14 @@ def definition_files() -> dict[str, Path]:
     )
 
 
-def _installed_text(package: str, kind: str) -> str:
-    for folder in _folders(package):
+def _installed_text(package: str, kind: str, definitions: Path | None) -> str:
+    for folder in _folders(package, definitions):
         path = folder / f"{kind}.msg"
         if path.is_file():
             return path.read_text(encoding="utf-8")
     standard, name = _standard_types(), f"{package}/msg/{kind}"
+    if package == PACKAGE and definitions is not None:
+        raise DefinitionError(f"{definitions} has no {kind}.msg, which {name} needs")
     if name not in standard.fielddefs:
         raise DefinitionError(
             f"no definition of {name} is installed; source the workspace that has it"
@@ -85,8 +93,11 @@ def _standard_types() -> Typestore:
 
 
 @lru_cache(maxsize=256)
-def installed_definition(type_name: str) -> str:
+def installed_definition(type_name: str, definitions: Path | None = None) -> str:
     """``ros2msg`` text of an installed type with all that it needs.
+
+    Args:
+        definitions: folder with the ``.msg`` files of worm_msgs; None: the installed ones.
 
     Raises:
         DefinitionError: the name is not one of a message, or a definition is missing.
@@ -101,7 +112,7 @@ def installed_definition(type_name: str) -> str:
         if name in texts:
             continue
         package, _, kind = name.partition("/msg/")
-        texts[name] = _installed_text(package, kind)
+        texts[name] = _installed_text(package, kind, definitions)
         with suppress(*_UNREADABLE):  # of which `parse_types` tells
             (_, fields) = get_types_from_msg(without_comments(texts[name]), name)[name]
             waiting += [needed for _, field in fields for needed in _named(field)]
@@ -131,13 +142,18 @@ def installed_types(type_name: str) -> Types:
 
 
 @lru_cache(maxsize=256)
-def topic_of(name: str, type_name: str, offered_qos: str = "") -> Topic:
+def topic_of(
+    name: str, type_name: str, offered_qos: str = "", definitions: Path | None = None
+) -> Topic:
     """A topic that can be written: definition with all that it needs, type hash, offered QoS (YAML).
+
+    Args:
+        definitions: as `installed_definition` takes it.
 
     Raises:
         DefinitionError: the type is not installed.
     """
-    definition = installed_definition(type_name)
+    definition = installed_definition(type_name, definitions)
     metadata = (
         ("offered_qos_profiles", offered_qos),
         ("topic_type_hash", type_hash(type_name, definition, "ros2msg")),
@@ -185,7 +201,7 @@ def typestore(type_name: str, definition: str, definition_format: str) -> Typest
     except DefinitionError:
         raise
     except (*_UNREADABLE, SyntaxError) as error:  # SyntaxError: of the code that rosbags makes
-        reason = " ".join(str(error).split())
+        reason = shorten(str(error), REASON_LENGTH, placeholder=" …")
         raise DefinitionError(f"the definition of {type_name} cannot be read: {reason}") from None
     return store
 
@@ -222,19 +238,25 @@ def type_hash(type_name: str, definition: str, definition_format: str) -> str:
         return ""
 
 
-def with_definition(topic: Topic) -> Topic:
+def with_definition(topic: Topic, definitions: Path | None = None) -> Topic:
     """The topic with a definition: its own, or the installed one if it has none.
+
+    Args:
+        definitions: as `installed_definition` takes it.
 
     Raises:
         DefinitionError: it has none, and the installed one is missing or another by its hash.
     """
     if topic.definition:
         return topic
-    installed = topic_of(topic.name, topic.type_name)
+    if not topic.type_name:
+        raise DefinitionError(f"{topic.name} tells neither its type nor a definition")
+    installed = topic_of(topic.name, topic.type_name, definitions=definitions)
     if topic.type_hash not in ("", installed.type_hash):
         raise DefinitionError(
-            f"{topic.name} carries no definition, and the installed {topic.type_name} is another one "
-            "by its type hash; source the workspace that it was recorded with"
+            f"{topic.name} carries no definition, and the {topic.type_name} "
+            f"{'that is installed' if definitions is None else f'in {definitions}'} is another one by its type "
+            f"hash; {REMEDY}"
         )
     metadata = dict(installed.metadata) | {"offered_qos_profiles": topic.offered_qos}
     return Topic(

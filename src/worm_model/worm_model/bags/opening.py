@@ -12,12 +12,14 @@ from worm_model.bags.bag import Bag, Notify
 from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
 from worm_model.bags.bag_metadata import METADATA_FILE, read_metadata
 from worm_model.bags.mcap_storage import McapFile, McapStorage
+from worm_model.bags.message_types import PACKAGE
 from worm_model.bags.recorder import STATE, UNFINISHED
 from worm_model.bags.recovery import (
     SOURCE,
     SOURCE_SHA256,
     fingerprint,
     mcap_files,
+    named,
     open_files,
     recover,
     recovered_path,
@@ -28,7 +30,7 @@ from worm_model.bags.rosbags_storage import RosbagsStorage
 _log = logging.getLogger("worm_model.bags")
 
 
-def open_bag(path: Path, notify: Notify = _log.warning) -> Bag:
+def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None = None) -> Bag:
     """Open a bag for reading.
 
     A bag that was not closed (killed recorder, full disk, power cut) or is spoilt is recovered into a new one beside
@@ -37,10 +39,26 @@ def open_bag(path: Path, notify: Notify = _log.warning) -> Bag:
     Args:
         path: a rosbag2 directory, or one file of it (``.mcap``, ``.db3``).
         notify: told in one line when the bag had to be recovered, and what in it contradicts itself.
+        definitions: as `Bag.define` takes it.
 
     Raises:
-        BagError: it is missing, empty, foreign, damaged beyond recovery, or still being recorded.
+        BagError: it is missing, empty, foreign, damaged beyond recovery, or still being recorded; or the definitions
+            do not fit.
     """
+    if definitions is not None and not any(definitions.glob("*.msg")):
+        raise BagError(
+            f"{definitions} holds no .msg file; give the folder with those of {PACKAGE}, such as {PACKAGE}/msg"
+        )
+    bag = _open(path, notify)
+    try:
+        bag.define(definitions)
+    except BagError:
+        bag.close()
+        raise
+    return bag
+
+
+def _open(path: Path, notify: Notify) -> Bag:
     if not path.exists():
         raise BagError(f"{path} does not exist")
     if path.is_file():
@@ -52,10 +70,10 @@ def open_bag(path: Path, notify: Notify = _log.warning) -> Bag:
     content = read_metadata(path)
     files = _named_files(path, content)
     if content.get("storage_identifier") != "mcap" or content.get("compression_mode"):
-        return _compared(Bag(path, RosbagsStorage(path), notify))
+        return _compared(Bag(path, RosbagsStorage(path), notify), files)
     if _is_unfinished(content):
         return _recovered(path, notify)
-    return _compared(_open_mcap(path, files, notify))
+    return _compared(_open_mcap(path, files, notify), files)
 
 
 def _open_without_metadata(path: Path, notify: Notify) -> Bag:
@@ -85,8 +103,11 @@ def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
     return [path / name for name in names]
 
 
-def _compared(bag: Bag) -> Bag:
-    """The bag; a difference to what its metadata.yaml declares is told."""
+def _compared(bag: Bag, files: Sequence[Path]) -> Bag:
+    """The bag; a difference to what its metadata.yaml declares, the files among it, is told."""
+    beside = sorted({file.name for file in bag.path.glob("*.mcap")} - {file.name for file in files})
+    if beside and files[0].parent == bag.path:  # not where the bag had to be recovered
+        bag.notify(f"{bag.path}: {', '.join(beside)} not read: {METADATA_FILE} names no such file")
     counts = {topic.name: topic.count for topic in bag.topics.values()}
     for topic, missing in undeclared(bag.path, counts):
         bag.notify(
@@ -109,12 +130,13 @@ def _open_mcap(path: Path, paths: Sequence[Path], notify: Notify) -> Bag:
 
 def _recovered(path: Path, notify: Notify) -> Bag:
     """The bag that an unclosed one was, or is now, recovered into."""
+    path = named(path)
     content = _content(path)
     number = 1
     while (target := recovered_path(path, number)).exists():
         if _is_recovery(target, path, content):
             notify(f"{path} was not closed; reading {target}, into which it was recovered before")
-            return open_bag(target, notify)
+            return _open(target, notify)
         number += 1
     try:
         report = recover(path, target)
@@ -126,7 +148,7 @@ def _recovered(path: Path, notify: Notify) -> Bag:
             f"recover it elsewhere: worm_model recover {path} --output FOLDER"
         ) from None
     notify(f"{path} was not closed, or is spoilt; recovered {report}")
-    return open_bag(target, notify)
+    return _open(target, notify)
 
 
 def _content(path: Path) -> str:

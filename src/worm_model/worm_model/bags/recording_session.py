@@ -165,7 +165,7 @@ class RecordingSession:
         number = self._numbers[kind]
         output = self.options.output
         suffix = kind if number == 1 and not kind else f"{kind}_{number}"
-        directory = output.with_name(f"{output.name}{suffix}")
+        directory = Path(f"{output}{suffix}")
         recorder = BagRecorder(directory, self.options.manifest(), self.options.write)
         for note in self._notes.values():
             recorder.add_metadata(note.name, note.values)

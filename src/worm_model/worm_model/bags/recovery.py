@@ -99,6 +99,7 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
     Raises:
         BagError: there is nothing to save, the bag is still being recorded, or the output exists.
     """
+    path = named(path)
     files, unreadable = open_files(mcap_files(path))
     try:
         for file in files:
@@ -129,6 +130,11 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
     finally:
         for file in files:
             file.close()
+
+
+def named(path: Path) -> Path:
+    """The path with a name to its last part, which ``.`` and ``..`` are not."""
+    return path.resolve() if path.name in ("", "..") else path
 
 
 def recovered_path(path: Path, number: int = 1) -> Path:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.cdr import ColumnBuilder, Columns
 from worm_model.bags.message_block import Topic
-from worm_model.bags.worm_topics import find_topic
+from worm_model.bags.worm_topics import TYPES, find_topic
 from worm_model.run import (
     GaitStates,
     JointSamples,
@@ -53,10 +53,17 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
         raise BagError(
             f"{bag.path} has none of the worm's topics{where}; it has {', '.join(bag.topics) or 'none'}"
         )
+    _tell_odd_topics(bag, found, namespace)
     columns = read_columns(bag, list(topics.values()))
     samples = {name: columns[topic.name] for name, topic in topics.items()}
     lengths = {name: _lengths(samples.get(name)) for name in RUN_TOPICS[:4]}
     stamps = [_stamp(c) for c in samples.values()]
+    for topic, stamp in zip(topics.values(), stamps, strict=True):
+        if backwards := np.count_nonzero(np.diff(stamp) < 0):
+            bag.notify(
+                f"{bag.path}: stamps of {topic.name} go back {backwards} times: runs that were merged, "
+                "several publishers, or a clock that was set"
+            )
     return Run(
         origin=int(min((s.min() for s in stamps if len(s)), default=0)),
         commanded=lengths["body_length/commanded"],
@@ -68,6 +75,22 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
         gait_state=_gait_states(samples.get("gait_state")),
         joint_states=_joints(samples.get("joint_states")),
     )
+
+
+def _tell_odd_topics(bag: Bag, found: Mapping[str, Topic | None], namespace: str) -> None:
+    """Tell which topics have the worm's names but other types, and whether several robots could be mixed."""
+    for name, topic in found.items():
+        ending = f"{namespace.rstrip('/')}/{name}"
+        others = [t for t in bag.topics.values() if t.count and f"/{t.name}".endswith(ending)]
+        for other in others if topic is None else ():
+            kind = other.type_name or "message without a type"
+            bag.notify(f"{bag.path}: {other.name} is not read: it is a {kind}, not {TYPES[name]}")
+    roots = {topic.name.removesuffix(name) for name, topic in found.items() if topic is not None}
+    if len(roots) > 1:
+        bag.notify(
+            f"{bag.path}: topics of {', '.join(sorted(roots))} are taken for those of one robot; "
+            "choose with --namespace if they are not"
+        )
 
 
 def namespace_of(bag: Bag) -> str:

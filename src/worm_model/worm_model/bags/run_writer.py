@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_writer import BagWriter
-from worm_model.bags.cdr import check_length, encode
+from worm_model.bags.cdr import defined_message, encode
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import topic_of, with_definition
 from worm_model.bags.worm_topics import TYPES, offered_qos
@@ -75,21 +74,12 @@ def write_beside(
         BagError: the output exists, or a topic has no definition.
     """
     kept = [with_definition(channel) for channel in bag.channels if channel.name in topics]
-    known = {channel: with_definition(channel) for channel in bag.channels}
-    defined = {replace(before, count=0): replace(after, count=0) for before, after in known.items()}
     with BagWriter(output) as writer:
         writer.copy_records(bag)
         for topic in kept:
             writer.add_topic(topic)
-        own = (_defined(message, defined[message.channel]) for message in bag.messages(topics))
+        own = map(defined_message, bag.messages(topics))
         writer.write_all(heapq.merge(own, *messages, key=attrgetter("log_time")))
-
-
-def _defined(message: Message, channel: Topic) -> Message:
-    """A message with a definition, which must fit if it was not its own."""
-    if not message.channel.definition:
-        check_length(channel, message.data)
-    return message._replace(channel=channel)
 
 
 def _series(run: Run) -> list[tuple[str, Stamps, Numbers]]:

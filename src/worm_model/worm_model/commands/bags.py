@@ -29,6 +29,7 @@ def _parser() -> Parser:
     )
     clean.add_argument("bag", type=Path, metavar="BAG")
     clean.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
+    clean.add_definitions()
     clean.add_json()
     clean.set_defaults(act=_clean)
     return parser
@@ -36,7 +37,7 @@ def _parser() -> Parser:
 
 def _clean(options: argparse.Namespace) -> None:
     output = new_file(options.output)
-    with open_bag(options.bag, notifier("bags clean")) as bag:
+    with open_bag(options.bag, notifier("bags clean"), options.definitions) as bag:
         count = bag.message_count
         cleaner = clean_bag(bag, output)
     content = {"bag": str(output), "messages": count, "changed": cleaner.changed}

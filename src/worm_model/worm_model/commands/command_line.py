@@ -64,6 +64,16 @@ class Parser(argparse.ArgumentParser):
             help="parameter file (YAML); default: the paper's values",
         )
 
+    def add_definitions(self) -> None:
+        """Adds --definitions."""
+        self.add_argument(
+            "--definitions",
+            type=Path,
+            metavar="FOLDER",
+            help="worm_msgs' .msg files as they were at the recording, for topics of the bag that carry no definition; "
+            "default: the installed ones",
+        )
+
     def add_json(self) -> None:
         """Adds --json; see `print_result`."""
         self.add_argument("--json", action="store_true", help="print one JSON object")

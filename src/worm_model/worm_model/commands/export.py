@@ -27,6 +27,7 @@ from worm_model.commands.command_line import (
     run_command,
 )
 
+STEM_BYTES = 200
 FORMATS = ("csv", "parquet")
 _NOTIFY = notifier("export")
 
@@ -143,13 +144,19 @@ def file_stems(topics: Iterable[str]) -> dict[str, str]:
     """A file name for each topic: /a/b is a__b, and so is /a__b, which then becomes a__b_2."""
     stems: dict[str, str] = {}
     for topic in topics:
-        stem = wanted = topic.strip("/").replace("/", "__")
+        stem = wanted = _file_stem(topic)
         number = 1
         while stem.lower() in {taken.lower() for taken in stems.values()}:
             number += 1
             stem = f"{wanted}_{number}"
         stems[topic] = stem
     return stems
+
+
+def _file_stem(topic: str) -> str:
+    """A topic's name as that of a file: other writers than ROS put anything into it, and systems take 255 bytes."""
+    plain = "".join(c if c.isprintable() else "_" for c in topic.strip("/").replace("/", "__"))
+    return plain.encode(errors="replace")[:STEM_BYTES].decode(errors="ignore") or "_"
 
 
 def _parser() -> Parser:
@@ -164,13 +171,14 @@ def _parser() -> Parser:
     parser.add_argument(
         "--topic", action="append", default=[], help="only this one; may be repeated"
     )
+    parser.add_definitions()
     parser.add_json()
     return parser
 
 
 def _export(options: argparse.Namespace) -> int:
     output = new_file(options.output)
-    with open_bag(options.bag, _NOTIFY) as bag:
+    with open_bag(options.bag, _NOTIFY, options.definitions) as bag:
         exported = export(bag, output, options.format, options.topic)
     for name, reason in exported.left_out.items():
         _NOTIFY(f"{name} is left out: {reason}")

@@ -31,6 +31,7 @@ def _recover(options: argparse.Namespace) -> None:
         "lost_bytes": report.lost_bytes,
         "damaged_chunks": report.damaged_chunks,
         "unreadable": report.unreadable,
+        "undeclared": dict(report.undeclared),
         "lost": [asdict(lost) for lost in report.lost],
         "complaints": report.complaints,
     }

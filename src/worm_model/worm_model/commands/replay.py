@@ -190,6 +190,7 @@ def _parser() -> Parser:
         "--output", metavar="BAG2", help="a new bag with the twin's topics beside the original ones"
     )
     parser.add_argument("--namespace", default="", help="of the robot; default: the one in the bag")
+    parser.add_definitions()
     parser.add_json()
     parser.add_parameters()
     return parser
@@ -201,7 +202,7 @@ def _replay(options: argparse.Namespace) -> None:
     warm_up.main()  # neither compiling nor parsing definitions is replaying
     parse_ahead(TYPES[name] for name in (*INPUTS, *TWIN_TOPICS))
     begin = time.perf_counter()
-    with open_bag(options.bag, _notify) as bag:
+    with open_bag(options.bag, _notify, options.definitions) as bag:
         run = read_run(bag, options.namespace, INPUTS)
         followed = _follow(run, parameters, bag, output, options.namespace)
         duration = (bag.end - bag.start) * 1e-9

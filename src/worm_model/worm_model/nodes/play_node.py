@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_metadata import qos_profiles
-from worm_model.bags.cdr import Converter, check_length
+from worm_model.bags.cdr import Converter, defined_message
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import topic_of, with_definition
 from worm_model.bags.opening import open_bag
@@ -207,9 +207,7 @@ class PlayNode(Node):
         self._pending = next(self._messages, None)
 
     def _publish(self, message: Message) -> None:
-        if not message.channel.definition:
-            check_length(with_definition(message.channel), message.data)
-        data = self._converters[message.channel](message.data)
+        data = self._converters[message.channel](defined_message(message).data)
         self._publishers_by_topic[message.topic].publish(data)
         self.published += 1
 
@@ -335,6 +333,7 @@ def _parser() -> Parser:
         "--topic", action="append", default=[], help="only this one; may be repeated"
     )
     parser.add_argument("-x", "--exclude", default="", metavar="REGEX", help="topics left out")
+    parser.add_definitions()
     return parser
 
 
@@ -345,7 +344,7 @@ def _play(ended: Callable[[], bool], options: argparse.Namespace) -> None:
         raise InputError(
             f"--exclude {options.exclude!r} is not a regular expression: {error}"
         ) from None
-    with open_bag(options.bag, _notify) as bag:
+    with open_bag(options.bag, _notify, options.definitions) as bag:
         length = (bag.end - bag.start) * 1e-9
         if not bag.message_count:
             raise InputError(f"{options.bag} holds no messages")

@@ -5,7 +5,7 @@ import shutil
 import sqlite3
 import struct
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -35,6 +35,7 @@ from worm_model.bags.message_types import topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_beside
+from worm_model.commands import export
 
 TYPE = "std_msgs/msg/UInt64"
 COUNT = 500
@@ -370,6 +371,15 @@ def test_a_bag_without_metadata_is_made_whole(tmp_path: Path):
     assert len(told) == 1
 
 
+def test_a_bag_is_recovered_from_inside_its_folder(tmp_path: Path, monkeypatch):
+    bag = by_worm_model(tmp_path / "bag")
+    (bag / "metadata.yaml").unlink()
+    monkeypatch.chdir(bag)
+    with open_bag(Path(), lambda _: None) as opened:
+        assert opened.path == tmp_path / "bag_recovered"
+        assert numbers(opened) == list(range(COUNT))
+
+
 def test_a_bag_on_a_read_only_medium_says_how_to_recover_it(tmp_path: Path, monkeypatch):
     by_worm_model(tmp_path / "bag")
     (tmp_path / "bag" / "metadata.yaml").unlink()
@@ -406,7 +416,7 @@ def test_a_copy_of_a_bag_under_another_name_is_read(tmp_path: Path):
         assert numbers(bag) == list(range(COUNT))
 
 
-def without_definitions(path: Path, data: bytes) -> Path:
+def without_definitions(path: Path, data: bytes, type_hash: str = "") -> Path:
     """As ROS 2 Humble wrote sqlite3 bags: neither definitions nor type hashes."""
     kind = "worm_msgs/msg/Power"
     with RosbagsWriter(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
@@ -417,7 +427,12 @@ def without_definitions(path: Path, data: bytes) -> Path:
         writer.write(connection, 1, data)
     with closing(sqlite3.connect(next(path.glob("*.db3")))) as database, database:
         database.execute("DELETE FROM message_definitions")
-        database.execute("UPDATE topics SET type_description_hash = ''")
+        database.execute("UPDATE topics SET type_description_hash = ?", (type_hash,))
+    metadata = path / "metadata.yaml"
+    content = yaml.safe_load(metadata.read_text())
+    for entry in content["rosbag2_bagfile_information"]["topics_with_message_count"]:
+        entry["topic_metadata"]["type_description_hash"] = type_hash
+    metadata.write_text(yaml.safe_dump(content))
     return path
 
 
@@ -443,6 +458,102 @@ def test_messages_of_another_length_than_the_installed_definition_are_refused(
     with open_bag(without_definitions(tmp_path / "bag", other), lambda _: None) as opened:
         with pytest.raises(BagError, match="/worm/power"):
             read_run(opened)
-        with pytest.raises(BagError, match="not as long as the installed"):
+        with pytest.raises(BagError, match="not as long as"):
             write_beside(opened, tmp_path / "copy", ["/worm/power"], [])
     assert not (tmp_path / "copy").exists()
+
+
+# --- definitions that a bag lacks, given by an option ---------------------------------------------
+
+OLD_POWER = "std_msgs/Header header\nuint8 status\nfloat64 power\n"  # of before voltage and current
+POWER = "worm_msgs/msg/Power"
+
+
+def folder_with(folder: Path, text: str, name: str = "Power.msg") -> Path:
+    folder.mkdir()
+    (folder / name).write_text(text)
+    return folder
+
+
+@pytest.fixture
+def old_definitions(tmp_path: Path) -> Path:
+    return folder_with(tmp_path / "old_msg", OLD_POWER)
+
+
+@pytest.fixture
+def old_bag(tmp_path: Path, old_definitions: Path) -> Path:
+    """A bag of the older layout that carries no definition."""
+    topic = topic_of("/worm/power", POWER, definitions=old_definitions)
+    (data,) = encode(topic, 1, {"power": 2.5, "status": 1}, {"header.frame_id": "ina219"})
+    return without_definitions(tmp_path / "bag", data)
+
+
+def test_a_bag_of_an_older_layout_is_read_by_the_definitions_that_are_given(
+    tmp_path: Path, old_bag: Path, old_definitions: Path, capsys, monkeypatch
+):
+    monkeypatch.setattr("sys.argv", ["export", str(old_bag), "--output", str(tmp_path / "none")])
+    assert export.main() == 1
+    assert "--definitions FOLDER" in capsys.readouterr().err
+    with open_bag(old_bag, lambda _: None) as bag, pytest.raises(BagError, match="--definitions"):
+        write_beside(bag, tmp_path / "none2", ["/worm/power"], [])
+
+    arguments = ["--output", str(tmp_path / "tables"), "--definitions", str(old_definitions)]
+    monkeypatch.setattr("sys.argv", ["export", str(old_bag), *arguments])
+    assert export.main() == 0
+    table = (tmp_path / "tables" / "worm__power.csv").read_text().splitlines()
+    assert table[0] == "log_time_ns,header.stamp_ns,status,power,header.frame_id"
+    assert table[1] == "1,0,1,2.5,ina219"
+    assert f"/worm/power carry no definition; those in {old_definitions}" in capsys.readouterr().err
+
+
+def test_a_copy_carries_the_definitions_that_were_given(
+    tmp_path: Path, old_bag: Path, old_definitions: Path
+):
+    with open_bag(old_bag, lambda _: None, old_definitions) as bag:
+        (before,) = bag.messages()
+        write_beside(bag, tmp_path / "copy", ["/worm/power"], [])
+    told: list[str] = []
+    with open_bag(tmp_path / "copy", told.append) as copy:
+        assert copy.topics["/worm/power"].definition.startswith(OLD_POWER)
+        assert copy.topics["/worm/power"].type_hash.startswith("RIHS01_")
+        assert [message.data for message in copy.messages()] == [before.data]
+    assert told == []
+
+
+def test_given_definitions_that_do_not_fit_are_refused(
+    tmp_path: Path, old_bag: Path, old_definitions: Path
+):
+    others = folder_with(tmp_path / "other_msg", OLD_POWER + "float64 energy\n")
+    with open_bag(old_bag, lambda _: None, others) as bag:
+        with pytest.raises(BagError, match="not as long as"):
+            list(bag.messages())
+        with pytest.raises(BagError, match="not as long as"):
+            write_beside(bag, tmp_path / "copy", ["/worm/power"], [])
+    assert not (tmp_path / "copy").exists()
+    data = next(iter_messages(old_bag))
+    hashed = without_definitions(tmp_path / "hashed", data, "RIHS01_" + 64 * "0")
+    with pytest.raises(BagError, match="another one by its type hash"):
+        open_bag(hashed, lambda _: None, old_definitions)
+
+
+def iter_messages(path: Path) -> Iterator[bytes]:
+    with open_bag(path, lambda _: None) as bag:
+        yield from (message.data for message in bag.messages())
+
+
+def test_definitions_of_two_times_do_not_mix(tmp_path: Path, old_bag: Path):
+    half = folder_with(tmp_path / "half", "worm_msgs/Gait gait\n")
+    with pytest.raises(BagError, match=r"has no Gait\.msg"):
+        open_bag(old_bag, lambda _: None, half)
+
+
+def test_a_folder_of_no_use_is_said(tmp_path: Path, old_bag: Path, old_definitions: Path):
+    with pytest.raises(BagError, match=r"holds no \.msg file"):
+        open_bag(old_bag, lambda _: None, tmp_path / "nowhere")
+    told: list[str] = []
+    open_bag(by_worm_model(tmp_path / "whole"), told.append, old_definitions).close()
+    other = folder_with(tmp_path / "other", OLD_POWER, "Energy.msg")
+    open_bag(old_bag, told.append, other).close()
+    assert "its topics carry their definitions" in told[0]
+    assert "the installed ones are taken" in told[1]
+    assert told[2].endswith(f"it has none of {POWER}")

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags that others merged, renamed or made by hand: what is odd about them is told, and nothing ends in a traceback."""
+
+import json
+import shutil
+import struct
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+from recorded_run import simulated_run, write_bag
+
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.message_block import Message, Topic
+from worm_model.bags.message_types import parse_types
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.commands import export, recover
+
+RUN = simulated_run(cycles=1)
+POWER = "/worm/power"
+Change = Callable[[Message], Message | None]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("bags") / "bag", RUN)
+
+
+@pytest.fixture(scope="module")
+def recorded(whole: Path) -> list[Message]:
+    with open_bag(whole) as bag:
+        return list(bag.messages())
+
+
+def by_mcap(path: Path, messages: Iterable[Message]) -> Path:
+    """As the library of MCAP writes messages, whatever they are; a type without a name gets no schema."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        numbers: dict[Topic, int] = {}
+        for message in messages:
+            topic = message.channel
+            if topic not in numbers:
+                schema = 0
+                if topic.type_name:
+                    schema = writer.register_schema(
+                        topic.type_name, "ros2msg", topic.definition.encode()
+                    )
+                numbers[topic] = writer.register_channel(topic.name, topic.encoding, schema)
+            writer.add_message(numbers[topic], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    return path
+
+
+def of_power(**changes: str) -> Callable[[Message], Message]:
+    """Changes the channel of power samples."""
+
+    def change(message: Message) -> Message:
+        if message.topic != POWER:
+            return message
+        fields = {**vars(message.channel), **changes}
+        return message._replace(channel=Topic(**fields))
+
+    return change
+
+
+def later(message: Message, log_s: int, stamp_s: int) -> Message:
+    data = bytearray(message.data)
+    struct.pack_into("<i", data, 4, struct.unpack_from("<i", data, 4)[0] + stamp_s)
+    return message._replace(log_time=message.log_time + log_s * 10**9, data=bytes(data))
+
+
+def told_of(path: Path) -> list[str]:
+    told: list[str] = []
+    with open_bag(path, told.append) as bag:
+        read_run(bag)
+    return told
+
+
+def test_nothing_is_told_of_a_bag_that_is_right(tmp_path: Path, recorded: list[Message]):
+    assert told_of(by_mcap(tmp_path / "a.mcap", recorded)) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (of_power(type_name="foo_msgs/msg/Power"), f"{POWER} is not read: it is a foo_msgs/msg/"),
+        (of_power(type_name="", definition=""), f"{POWER} is not read: it is a message without a"),
+        (of_power(name="/power"), "topics of /, /worm/ are taken for those of one robot"),
+    ],
+)
+def test_topics_that_are_not_what_they_are_called_are_told(
+    tmp_path: Path, recorded: list[Message], change: Change, words: str
+):
+    assert any(
+        words in line for line in told_of(by_mcap(tmp_path / "a.mcap", map(change, recorded)))
+    )
+
+
+def test_stamps_that_go_back_are_told(tmp_path: Path, recorded: list[Message]):
+    merged = by_mcap(tmp_path / "a.mcap", [*recorded, *(later(m, 1000, -1000) for m in recorded)])
+    assert any(f"stamps of {POWER} go back 1 times" in line for line in told_of(merged))
+    in_order = by_mcap(tmp_path / "b.mcap", [*recorded, *(later(m, 1000, 1000) for m in recorded)])
+    assert told_of(in_order) == []
+
+
+def test_a_file_that_metadata_does_not_name_is_told(tmp_path: Path, whole: Path):
+    bag = tmp_path / "bag"
+    shutil.copytree(whole, bag)
+    shutil.copy(next(whole.glob("*.mcap")), bag / "other.mcap")
+    assert any("other.mcap not read" in line for line in told_of(bag))
+
+
+def test_a_file_behind_a_file_is_told(tmp_path: Path, recorded: list[Message]):
+    one = by_mcap(tmp_path / "a.mcap", recorded).read_bytes()
+    (tmp_path / "both.mcap").write_bytes(one + one)
+    told = told_of(tmp_path / "both.mcap")
+    assert any(f"behind its end lie {len(one)} bytes" in line for line in told)
+
+
+def test_what_metadata_tells_differently_is_part_of_the_outcome_of_recover(
+    tmp_path: Path, whole: Path, monkeypatch, capsys
+):
+    bag = tmp_path / "bag"
+    shutil.copytree(whole, bag)
+    shutil.copy(next(whole.glob("*.mcap")), bag / "other.mcap")
+    monkeypatch.setattr("sys.argv", ["recover", str(bag), "--json"])
+    assert recover.main() == 0
+    assert json.loads(capsys.readouterr().out)["undeclared"][POWER] == -len(RUN.power.stamp)
+
+
+def test_a_definition_that_contains_itself_is_refused(
+    tmp_path: Path, recorded: list[Message], monkeypatch, capsys
+):
+    channel = Topic("/w", "x/msg/W", 0, "x/W data\n", "ros2msg", "cdr")
+    message = recorded[0]._replace(channel=channel, data=b"\0\1\0\0" + bytes(8))
+    bag = by_mcap(tmp_path / "a.mcap", [*recorded, message])
+    monkeypatch.setattr("sys.argv", ["export", str(bag), "--output", str(tmp_path / "out")])
+    assert export.main() == 1
+    assert "/w is left out: /w: its definition contains itself" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["", "/", "/a\0b", "/a\nb", "/../../../x", "/" + 300 * "ä"])
+def test_any_name_of_a_topic_becomes_that_of_a_file(
+    tmp_path: Path, recorded: list[Message], name: str, monkeypatch
+):
+    channel = Topic(name, "std_msgs/msg/UInt8", 0, "uint8 data\n", "ros2msg", "cdr")
+    message = recorded[0]._replace(channel=channel, data=b"\0\1\0\0\5")
+    bag = by_mcap(tmp_path / "a.mcap", [*recorded, message])
+    monkeypatch.setattr("sys.argv", ["export", str(bag), "--output", str(tmp_path / "out")])
+    assert export.main() == 0
+    assert {p.name for p in tmp_path.iterdir()} == {"a.mcap", "out"}
+    tables = {p.name: p.read_text().splitlines() for p in (tmp_path / "out").iterdir()}
+    assert len(tables) == 6
+    assert all(file.isprintable() and not file.startswith(".csv") for file in tables)
+    assert [f"{recorded[0].log_time},5"] in [lines[1:] for lines in tables.values()]
+
+
+def test_a_complaint_about_a_definition_does_not_repeat_it(recorded: list[Message]):
+    channel = next(m.channel for m in recorded if m.topic == POWER)
+    with pytest.raises(BagError, match="cannot be read") as caught:
+        parse_types(channel.type_name, channel.definition, "ros2idl")
+    assert len(str(caught.value)) < 300
