@@ -3,6 +3,7 @@
 
 import shutil
 import signal
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,7 +15,9 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.cdr import encode
 from worm_model.bags.message_block import Topic
+from worm_model.bags.message_types import topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.parameters import PAPER
@@ -159,6 +162,31 @@ def test_messages_that_are_not_what_is_installed_are_not_played(
     player = processes.start_executable("worm_model", "play", str(tmp_path / "bag"))
     assert player.wait(TIMEOUT_S) == 2
     assert "/worm/power is not played: power of worm_msgs/msg/Power is not what" in player.output()
+
+
+def test_what_cannot_be_published_is_left_out_and_told(
+    processes: Processes, probe: Probe, tmp_path: Path
+):
+    """A type without a name, a topic that ROS cannot have, and a message that is cut short."""
+    power = topic_of("/worm/power", "worm_msgs/msg/Power")
+    samples = encode(power, 3, {"power": np.arange(3.0)}, {})
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write(Topic("/a", "", 0, "", "", "cdr"), b"\0\1\0\0" + bytes(4), 1, 1)
+        writer.write(replace(power, name="/../x"), samples[0], 2, 2)
+        writer.write(power, samples[0], 3, 3)
+        writer.write(power, samples[1][:-8], 4, 4)
+        writer.write(power, samples[2], 5, 5)
+    powers = probe.collect(Power, "power")
+    player = processes.start_executable("worm_model", "play", str(tmp_path / "bag"), "--paused")
+    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
+    probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
+    probe.wait_for(lambda: len(powers) == 2, "the whole samples")
+    assert [m.power for m in powers] == [0.0, 2.0]
+    assert player.exit_code == 0
+    assert "/a is not played" in player.output()
+    assert "'/../x' is not played: ROS has no such names" in player.output()
+    assert "/worm/power is not played in whole: a message is not as long" in player.output()
+    assert "2 messages published" in player.output()
 
 
 def test_it_begins_anew_at_the_end_until_it_is_stopped(

@@ -370,12 +370,20 @@ class Converter:
         ]
 
     def __call__(self, data: bytes) -> bytes:
-        """A message in the target's layout."""
+        """A message in the target's layout.
+
+        Raises:
+            BagError: it is longer or shorter than the source's definition says.
+        """
+        old, new = self._stores
+        try:
+            content = old.deserialize_cdr(data, self._source.type_name)
+        except SerdeError:
+            raise BagError("a message is not as long as its definition says") from None
         if self.same:
             return data
-        old, new = self._stores
         message = default_message(new, self._target.type_name)
-        self._copy(old.deserialize_cdr(data, self._source.type_name), message)
+        self._copy(content, message)
         return bytes(new.serialize_cdr(message, self._target.type_name))
 
     def _copy(self, source: Any, target: Any) -> None:

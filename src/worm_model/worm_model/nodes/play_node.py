@@ -8,6 +8,7 @@ import importlib
 import re
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -16,6 +17,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -26,7 +28,7 @@ from std_srvs.srv import Trigger
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_metadata import qos_profiles
-from worm_model.bags.cdr import Converter, defined_message
+from worm_model.bags.cdr import Converter
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import topic_of, with_definition
 from worm_model.bags.opening import open_bag
@@ -48,7 +50,7 @@ def message_class(type_name: str) -> Any:
     package, _, kind = type_name.partition("/msg/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), kind)
-    except (ImportError, AttributeError, ValueError):
+    except (ImportError, AttributeError, ValueError, TypeError):
         return None
 
 
@@ -93,6 +95,7 @@ class PlayNode(Node):
         self._options = options
         self._first_ns = bag.start + round(options.start * 1e9)
         self._converters: dict[Topic, Converter] = {}
+        self._skipped: Counter[str] = Counter()
         self._publishers_by_topic = self._advertise()
         self._converters = {replace(c, count=0): found for c, found in self._converters.items()}
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
@@ -123,7 +126,12 @@ class PlayNode(Node):
                 self.get_logger().warning(f"{topic.name} is not played: {error}")
                 continue
             kind = message_class(topic.type_name)
-            publishers[topic.name] = self.create_publisher(kind, topic.name, play_qos(topic))
+            try:
+                publisher = self.create_publisher(kind, topic.name, play_qos(topic))
+            except InvalidTopicNameException:
+                self.get_logger().warning(f"{topic.name!r} is not played: ROS has no such names")
+                continue
+            publishers[topic.name] = publisher
         if not publishers:
             raise InputError(f"{self._bag.path} has none of the topics that were asked for")
         return publishers
@@ -131,7 +139,7 @@ class PlayNode(Node):
     def _converter(self, channel: Topic, type_name: str) -> Converter:
         """What makes the bag's messages those that are installed; fields that these have besides are told."""
         if message_class(type_name) is None:
-            raise BagError(f"{type_name} is not installed")
+            raise BagError(f"{type_name or 'a type that is not told'} is not installed")
         converter = Converter(with_definition(channel), topic_of(channel.name, type_name))
         if converter.added:
             added = ", ".join(converter.added)
@@ -207,7 +215,13 @@ class PlayNode(Node):
         self._pending = next(self._messages, None)
 
     def _publish(self, message: Message) -> None:
-        data = self._converters[message.channel](defined_message(message).data)
+        try:
+            data = self._converters[message.channel](message.data)
+        except BagError as error:
+            self._skipped[message.topic] += 1
+            if self._skipped[message.topic] == 1:
+                self.get_logger().warning(f"{message.topic} is not played in whole: {error}")
+            return
         self._publishers_by_topic[message.topic].publish(data)
         self.published += 1
 
