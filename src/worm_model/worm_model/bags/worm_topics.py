@@ -26,6 +26,7 @@ TYPES = {
     "power": POWER,
     "gait_state": GAIT_STATE,
     "joint_states": JOINT_STATE,
+    "twin/joint_states": JOINT_STATE,
     "twin/state": TWIN_STATE,
     "twin/residuals": TWIN_RESIDUALS,
     "twin/events": TWIN_EVENT,
@@ -63,6 +64,7 @@ def find_topic(topics: Iterable[Topic], name: str, namespace: str = "") -> Topic
         BagError: several topics fit, as when a bag holds two robots.
     """
     ending = f"{namespace.rstrip('/')}/{name}" if namespace else f"/{name}"
+    longer = tuple(f"/{other}" for other in TYPES if other.endswith(f"/{name}"))
     found = [
         topic
         for topic in topics
@@ -70,7 +72,7 @@ def find_topic(topics: Iterable[Topic], name: str, namespace: str = "") -> Topic
         and (
             topic.name.lstrip("/") == ending.lstrip("/")
             if namespace
-            else f"/{topic.name}".endswith(ending)
+            else f"/{topic.name}".endswith(ending) and not f"/{topic.name}".endswith(longer)
         )
     ]
     if len(found) > 1:
