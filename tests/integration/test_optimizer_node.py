@@ -175,14 +175,14 @@ def test_a_front_that_cannot_be_kept_is_served_all_the_same(start, user, tmp_pat
     node = start(margin_m=0.002)
     user.served()
     for front in (tmp_path / "cache").glob("front-*.json"):
-        front.with_name(front.name.replace("front", "served")).mkdir()  # no file can go there
+        front.with_name(front.name.replace("front", "current")).mkdir()  # no file can go there
     goal = OptimizeGaits.Goal(margin=0.001, direction=-1, generations=4)
     done = user.outcome(user.send("optimize_gaits", goal))
     assert done.status == GoalStatus.STATUS_SUCCEEDED
     assert done.result.success
     assert user.ask(direction=Gait.REVERSE).prediction == done.result.cruise
     assert user.ask().prediction == mirrored(done.result.cruise)
-    assert node.output().count("but not kept") == 2
+    assert node.output().count("but is not kept") == 2
 
 
 def test_a_cancelled_optimisation_ends_at_once_and_changes_nothing(start, user, probe):
