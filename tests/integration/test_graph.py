@@ -83,6 +83,8 @@ def test_topics_services_and_actions_are_those_of_the_documentation(worm, probe)
 
     services = {n: r for n, r in rows_of("Services").items() if not n.startswith(("~", "driver/"))}
     actions = rows_of("Actions")
+    wanted = set(services) | {f"{name}/_action/send_goal" for name in actions}
+    probe.wait_for(lambda: set(own(node.get_service_names_and_types())) >= wanted, "all services")
     every = own(node.get_service_names_and_types())
     goals = {n.removesuffix("/_action/send_goal"): k for n, k in every.items() if "send_goal" in n}
     assert {n: k.replace("/action", "").removesuffix("_SendGoal") for n, k in goals.items()} == {

@@ -304,6 +304,8 @@ def test_the_last_seconds_are_written_when_the_twin_raises_an_alarm(
     )
     for topic in ("tracker", "twin/residuals"):
         recorder.wait_for_line(f"recording /worm/{topic} ", TIMEOUT_S)
+    for publisher in (positions, residuals):
+        probe.wait_for(lambda p=publisher: p.get_subscription_count() > 0, "the recorder")
     publish(positions, range(20))
     residuals.publish(TwinResiduals(health=TwinResiduals.HEALTHY))
     assert residuals.wait_for_all_acked(ACKNOWLEDGED)
