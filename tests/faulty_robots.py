@@ -104,7 +104,7 @@ class Robots:
             row["c"], row["d"], row["state"], row["cycle"] = gait.direction, 0.0, activity, cycle
             row["onset"], row["run"] = (ONSET if activity == Activity.RUNNING else 0), 1
             parts.append(row)
-        rows = np.concatenate(parts)
+        rows = np.concatenate(parts[::-1])  # the driver's words before what is of the same moment
         return rows[np.argsort(rows["stamp"], kind="stable")]
 
 

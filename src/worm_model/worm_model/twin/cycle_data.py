@@ -76,8 +76,13 @@ class CycleData:
     gained: int = 0
 
 
-def cycle_data(number: int, sums: Array, noise: Array, power: Array, pitch: float) -> CycleData:
-    """Of the sums (PHASES, SUMS) of a cycle; ``noise`` (CHANNELS,) of a sample; ``power`` (BINS,) in W as predicted."""
+def cycle_data(
+    number: int, sums: Array, noise: Array, power: Array, pitch: float, *, fresh: bool
+) -> CycleData:
+    """Of the sums (PHASES, SUMS) of a cycle; ``noise`` (CHANNELS,) of a sample; ``power`` (BINS,) in W as predicted.
+
+    ``fresh`` is the first cycle of a motion, whose transient no two robots share.
+    """
     by_bin = sums.reshape(BINS, PHASES // BINS, -1).sum(axis=1)
     total = by_bin[:, [POSITION_SUM, LENGTH_SUM, POWER_SUM]].T
     count = by_bin[:, [POSITION_COUNT, LENGTH_COUNT, POWER_COUNT]].T
@@ -85,7 +90,7 @@ def cycle_data(number: int, sums: Array, noise: Array, power: Array, pitch: floa
     values = np.divide(total, count, out=np.zeros((CHANNELS, BINS)), where=some)
     scatter = np.tile(np.array(SCATTER)[:, None], BINS)
     scatter[POWER] += POWER_SHARE * power
-    scatter *= np.array(FIRST)[:, None] if number == 1 else 1.0
+    scatter *= np.array(FIRST)[:, None] if fresh else 1.0
     variance = np.full((CHANNELS, BINS), np.inf)
     np.divide(noise[:, None] ** 2, count, out=variance, where=some)
     variance += scatter**2

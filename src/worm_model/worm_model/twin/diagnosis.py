@@ -37,7 +37,7 @@ from worm_model.twin.causes import (
     weigh_causes,
 )
 from worm_model.twin.core.memory import LENGTH_COUNT, POSITION
-from worm_model.twin.cycle_data import CycleData, Step, cycle_data
+from worm_model.twin.cycle_data import STEP_M, CycleData, Step, cycle_data
 from worm_model.twin.signatures import (
     BINS,
     FAULTS,
@@ -133,13 +133,22 @@ def judge_cycle(history: History, seen: CycleSeen) -> tuple[History, list[Findin
     # L0 as measured differs from run to run by less than matters here.
     length = round(seen.parameters.initial_length, 4)
     signs = signatures(seen.gait, seen.parameters.replace(initial_length=length), driven=driven)
-    data = cycle_data(seen.number, seen.sums, seen.noise, signs.power, seen.parameters.pitch)
+    data = cycle_data(
+        seen.number,
+        seen.sums,
+        seen.noise,
+        signs.power,
+        seen.parameters.pitch,
+        fresh=not history.cycles,
+    )
     history = replace(
         history,
         unplaced=history.unplaced or seen.joined,
         blind_s=history.blind_s + seen.blind_s,
     )
     history, data, findings = _place(history, seen, data)
+    if seen.joined:
+        return history, findings  # nobody knows how it began
     step = data.step
     if step is not None and not step.is_none:
         data = replace(data, gained=_whole(step.size, seen) * seen.gait.direction)
@@ -174,8 +183,11 @@ def _place(
     size, variance = data.step.size, data.variance.copy()
     variance[POSITION] = np.inf
     data = replace(data, step=Step(0.0), variance=variance)
-    unknown = replace(history, unplaced=False, blind_s=0.0)
+    # A cycle that the twin came to in the middle does not end where whole ones do.
+    unknown = replace(history, unplaced=seen.joined, blind_s=0.0)
     if history.unplaced:
+        if not seen.joined and abs(size) <= STEP_M:
+            return unknown, data, []
         text = f"cycle {seen.number}: the twin takes the tracker's word for where the robot stands"
         return unknown, data, [Finding("", text, seen.number, shift=size, explains_position=True)]
     grooves = _whole(size, seen)
