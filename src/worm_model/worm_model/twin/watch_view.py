@@ -83,7 +83,9 @@ def render(view: View, pitch: float, width: int = 80, trend: Trend = Trend()) ->
     progress = f"  cycle {view.cycle} of {view.cycles}" if view.cycles else ""
     health = f"twin  {view.health.name.lower()}  {view.message}"
     cell = min(12, (width - 14) // 3)
-    heads = " ".join(f"{head:>{cell}}" for head in ("twin", "robot", "difference" if cell >= 10 else "diff"))
+    heads = " ".join(
+        f"{head:>{cell}}" for head in ("twin", "robot", "difference" if cell >= 10 else "diff")
+    )
     return [
         *_wrapped(f"worm  {doing}  {view.gait}{progress}", width),
         *_wrapped(health, width, HEALTH_COLOURS[view.health]),
