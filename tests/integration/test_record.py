@@ -340,8 +340,10 @@ def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tm
     )
     recorder.wait_for_line("recording /worm/gait_state ", TIMEOUT_S)
     gait = Gait(stroke=0.07, frequency=0.2, direction=Gait.FORWARD)
-    for run in (1, 1, 2, 2, 2):
-        states.publish(GaitState(state=GaitState.RUNNING, gait=gait, cycles=5, run=run))
+    for cycle, run in enumerate((1, 1, 2, 2, 2), 1):
+        states.publish(
+            GaitState(state=GaitState.RUNNING, gait=gait, cycle=cycle, cycles=5, run=run)
+        )
     assert states.wait_for_all_acked(ACKNOWLEDGED)
     recorder.interrupt()
     assert recorder.wait(TIMEOUT_S) == 0
