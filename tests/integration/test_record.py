@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
-from worm_msgs.msg import Gait, GaitState, Power, Tracker, TwinResiduals
+from worm_msgs.msg import Gait, GaitState, Power, Tracker, TwinEvent
 from worm_optimizer.operation.processes import Process, executable_command
 
 ACKNOWLEDGED = Duration(seconds=20)
@@ -297,22 +297,23 @@ def test_the_last_seconds_are_written_when_the_twin_raises_an_alarm(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
-    residuals = probe.node.create_publisher(TwinResiduals, "twin/residuals", 1000)
+    events = probe.node.create_publisher(TwinEvent, "twin/events", LATCHED)
     recorder = processes.start_node(
-        *("worm_model", "record", "tracker", "twin/residuals", "--snapshot", "60", "--json"),
+        *("worm_model", "record", "tracker", "twin/events", "--snapshot", "60", "--json"),
         *("-o", str(tmp_path / "bag")),
     )
-    for topic in ("tracker", "twin/residuals"):
+    for topic in ("tracker", "twin/events"):
         recorder.wait_for_line(f"recording /worm/{topic} ", TIMEOUT_S)
-    for publisher in (positions, residuals):
+    for publisher in (positions, events):
         probe.wait_for(lambda p=publisher: p.get_subscription_count() > 0, "the recorder")
     publish(positions, range(20))
-    residuals.publish(TwinResiduals(health=TwinResiduals.HEALTHY))
-    assert residuals.wait_for_all_acked(ACKNOWLEDGED)
+    events.publish(TwinEvent(message="a run begins"))  # only worth a word
+    assert events.wait_for_all_acked(ACKNOWLEDGED)
     assert not list(tmp_path.glob("bag*"))
-    for _ in range(3):  # one alarm, as long as it lasts
-        residuals.publish(TwinResiduals(health=TwinResiduals.FAULTY))
-    recorder.wait_for_line("the twin raises an alarm", TIMEOUT_S)
+    events.publish(TwinEvent(code=TwinEvent.CABLE_SLIP, message="the cable slipped"))
+    recorder.wait_for_line(
+        r"the twin raises an alarm \(the cable slipped\): .*_snapshot_1", TIMEOUT_S
+    )
     recorder.interrupt()
     assert outcome_of(recorder)["bags"] == [str(tmp_path / "bag_snapshot_1")]
     assert recorded(tmp_path / "bag_snapshot_1") == [float(i) for i in range(20)]
@@ -339,8 +340,10 @@ def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tm
     )
     recorder.wait_for_line("recording /worm/gait_state ", TIMEOUT_S)
     gait = Gait(stroke=0.07, frequency=0.2, direction=Gait.FORWARD)
-    for run in (1, 1, 2, 2, 2):
-        states.publish(GaitState(state=GaitState.RUNNING, gait=gait, cycles=5, run=run))
+    for cycle, run in enumerate((1, 1, 2, 2, 2), 1):
+        states.publish(
+            GaitState(state=GaitState.RUNNING, gait=gait, cycle=cycle, cycles=5, run=run)
+        )
     assert states.wait_for_all_acked(ACKNOWLEDGED)
     recorder.interrupt()
     assert recorder.wait(TIMEOUT_S) == 0

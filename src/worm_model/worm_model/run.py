@@ -126,6 +126,18 @@ class GaitStates:
         """In which states a gait runs whose onset is known, shape (n,)."""
         return (self.state == RUNNING) & (self.onset > 0)
 
+    @property
+    def mixed(self) -> bool:
+        """Whether a run goes on after another one has begun: what several drivers told, or merged recordings."""
+        rows = np.flatnonzero(self.played)
+        onset = self.onset[rows[np.argsort(self.stamp[rows], kind="stable")]]
+        begins = np.flatnonzero(np.abs(np.diff(onset)) > SAME_ONSET_NS) + 1
+        return (
+            bool((np.diff(np.sort(onset[[0, *begins]])) <= SAME_ONSET_NS).any())
+            if rows.size
+            else False
+        )
+
     def rows_of_runs(self) -> list[NDArray[np.int64]]:
         """The rows of `played` run by run, in the order of their stamps; what is one run: `is_another_run`."""
         rows = np.flatnonzero(self.played)

@@ -70,6 +70,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="of the bootstrap (default 0)"
     )
+    parser.add_definitions()
     parser.add_json()
     parser.add_parameters()
     return parser
@@ -113,13 +114,13 @@ def _run(options: argparse.Namespace) -> None:
     if options.seed < 0:
         raise InputError("--seed must not be negative")
     reporter = _Reporter()
-    inputs = read_inputs(options.runs, options.bellows, options.fin)
+    inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions)
     result = identify(
         inputs,
         _reference(options, inputs),
         options.seed,
         SIDES.get(options.fin_engages, 0),
-        read_recordings(options.validation),
+        read_recordings(options.validation, options.definitions),
         reporter,
     )
     advice = advise(result)

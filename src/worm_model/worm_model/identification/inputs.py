@@ -62,13 +62,17 @@ class Inputs:
 
 
 def read_inputs(
-    paths: Sequence[Path], bellows_file: Path | None = None, fin_file: Path | None = None
+    paths: Sequence[Path],
+    bellows_file: Path | None = None,
+    fin_file: Path | None = None,
+    definitions: Path | None = None,
 ) -> Inputs:
     """Bags, and a lab's folders or runs of them; one lab's own bench tests are used unless others are named.
 
-    Raises `IdentificationError`, or `worm_model.bags.bag_errors.BagError`, if something cannot be read.
+    ``definitions`` of messages are as `open_bag` takes them. Raises `IdentificationError`, or
+    `worm_model.bags.bag_errors.BagError`, if something cannot be read.
     """
-    recordings = tuple(read_recordings(paths))
+    recordings = tuple(read_recordings(paths, definitions))
     _check_names(recordings)
     labs = sorted({_lab_of(path) for path in paths if is_lab_folder(path)})
     folder = labs[0] if len(labs) == 1 else None
@@ -84,14 +88,14 @@ def read_inputs(
     )
 
 
-def read_recordings(paths: Sequence[Path]) -> list[Recording]:
+def read_recordings(paths: Sequence[Path], definitions: Path | None = None) -> list[Recording]:
     """The runs in bags and in a lab's folders, each of which may hold several, in the order of their names there."""
     found = []
     for path in paths:
         if is_lab_folder(path):
             found += [read_lab_recording(run) for run in run_folders(path)]
         else:
-            found.append(read_recording(path))
+            found.append(read_recording(path, definitions))
     return found
 
 
@@ -113,11 +117,11 @@ def run_folders(folder: Path) -> list[Path]:
     return sorted(file.parent for file in folder.glob(f"*/{RUN_FILE}"))
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path, definitions: Path | None = None) -> Recording:
     """The run in a bag, or in a lab's folder of one run."""
     if is_lab_folder(path):
         return read_lab_recording(path)
-    with open_bag(path) as bag:
+    with open_bag(path, definitions=definitions) as bag:
         run = read_run(bag, names=TOPICS)
         start = bag.start
     date = datetime.fromtimestamp(start * 1e-9, timezone.utc).isoformat(timespec="seconds")

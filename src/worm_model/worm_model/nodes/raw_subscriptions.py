@@ -35,7 +35,7 @@ from worm_model.bags.topic_selection import SelectionError, TopicSelection
 from worm_model.nodes.recording_qos import describe, subscription_qos
 
 GAIT_STATE = "worm_msgs/msg/GaitState"
-ALARM_TYPE = "worm_msgs/msg/TwinResiduals"
+ALARM_TYPE = "worm_msgs/msg/TwinEvent"
 
 OVERLAP_LOOKS = (
     50  # with both subscriptions: publishers learn of the second one later than it does of them
@@ -149,7 +149,6 @@ class RecordNode(Node):
         self._refused: set[str] = set()
         self._run, self._onset = 0, 0  # of the gait that was noted last
         self._noted = False
-        self._alarmed = False
         self._offered: list[Service] = []
         self._settled = time.monotonic() + SETTLING_S
 
@@ -198,9 +197,9 @@ class RecordNode(Node):
         return sorted(self._selection.names - self._subscriptions_by_name.keys())
 
     @property
-    def topic_count(self) -> int:
+    def topics(self) -> list[Topic]:
         """Topics subscribed to."""
-        return len(self._subscriptions_by_name)
+        return [subscription.topic for subscription in self._subscriptions_by_name.values()]
 
     def discover(self) -> None:
         """Subscribe to what is new, adapt to new publishers of what is not."""
@@ -256,15 +255,14 @@ class RecordNode(Node):
                 if gait and not self._is_known(state):
                     yield Note(GAIT_RECORD, gait)
 
-    def new_alarm(self, samples: Sequence[Message]) -> bool:
-        """Whether the twin raises an alarm in the messages that it did not raise before."""
-        raised = False
-        for sample in samples:
-            if sample.channel.type_name == ALARM_TYPE:
-                state: Any = deserialize_message(sample.data, message_class(ALARM_TYPE))
-                raised |= is_alarm(state) and not self._alarmed
-                self._alarmed = is_alarm(state)
-        return raised
+    def alarm(self, samples: Sequence[Message]) -> str:
+        """What the twin raises an alarm about in the messages, the last one; empty without one."""
+        events: list[Any] = [
+            deserialize_message(sample.data, message_class(ALARM_TYPE))
+            for sample in samples
+            if sample.channel.type_name == ALARM_TYPE
+        ]
+        return next((e.message or e.code for e in reversed(events) if e.code), "")
 
     def _is_known(self, state: Any) -> bool:
         """Whether a gait's state is of the run that was noted last; a driver that restarts counts anew."""
@@ -288,11 +286,6 @@ def message_class(type_name: str) -> type:
             f"{type_name} is not installed; source the workspace that has it"
         ) from None
     return found
-
-
-def is_alarm(message: Any) -> bool:
-    """Whether a message of ALARM_TYPE is one that a snapshot is taken at."""
-    return bool(message.health == message.FAULTY)
 
 
 def _describe_gait(state: Any) -> dict[str, str]:

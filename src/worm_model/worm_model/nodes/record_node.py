@@ -114,8 +114,9 @@ def _parser() -> Parser:
         type=_not_negative,
         default=0.0,
         metavar="S",
-        help="keep the last S seconds in memory and write them when the twin raises an alarm or ~/snapshot is called, "
-        "into OUTPUT_snapshot_1 and so on; nothing else is written",
+        help="keep the last S seconds in memory and write them when the twin raises an alarm (an event with a code on "
+        "twin/events, which must be among the topics) or ~/snapshot is called, into OUTPUT_snapshot_1 and so on; "
+        "nothing else is written",
     )
     parser.add_argument(
         "--anonymous",
@@ -151,6 +152,7 @@ class _Recording:
             now = time.monotonic()
             if now >= discovery:
                 self._node.discover()
+                self._session.know(self._node.topics)
                 self._node.serve()
                 discovery = now + DISCOVERY_S
             self.take()
@@ -168,12 +170,13 @@ class _Recording:
         self._session.offer(self._cleaned(messages))
         for note in self._node.new_gaits(messages):
             self._session.note(note)
-        if self._session.options.ring_s and self._node.new_alarm(messages):
+        alarm = self._node.alarm(messages) if self._session.options.ring_s else ""
+        if alarm:
             try:
                 outcome = self._session.snapshot()
             except (BagError, OSError) as error:  # the next alarm may fare better
                 outcome = f"no snapshot: {error}"
-            self._node.get_logger().warning(f"the twin raises an alarm: {outcome}")
+            self._node.get_logger().warning(f"the twin raises an alarm ({alarm}): {outcome}")
 
     def _cleaned(self, messages: Sequence[Message]) -> Sequence[Message]:
         if self._cleaner is None:
@@ -195,7 +198,7 @@ class _Recording:
             "messages": offered.messages - dropped.messages,
             "bytes": offered.bytes - dropped.bytes,
             "dropped": self._node.lost + dropped.messages + self._uncleaned,
-            "topics": self._node.topic_count,
+            "topics": len(self._node.topics),
             "duration": round(self.elapsed, 3),
         }
 
