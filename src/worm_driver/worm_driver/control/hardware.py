@@ -44,7 +44,7 @@ class Hardware:
 
     Args:
         settings: of the robot.
-        tracker_ready: whether the tracker sees the robot, or there is none to wait for.
+        tracker_ready: whether the tracker sees the robot stand, or there is none to wait for.
 
     Attributes:
         snapshots: of the cycles, oldest first; whoever takes them out owns them. None is ever dropped.
