@@ -56,6 +56,7 @@ CONFINED = {
     "mcap": ["worm_model/bags/*.py"],
     "mcap_ros2": ["worm_model/bags/*.py"],
     "rosbags": ["worm_model/bags/*.py"],
+    "pandas": ["worm_model/analysis/run_table.py"],
     "dask": ["worm_optimizer/study/store.py"],
     "distributed": ["worm_optimizer/study/engine.py", "worm_optimizer/study/run.py"],
     "xarray": ["worm_optimizer/study/store.py", "worm_optimizer/study/summary.py"],

@@ -33,6 +33,12 @@ def state_name(state: int) -> str:
     return STATE_NAMES[state] if 0 <= state < len(STATE_NAMES) else f"state {state}"
 
 
+def power_status_name(status: int) -> str:
+    """A value of Power.status in words."""
+    known = 0 <= status < len(POWER_STATUS_NAMES)
+    return POWER_STATUS_NAMES[status] if known else f"status {status}"
+
+
 def is_another_run(before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) -> Any:
     """Whether one gait state is of another run than the one before it: what is one run is decided here alone.
 

@@ -363,7 +363,10 @@ class Robot:
             self._fault_of_suspect()
             or self._fold(before)
             or supervision.fault_in_counts(
-                self._count_deviations(), self.settings.limits, self._reader.problems
+                self._count_deviations(),
+                self.settings.limits,
+                self._reader.problems,
+                supervision.crowding(self._load(), os.cpu_count() or 1),
             )
         )
         if reason is not None:

@@ -17,6 +17,7 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
+from worm_driver.commands.driver_command import Parser
 from worm_driver.nodes.virtual_camera_node import CameraProcess
 from worm_driver.tracking.initial_length import InitialLength
 from worm_driver.virtual_robot.camera import TrackerSample
@@ -160,7 +161,7 @@ def _camera_file(text: str) -> Path:
 
 def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     faults = "\n".join(f"  {name:18}{kind}" for name, kind in KINDS.items())
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="virtual_robot",
         description="A worm robot without hardware: opens DIR/servo_bus (serial) and DIR/i2c.sock.",
         epilog=f"faults, with their defaults:\n{faults}",

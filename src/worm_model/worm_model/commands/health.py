@@ -40,6 +40,9 @@ def _parser() -> Parser:
 
 
 def _health(options: argparse.Namespace) -> None:
+    for path in options.bags:
+        if not path.exists():
+            raise InputError(f"{path}: does not exist")
     known = load_parameter_file(options.parameters)
     figure = figure_file(options)
     bags, left_out = estimate_bags(
