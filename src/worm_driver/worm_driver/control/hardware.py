@@ -44,7 +44,7 @@ class Hardware:
 
     Args:
         settings: of the robot.
-        tracker_ready: whether the tracker sees the robot, or there is none to wait for.
+        tracker_ready: whether the tracker sees the robot stand, or there is none to wait for.
         why_not_start: why neither torque nor a run may begin, in words; empty when they may.
 
     Attributes:

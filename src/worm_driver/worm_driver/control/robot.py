@@ -46,7 +46,7 @@ class Robot:
         settings: of this robot.
         bus: an open bus, which the robot owns from now on.
         valid_power_samples: counts the valid power samples since the start.
-        tracker_ready: whether the tracker sees the robot, or there is none to wait for.
+        tracker_ready: whether the tracker sees the robot stand, or there is none to wait for.
         clock: s, monotonic.
         load: of the computer, as its load average.
         why_not_start: why neither torque nor a run may begin, in words; empty when they may.

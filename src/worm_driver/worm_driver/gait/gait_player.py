@@ -112,7 +112,7 @@ class Observation:
     Attributes:
         fins_set: the fins have reached where they were sent to.
         idle_samples: valid power samples since the rest began.
-        tracker_ready: the tracker sees the robot, or there is none to wait for.
+        tracker_ready: the tracker sees the robot stand, or there is none to wait for.
     """
 
     fins_set: bool
@@ -272,7 +272,9 @@ def _resting(
     enough = rested >= settings.rest_duration and seen.idle_samples >= settings.rest_samples
     if not (enough and seen.tracker_ready) and rested < settings.rest_timeout:
         return state
-    return _enter(replace(state, run=replace(run, onset=now)), Phase.RUNNING, now)
+    message = "" if seen.tracker_ready else "the robot was not seen at rest before the gait"
+    state = replace(state, run=replace(run, onset=now), message=message)
+    return _enter(state, Phase.RUNNING, now)
 
 
 def _running(

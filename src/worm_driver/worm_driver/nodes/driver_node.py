@@ -9,7 +9,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from traceback import format_exception
 from typing import TypeVar
 
@@ -36,6 +36,7 @@ from worm_driver.control.hardware import Hardware
 from worm_driver.control.telemetry import Snapshot
 from worm_driver.errors import ConfigurationError, DriverError, ReleaseError, StoppedError
 from worm_driver.gait.gait_player import Phase, PlayerState
+from worm_driver.gait.stillness import Stillness
 from worm_driver.nodes import driver_messages, driver_parameters
 from worm_driver.nodes.driver_messages import ClockPair
 from worm_driver.nodes.impossible_transitions import refuse_impossible_transitions
@@ -96,6 +97,7 @@ class DriverNode(LifecycleNode):
         self._robot_clock: Clock | None = None  # stays after a clean-up, so that stamps go on
         self._born = time.monotonic()
         self._tracked = -math.inf
+        self._stillness = Stillness()
         self._joint_states = self.create_publisher(
             JointState, "joint_states", _TELEMETRY, qos_overriding_options=_OPEN
         )
@@ -115,7 +117,9 @@ class DriverNode(LifecycleNode):
         self._action = RunGaitAction(self, lambda: self._hardware, self._sees_robot)
         self.create_subscription(Tracker, "tracker", self._on_tracker, 100)
         self._side = SideNode(self, "stop")
-        self._side.node.create_service(Trigger, "stop", self._on_stop, qos_profile=_EVERY_CALL)
+        self._stop = self._side.node.create_service(
+            Trigger, "stop", self._on_stop, qos_profile=_EVERY_CALL
+        )
         self._side.node.create_subscription(Heartbeat, "heartbeat", self._action.on_heartbeat, 100)
         self._listen_for_emergencies()
         self._side.start()
@@ -301,7 +305,8 @@ class DriverNode(LifecycleNode):
     # --- services ------------------------------------------------------------------------------
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """In the thread of its own node."""
+        """In the thread of its own node; one stop answers all who have called by then, as it takes a cycle."""
+        others = list(self._further_stops())
         try:
             hardware = self._opened()
             hardware.loop.insist(
@@ -311,7 +316,16 @@ class DriverNode(LifecycleNode):
             response.success, response.message = False, str(error)
         else:
             response.success, response.message = True, "stopped, and holding"
+        for header in others:
+            self._stop.send_response(response, header)
         return response
+
+    def _further_stops(self) -> Iterator[object]:
+        """The headers of calls that wait behind the one that is being served."""
+        handle = self._stop.handle
+        with handle:
+            while (header := handle.service_take_request(Trigger.Request)[1]) is not None:
+                yield header
 
     def _listen_for_emergencies(self) -> None:
         """Also to what was said before this driver began, which may be a stop but takes none back; from anybody."""
@@ -485,10 +499,10 @@ class DriverNode(LifecycleNode):
         return stamp
 
     def _tracker_ready(self) -> bool:
-        """Whether samples come in, or so long did not that there is no tracker (discovery may take 3 s)."""
-        return self._robot_time() - self._tracked < _FRESH or (
-            math.isinf(self._tracked) and time.monotonic() - self._born > _DISCOVERY
-        )
+        """Whether the robot is seen to stand, or so long was not that there is no tracker (discovery may take 3 s)."""
+        if math.isinf(self._tracked):
+            return time.monotonic() - self._born > _DISCOVERY
+        return self._robot_time() - self._tracked < _FRESH and self._stillness.lasts
 
     def _sees_robot(self) -> bool:
         """Whether samples of the tracker come in."""
@@ -498,7 +512,8 @@ class DriverNode(LifecycleNode):
         return time.monotonic() if self._robot_clock is None else self._robot_clock()
 
     def _on_tracker(self, message: Tracker) -> None:
-        self._tracked = self._robot_time()
+        now = self._tracked = self._robot_time()
+        self._stillness.observe(now, message.rear_position, message.front_position)
         clocks = self._read_clocks()
         self._action.on_position(clocks.monotonic(message.header.stamp), message.rear_position)
 
