@@ -232,7 +232,7 @@ def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> Fin
 def _locomotion_estimates(
     locomotion: LocomotionResult, estimates: Mapping[str, Estimate], fin: FinFit | None
 ) -> dict[str, Estimate]:
-    """Without a fin test x1 tells but the ratio of η to the fins' stiffness. The pitch is told better than given."""
+    """Without a fin test x1 gives only the ratio of η to the fins' stiffness. The pitch is narrower than measured."""
     friction, threshold = locomotion.viscous_friction, locomotion.switching_threshold
     if _fin_knowledge(estimates, fin) is None:
         friction = not_told(friction.value, NO_FIN)

@@ -34,9 +34,9 @@ from worm_optimizer.operation.session import FAILURES, Narrator, work_folder
 from worm_optimizer.operation.system import SystemFileError, load_system_file
 from worm_optimizer.report.agreement import agreement_json, describe
 from worm_optimizer.report.identification_parts import add_identification, identification_of
-from worm_optimizer.report.page import Report, build_report
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
+from worm_optimizer.report.report_page import Report, build_report
 from worm_optimizer.search.cache import Cache, default_directory
 from worm_optimizer.search.search_settings import Settings
 
