@@ -91,6 +91,7 @@ def test_ctrl_c_stops_at_the_next_rest_and_another_one_at_once(lab: Lab):
     assert run.wait(2 * TIMEOUT_S) == 1
     result = json.loads(next(line for line in run.output().splitlines() if line[:1] == "{"))
     assert "cancelled, at rest after" in result["message"]
+    lab.wait_for(GaitState.IDLE)
     run = lab.run("--stroke", "0.05", "--frequency", "0.02", "--cycles", "9")
     run.interrupt()
     run.wait_for_line("Ctrl-C again holds at once", TIMEOUT_S)
