@@ -47,6 +47,8 @@ ELSEWHERE = {
     ("worm_driver", "virtual_robot"): "tests/integration/test_virtual_robot.py",
     ("worm_model", "twin_node"): "tests/integration/test_twin_node.py",
     ("worm_model", "watch"): "tests/integration/test_watch.py",
+    ("worm_optimizer", "start"): "tests/integration/test_start.py",
+    ("worm_optimizer", "operate"): "tests/integration/test_operate.py",
     ("worm_optimizer", "campaign"): "tests/integration/test_campaign.py",
     ("worm_optimizer", "demo"): "tests/integration/test_demo.py",
     ("worm_optimizer", "study"): "tests/unit/worm_optimizer/study/test_study_command.py",

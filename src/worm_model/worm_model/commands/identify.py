@@ -76,13 +76,14 @@ def _parser() -> Parser:
     return parser
 
 
-class _Reporter:
+class StageProgress:
     """One progress line for each stage."""
 
     def __init__(self) -> None:
         self._stage, self._line = "", ProgressLine("")
 
     def __call__(self, stage: str, done: float) -> None:
+        """Shows how far a stage is, from 0 to 1."""
         if stage != self._stage:
             self._stage, self._line = stage, ProgressLine(stage)
         self._line(done)
@@ -113,7 +114,7 @@ def _run(options: argparse.Namespace) -> None:
     report = new_file(options.report) if options.report else None
     if options.seed < 0:
         raise InputError("--seed must not be negative")
-    reporter = _Reporter()
+    reporter = StageProgress()
     inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions)
     result = identify(
         inputs,
