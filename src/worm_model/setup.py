@@ -8,6 +8,7 @@ from setuptools import find_packages, setup
 NAME = "worm_model"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
     "evaluate_gait = worm_model.commands.evaluate_gait:main",
+    "simulate = worm_model.commands.simulate:main",
     "phase_map = worm_model.commands.phase_map:main",
     "export = worm_model.commands.export:main",
     "identify = worm_model.commands.identify:main",

@@ -13,6 +13,8 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "request = worm_optimizer.commands.request:main",
     "demo = worm_optimizer.commands.demo:main",
     "report = worm_optimizer.commands.report:main",
+    "start = worm_optimizer.commands.start:main",
+    "operate = worm_optimizer.commands.operate:main",
     "campaign = worm_optimizer.commands.campaign:main",
     "study = worm_optimizer.commands.study:main",
 ]

@@ -161,14 +161,23 @@ def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerStat
     return _enter(state, Phase.RETURNING, now)
 
 
-def cancel(state: PlayerState, now: float) -> PlayerState:
+def finish(state: PlayerState, now: float) -> PlayerState:
+    """Lets the run end as completed with the present cycle: it has reached what it was asked for."""
+    run = state.active_run
+    if run is None or state.phase is not Phase.RUNNING:
+        return state
+    cycle = max(1, run.cycle(now))
+    return replace(state, run=replace(run, cycles=cycle, stop_cycle=cycle))
+
+
+def cancel(state: PlayerState, now: float, reason: str) -> PlayerState:
     """Lets the run end at the next point of rest."""
     run = state.active_run
     if run is None or state.phase is Phase.STOPPING:
         return state
     if run.onset is not None:
         run = replace(run, stop_cycle=max(1, run.cycle(now)))
-    run = replace(run, reason="cancelled")
+    run = replace(run, reason=reason)
     if state.phase is Phase.RETURNING or run.onset is not None:
         return replace(state, phase=Phase.STOPPING, run=run)
     return _end(replace(state, run=run), now, Ending.CANCELLED, Phase.IDLE)

@@ -95,7 +95,7 @@ def test_cancel_ends_at_the_next_point_of_rest(when):
     if state.run.ending is not None:
         return
     cycle = state.run.cycle(now)
-    state = gait_player.cancel(state, now)
+    state = gait_player.cancel(state, now, "cancelled")
     assert state.phase is Phase.STOPPING
     final = play(state, now, 3.0)[-1][1]
     assert final.run.ending is Ending.CANCELLED
@@ -107,7 +107,7 @@ def test_cancel_at_rest_ends_at_once():
     state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
     now, state = play(state, 0.0, 0.8)[-1]
     assert state.phase is Phase.RESTING
-    state = gait_player.cancel(state, now)
+    state = gait_player.cancel(state, now, "cancelled")
     assert (state.phase, state.run.ending) == (Phase.IDLE, Ending.CANCELLED)
     assert state.run.cycles_completed(now) == 0
 
