@@ -7,6 +7,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from worm_model.bags.lab_logs import LabSettings
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -21,7 +22,7 @@ from worm_model.identification.identification_report import (
     parameter_table,
     write_report,
 )
-from worm_model.identification.inputs import Inputs, read_inputs, read_recordings
+from worm_model.identification.inputs import EPOCH, Inputs, read_inputs, read_recordings
 from worm_model.identification.reference_values import (
     ReferenceValues,
     reference_by_file,
@@ -70,6 +71,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="of the bootstrap (default 0)"
     )
+    parser.add_transmission()
     parser.add_json()
     parser.add_parameters()
     return parser
@@ -112,14 +114,17 @@ def _run(options: argparse.Namespace) -> None:
     report = new_file(options.report) if options.report else None
     if options.seed < 0:
         raise InputError("--seed must not be negative")
+    if (options.spool_radius or 1.0) <= 0:
+        raise InputError("--spool-radius must be positive")
     reporter = _Reporter()
-    inputs = read_inputs(options.runs, options.bellows, options.fin)
+    logs = LabSettings(EPOCH, onset=options.onset, spool_radius=options.spool_radius)
+    inputs = read_inputs(options.runs, options.bellows, options.fin, logs)
     result = identify(
         inputs,
         _reference(options, inputs),
         options.seed,
         SIDES.get(options.fin_engages, 0),
-        read_recordings(options.validation),
+        read_recordings(options.validation, logs),
         reporter,
     )
     advice = advise(result)
