@@ -155,3 +155,13 @@ def test_phase_map_refuses_nonsense(run, tmp_path: Path) -> None:
     assert run(phase_map.main, "--points", "1")[0] == 2
     assert run(phase_map.main, "--lowest", "0.05", "--highest", "0.04")[0] == 2
     assert run(phase_map.main, "--frequency", "-1", "--points", "4")[0] == 2
+
+
+def test_help_does_not_wait_for_the_compiler() -> None:
+    code = (
+        "import sys, worm_model.commands.evaluate_gait, worm_model.commands.simulate\n"
+        "import worm_model.commands.bags\n"
+        "sys.exit(bool({'numba', 'numpy', 'matplotlib', 'rosbags'} & set(sys.modules)))"
+    )
+    path = {"PYTHONPATH": str(ROOT / "src/worm_model"), "PATH": "/usr/bin:/bin"}
+    assert subprocess.run([sys.executable, "-c", code], env=path).returncode == 0
