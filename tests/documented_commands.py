@@ -17,12 +17,9 @@ BLOCK_LINE = re.compile(
     r"^(?: {4,}|\t)?(?:\$ )?((?:\./worm|ros2 (?:run|launch)) .*)$", re.MULTILINE
 )
 INLINE = re.compile(r"`((?:\./worm|ros2 (?:run|launch)) [^`\n]+)`")
-SHORTCUTS = (
-    "demo",
-    "report",
-    "campaign",
-    "study",
-)  # subcommands that are executables of worm_optimizer
+# Subcommands that are executables, and of which package.
+SHORTCUTS = dict.fromkeys(("demo", "report", "campaign", "study"), "worm_optimizer")
+SHORTCUTS["watch"] = "worm_model"
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class Command:
         if runs and len(self.words) >= 4 and self.words[2] != "PACKAGE":
             return self.words[2], self.words[3]
         if self.words[0] == "./worm" and self.words[1] in SHORTCUTS:
-            return "worm_optimizer", self.words[1]
+            return SHORTCUTS[self.words[1]], self.words[1]
         return None
 
     @property

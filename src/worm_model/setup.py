@@ -15,12 +15,12 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "import_lab = worm_model.commands.import_lab:main",
     "bags = worm_model.commands.bags:main",
     "recover = worm_model.commands.recover:main",
-    "record = worm_model.nodes.record_node:main",
-    "play = worm_model.nodes.play_node:main",
+    "record = worm_model.nodes.executables:record",
+    "play = worm_model.nodes.executables:play",
     "replay = worm_model.commands.replay:main",
-    "twin_node = worm_model.nodes.twin_node:main",
+    "twin_node = worm_model.nodes.executables:twin_node",
     "health = worm_model.commands.health:main",
-    "watch = worm_model.nodes.watch_node:main",
+    "watch = worm_model.nodes.executables:watch",
 ]
 # What pip brings where there is no rosdep, as for a worker of a study; requirements*.txt pin the versions.
 NEEDED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "mcap", "rosbags", "pyarrow"]

@@ -192,17 +192,17 @@ def test_the_reference_of_the_packages_is_built(tmp_path: Path):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{tmp_path}/docs/index.html\n"
-    for module in (
-        "worm_driver/servos/servo_bus",
-        "worm_optimizer/nodes/optimizer_node",
-        "worm_model/gait",
-    ):
+    for module in ("worm_driver/virtual_robot/offline_run", "worm_model/gait"):
         assert (tmp_path / "docs" / f"{module}.html").exists()
+    assert not (tmp_path / "docs" / "worm_driver" / "servos").exists()  # internals
     page = (tmp_path / "docs" / "worm_model" / "simulation" / "simulator.html").read_text(
         encoding="utf-8"
     )
     assert "The hybrid simulator" in page
     assert 'id="evaluate_gait"' in page
+    assert "NDArray" in page
+    assert "numpy.dtype" not in re.sub(r"<[^>]*>", "", page)
+    assert "The public modules" in page
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 
 import csv
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -163,5 +164,6 @@ def test_help_does_not_wait_for_the_compiler() -> None:
         "import worm_model.commands.bags\n"
         "sys.exit(bool({'numba', 'numpy', 'matplotlib', 'rosbags'} & set(sys.modules)))"
     )
-    path = {"PYTHONPATH": str(ROOT / "src/worm_model"), "PATH": "/usr/bin:/bin"}
+    source = Path(__file__).resolve().parents[3] / "src/worm_model"
+    path = {"PYTHONPATH": str(source), "PATH": "/usr/bin:/bin"}
     assert subprocess.run([sys.executable, "-c", code], env=path).returncode == 0

@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from worm_driver.commands.command_line import Parser, new_file, run_command, say
+from worm_driver.commands.driver_command import Parser, new_file, run_command, say
 from worm_driver.tracking.image_sources import (
     Frame,
     check_size,

@@ -72,6 +72,7 @@ def _parser() -> Parser:
         "--seed", type=int, default=0, metavar="N", help="of the bootstrap (default 0)"
     )
     parser.add_transmission()
+    parser.add_definitions()
     parser.add_json()
     parser.add_parameters()
     return parser
@@ -118,13 +119,13 @@ def _run(options: argparse.Namespace) -> None:
         raise InputError("--spool-radius must be positive")
     reporter = _Reporter()
     logs = LabSettings(EPOCH, onset=options.onset, spool_radius=options.spool_radius)
-    inputs = read_inputs(options.runs, options.bellows, options.fin, logs)
+    inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions, logs)
     result = identify(
         inputs,
         _reference(options, inputs),
         options.seed,
         SIDES.get(options.fin_engages, 0),
-        read_recordings(options.validation, logs),
+        read_recordings(options.validation, options.definitions, logs),
         reporter,
     )
     advice = advise(result)

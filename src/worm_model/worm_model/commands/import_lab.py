@@ -25,6 +25,9 @@ from worm_model.parameters import Parameters, load_parameters
 _notify = notifier("import_lab")
 EPOCH_S = 1767225600  # 2026-01-01 00:00 UTC: the logs carry no date, and a stamp of 0 means "unknown" in ROS
 
+_LARGEST_SPOOL = 0.2  # m
+_LONGEST_BODY = 2.0  # m
+
 
 def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str) -> LabRun:
     """Make a bag of a run's folder; the same files give the same bytes.
@@ -90,8 +93,12 @@ def _parser() -> Parser:
 
 def _run(options: argparse.Namespace) -> None:
     parameters = load_parameters(options.parameters) if options.parameters else Parameters()
-    if options.epoch < 0 or (options.spool_radius or 1.0) <= 0:
-        raise InputError("--epoch must not be negative, and --spool-radius must be positive")
+    if options.epoch < 0:
+        raise InputError("--epoch must not be negative")
+    if options.spool_radius is not None:
+        _check_length("--spool-radius", options.spool_radius, _LARGEST_SPOOL)
+    if options.initial_length is not None:
+        _check_length("--initial-length", options.initial_length, _LONGEST_BODY)
     settings = LabSettings(
         epoch=round(options.epoch * 1e9),
         onset=options.onset,
@@ -115,6 +122,11 @@ def _run(options: argparse.Namespace) -> None:
     print_result(
         options, content, f"{output}: {summary}; initial length {lab.initial_length:.4f} m"
     )
+
+
+def _check_length(option: str, value: float, most: float) -> None:
+    if not 0.0 < value <= most:
+        raise InputError(f"{option} {value:g}: it is in m, above 0 and at most {most:g}")
 
 
 def main() -> int:

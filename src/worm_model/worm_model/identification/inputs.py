@@ -66,15 +66,15 @@ def read_inputs(
     paths: Sequence[Path],
     bellows_file: Path | None = None,
     fin_file: Path | None = None,
+    definitions: Path | None = None,
     logs: LabSettings = LOGS,
 ) -> Inputs:
     """Bags, and a lab's folders or runs of them; one lab's own bench tests are used unless others are named.
 
-    ``logs`` holds what a lab's logs do not say.
-
-    Raises `IdentificationError`, or `worm_model.bags.bag_errors.BagError`, if something cannot be read.
+    ``definitions`` of messages are as `open_bag` takes them, ``logs`` holds what a lab's logs do not say. Raises
+    `IdentificationError`, or `worm_model.bags.bag_errors.BagError`, if something cannot be read.
     """
-    recordings = tuple(read_recordings(paths, logs))
+    recordings = tuple(read_recordings(paths, definitions, logs))
     _check_names(recordings)
     labs = sorted({_lab_of(path) for path in paths if is_lab_folder(path)})
     folder = labs[0] if len(labs) == 1 else None
@@ -106,14 +106,16 @@ def _told(recordings: Sequence[Recording]) -> list[str]:
     ]
 
 
-def read_recordings(paths: Sequence[Path], logs: LabSettings = LOGS) -> list[Recording]:
+def read_recordings(
+    paths: Sequence[Path], definitions: Path | None = None, logs: LabSettings = LOGS
+) -> list[Recording]:
     """The runs in bags and in a lab's folders, each of which may hold several, in the order of their names there."""
     found = []
     for path in paths:
         if is_lab_folder(path):
             found += [read_lab_recording(run, logs) for run in run_folders(path)]
         else:
-            found.append(read_recording(path))
+            found.append(read_recording(path, definitions))
     return found
 
 
@@ -135,11 +137,11 @@ def run_folders(folder: Path) -> list[Path]:
     return sorted(file.parent for file in folder.glob(f"*/{RUN_FILE}"))
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path, definitions: Path | None = None) -> Recording:
     """The run in a bag, or in a lab's folder of one run."""
     if is_lab_folder(path):
         return read_lab_recording(path)
-    with open_bag(path) as bag:
+    with open_bag(path, definitions=definitions) as bag:
         run = read_run(bag, names=TOPICS)
         start = bag.start
     date = datetime.fromtimestamp(start * 1e-9, timezone.utc).isoformat(timespec="seconds")

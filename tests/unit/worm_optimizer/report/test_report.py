@@ -17,6 +17,7 @@ from lab_files import write_bench_tests
 from recorded_run import GAIT, simulated_run, write_bag
 from recorded_session import recorded_session
 
+from worm_model.analysis.run_parts import joined
 from worm_model.bags.bag import AttachedFile
 from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.run_writer import write_run
@@ -33,7 +34,6 @@ from worm_optimizer.report.page import Report, build_report
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import (
     bags_of,
-    joined,
     newest_recording,
     read_recorded_gaits,
 )
