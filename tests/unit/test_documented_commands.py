@@ -29,11 +29,12 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
         ("worm_model", name): ()
         for name in (
             *("evaluate_gait", "export", "health", "identify", "import_lab"),
-            *("bags", "phase_map", "recover", "replay"),
+            *("bags", "phase_map", "recover", "replay", "simulate"),
         )
     },
     ("worm_optimizer", "optimize"): SMALL_FRONT,
     ("worm_optimizer", "report"): ("--without-front",),
+    ("worm_optimizer", "sensitivity"): ("--samples", "16"),
     ("worm_optimizer", "request"): SMALL_FRONT,
     ("worm_optimizer", "scan_margin"): ("--lowest", "0.0033", "--highest", "0.0036"),
 }
