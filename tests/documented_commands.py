@@ -17,12 +17,11 @@ BLOCK_LINE = re.compile(
     r"^(?: {4,}|\t)?(?:\$ )?((?:\./worm|ros2 (?:run|launch)) .*)$", re.MULTILINE
 )
 INLINE = re.compile(r"`((?:\./worm|ros2 (?:run|launch)) [^`\n]+)`")
-SHORTCUTS = (
-    "demo",
-    "report",
-    "campaign",
-    "study",
-)  # subcommands that are executables of worm_optimizer
+# Subcommands that are executables, and of which package.
+SHORTCUTS = dict.fromkeys(
+    ("start", "operate", "demo", "report", "campaign", "study"), "worm_optimizer"
+)
+SHORTCUTS["watch"] = "worm_model"
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class Command:
         if runs and len(self.words) >= 4 and self.words[2] != "PACKAGE":
             return self.words[2], self.words[3]
         if self.words[0] == "./worm" and self.words[1] in SHORTCUTS:
-            return "worm_optimizer", self.words[1]
+            return SHORTCUTS[self.words[1]], self.words[1]
         return None
 
     @property
@@ -73,12 +72,12 @@ def _words(line: str) -> tuple[str, ...]:
 
 
 def entry_points() -> dict[tuple[str, str], str]:
-    """Module by package and executable, as the setup.py files declare them."""
+    """Module and function (``module:function``) by package and executable, as the setup.py files declare them."""
     found = {}
     for setup in sorted((ROOT / "src").glob("*/setup.py")):
         for node in ast.walk(ast.parse(setup.read_text(encoding="utf-8"))):
             if isinstance(node, ast.AnnAssign) and getattr(node.target, "id", "") == "EXECUTABLES":
                 for entry in ast.literal_eval(node.value):  # type: ignore[arg-type]
                     name, target = (part.strip() for part in entry.split("="))
-                    found[setup.parent.name, name] = target.split(":")[0]
+                    found[setup.parent.name, name] = target
     return found

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
-from worm_msgs.msg import Gait, GaitState, Power, Tracker, TwinResiduals
+from worm_msgs.msg import Gait, GaitState, Power, Tracker, TwinEvent
 from worm_optimizer.operation.processes import Process, executable_command
 
 ACKNOWLEDGED = Duration(seconds=20)
@@ -297,22 +297,23 @@ def test_the_last_seconds_are_written_when_the_twin_raises_an_alarm(
     processes: Processes, probe: Probe, tmp_path: Path
 ):
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
-    residuals = probe.node.create_publisher(TwinResiduals, "twin/residuals", 1000)
+    events = probe.node.create_publisher(TwinEvent, "twin/events", LATCHED)
     recorder = processes.start_node(
-        *("worm_model", "record", "tracker", "twin/residuals", "--snapshot", "60", "--json"),
+        *("worm_model", "record", "tracker", "twin/events", "--snapshot", "60", "--json"),
         *("-o", str(tmp_path / "bag")),
     )
-    for topic in ("tracker", "twin/residuals"):
+    for topic in ("tracker", "twin/events"):
         recorder.wait_for_line(f"recording /worm/{topic} ", TIMEOUT_S)
-    for publisher in (positions, residuals):
+    for publisher in (positions, events):
         probe.wait_for(lambda p=publisher: p.get_subscription_count() > 0, "the recorder")
     publish(positions, range(20))
-    residuals.publish(TwinResiduals(health=TwinResiduals.HEALTHY))
-    assert residuals.wait_for_all_acked(ACKNOWLEDGED)
+    events.publish(TwinEvent(message="a run begins"))  # only worth a word
+    assert events.wait_for_all_acked(ACKNOWLEDGED)
     assert not list(tmp_path.glob("bag*"))
-    for _ in range(3):  # one alarm, as long as it lasts
-        residuals.publish(TwinResiduals(health=TwinResiduals.FAULTY))
-    recorder.wait_for_line("the twin raises an alarm", TIMEOUT_S)
+    events.publish(TwinEvent(code=TwinEvent.CABLE_SLIP, message="the cable slipped"))
+    recorder.wait_for_line(
+        r"the twin raises an alarm \(the cable slipped\): .*_snapshot_1", TIMEOUT_S
+    )
     recorder.interrupt()
     assert outcome_of(recorder)["bags"] == [str(tmp_path / "bag_snapshot_1")]
     assert recorded(tmp_path / "bag_snapshot_1") == [float(i) for i in range(20)]
@@ -339,8 +340,10 @@ def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tm
     )
     recorder.wait_for_line("recording /worm/gait_state ", TIMEOUT_S)
     gait = Gait(stroke=0.07, frequency=0.2, direction=Gait.FORWARD)
-    for run in (1, 1, 2, 2, 2):
-        states.publish(GaitState(state=GaitState.RUNNING, gait=gait, cycles=5, run=run))
+    for cycle, run in enumerate((1, 1, 2, 2, 2), 1):
+        states.publish(
+            GaitState(state=GaitState.RUNNING, gait=gait, cycle=cycle, cycles=5, run=run)
+        )
     assert states.wait_for_all_acked(ACKNOWLEDGED)
     recorder.interrupt()
     assert recorder.wait(TIMEOUT_S) == 0
@@ -348,6 +351,35 @@ def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tm
         gaits = [dict(record.values) for record in bag.records if record.name == "worm_gait"]
         assert read_run(bag).gait_state.run.tolist() == [1, 1, 2, 2, 2]
     assert [gait["run"] for gait in gaits] == ["1", "2"]
+
+
+@pytest.mark.parametrize("way", ["lets go", "is gone", "is not waited for"])
+def test_it_goes_on_after_ctrl_c_until_the_driver_has_let_go(
+    processes: Processes, probe: Probe, tmp_path: Path, way: str
+):
+    """As where ros2 launch asks all to end at once: the way to rest belongs to the recording."""
+    states = probe.node.create_publisher(GaitState, "gait_state", LATCHED)
+    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
+    patience = [] if way == "is not waited for" else ["--to-rest"]
+    recorder = processes.start_node(
+        *("worm_model", "record", "gait_state", "tracker", "-o", str(tmp_path / "bag"), *patience)
+    )
+    for topic in ("gait_state", "tracker"):
+        recorder.wait_for_line(f"recording /worm/{topic} ", TIMEOUT_S)
+    for publisher in (states, positions):
+        probe.wait_for(lambda p=publisher: p.get_subscription_count() > 0, "the recorder")
+    states.publish(GaitState(state=GaitState.RUNNING))
+    assert states.wait_for_all_acked(ACKNOWLEDGED)
+    publish(positions, range(10))
+    recorder.interrupt()
+    if patience:
+        publish(positions, range(10, 20))
+    if way == "lets go":
+        states.publish(GaitState(state=GaitState.INACTIVE))
+    elif way == "is gone":
+        probe.node.destroy_publisher(states)
+    assert recorder.wait(TIMEOUT_S) == 0
+    assert recorded(tmp_path / "bag") == [float(i) for i in range(20 if patience else 10)]
 
 
 @pytest.mark.parametrize(

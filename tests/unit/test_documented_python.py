@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Python examples of docs/api.md are run, in their order, and the modules it names exist."""
+"""The Python examples of docs/api.md and the notebooks are run, in their order, and the modules it names exist."""
 
 import importlib.util
+import json
 import re
 from pathlib import Path
 
 import pytest
 from recorded_run import simulated_run, write_bag
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "api.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
 
 def test_the_examples_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ):
+    pytest.importorskip("pandas", reason="pandas is optional")
     monkeypatch.chdir(tmp_path)
-    write_bag(tmp_path / "bags" / "run_01", simulated_run(5))
+    write_bag(tmp_path / "bags" / "forward", simulated_run(5))
     examples = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     assert len(examples) == 3
     names: dict[str, object] = {}
@@ -24,6 +28,24 @@ def test_the_examples_run(
     told = capsys.readouterr().out
     assert "3.46 mm/s and 3.20 W at φ = +1.10 mm" in told
     assert "the twin ends" in told
+    assert (tmp_path / "forward.png").exists()
+
+
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
+def test_a_notebook_runs_and_holds_no_outputs(notebook: Path, monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("pandas", reason="pandas is optional")
+    monkeypatch.chdir(notebook.parent)
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    names: dict[str, object] = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == []
+            lines = (line for line in cell["source"] if not line.startswith("%"))
+            exec("".join(lines), names)
+
+
+def test_there_is_a_notebook():
+    assert NOTEBOOKS
 
 
 @pytest.mark.parametrize("name", sorted(set(re.findall(r"`(worm_\w+\.[\w.]+)`", PAGE))))

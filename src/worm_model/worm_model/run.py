@@ -33,6 +33,12 @@ def state_name(state: int) -> str:
     return STATE_NAMES[state] if 0 <= state < len(STATE_NAMES) else f"state {state}"
 
 
+def power_status_name(status: int) -> str:
+    """A value of Power.status in words."""
+    known = 0 <= status < len(POWER_STATUS_NAMES)
+    return POWER_STATUS_NAMES[status] if known else f"status {status}"
+
+
 def is_another_run(before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) -> Any:
     """Whether one gait state is of another run than the one before it: what is one run is decided here alone.
 
@@ -119,6 +125,18 @@ class GaitStates:
     def played(self) -> NDArray[np.bool_]:
         """In which states a gait runs whose onset is known, shape (n,)."""
         return (self.state == RUNNING) & (self.onset > 0)
+
+    @property
+    def mixed(self) -> bool:
+        """Whether a run goes on after another one has begun: what several drivers told, or merged recordings."""
+        rows = np.flatnonzero(self.played)
+        onset = self.onset[rows[np.argsort(self.stamp[rows], kind="stable")]]
+        begins = np.flatnonzero(np.abs(np.diff(onset)) > SAME_ONSET_NS) + 1
+        return (
+            bool((np.diff(np.sort(onset[[0, *begins]])) <= SAME_ONSET_NS).any())
+            if rows.size
+            else False
+        )
 
     def rows_of_runs(self) -> list[NDArray[np.int64]]:
         """The rows of `played` run by run, in the order of their stamps; what is one run: `is_another_run`."""

@@ -8,16 +8,23 @@ has its torque has its bus watchdog armed, which is fed while a question waits f
 
 import argparse
 import contextlib
+import functools
 import select
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from types import FrameType
 
+from worm_driver.commands.driver_command import Parser, new_file
 from worm_driver.control.supervision import Limits
-from worm_driver.errors import BusError, ConfigurationError, DriverError
+from worm_driver.errors import (
+    BusError,
+    ConfigurationError,
+    CorruptReplyError,
+    DriverError,
+    NoReplyError,
+)
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.calibration import Reading, parameter_text, spool_from
 from worm_driver.servos.encoding import from_raw
@@ -38,6 +45,8 @@ _PATIENCE = 20.0
 _WATCHDOG = 1.0
 #: s, from one packet to the next while a question waits for its answer
 _FEEDING = 0.2
+#: of an exchange that fails, before a person is asked
+_RETRIES = 3
 
 Ask = Callable[[str, Callable[[], object]], str]
 Say = Callable[[str], None]
@@ -99,7 +108,7 @@ class Calibration:
             servos.prepare_cable(self._bus, servo, servos.own_limit(servo, Limits()))
             start = servos.registers(self._bus, servo, "present_position")["present_position"]
         self._torque_on(servo)
-        self._move(servo, start + _PROBE)
+        self._reach(servo, start + _PROBE)
         shorter = self._choice(
             "the spool has turned a little: is the cable [t]auter or [s]lack? ", "ts"
         )
@@ -108,10 +117,10 @@ class Calibration:
         readings = []
         for index in range(points):
             ticks = start + direction * step * index
-            self._move(servo, ticks)
-            length = self._number("body length on the ruler, mm: ") * 1e-3
-            readings.append(Reading(ticks - start, length))
-        self._move(servo, start)
+            self._reach(servo, ticks)
+            question = f"reading {index + 1} of {points}: body length on the ruler, mm: "
+            readings.append(Reading(ticks - start, self._number(question) * 1e-3))
+        self._reach(servo, start)
         self._torque_off(servo)
         spool, worst = spool_from(servo.number, readings)
         self._say(
@@ -140,7 +149,36 @@ class Calibration:
         with self._bus.patient():
             servos.limit_motion(self._bus, servo, _SPEED, _WATCHDOG)
             servos.enable(self._bus, servo)
-        self._meanwhile = lambda: self._bus.read(servo.number, servo["torque_enable"])
+        self._meanwhile = functools.partial(self._feed, servo)
+
+    def _feed(self, servo: Servo) -> None:
+        """Keeps the bus watchdog from firing; a lost answer does not matter, a servo that is not fed stops."""
+        with contextlib.suppress(NoReplyError, CorruptReplyError):
+            self._bus.read(servo.number, servo["torque_enable"])
+
+    def _reach(self, servo: Servo, ticks: int) -> None:
+        """`_move`, repeated at a person's word when an answer is lost: the readings so far stay. Raises DriverError."""
+        while True:
+            try:
+                self._move(servo, ticks)
+            except (NoReplyError, CorruptReplyError) as error:
+                self._say(f"{error}; the readings so far are kept")
+                if self._choice("[r]epeat this step or [g]ive up? ", "rg") == "g":
+                    raise
+                self._take_over(servo)
+            else:
+                return
+
+    def _take_over(self, servo: Servo) -> None:
+        """Goes on with a servo whose bus watchdog may have fired. Raises DriverError if it has lost its torque."""
+        with self._bus.patient():
+            torque = self._bus.read(servo.number, servo["torque_enable"])
+        if not torque:
+            raise DriverError(
+                f"servo {servo.number} has lost its torque, by a restart or an overload, and may have turned: "
+                "its readings do not belong together any more; begin anew"
+            )
+        self._torque_on(servo)
 
     def _torque_off(self, servo: Servo) -> None:
         self._meanwhile = lambda: None
@@ -187,8 +225,11 @@ def calibrate(calibration: Calibration, turns: float, points: int) -> tuple[list
 
 
 def _arguments(arguments: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="calibrate", description=__doc__)
-    parser.add_argument("output", type=Path, help="parameter file to write; must not exist")
+    parser = Parser(
+        prog="calibrate",
+        description="Finds the servos, and asks a person with a ruler for what they cannot tell.",
+    )
+    parser.add_argument("output", type=new_file, help="parameter file to write; must not exist")
     parser.add_argument("--port", default="/dev/worm_bus", help="default: %(default)s")
     parser.add_argument("--baud-rate", type=int, default=1_000_000, help="default: %(default)s")
     parser.add_argument(
@@ -205,16 +246,12 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
         parser.error("--points must be 3 at least")
     if not 0.05 <= options.turns <= 5.0:
         parser.error("--turns must be 0.05 to 5")
-    if options.output.exists():
-        parser.error(f"{options.output} exists: move it, or choose another name")
-    if not options.output.absolute().parent.is_dir():
-        parser.error(f"{options.output.absolute().parent} is no folder")
     return options
 
 
 @contextlib.contextmanager
 def _bus_let_go_at_the_end(port: str, baud_rate: int) -> Iterator[ServoBus]:
-    bus = ServoBus.open(port, baud_rate, retries=1)
+    bus = ServoBus.open(port, baud_rate, retries=_RETRIES)
     try:
         yield bus
     finally:

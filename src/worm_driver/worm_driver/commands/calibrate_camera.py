@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from worm_driver.commands.command_line import Parser, new_file, positive, run_command, say
+from worm_driver.commands.driver_command import Parser, new_file, positive, run_command, say
 from worm_driver.commands.markers import BOARD
 from worm_driver.tracking.camera_model import Array, camera_info_text
 from worm_driver.tracking.image_sources import frames_of_folder

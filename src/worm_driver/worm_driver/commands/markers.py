@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from worm_driver.commands.command_line import Parser, new_file, positive, run_command
+from worm_driver.commands.driver_command import Parser, new_file, positive, run_command
 from worm_driver.tracking.tracker_setup import DICTIONARIES, load_setup
 from worm_driver.tracking.tracking_errors import SetupError
 from worm_driver.tracking.vision import Board, marker_cells

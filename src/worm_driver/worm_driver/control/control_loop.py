@@ -108,8 +108,10 @@ class PeriodicThread:
                 self._meter.pause()
             clock.sleep_until(due)
             now = clock()
-            self._meter.cycle(now, skipped=round((due - previous) / period) - 1)
+            self._meter.begin(now, due, skipped=round((due - previous) / period) - 1)
             going = self._step(now)
+            if not self._excused:
+                self._meter.end(clock())
             if self._meter.cycles % round(1.0 / period) == 0:
                 self._report = self._meter.report()
 

@@ -103,8 +103,8 @@ def timing_report(timing: TimingReport, period: float, urgency: Urgency) -> Repo
     elif timing.p99_error > _LATE:
         level, message = (
             Level.WARN,
-            f"p99 of the period error is {timing.p99_error * 1e3:.2f} ms: free the machine"
-            + ("" if urgency.granted else f"; {urgency.words}"),
+            f"p99 of the period error is {timing.p99_error * 1e3:.2f} ms: "
+            + _what_was_late(timing, period, urgency),
         )
     else:
         level, message = Level.OK, "ok"
@@ -118,10 +118,23 @@ def timing_report(timing: TimingReport, period: float, urgency: Urgency) -> Repo
             ("mean_period_s", f"{timing.mean_period:.6f}"),
             ("p99_period_error_s", f"{timing.p99_error:.6f}"),
             ("max_period_error_s", f"{timing.max_error:.6f}"),
+            ("p99_wake_s", f"{timing.p99_wake:.6f}"),
+            ("p99_cycle_s", f"{timing.p99_cycle:.6f}"),
             ("missed_deadlines", str(timing.missed)),
             ("cycles", str(timing.cycles)),
             ("real_time_priority", urgency.words),
         ),
+    )
+
+
+def _what_was_late(timing: TimingReport, period: float, urgency: Urgency) -> str:
+    """Whether the thread was woken late or its cycles take too long, and what to do."""
+    if timing.p99_cycle < period:
+        remedy = "free the machine" if urgency.granted else f"free the machine; {urgency.words}"
+        return f"the computer wakes the thread {timing.p99_wake * 1e3:.2f} ms late (p99): {remedy}"
+    return (
+        f"a cycle takes {timing.p99_cycle * 1e3:.1f} ms (p99) of {period * 1e3:g}: the servos answer late, or their "
+        "bytes reach this process late on a busy machine (see the counters of the servo bus)"
     )
 
 

@@ -70,6 +70,16 @@ def lateness(away: float, watchdog: float, load: float) -> str:
     )
 
 
+def crowding(load: float, cores: int) -> str:
+    """What else explains a silence while the load average exceeds the computer's cores; else nothing.
+
+    The kernel passes the bytes of a serial line on in a thread that has no real-time priority, whatever ours has.
+    """
+    if load <= cores:
+        return ""
+    return f"; or its answers are held up in this computer, which is busy (load {load:.1f} on {cores} cores)"
+
+
 def overload(counts: Counts, efforts: Mapping[int, float], levels: Mapping[int, float]) -> Counts:
     """Counts after a look at the efforts of the cable servos that answered; levels: above which it is too much.
 
@@ -88,15 +98,17 @@ def following(counts: Counts, error: float, limits: Limits) -> Counts:
     )
 
 
-def fault_in_counts(counts: Counts, limits: Limits, problems: Mapping[int, str]) -> str | None:
+def fault_in_counts(
+    counts: Counts, limits: Limits, problems: Mapping[int, str], otherwise: str = ""
+) -> str | None:
     """The fault that the counts amount to, in words.
 
-    problems: why a servo gives no state, by id.
+    problems: why a servo gives no state, by id. otherwise: what else explains it, see crowding.
     """
     for servo, duration in counts.silence.items():
         if duration >= limits.max_silence:
             why = problems.get(servo, "does not answer")
-            return f"servo {servo} gives no state for {duration * 1e3:.0f} ms: it {why}"
+            return f"servo {servo} gives no state for {duration * 1e3:.0f} ms: it {why}{otherwise}"
     for servo, cycles in counts.overload.items():
         if cycles >= limits.overload_cycles:
             return (

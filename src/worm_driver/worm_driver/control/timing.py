@@ -27,6 +27,8 @@ class TimingReport:
         mean_period: s; NaN before two cycles.
         p99_error: s, 99th percentile of |period - nominal|; NaN before two cycles.
         max_error: s; NaN before two cycles.
+        p99_wake: s, 99th percentile of how late after its deadline a cycle began: what the computer did.
+        p99_cycle: s, 99th percentile of how long a cycle took: what the device and the interpreter did.
         missed: deadlines skipped since the start.
         cycles: since the start.
     """
@@ -34,6 +36,8 @@ class TimingReport:
     mean_period: float
     p99_error: float
     max_error: float
+    p99_wake: float
+    p99_cycle: float
     missed: int
     cycles: int
 
@@ -52,17 +56,26 @@ class PeriodMeter:
     missed: int = 0
     cycles: int = 0
     _last: float | None = None
-    _periods: deque[float] = field(default_factory=deque)
+    _periods: deque[float] = field(init=False)
+    _wakes: deque[float] = field(init=False)
+    _durations: deque[float] = field(init=False)
 
-    def cycle(self, start: float, skipped: int) -> None:
-        """Notes a cycle that began at a time (s), after skipped deadlines."""
+    def __post_init__(self) -> None:
+        self._periods, self._wakes, self._durations = (deque(maxlen=self.window) for _ in range(3))
+
+    def begin(self, start: float, due: float, skipped: int) -> None:
+        """Notes a cycle that began at a time (s) and was due at another, after skipped deadlines."""
         self.cycles += 1
         self.missed += skipped
+        self._wakes.append(start - due)
         if self._last is not None:
             self._periods.append(start - self._last)
-            if len(self._periods) > self.window:
-                self._periods.popleft()
         self._last = start
+
+    def end(self, now: float) -> None:
+        """Notes the end of the cycle that was begun last, at a time (s)."""
+        if self._last is not None:
+            self._durations.append(now - self._last)
 
     def pause(self) -> None:
         """Notes that the time until the next cycle is no period."""
@@ -72,10 +85,18 @@ class PeriodMeter:
         """The quality so far."""
         periods = tuple(self._periods)
         if not periods:
-            return TimingReport(math.nan, math.nan, math.nan, self.missed, self.cycles)
+            unknown = (math.nan,) * 5
+            return TimingReport(*unknown, self.missed, self.cycles)
         errors = [abs(p - self.period) for p in periods]
-        mean = math.fsum(periods) / len(periods)
-        return TimingReport(mean, percentile(errors, 0.99), max(errors), self.missed, self.cycles)
+        return TimingReport(
+            math.fsum(periods) / len(periods),
+            percentile(errors, 0.99),
+            max(errors),
+            percentile(self._wakes, 0.99),
+            percentile(self._durations, 0.99),
+            self.missed,
+            self.cycles,
+        )
 
 
 def percentile(values: Iterable[float], fraction: float) -> float:

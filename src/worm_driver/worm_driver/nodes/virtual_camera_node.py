@@ -5,7 +5,6 @@ A process of its own, which virtual_robot starts and feeds: an image costs more 
 A line of standard input is an exposure: its stamp in ns, then x1 and x2 in m, nan while out of sight.
 """
 
-import argparse
 import contextlib
 import os
 import subprocess
@@ -24,6 +23,7 @@ from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
+from worm_driver.commands.driver_command import Parser
 from worm_driver.virtual_robot.camera_images import (
     CameraSettings,
     VirtualCamera,
@@ -138,7 +138,7 @@ class CameraProcess:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs until its input is closed; returns the exit status."""
     given = sys.argv if arguments is None else ["virtual_camera", *arguments]
-    parser = argparse.ArgumentParser(prog="virtual_camera", description=__doc__)
+    parser = Parser(prog="virtual_camera", description=__doc__)
     parser.add_argument("--parameters", type=Path, metavar="FILE")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
     options = parser.parse_args(remove_ros_args(given)[1:])

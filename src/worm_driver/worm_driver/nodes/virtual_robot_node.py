@@ -17,6 +17,7 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
+from worm_driver.commands.driver_command import Parser
 from worm_driver.nodes.virtual_camera_node import CameraProcess
 from worm_driver.tracking.initial_length import InitialLength
 from worm_driver.virtual_robot.camera import TrackerSample
@@ -33,6 +34,7 @@ from worm_driver.virtual_robot.wire.faults import (
     parse_fault,
 )
 from worm_msgs.msg import BodyLength, Tracker
+from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import Ending, own_arguments, ros_process
 from worm_msgs.srv import InjectFault
 
@@ -62,6 +64,7 @@ class VirtualRobotNode(Node):
         camera: Path | None = None,
     ) -> None:
         super().__init__("virtual_robot")
+        declare_none(self)
         epoch_ns = self.get_clock().now().nanoseconds
         self.endpoints = Endpoints(
             robot,
@@ -153,12 +156,12 @@ class VirtualRobotNode(Node):
 
 def _camera_file(text: str) -> Path:
     """The file that --camera names."""
-    return Path(str(CAMERA_FILE)) if text == _VIRTUAL else Path(text)
+    return CAMERA_FILE if text == _VIRTUAL else Path(text)
 
 
 def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     faults = "\n".join(f"  {name:18}{kind}" for name, kind in KINDS.items())
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="virtual_robot",
         description="A worm robot without hardware: opens DIR/servo_bus (serial) and DIR/i2c.sock.",
         epilog=f"faults, with their defaults:\n{faults}",

@@ -90,7 +90,7 @@ def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
         _run_report(run, replay, pitch, p, end) for p, end in zip(played, ends, strict=True)
     )
     start = played[-1].onset if played else run.origin
-    end = _end(run, played[-1]) if played else _last(run)
+    end = run_end(run, played[-1]) if played else _last(run)
     return ReplayReport(
         residuals=_residuals(replay.residuals, start, end + 1),
         energy_error=_energy_error(run, replay, start),
@@ -104,7 +104,7 @@ def _last(run: Run) -> int:
     return int(max(lasts, default=run.origin))
 
 
-def _end(run: Run, played: PlayedGait) -> int:
+def run_end(run: Run, played: PlayedGait) -> int:
     """Stamp (ns) at which a run was over, as far as it was recorded: its last cycle asked for, or an earlier stop."""
     states, last = run.gait_state, _last(run)
     asked = played.cycle_window(1, played.cycles).end if played.cycles else last
@@ -119,7 +119,7 @@ def _run_report(
     run: Run, replay: Replay, pitch: float, played: PlayedGait, until: int
 ) -> RunReport:
     """A run; ``until`` (ns) is when the next one begins."""
-    onset, end, period = played.onset, _end(run, played), 1e9 * played.gait.period
+    onset, end, period = played.onset, run_end(run, played), 1e9 * played.gait.period
     count = max(math.ceil((end - onset) / period - 1e-6), 0)
     borders = [onset + round(k * period) for k in range(count + 1)]
     stamp = replay.residuals["stamp_ns"]

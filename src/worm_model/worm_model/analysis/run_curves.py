@@ -4,11 +4,17 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from worm_model.analysis.plot_style import CABLE, COMMANDED, EFFECTIVE, MEASURED, PREDICTED, Style
-from worm_model.analysis.run_metrics import Samples, accumulated_energy
-from worm_model.analysis.run_plots import Curve, Curves
+from worm_model.analysis.run_metrics import (
+    Samples,
+    accumulated_energy,
+    averaged_cycles,
+    last_played_gait,
+)
+from worm_model.analysis.run_plots import Curve, Curves, Frame, overview_figure
 from worm_model.parameters import Parameters
 from worm_model.run import LengthSamples, Run, seconds
 from worm_model.simulation.actuation import effective_command, length_change_of_command
@@ -17,6 +23,22 @@ from worm_model.twin.offline_replay import Replay, Series
 Array = NDArray[np.float64]
 
 TWIN = "twin, by the measured length"
+_AROUND_S = 2.0  # of rest before and after the gait that an overview shows
+
+
+def plot_run(run: Run, replay: Replay, parameters: Parameters, title: str = "") -> Figure:
+    """The last gait of a run in one figure: x1, its residual, length change, power; the averaged cycles are shaded.
+
+    ``replay`` is the twin's, by `worm_model.twin.offline_replay.replay_run`. Raises `RecordingError` without a gait.
+    """
+    played = last_played_gait(run.gait_state)
+    window = played.cycle_window(*averaged_cycles(run, played))
+    start, end = seconds(np.array([window.start, window.end]), played.onset)
+    frame = Frame(-_AROUND_S, float(end) + _AROUND_S, (float(start), float(end)), title)
+    positions, residuals = position_curves(run, replay, played.onset)
+    lengths, _ = length_curves(run, played.onset, parameters)
+    powers = power_curves(run, replay, played.onset)
+    return overview_figure(frame, positions, residuals, lengths, powers, parameters.pitch)
 
 
 def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import indent
@@ -108,6 +109,27 @@ def declared_counts(content: Mapping[str, Any]) -> dict[str, int]:
             found[str(name)] = found.get(str(name), 0) + int(count)
         except (KeyError, TypeError, ValueError):
             continue
+    return found
+
+
+def silent_topics(content: Mapping[str, Any]) -> list[Topic]:
+    """The topics that metadata.yaml declares without any message, with what it tells of them."""
+    found = []
+    topics = content.get("topics_with_message_count")
+    for entry in topics if isinstance(topics, list) else ():
+        with suppress(KeyError, TypeError):
+            told = entry["topic_metadata"]
+            profiles = told.get("offered_qos_profiles") or ""
+            metadata = {
+                "offered_qos_profiles": profiles
+                if isinstance(profiles, str)
+                else dump_yaml(profiles),
+                "topic_type_hash": told.get("type_description_hash") or "",
+            }
+            name, kind, encoding = told["name"], told["type"], told["serialization_format"]
+            texts = (name, kind, encoding, *metadata.values())
+            if entry["message_count"] == 0 and all(isinstance(text, str) for text in texts):
+                found.append(Topic(name, kind, 0, "", "", encoding, tuple(metadata.items())))
     return found
 
 

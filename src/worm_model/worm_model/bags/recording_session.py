@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -62,13 +62,9 @@ class RecordingSession:
         self._ring = _Ring(round(options.ring_s * 1e9))
         self._numbers = {"": 0, "_snapshot": 0}
         self._notes: dict[str, Note] = {}
+        self._topics: dict[Topic, None] = {}
         if not options.ring_s:
             self.start()
-
-    @property
-    def is_recording(self) -> bool:
-        """Whether messages that are offered are kept."""
-        return (self._current is not None or bool(self.options.ring_s)) and not self.is_paused
 
     @property
     def error(self) -> Exception | None:
@@ -98,6 +94,13 @@ class RecordingSession:
             self._ring.add(messages)
         elif self._current is not None:
             self._current.offer(messages)
+
+    def know(self, topics: Iterable[Topic]) -> None:
+        """Keep topics even if no message of them comes, also in the bags that follow."""
+        new = [topic for topic in topics if topic not in self._topics]
+        self._topics.update(dict.fromkeys(new))
+        if self._current is not None and new:
+            self._current.know(new)
 
     def note(self, note: Note) -> None:
         """Keep a metadata record, also for the bags that follow."""
@@ -170,9 +173,11 @@ class RecordingSession:
         for note in self._notes.values():
             recorder.add_metadata(note.name, note.values)
         limit = BACKLOG_BYTES * (2 if kind else 1)  # a ring comes at once
-        self._threads.append(RecordingThread(recorder, self.options.sync_s, limit))
+        thread = RecordingThread(recorder, self.options.sync_s, limit)
+        thread.know(self._topics)
+        self._threads.append(thread)
         self.bags.append(directory)
-        return self._threads[-1]
+        return thread
 
 
 class _Ring:

@@ -6,10 +6,10 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from worm_model.bags.message_block import Message
+from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.recorder import BagRecorder
 
 
@@ -25,7 +25,7 @@ class Split:
     """Go on in a new file."""
 
 
-Item = Message | Note | Split
+Item = Message | Topic | Note | Split
 
 
 @dataclass
@@ -92,6 +92,10 @@ class RecordingThread:
         """Hand over a metadata record."""
         self._queue.put([note])
 
+    def know(self, topics: Iterable[Topic]) -> None:
+        """Hand over topics that are kept even if no message of them comes."""
+        self._queue.put(list(topics))
+
     def split(self) -> None:
         """Go on in a new file behind what has been offered."""
         self._queue.put([Split()])
@@ -142,6 +146,8 @@ class RecordingThread:
             if isinstance(item, Message):
                 self._recorder.write(item.channel, item.data, item.log_time, item.publish_time)
                 size += len(item.data)
+            elif isinstance(item, Topic):
+                self._recorder.add_topic(item)
             elif isinstance(item, Note):
                 self._recorder.add_metadata(item.name, item.values)
             else:

@@ -6,15 +6,23 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from worm_model.bags.bag import Bag
-from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_metadata import METADATA_FILE, declared_counts, read_metadata
+from worm_model.bags.bag_errors import BagError, DefinitionError
+from worm_model.bags.bag_metadata import (
+    METADATA_FILE,
+    declared_counts,
+    read_metadata,
+    silent_topics,
+)
 from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.mcap_scan import verify
 from worm_model.bags.mcap_storage import McapFile, McapStorage, explained
+from worm_model.bags.message_block import Topic
+from worm_model.bags.message_types import with_definition
 
 SOURCE = "recovered_from"
 SOURCE_SHA256 = "recovered_sha256"
@@ -114,6 +122,8 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
             writer.copy_records(bag)
             for channel in bag.channels:
                 writer.add_topic(channel)
+            for topic in _silent_topics(path, bag):
+                writer.add_topic(topic)
             messages = writer.write_all(bag.messages())
         lost = tuple(loss for file in files for loss in _losses(file))
         whole = [file for file in files if file.contents.whole]
@@ -130,6 +140,16 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
     finally:
         for file in files:
             file.close()
+
+
+def _silent_topics(path: Path, bag: Bag) -> Iterable[Topic]:
+    """Topics without messages: the data of a file need not name them, its metadata.yaml does."""
+    with suppress(BagError):  # without metadata.yaml nothing tells of them
+        for topic in silent_topics(read_metadata(path)) if path.is_dir() else ():
+            if topic.name not in bag.topics:
+                with suppress(DefinitionError):  # not installed, or another one
+                    topic = with_definition(topic)
+                yield topic
 
 
 def named(path: Path) -> Path:

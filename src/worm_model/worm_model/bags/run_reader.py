@@ -54,7 +54,10 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
             f"{bag.path} has none of the worm's topics{where}; it has {', '.join(bag.topics) or 'none'}"
         )
     _tell_odd_topics(bag, found, namespace)
-    columns = read_columns(bag, list(topics.values()))
+    columns = {
+        name: _samples(bag, name, found)
+        for name, found in read_columns(bag, list(topics.values())).items()
+    }
     samples = {name: columns[topic.name] for name, topic in topics.items()}
     lengths = {name: _lengths(samples.get(name)) for name in RUN_TOPICS[:4]}
     stamps = [_stamp(c) for c in samples.values()]
@@ -64,6 +67,12 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
                 f"{bag.path}: stamps of {topic.name} go back {backwards} times: runs that were merged, "
                 "several publishers, or a clock that was set"
             )
+    gait_state = _gait_states(samples.get("gait_state"))
+    if gait_state.mixed:
+        raise BagError(
+            f"{bag.path}: runs of gaits overlap, as where recordings were merged or two drivers published at once: "
+            "give the recordings one by one, or name the robot with --namespace"
+        )
     return Run(
         origin=int(min((s.min() for s in stamps if len(s)), default=0)),
         commanded=lengths["body_length/commanded"],
@@ -72,7 +81,7 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
         measured=lengths["body_length/measured"],
         tracker=_tracker(samples.get("tracker")),
         power=_power(samples.get("power")),
-        gait_state=_gait_states(samples.get("gait_state")),
+        gait_state=gait_state,
         joint_states=_joints(samples.get("joint_states")),
     )
 
@@ -119,6 +128,39 @@ def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
         for name, messages in block.by_topic():
             builders[name].add(messages)
     return {name: builder.columns() for name, builder in builders.items()}
+
+
+def _samples(bag: Bag, name: str, columns: Columns) -> Columns:
+    """Columns without the messages that repeat the one before them, and without those that hold an infinite number.
+
+    The former are those of a recording that was merged with itself; both are told.
+    """
+    numbers = {path: v for path, v in columns.numbers.items() if v.dtype != object}
+    if not numbers:
+        return columns
+    size = len(next(iter(numbers.values())))
+    again, infinite = np.arange(size) > 0, np.zeros(size, bool)
+    for values in numbers.values():
+        rows = values.reshape(size, -1)
+        same = (rows[1:] == rows[:-1]) | ((rows[1:] != rows[1:]) & (rows[:-1] != rows[:-1]))
+        again[1:] &= same.all(axis=1)
+        infinite |= np.isinf(rows).any(axis=1)
+    if again.any():
+        bag.notify(
+            f"{bag.path}: {np.count_nonzero(again)} messages of {name} are there twice; each counts once"
+        )
+    infinite &= ~again
+    if infinite.any():
+        bag.notify(
+            f"{bag.path}: {np.count_nonzero(infinite)} messages of {name} hold an infinite number; they are left out"
+        )
+    kept = np.flatnonzero(~(again | infinite))
+    if len(kept) == size:
+        return columns
+    return Columns(
+        {path: values[kept] for path, values in columns.numbers.items()},
+        {path: [texts[row] for row in kept] for path, texts in columns.texts.items()},
+    )
 
 
 def _stamp(columns: Columns, path: str = "header.stamp") -> NDArray[np.int64]:

@@ -12,10 +12,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from worm_model.analysis.run_table import run_table
 from worm_model.bags.bag import Bag
+from worm_model.bags.bag_errors import BagError
 from worm_model.bags.opening import open_bag
-from worm_model.bags.tables import MOST_ELEMENTS, TEXT, Rows, Table, find_tables, read_tables
+from worm_model.bags.run_reader import RUN_TOPICS, read_run
+from worm_model.bags.tables import MOST_ELEMENTS, TEXT, Kind, Rows, find_tables, read_tables
 from worm_model.bags.whole_folder import new_folder
+from worm_model.bags.worm_topics import TYPES
 from worm_model.commands.command_line import (
     DONE,
     FAILED,
@@ -28,12 +32,16 @@ from worm_model.commands.command_line import (
 )
 
 STEM_BYTES = 200
+MERGED = "run"  # the table of all that was measured and commanded
 FORMATS = ("csv", "parquet")
 _NOTIFY = notifier("export")
 
+Kinds = Mapping[str, Kind]
+_RUN_TYPES = {TYPES[name] for name in RUN_TOPICS if name != "joint_states"}
+
 
 class TableWriter(Protocol):
-    """Takes the rows of one table."""
+    """Takes the rows of one table, whose columns have `Kinds`; ``lists`` are those of the elements of arrays."""
 
     def write(self, rows: Rows) -> None:
         """Append rows."""
@@ -47,14 +55,14 @@ class TableWriter(Protocol):
 class CsvWriter:
     """Numbers are written so that reading them gives the same; what is missing, and NaN, is an empty cell."""
 
-    def __init__(self, path: Path, table: Table) -> None:
-        self._columns = list(table.kinds)
+    def __init__(self, path: Path, kinds: Kinds, lists: Kinds) -> None:
+        self._columns = list(kinds)
         self._stream = path.open("x", encoding="utf-8", newline="")
         self._writer = csv.writer(self._stream, lineterminator="\n")
         self._writer.writerow(self._columns)
-        for name in table.lists:
+        for name in lists:
             _NOTIFY(
-                f"{table.topic.name}: {name} is left out, its arrays have more than {MOST_ELEMENTS} elements; "
+                f"{path.name}: {name} is left out, its arrays have more than {MOST_ELEMENTS} elements; "
                 "--format parquet keeps it"
             )
 
@@ -75,7 +83,7 @@ def _cell(value: Any) -> Any:
 class ParquetWriter:
     """Columns keep their types, also where a value is missing, which is null; NaN stays NaN."""
 
-    def __init__(self, path: Path, table: Table) -> None:
+    def __init__(self, path: Path, kinds: Kinds, lists: Kinds) -> None:
         try:
             import pyarrow as arrow
             from pyarrow import parquet
@@ -85,9 +93,9 @@ class ParquetWriter:
             ) from None
         types = {
             name: arrow.string() if kind == TEXT else arrow.from_numpy_dtype(kind)
-            for name, kind in table.kinds.items()
+            for name, kind in kinds.items()
         }
-        for name, kind in table.lists.items():
+        for name, kind in lists.items():
             types[name] = arrow.list_(arrow.from_numpy_dtype(kind))
         self._arrow = arrow
         self._schema = arrow.schema(list(types.items()))
@@ -116,10 +124,10 @@ class Exported:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def export(bag: Bag, output: Path, kind: str, topics: list[str]) -> Exported:
-    """Write a table a topic into a new folder.
+def export(bag: Bag, output: Path, kind: str, topics: list[str], namespace: str = "") -> Exported:
+    """Write a table a topic into a new folder, and without ``topics`` the merged one of the robot in ``namespace``.
 
-    Memory does not grow with the bag. The folder is there whole or not at all.
+    Memory does not grow with the bag, but for the samples of the merged table. The folder is there whole or not at all.
 
     Raises:
         BagError: the bag lacks a topic or is damaged.
@@ -132,12 +140,32 @@ def export(bag: Bag, output: Path, kind: str, topics: list[str]) -> Exported:
         writers: dict[str, TableWriter] = {}
         for table in tables:
             file = f"{stems[table.topic.name]}.{kind}"
-            writers[table.topic.name] = WRITERS[kind](folder / file, table)
-            stack.callback(writers[table.topic.name].close)
+            writer = WRITERS[kind](folder / file, table.kinds, table.lists)
+            stack.callback(writer.close)
+            writers[table.topic.name] = writer
             exported.rows[file] = table.topic.count
         for table, batch in read_tables(bag, tables):
             writers[table.topic.name].write(batch)
+        if not topics and any(topic.type_name in _RUN_TYPES for topic in bag.topics.values()):
+            _export_merged(bag, folder / f"{MERGED}.{kind}", namespace, exported)
     return exported
+
+
+def _export_merged(bag: Bag, path: Path, namespace: str, exported: Exported) -> None:
+    """Write the merged table, or note why it is left out."""
+    try:
+        columns = run_table(read_run(bag, namespace)).columns
+    except BagError as error:
+        exported.left_out[MERGED] = str(error)
+        return
+    kinds = {
+        name: TEXT if column.dtype == object else str(column.dtype)
+        for name, column in columns.items()
+    }
+    writer = WRITERS[path.suffix[1:]](path, kinds, {})
+    writer.write({name: column.tolist() for name, column in columns.items()})
+    writer.close()
+    exported.rows[path.name] = len(columns["stamp_ns"])
 
 
 def file_stems(topics: Iterable[str]) -> dict[str, str]:
@@ -146,7 +174,7 @@ def file_stems(topics: Iterable[str]) -> dict[str, str]:
     for topic in topics:
         stem = wanted = _file_stem(topic)
         number = 1
-        while stem.lower() in {taken.lower() for taken in stems.values()}:
+        while stem.lower() in {MERGED, *(taken.lower() for taken in stems.values())}:
             number += 1
             stem = f"{wanted}_{number}"
         stems[topic] = stem
@@ -162,7 +190,8 @@ def _file_stem(topic: str) -> str:
 def _parser() -> Parser:
     parser = Parser(
         prog="export",
-        description="Writes a table for each topic of a bag: a row a message, a column a field; times in ns. "
+        description="Writes a table for each topic of a bag (a row a message, a column a field, times in ns), and "
+        f"{MERGED}.csv or {MERGED}.parquet: all that was measured and commanded, in seconds since the gait's onset. "
         "Ends with status 1 if a topic had to be left out.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG")
@@ -170,6 +199,9 @@ def _parser() -> Parser:
     parser.add_argument("--format", choices=FORMATS, default="csv", help="default csv")
     parser.add_argument(
         "--topic", action="append", default=[], help="only this one; may be repeated"
+    )
+    parser.add_argument(
+        "--namespace", default="", help="of the merged table's robot; default: the one in the bag"
     )
     parser.add_definitions()
     parser.add_json()
@@ -179,7 +211,7 @@ def _parser() -> Parser:
 def _export(options: argparse.Namespace) -> int:
     output = new_file(options.output)
     with open_bag(options.bag, _NOTIFY, options.definitions) as bag:
-        exported = export(bag, output, options.format, options.topic)
+        exported = export(bag, output, options.format, options.topic, options.namespace)
     for name, reason in exported.left_out.items():
         _NOTIFY(f"{name} is left out: {reason}")
     text = "\n".join(f"{output / name}: {count} rows" for name, count in exported.rows.items())

@@ -33,15 +33,21 @@ def _parser() -> Parser:
     )
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="one run each, any order")
     parser.add_figure()
+    parser.add_definitions()
     parser.add_json()
     parser.add_parameters()
     return parser
 
 
 def _health(options: argparse.Namespace) -> None:
+    for path in options.bags:
+        if not path.exists():
+            raise InputError(f"{path}: does not exist")
     known = load_parameter_file(options.parameters)
     figure = figure_file(options)
-    bags, left_out = estimate_bags(options.bags, known.parameters, ProgressLine("health"))
+    bags, left_out = estimate_bags(
+        options.bags, known.parameters, ProgressLine("health"), options.definitions
+    )
     if not bags:
         more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
         raise InputError(

@@ -57,18 +57,22 @@ def estimate_bags(
     paths: Sequence[Path],
     parameters: Parameters,
     progress: Callable[[float], None] = lambda _done: None,
+    definitions: Path | None = None,
 ) -> tuple[tuple[BagEstimates, ...], tuple[LeftOut, ...]]:
-    """(bags by rising start, those that could not be used). What is not sought is given by ``parameters``."""
+    """(bags by rising start, those that could not be used). What is not sought is given by ``parameters``.
+
+    ``definitions`` of messages are as `open_bag` takes them.
+    """
     found: dict[int, BagEstimates] = {}
     left_out = []
     for done, path in enumerate(paths):
         progress(done / len(paths))
         try:
-            with open_bag(path) as bag:
+            with open_bag(path, definitions=definitions) as bag:
                 start = bag.start
             if start in found:
                 raise IdentificationError(f"the same run as {found[start].name}")
-            found[start] = estimate_bag(read_recording(path), start, parameters)
+            found[start] = estimate_bag(read_recording(path, definitions), start, parameters)
         except (BagError, GaitError, IdentificationError) as error:
             left_out.append(LeftOut(path.name, str(error)))
     progress(1.0)

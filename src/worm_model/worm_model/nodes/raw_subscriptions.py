@@ -33,9 +33,11 @@ from worm_model.bags.recording_thread import Note
 from worm_model.bags.run_manifest import GAIT_RECORD
 from worm_model.bags.topic_selection import SelectionError, TopicSelection
 from worm_model.nodes.recording_qos import describe, subscription_qos
+from worm_model.run import INACTIVE
+from worm_msgs.node_command import declare_none
 
 GAIT_STATE = "worm_msgs/msg/GaitState"
-ALARM_TYPE = "worm_msgs/msg/TwinResiduals"
+ALARM_TYPE = "worm_msgs/msg/TwinEvent"
 
 OVERLAP_LOOKS = (
     50  # with both subscriptions: publishers learn of the second one later than it does of them
@@ -142,6 +144,7 @@ class RecordNode(Node):
             start_parameter_services=False,  # nobody would answer: the node is not spun
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
+        declare_none(self)
         names = frozenset(map(self._full_name, selection.names))
         self._selection = replace(selection, names=names)
         self._depth = depth
@@ -149,7 +152,7 @@ class RecordNode(Node):
         self._refused: set[str] = set()
         self._run, self._onset = 0, 0  # of the gait that was noted last
         self._noted = False
-        self._alarmed = False
+        self._drivers: dict[str, int] = {}  # the last state, by topic
         self._offered: list[Service] = []
         self._settled = time.monotonic() + SETTLING_S
 
@@ -198,9 +201,9 @@ class RecordNode(Node):
         return sorted(self._selection.names - self._subscriptions_by_name.keys())
 
     @property
-    def topic_count(self) -> int:
+    def topics(self) -> list[Topic]:
         """Topics subscribed to."""
-        return len(self._subscriptions_by_name)
+        return [subscription.topic for subscription in self._subscriptions_by_name.values()]
 
     def discover(self) -> None:
         """Subscribe to what is new, adapt to new publishers of what is not."""
@@ -252,19 +255,27 @@ class RecordNode(Node):
         for sample in samples:
             if sample.channel.type_name == GAIT_STATE:
                 state: Any = deserialize_message(sample.data, message_class(GAIT_STATE))
+                self._drivers[sample.topic] = state.state
                 gait = _describe_gait(state)
                 if gait and not self._is_known(state):
                     yield Note(GAIT_RECORD, gait)
 
-    def new_alarm(self, samples: Sequence[Message]) -> bool:
-        """Whether the twin raises an alarm in the messages that it did not raise before."""
-        raised = False
-        for sample in samples:
-            if sample.channel.type_name == ALARM_TYPE:
-                state: Any = deserialize_message(sample.data, message_class(ALARM_TYPE))
-                raised |= is_alarm(state) and not self._alarmed
-                self._alarmed = is_alarm(state)
-        return raised
+    @property
+    def awaits_rest(self) -> bool:
+        """Whether a driver that was heard is there and has not let go of its robot."""
+        return any(
+            state != INACTIVE and self.count_publishers(topic) > 0
+            for topic, state in self._drivers.items()
+        )
+
+    def alarm(self, samples: Sequence[Message]) -> str:
+        """What the twin raises an alarm about in the messages, the last one; empty without one."""
+        events: list[Any] = [
+            deserialize_message(sample.data, message_class(ALARM_TYPE))
+            for sample in samples
+            if sample.channel.type_name == ALARM_TYPE
+        ]
+        return next((e.message or e.code for e in reversed(events) if e.code), "")
 
     def _is_known(self, state: Any) -> bool:
         """Whether a gait's state is of the run that was noted last; a driver that restarts counts anew."""
@@ -288,11 +299,6 @@ def message_class(type_name: str) -> type:
             f"{type_name} is not installed; source the workspace that has it"
         ) from None
     return found
-
-
-def is_alarm(message: Any) -> bool:
-    """Whether a message of ALARM_TYPE is one that a snapshot is taken at."""
-    return bool(message.health == message.FAULTY)
 
 
 def _describe_gait(state: Any) -> dict[str, str]:

@@ -9,6 +9,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
@@ -22,7 +23,7 @@ from worm_model.bags.run_manifest import is_text, run_manifest
 from worm_model.bags.topic_selection import TopicSelection
 from worm_model.commands.command_line import Parser, number
 from worm_model.nodes.raw_subscriptions import RecordNode
-from worm_msgs.ros_process import own_arguments, ros_process
+from worm_msgs.ros_process import Ending, own_arguments, ros_process
 
 POLL_S = 0.01
 DISCOVERY_S = 0.1
@@ -114,13 +115,19 @@ def _parser() -> Parser:
         type=_not_negative,
         default=0.0,
         metavar="S",
-        help="keep the last S seconds in memory and write them when the twin raises an alarm or ~/snapshot is called, "
-        "into OUTPUT_snapshot_1 and so on; nothing else is written",
+        help="keep the last S seconds in memory and write them when the twin raises an alarm (an event with a code on "
+        "twin/events, which must be among the topics) or ~/snapshot is called, into OUTPUT_snapshot_1 and so on; "
+        "nothing else is written",
     )
     parser.add_argument(
         "--anonymous",
         action="store_true",
         help="leave out the host's name and absolute paths, also in texts of messages",
+    )
+    parser.add_argument(
+        "--to-rest",
+        action="store_true",
+        help="after Ctrl-C, go on until the driver has let go of the robot or is gone; Ctrl-C once more ends at once",
     )
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
     return parser
@@ -137,11 +144,23 @@ class _Recording:
         self._cleaner = cleaner
         self._start = time.monotonic()
         self._uncleaned = 0
+        self._impatient = False
 
     @property
     def elapsed(self) -> float:
         """Seconds since the start."""
         return time.monotonic() - self._start
+
+    def hurry(self) -> None:
+        """Wait for nobody. Safe in a signal handler."""
+        self._impatient = True
+
+    def to_rest(self, ended: Callable[[], bool]) -> bool:
+        """In the place of ``ended``: whether told to stop, and the driver has let go of the robot."""
+        if not ended():
+            return False
+        self.take()  # the driver may have said something since the last look
+        return self._impatient or not self._node.awaits_rest
 
     def run(self, ended: Callable[[], bool], duration: float) -> None:
         """Take messages until told to stop, the time is over or the disk fails."""
@@ -151,6 +170,7 @@ class _Recording:
             now = time.monotonic()
             if now >= discovery:
                 self._node.discover()
+                self._session.know(self._node.topics)
                 self._node.serve()
                 discovery = now + DISCOVERY_S
             self.take()
@@ -168,12 +188,13 @@ class _Recording:
         self._session.offer(self._cleaned(messages))
         for note in self._node.new_gaits(messages):
             self._session.note(note)
-        if self._session.options.ring_s and self._node.new_alarm(messages):
+        alarm = self._node.alarm(messages) if self._session.options.ring_s else ""
+        if alarm:
             try:
                 outcome = self._session.snapshot()
             except (BagError, OSError) as error:  # the next alarm may fare better
                 outcome = f"no snapshot: {error}"
-            self._node.get_logger().warning(f"the twin raises an alarm: {outcome}")
+            self._node.get_logger().warning(f"the twin raises an alarm ({alarm}): {outcome}")
 
     def _cleaned(self, messages: Sequence[Message]) -> Sequence[Message]:
         if self._cleaner is None:
@@ -195,7 +216,7 @@ class _Recording:
             "messages": offered.messages - dropped.messages,
             "bytes": offered.bytes - dropped.bytes,
             "dropped": self._node.lost + dropped.messages + self._uncleaned,
-            "topics": self._node.topic_count,
+            "topics": len(self._node.topics),
             "duration": round(self.elapsed, 3),
         }
 
@@ -240,7 +261,7 @@ def _session_options(
     )
 
 
-def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Callable[[], bool]) -> int:
+def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Ending) -> int:
     selection = TopicSelection(
         frozenset(arguments.topics),
         everything=arguments.all,
@@ -257,8 +278,10 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Callable[
     kept = f"the last {options.ring_s:g} s for snapshots" if options.ring_s else "to"
     node.get_logger().info(f"recording {kept} {options.output}")
     recording = _Recording(node, session, cleaner)
+    ended.again = recording.hurry
+    end = partial(recording.to_rest, ended) if arguments.to_rest else ended
     try:
-        recording.run(ended, arguments.duration)
+        recording.run(end, arguments.duration)
     finally:
         session.close()
     return _report(recording, node, session, arguments)

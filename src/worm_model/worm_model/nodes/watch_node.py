@@ -13,31 +13,49 @@ from dataclasses import replace
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from worm_model.commands.command_line import Parser, run_command
+from worm_model.commands.command_line import InputError, Parser, run_command
 from worm_model.gait import GaitError
+from worm_model.nodes.keyboard import keys_of_terminal, pressed
 from worm_model.nodes.twin_messages import gait_of, nanoseconds
 from worm_model.parameters import load_parameters
 from worm_model.twin.records import Activity, Health, LengthSource
-from worm_model.twin.watch_view import CLEAR, NAN, View, render
+from worm_model.twin.watch_view import CLEAR, NAN, Trend, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
+from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import own_arguments, ros_process, spin
 
 PERIOD_S = 0.2
 REMEMBERED = 200  # samples of an instrument: 2 s at 100 Hz
+NAMESPACE = "/worm"
+LEAST_WIDTH, MOST_WIDTH = 40, 120
+KEYS = "q: quit   space: freeze and go on"
+NO_KEYS = "Ctrl-C: quit"
 NEWEST = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class WatchNode(Node):
-    """Keeps the newest of every topic and draws it a few times a second."""
+    """Keeps the newest of every topic and draws it a few times a second.
 
-    def __init__(self, pitch: float) -> None:
-        super().__init__("watch")
+    Attributes:
+        view: the newest of everything.
+        closed: whether somebody has pressed the key for it.
+    """
+
+    def __init__(self, pitch: float, namespace: str) -> None:
+        super().__init__("watch", namespace=namespace)
+        declare_none(self)
         self._pitch = pitch
         self.view = View()
+        self.closed = False
+        self._frozen = False
+        self._differences: deque[float] = deque(maxlen=MOST_WIDTH)
+        self._powers: deque[float] = deque(maxlen=MOST_WIDTH)
+        self._second = 0
         self._heard: dict[str, float] = {}
         # What the instruments said of late: the twin is behind by its delay, and is shown beside what was seen then.
         self._seen: deque[tuple[int, tuple[float, float]]] = deque(maxlen=REMEMBERED)
@@ -110,9 +128,26 @@ class WatchNode(Node):
         )
 
     def _draw(self) -> None:
-        width = min(shutil.get_terminal_size().columns, 120)
-        sys.stdout.write(CLEAR + "\n".join(render(self.seen(), self._pitch, width)) + "\n")
+        keys = pressed()
+        self.closed = self.closed or "q" in keys
+        self._frozen ^= keys.count(" ") % 2 == 1
+        view = self.seen()
+        self._remember(view)
+        if self._frozen:
+            return
+        width = min(max(shutil.get_terminal_size().columns, LEAST_WIDTH), MOST_WIDTH)
+        trend = Trend(tuple(self._differences), tuple(self._powers))
+        lines = render(view, self._pitch, width, trend)
+        lines += ["", KEYS if sys.stdin.isatty() else NO_KEYS]
+        sys.stdout.write(CLEAR + "\n".join(lines) + "\n")
         sys.stdout.flush()
+
+    def _remember(self, view: View) -> None:
+        """Keeps a value a second for the trends."""
+        if int(time.monotonic()) != self._second:
+            self._second = int(time.monotonic())
+            self._differences.append(view.robot[0] - view.twin[0])
+            self._powers.append(view.power[1])
 
 
 def _nearest(samples: deque[tuple[int, Any]], stamp: int, default: Any) -> Any:
@@ -123,18 +158,27 @@ def _nearest(samples: deque[tuple[int, Any]], stamp: int, default: Any) -> Any:
 
 
 def main() -> int:
-    """Draws until Ctrl-C; returns the exit status."""
-    parser = Parser(prog="watch", description="Robot and twin, live, as text.")
+    """Draws until Ctrl-C or q; returns the exit status."""
+    parser = Parser(
+        prog="watch",
+        description="Robot and twin, live, as text. Keys: q quits, space freezes the picture and lets it go on.",
+    )
+    parser.add_argument(
+        "--namespace", default=NAMESPACE, help=f"of the robot (default: {NAMESPACE})"
+    )
     parser.add_parameters()
     return run_command(parser, _watch, own_arguments(sys.argv)[1:])
 
 
 def _watch(options: argparse.Namespace) -> None:
     pitch = load_parameters(options.parameters).pitch
-    with ros_process() as ended:
-        node = WatchNode(pitch)
+    with ros_process() as ended, keys_of_terminal():
         try:
-            spin(node, ended)
+            node = WatchNode(pitch, options.namespace)
+        except InvalidNamespaceException as error:
+            raise InputError(f"--namespace {options.namespace}: {error}") from None
+        try:
+            spin(node, lambda: ended() or node.closed)
         finally:
             node.destroy_node()
 

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from worm_model.twin.records import Activity, Health, LengthSource
@@ -21,7 +22,19 @@ SOURCES = ("driver", "twin", "tracker", "power")
 RESET = "\033[0m"
 CLEAR = "\033[H\033[J"
 TOP_POWER_W = 15.0  # of the bar
+LEVELS = "▁▂▃▄▅▆▇█"  # of a trend
 NAN = math.nan
+
+
+@dataclass(frozen=True)
+class Trend:
+    """The last so many seconds, a value a second, the newest last; NaN where there was none.
+
+    ``difference`` is that of x1, robot less twin, in m, ``power`` the measured one in W.
+    """
+
+    difference: Sequence[float] = ()
+    power: Sequence[float] = ()
 
 
 @dataclass(frozen=True)
@@ -64,32 +77,60 @@ class View:
         return replace(view, silent=words)
 
 
-def render(view: View, pitch: float, width: int = 80) -> list[str]:
-    """The screen, line by line, no wider than ``width`` characters but for colours."""
+def render(view: View, pitch: float, width: int = 80, trend: Trend = Trend()) -> list[str]:
+    """The screen, line by line, no wider than ``width`` characters (40 at least) but for colours."""
     doing = "no driver" if view.activity is None else view.activity.name.lower()
     progress = f"  cycle {view.cycle} of {view.cycles}" if view.cycles else ""
-    colour = HEALTH_COLOURS[view.health]
+    health = f"twin  {view.health.name.lower()}  {view.message}"
+    cell = min(12, (width - 14) // 3)
+    heads = " ".join(
+        f"{head:>{cell}}" for head in ("twin", "robot", "difference" if cell >= 10 else "diff")
+    )
     return [
-        f"worm  {doing}  {view.gait}{progress}"[:width],
-        f"{colour}{f'twin  {view.health.name.lower()}  {view.message}'[:width]}{RESET}",
-        f"{STALE_COLOUR}{', '.join(view.silent)[:width]}{RESET}" if view.silent else "",
+        *_wrapped(f"worm  {doing}  {view.gait}{progress}", width),
+        *_wrapped(health, width, HEALTH_COLOURS[view.health]),
+        *(_wrapped(", ".join(view.silent), width, STALE_COLOUR) or [""]),
         *pipe(view, pitch, width),
         "",
-        f"              {'twin':>12} {'robot':>12} {'difference':>12}",
-        _compared("x1", 1e3, "mm", view.twin[0], view.robot[0]),
-        _compared("x2", 1e3, "mm", view.twin[1], view.robot[1]),
-        _compared("power", 1.0, "W", *view.power),
-        _compared("energy", 1.0, "J", view.energy[0], view.energy[0] + view.energy[1]),
+        f"{'':14}{heads}",
+        _compared("x1", 1e3, "mm", (view.twin[0], view.robot[0]), cell),
+        _compared("x2", 1e3, "mm", (view.twin[1], view.robot[1]), cell),
+        _compared("power", 1.0, "W", view.power, cell),
+        _compared("energy", 1.0, "J", (view.energy[0], view.energy[0] + view.energy[1]), cell),
         "",
         f"length        {_value(view.length, 1e3)} mm  {_source(view)}",
-        f"L0            {_value(view.initial_length, 1e3)} mm  "
-        f"groove phase {1e3 * view.groove_phase:+.2f} mm",
+        f"L0            {_value(view.initial_length, 1e3)} mm",
+        f"groove phase  {_value(view.groove_phase, 1e3)} mm",
         f"cable force   {_value(view.cable_force, 1.0)} N",
         f"grooves       rear {view.grooves[0]:+d}, front {view.grooves[1]:+d}",
         "",
         bar("predicted", view.power[0], width),
         bar("measured", view.power[1], width),
+        "",
+        *_trend("x1, robot−twin", 1e3, "mm", trend.difference, width),
+        *_trend("measured power", 1.0, "W", trend.power, width),
     ]
+
+
+def _wrapped(text: str, width: int, colour: str = "") -> list[str]:
+    """A text in as many lines as it takes."""
+    lines = textwrap.wrap(text, width, subsequent_indent="      ", drop_whitespace=True)
+    return [f"{colour}{line}{RESET}" if colour else line for line in lines]
+
+
+def _trend(name: str, scale: float, unit: str, values: Sequence[float], width: int) -> list[str]:
+    """What a value did of late, between the least and the greatest of it; nothing where there was none."""
+    values = values[-width:]
+    known = [scale * value for value in values if math.isfinite(value)]
+    if not known:
+        return []
+    low, high = min(known), max(known)
+    step = (high - low) / (len(LEVELS) - 1) or 1.0
+    line = "".join(
+        LEVELS[round((scale * value - low) / step)] if math.isfinite(value) else " "
+        for value in values
+    )
+    return [f"{name}, {len(values)} s: {low:.2f} to {high:.2f} {unit}"[:width], line]
 
 
 def pipe(view: View, pitch: float, width: int) -> list[str]:
@@ -136,9 +177,10 @@ def bar(name: str, power: float, width: int) -> str:
     return f"{name:10} {_value(power, 1.0)} W {'█' * filled}"
 
 
-def _compared(name: str, scale: float, unit: str, twin: float, robot: float) -> str:
-    cells = [_value(value, scale, 12) for value in (twin, robot, robot - twin)]
-    return f"{name:7} {unit:5} {' '.join(cells)}"
+def _compared(name: str, scale: float, unit: str, values: tuple[float, float], cell: int) -> str:
+    twin, robot = values
+    cells = [_value(value, scale, cell) for value in (twin, robot, robot - twin)]
+    return f"{name:7}{unit:7}{' '.join(cells)}"
 
 
 def _value(value: float, scale: float, width: int = 8) -> str:

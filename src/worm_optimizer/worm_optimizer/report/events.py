@@ -13,7 +13,7 @@ from worm_model.bags.bag import Bag
 from worm_model.bags.cdr import Columns
 from worm_model.bags.run_reader import read_columns
 from worm_model.bags.worm_topics import find_topic
-from worm_model.run import FAULT, POWER_STATUS_NAMES, POWER_VALID, Run, state_name
+from worm_model.run import FAULT, POWER_VALID, Run, power_status_name, state_name
 from worm_model.twin.offline_replay import Replay
 
 _LEVELS = ("ok", "warning", "error", "stale")  # DiagnosticStatus
@@ -114,8 +114,7 @@ def _gaps(run: Run) -> Iterator[Event]:
     """What the instruments did not give."""
     for code in sorted(set(run.power.status.tolist()) - {POWER_VALID}):
         count = int(np.count_nonzero(run.power.status == code))
-        known = code < len(POWER_STATUS_NAMES)
-        name = POWER_STATUS_NAMES[code] if known else f"status {code}"
+        name = power_status_name(code)
         text = f"{count} of {len(run.power.status)} power samples without a value: {name}"
         yield Event(float("nan"), "power sensor", "note", text)
     for name in ("rear", "front"):

@@ -6,15 +6,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, fields, replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from worm_model.analysis.run_parts import joined, last_stamp, parts_of
 from worm_model.bags.bag import METADATA_FILE, Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.opening import open_bag
@@ -26,7 +24,7 @@ from worm_model.parameters import (
     load_parameter_file,
     parse_parameter_file,
 )
-from worm_model.run import RESTING, GaitStates, Run
+from worm_model.run import Run
 from worm_model.twin.offline_replay import Replay, Series, replay_run
 from worm_optimizer.report.events import events_of
 from worm_optimizer.report.recorded_gait import RecordedGait, recorded_gait
@@ -39,9 +37,6 @@ _CHUNK = 1 << 20
 _LONGEST_BREAK_NS = 60_000_000_000
 _UNMOVED = 3e-3  # m
 _AT_REST = 10  # samples of the tracker
-_REST_NS = 3_000_000_000  # before a gait whose rest was not announced
-_JOINTS = "joint_states"
-_SERIES = tuple(field.name for field in fields(Run) if field.name != "origin")
 
 
 def bags_of(path: Path) -> list[Path]:
@@ -141,7 +136,7 @@ def _goes_on(before: _Recording, after: _Recording) -> bool:
     last, first = last[np.isfinite(last)][-_AT_REST:], first[np.isfinite(first)][:_AT_REST]
     if not (last.size and first.size):
         return False
-    pause = after.run.origin - _last_stamp(before.run)
+    pause = after.run.origin - last_stamp(before.run)
     unmoved = abs(np.median(first) - np.median(last)) < _UNMOVED
     return before.run.origin < after.run.origin and pause < _LONGEST_BREAK_NS and bool(unmoved)
 
@@ -203,61 +198,9 @@ def _sha256(path: Path) -> str:
     return digest.hexdigest()
 
 
-@dataclass(frozen=True)
-class Part:
-    """The run of one gait; it holds what has a stamp from ``start`` to before ``end`` (ns since the epoch)."""
-
-    run: Run
-    start: int
-    end: int
-
-    def holds(self, stamp: int) -> bool:
-        """Whether a stamp lies in the part."""
-        return self.start <= stamp < self.end
-
-
-def parts_of(run: Run) -> list[Part]:
-    """A part a gait that was played, in their order; each begins with the rest before its gait.
-
-    A run of one gait or of none is its own only part.
-    """
-    states = run.gait_state
-    onsets = [int(states.onset[rows].min()) for rows in states.rows_of_runs()]
-    bounds = [_rest_before(states, *pair) for pair in pairwise(onsets)]
-    limits = np.iinfo(np.int64)
-    spans = pairwise([int(limits.min), *bounds, int(limits.max)])
-    return [Part(_cut(run, *span) if bounds else run, *span) for span in spans]
-
-
-def _last_stamp(run: Run) -> int:
-    """The greatest stamp (ns since the epoch) of a run, its origin if it has no samples."""
-    stamps = [getattr(run, name).stamp for name in _SERIES]
-    return int(max((stamp.max() for stamp in stamps if stamp.size), default=run.origin))
-
-
-def joined(runs: Sequence[Run]) -> Run:
-    """Runs by rising time as one, without joint states; where two overlap, the samples of the first count."""
-    if len(runs) == 1:
-        return runs[0]
-    whole = {}
-    for name in _SERIES:
-        if name == _JOINTS:
-            continue
-        kept, last = [], np.iinfo(np.int64).min
-        for series in (getattr(run, name) for run in runs):
-            kept.append(_rows(series, series.stamp > last))
-            last = max(last, int(series.stamp.max(initial=last)))
-        columns = {
-            field.name: np.concatenate([getattr(part, field.name) for part in kept])
-            for field in fields(kept[0])
-        }
-        whole[name] = type(kept[0])(**columns)
-    return Run(origin=runs[0].origin, **whole)
-
-
 def _cut_replay(replay: Replay, run: Run) -> Replay:
     """What the twin said of a part of a recording, from its first sample to its last."""
-    start, end = run.origin, _last_stamp(run)
+    start, end = run.origin, last_stamp(run)
 
     def cut(series: Series) -> Series:
         rows = (series["stamp_ns"] >= start) & (series["stamp_ns"] <= end)
@@ -270,27 +213,3 @@ def _cut_replay(replay: Replay, run: Run) -> Replay:
         lengths=cut(replay.lengths),
         notices=tuple(notice for notice in replay.notices if start <= notice.stamp_ns <= end),
     )
-
-
-def _rest_before(states: GaitStates, previous: int, onset: int) -> int:
-    """When the rest began that leads to an onset."""
-    rests = states.stamp[
-        (states.state == RESTING) & (states.stamp > previous) & (states.stamp <= onset)
-    ]
-    return int(rests[-1]) if rests.size else max(onset - _REST_NS, (previous + onset) // 2)
-
-
-def _cut(run: Run, start: int, end: int) -> Run:
-    cut, stamps = {}, []
-    for name in _SERIES:
-        series = getattr(run, name)
-        cut[name] = _rows(series, (series.stamp >= start) & (series.stamp < end))
-        stamps += cut[name].stamp[:1].tolist()
-    return Run(origin=min(stamps, default=run.origin), **cut)
-
-
-def _rows(series: Any, rows: NDArray[np.bool_]) -> Any:
-    """Some samples of a series."""
-    columns = {field.name: getattr(series, field.name) for field in fields(series)}
-    arrays = {name: col[rows] for name, col in columns.items() if isinstance(col, np.ndarray)}
-    return replace(series, **arrays)

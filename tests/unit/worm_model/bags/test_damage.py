@@ -23,9 +23,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from worm_model.bags.bag import AttachedFile
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_writer import BagFiles, WriteOptions
+from worm_model.bags.bag_metadata import qos_profiles
+from worm_model.bags.bag_writer import BagFiles, BagWriter, WriteOptions
 from worm_model.bags.cdr import ColumnBuilder
 from worm_model.bags.message_block import Topic
+from worm_model.bags.message_types import topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recovery import recover
 
@@ -318,6 +320,27 @@ def bomb(levels: int) -> str:
     for i in range(levels):
         lines.append(f"a{i + 1}: &a{i + 1} {{<<: [{', '.join([f'*a{i}'] * 10)}]}}")
     return "\n".join(lines) + "\n"
+
+
+def test_a_topic_without_messages_is_not_lost_with_the_end_of_a_file(tmp_path: Path):
+    """rosbag2 names it in the summary alone, and in metadata.yaml."""
+    path = tmp_path / "bag"
+    topic = Topic("/a", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
+    silent = topic_of("/events", "std_msgs/msg/UInt64", "- depth: 1\n")
+    with BagWriter(path) as writer:
+        for i in range(5):
+            writer.write(topic, b"\0\1\0\0" + struct.pack("<Q", i), i + 1, i + 1)
+        writer._files.sync()  # what comes now is in no chunk
+        writer.add_topic(silent)
+    file = next(path.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[: -len(file.read_bytes()) // 4])
+    with open_bag(path, lambda _: None) as bag:
+        assert bag.path.name == "bag_recovered"
+        assert bag.topics["/a"].count == 5
+        found = bag.topics["/events"]
+    assert (found.count, found.type_name) == (0, "std_msgs/msg/UInt64")
+    assert qos_profiles(found.offered_qos) == [{"depth": 1}]
+    assert found.definition
 
 
 @pytest.mark.parametrize(

@@ -2,24 +2,31 @@
 """Bags that others merged, renamed or made by hand: what is odd about them is told, and nothing ends in a traceback."""
 
 import json
+import math
 import shutil
 import struct
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.writer import Writer
 from recorded_run import simulated_run, write_bag
 
 from worm_model.bags.bag_errors import BagError
+from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import parse_types
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
+from worm_model.bags.run_writer import write_run
 from worm_model.commands import export, recover
+from worm_model.run import Run
 
 RUN = simulated_run(cycles=1)
 POWER = "/worm/power"
+SECOND = 10**9
 Change = Callable[[Message], Message | None]
 
 
@@ -104,6 +111,75 @@ def test_stamps_that_go_back_are_told(tmp_path: Path, recorded: list[Message]):
     assert any(f"stamps of {POWER} go back 1 times" in line for line in told_of(merged))
     in_order = by_mcap(tmp_path / "b.mcap", [*recorded, *(later(m, 1000, 1000) for m in recorded)])
     assert told_of(in_order) == []
+
+
+def test_a_recording_merged_with_itself_counts_once_which_is_told(
+    tmp_path: Path, recorded: list[Message]
+):
+    path = by_mcap(tmp_path / "a.mcap", [m for m in recorded for _ in range(2)])
+    told: list[str] = []
+    with open_bag(path, told.append) as bag:
+        found = read_run(bag)
+    for name in ("commanded", "measured", "tracker", "power", "gait_state"):
+        for mine, right in zip(
+            vars(getattr(found, name)).values(), vars(getattr(RUN, name)).values(), strict=True
+        ):
+            np.testing.assert_array_equal(mine, right)
+    assert (
+        f"{path}: {len(RUN.power.stamp)} messages of {POWER} are there twice; each counts once"
+        in told
+    )
+    assert len(told) == 5
+
+
+def test_samples_of_one_stamp_that_differ_all_count(tmp_path: Path):
+    """A lab's clock may tick more rarely than its sensor."""
+    stamp = RUN.power.stamp // 10**8 * 10**8
+    run = replace(RUN, power=replace(RUN.power, stamp=stamp))
+    with open_bag(write_bag(tmp_path / "bag", run)) as bag:
+        assert len(read_run(bag).power.stamp) == len(stamp)
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf])
+def test_samples_that_are_infinite_are_left_out_which_is_told(tmp_path: Path, value: float):
+    power = RUN.power.power.copy()
+    power[7] = value
+    path = write_bag(tmp_path / "bag", replace(RUN, power=replace(RUN.power, power=power)))
+    told: list[str] = []
+    with open_bag(path, told.append) as bag:
+        found = read_run(bag).power
+    np.testing.assert_array_equal(found.power, np.delete(RUN.power.power, 7))
+    np.testing.assert_array_equal(found.stamp, np.delete(RUN.power.stamp, 7))
+    assert told == [f"{path}: 1 messages of {POWER} hold an infinite number; they are left out"]
+
+
+def test_runs_that_overlap_are_refused(tmp_path: Path):
+    """Two recordings merged by time; one after the other they are two runs."""
+    longer = simulated_run(cycles=2)
+    with BagWriter(tmp_path / "late") as writer:
+        write_run(writer, longer, "/worm")
+        write_run(writer, later_run(longer, 3_600 * SECOND), "/worm")
+    with open_bag(tmp_path / "late") as bag:
+        assert len(read_run(bag).gait_state.rows_of_runs()) == 2
+    with BagWriter(tmp_path / "mixed") as writer:
+        write_run(writer, longer, "/worm")
+        write_run(writer, later_run(longer, SECOND), "/worm")
+    with (
+        open_bag(tmp_path / "mixed", lambda _: None) as bag,
+        pytest.raises(BagError, match="runs of gaits overlap"),
+    ):
+        read_run(bag)
+
+
+def later_run(run: Run, by: int) -> Run:
+    """The same, later by some ns."""
+    states = run.gait_state
+    moved = {
+        name: replace(getattr(run, name), stamp=getattr(run, name).stamp + by)
+        for name in ("commanded", "measured", "tracker", "power")
+    }
+    onset = np.where(states.onset > 0, states.onset + by, 0)
+    return replace(run, gait_state=replace(states, stamp=states.stamp + by, onset=onset), **moved)
 
 
 def test_a_file_that_metadata_does_not_name_is_told(tmp_path: Path, whole: Path):

@@ -35,7 +35,7 @@ from worm_model.bags.message_types import topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_beside
-from worm_model.commands import export
+from worm_model.commands import export, health, identify
 
 TYPE = "std_msgs/msg/UInt64"
 COUNT = 500
@@ -504,6 +504,22 @@ def test_a_bag_of_an_older_layout_is_read_by_the_definitions_that_are_given(
     assert table[0] == "log_time_ns,header.stamp_ns,status,power,header.frame_id"
     assert table[1] == "1,0,1,2.5,ina219"
     assert f"/worm/power carry no definition; those in {old_definitions}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [identify, health])
+def test_identification_takes_the_definitions_too(
+    old_bag: Path, old_definitions: Path, capsys, monkeypatch, caplog, command
+):
+    monkeypatch.setattr("sys.argv", ["identify", str(old_bag)])
+    assert command.main() == 2
+    assert "--definitions FOLDER" in capsys.readouterr().err
+    caplog.clear()
+    monkeypatch.setattr(
+        "sys.argv", ["identify", str(old_bag), "--definitions", str(old_definitions)]
+    )
+    assert command.main() == 2  # it holds no run
+    assert "--definitions" not in capsys.readouterr().err
+    assert any(f"those in {old_definitions} are taken" in line for line in caplog.messages)
 
 
 def test_a_copy_carries_the_definitions_that_were_given(

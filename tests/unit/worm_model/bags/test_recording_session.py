@@ -54,6 +54,21 @@ def test_what_comes_in_a_pause_is_not_recorded(tmp_path: Path):
     assert recording.offered.messages == 2
 
 
+def test_topics_of_which_nothing_came_are_kept(tmp_path: Path):
+    """That nothing happened is not that nobody listened."""
+    recording = session(tmp_path / "bag")
+    recording.know([TOPIC, LATCHED])
+    recording.offer([message(1)])
+    recording.know([TOPIC, LATCHED])
+    recording.stop()
+    recording.start()
+    recording.close()
+    with open_bag(tmp_path / "bag") as bag:
+        assert {name: topic.count for name, topic in bag.topics.items()} == {"/a": 1, "/state": 0}
+    with open_bag(tmp_path / "bag_2") as bag:
+        assert {name: topic.count for name, topic in bag.topics.items()} == {"/a": 0, "/state": 0}
+
+
 def test_after_a_stop_a_start_begins_another_bag(tmp_path: Path):
     recording = session(tmp_path / "bag")
     recording.offer([message(1)])

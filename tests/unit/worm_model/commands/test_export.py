@@ -17,6 +17,7 @@ from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.cdr import encode
 from worm_model.bags.message_block import Topic
 from worm_model.bags.message_types import topic_of, typestore
+from worm_model.bags.run_writer import write_run
 from worm_model.commands import export
 
 RUN = simulated_run(cycles=1)
@@ -49,6 +50,32 @@ def test_csv_gives_the_numbers_back_exactly(bag: Path, tmp_path: Path, monkeypat
     states = table(tmp_path / "csv" / "worm__gait_state.csv")
     assert list(map(int, states["onset_ns"])) == RUN.gait_state.onset.tolist()
     assert set(states["message"]) == {""}
+
+
+def test_the_merged_table_is_in_seconds_since_the_onset(bag: Path, tmp_path: Path, monkeypatch):
+    assert command(monkeypatch, bag, "--output", tmp_path / "csv") == 0
+    merged = table(tmp_path / "csv" / "run.csv")
+    rows = [row for row, cell in enumerate(merged["power_W"]) if cell]
+    power = [float(merged["power_W"][row]) for row in rows]
+    np.testing.assert_array_equal(power, RUN.power.valid_power)
+    time = [float(merged["time_s"][row]) for row in rows]
+    onset = int(RUN.gait_state.onset.max())
+    np.testing.assert_allclose(time, 1e-9 * (RUN.power.stamp - onset), atol=1e-9)
+    assert set(merged["gait"]) == {"1"}
+
+
+def test_several_robots_have_no_merged_table_until_one_is_named(
+    tmp_path: Path, monkeypatch, capsys
+):
+    with BagWriter(tmp_path / "bag") as writer:
+        for namespace in ("/a", "/b"):
+            write_run(writer, RUN, namespace)
+    assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "both") == 1
+    assert "run is left out" in capsys.readouterr().err
+    assert not (tmp_path / "both" / "run.csv").exists()
+    arguments = (tmp_path / "bag", "--output", tmp_path / "one", "--namespace", "/b")
+    assert command(monkeypatch, *arguments) == 0
+    assert (tmp_path / "one" / "run.csv").exists()
 
 
 def test_parquet_keeps_the_types(bag: Path, tmp_path: Path, monkeypatch):
@@ -134,7 +161,7 @@ def test_large_arrays_are_lists_in_parquet_and_left_out_by_name_in_csv(
     parquet = pytest.importorskip("pyarrow.parquet")
     bag = array_bag(tmp_path / "bag", [300_000, 2, 300_000])
     assert command(monkeypatch, bag, "--output", tmp_path / "csv") == 0
-    assert "/a: data is left out" in capsys.readouterr().err
+    assert "a.csv: data is left out" in capsys.readouterr().err
     assert "data" not in "".join(table(tmp_path / "csv" / "a.csv"))
     assert command(monkeypatch, bag, "--output", tmp_path / "x", "--format", "parquet") == 0
     column = parquet.read_table(tmp_path / "x" / "a.parquet")["data"]
@@ -179,7 +206,8 @@ def test_a_topic_that_cannot_be_decoded_is_left_out_and_told_by_the_status(
         writer.write(power, data, 1, 1)
         writer.write(bad, data[:-9], 2, 2)
     assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv", "--json") == 1
-    assert [p.name for p in (tmp_path / "csv").iterdir()] == ["worm__power.csv"]
+    files = {p.name for p in (tmp_path / "csv").iterdir()}
+    assert files == {"worm__power.csv", "run.csv"}
     told = capsys.readouterr()
     assert "/worm/bad is left out" in told.err
     assert "shorter" in json.loads(told.out)["left_out"]["/worm/bad"]

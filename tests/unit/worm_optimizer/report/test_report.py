@@ -17,6 +17,7 @@ from lab_files import write_bench_tests
 from recorded_run import GAIT, simulated_run, write_bag
 from recorded_session import recorded_session
 
+from worm_model.analysis.run_parts import joined
 from worm_model.bags.bag import AttachedFile
 from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.run_writer import write_run
@@ -29,14 +30,13 @@ from worm_optimizer.report.agreement import agreements, describe, headline, orde
 from worm_optimizer.report.expectation import Band, expect
 from worm_optimizer.report.identification_parts import IdentificationParts
 from worm_optimizer.report.optimisation import optimise, why_no_front
-from worm_optimizer.report.page import Report, build_report
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import (
     bags_of,
-    joined,
     newest_recording,
     read_recorded_gaits,
 )
+from worm_optimizer.report.report_page import Report, build_report
 from worm_optimizer.report.run_figures import ridges_passed_at
 from worm_optimizer.search.cache import Cache
 from worm_optimizer.search.gait_map import MapSettings

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recorded_run import EPOCH, simulated_run, write_bag
 
-from worm_driver.virtual_robot.offline_run import rehearse, sinusoid
+from worm_driver.virtual_robot.offline_run import run_offline, sinusoid
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.commands import health as health_command
 from worm_model.gait import Gait
@@ -47,7 +47,7 @@ def robot_run(seed: int, recording: int, gain: float = 1.0) -> Run:
     """A recording of the virtual robot, an hour after the one before; ``gain`` multiplies its K."""
     settings = replace(load_settings(), seed=seed, recording=recording)
     settings = replace(settings, body=replace(settings.body, gain=settings.body.gain * gain))
-    seen = rehearse(settings, sinusoid(GAIT.stroke, GAIT.frequency), CYCLES / GAIT.frequency)
+    seen = run_offline(settings, sinusoid(GAIT.stroke, GAIT.frequency), CYCLES / GAIT.frequency)
     start = EPOCH + recording * HOUR
 
     def stamp(time):
@@ -241,11 +241,20 @@ def test_few_bags_say_so_and_a_file_of_intervals_helps(tmp_path: Path, capsys):
 def test_no_usable_bag_is_bad_input_of_one_line(tmp_path: Path, capsys):
     run = simulated_run()
     without = write_bag(tmp_path / "blind", replace(run, tracker=TrackerSamples()))
-    status, out, err = run_health(capsys, without, tmp_path / "missing")
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    status, out, err = run_health(capsys, without, broken)
     assert (status, out) == (2, "")
     line = err.strip().splitlines()[-1]
     assert line.startswith("health: no bag can be used: blind: has no tracker")
     assert "(and 1 more)" in line
+
+
+def test_a_bag_that_is_not_there_is_bad_input_and_not_left_out(tmp_path: Path, capsys):
+    there = write_bag(tmp_path / "there", simulated_run())
+    status, out, err = run_health(capsys, there, tmp_path / "missing")
+    assert (status, out) == (2, "")
+    assert err == f"health: {tmp_path / 'missing'}: does not exist\n"
 
 
 def test_a_stuck_servo_is_left_out(tmp_path: Path):
@@ -278,7 +287,7 @@ def test_a_figure_is_neither_overwritten_nor_of_an_unknown_kind(tmp_path: Path, 
     figure = tmp_path / name
     if name == "charts.png":
         figure.write_bytes(b"kept")
-    status, _, err = run_health(capsys, tmp_path / "missing", "--figure", figure)
+    status, _, err = run_health(capsys, tmp_path, "--figure", figure)
     assert status == 2
     assert name in err
     assert not figure.exists() or figure.read_bytes() == b"kept"

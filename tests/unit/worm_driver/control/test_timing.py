@@ -27,7 +27,8 @@ def test_the_report_tells_period_error_and_misses():
     meter = PeriodMeter(0.01, window=100)
     time = 0.0
     for i in range(101):
-        meter.cycle(time, skipped=1 if i == 50 else 0)
+        meter.begin(time, due=time - 0.001, skipped=1 if i == 50 else 0)
+        meter.end(time + (0.015 if i == 49 else 0.004))
         time += 0.02 if i == 50 else 0.01
     report = meter.report()
     assert report.cycles == 101
@@ -37,18 +38,31 @@ def test_the_report_tells_period_error_and_misses():
     assert report.mean_period == pytest.approx(0.0101)
 
 
+def test_the_report_tells_a_late_start_from_a_long_cycle():
+    meter = PeriodMeter(0.01)
+    for i in range(100):
+        due = 0.01 * i
+        late = 0.003 if i % 10 == 0 else 0.0
+        meter.begin(due + late, due, skipped=0)
+        meter.end(due + late + 0.004)
+    report = meter.report()
+    assert report.p99_wake == pytest.approx(0.003)
+    assert report.p99_cycle == pytest.approx(0.004)
+
+
 def test_before_two_cycles_there_is_nothing_to_report():
     meter = PeriodMeter(0.01)
-    meter.cycle(0.0, skipped=0)
+    meter.begin(0.0, 0.0, skipped=0)
     assert math.isnan(meter.report().p99_error)
 
 
 def test_the_window_forgets():
     meter = PeriodMeter(0.01, window=10)
-    meter.cycle(0.0, skipped=0)
-    meter.cycle(0.5, skipped=0)
+    for start in (0.0, 0.5):
+        meter.begin(start, start, skipped=0)
+        meter.end(start)
     for i in range(10):
-        meter.cycle(0.51 + 0.01 * i, skipped=0)
+        meter.begin(0.51 + 0.01 * i, 0.51 + 0.01 * i, skipped=0)
     assert meter.report().max_error == pytest.approx(0.0, abs=1e-9)
 
 

@@ -63,8 +63,8 @@ def test_it_is_asked_for_by_the_thread_itself_before_its_first_step():
 
 def test_the_diagnostics_tell_it_and_blame_it_only_for_a_late_loop():
     missing = ask_for_urgency(40, refused, refused)
-    fine = TimingReport(0.01, 0.0005, 0.001, 0, 1000)
-    late = TimingReport(0.01, 0.004, 0.02, 7, 1000)
+    fine = TimingReport(0.01, 0.0005, 0.001, 0.0005, 0.004, 0, 1000)
+    late = TimingReport(0.01, 0.004, 0.02, 0.003, 0.006, 7, 1000)
     assert timing_report(fine, 0.01, missing).level is Level.OK
     assert ("real_time_priority", missing.words) in timing_report(fine, 0.01, missing).values
     assert missing.words in timing_report(late, 0.01, missing).message

@@ -17,6 +17,10 @@ def test_silence_adds_up_over_the_looks_and_ends_with_an_answer():
     counts = supervision.silence(counts, [1], 0.002)
     fault = fault_in_counts(counts, LIMITS, problems)
     assert fault == "servo 1 gives no state for 36 ms: it does not answer intact"
+    beside = supervision.crowding(12.34, 2)
+    assert fault_in_counts(counts, LIMITS, problems, beside) == fault + beside
+    assert "busy (load 12.3 on 2 cores)" in beside
+    assert supervision.crowding(1.9, 2) == ""
     counts = supervision.silence(counts, [], 0.02)
     assert fault_in_counts(counts, LIMITS, problems) is None
 

@@ -11,9 +11,9 @@ import yaml
 
 from worm_model.parameters import PAPER
 from worm_model.twin.records import Activity, Health
-from worm_model.twin.watch_view import CLEAR, View, render
+from worm_model.twin.watch_view import CLEAR, LEVELS, Trend, View, render
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 ANSI = re.compile(r"\033\[\d+m")
 VIEW = View(
     activity=Activity.RUNNING,
@@ -33,11 +33,25 @@ def text(view: View, width: int = 80) -> list[str]:
     return [ANSI.sub("", line) for line in render(view, PAPER.pitch, width)]
 
 
-@pytest.mark.parametrize("width", [60, 80, 120])
+@pytest.mark.parametrize("width", [40, 60, 80, 120])
 @pytest.mark.parametrize("view", [View(), VIEW])
 def test_no_line_is_wider_than_the_terminal(view, width):
-    assert max(map(len, text(view, width))) <= width
-    assert CLEAR not in "".join(text(view, width))
+    lines = text(view, width)
+    assert max(map(len, lines)) <= width
+    assert CLEAR not in "".join(lines)
+    assert "nan" not in "".join(lines)
+
+
+def test_a_narrow_pane_wraps_what_would_be_cut_off():
+    assert "cycle 2 of 5" in " ".join(" ".join(text(VIEW, 40)[:3]).split())
+
+
+def test_a_trend_tells_its_range_and_shows_a_gap():
+    trend = Trend((0.0, float("nan"), -0.0173), (1.0, 1.0, 1.0))
+    lines = [ANSI.sub("", line) for line in render(VIEW, PAPER.pitch, 40, trend)]
+    row = lines.index("x1, robot−twin, 3 s: -17.30 to 0.00 mm")
+    assert lines[row + 1] == f"{LEVELS[-1]} {LEVELS[0]}"
+    assert lines[row + 2] == "measured power, 3 s: 1.00 to 1.00 W"
 
 
 def test_what_matters_is_on_the_screen():
@@ -70,7 +84,7 @@ def test_what_is_stale_is_not_shown_as_the_present():
     assert "#" not in old[5]
     assert "-" in next(line for line in old if line[:2] == "x1").split()
     dark = VIEW.aged({"power": 1.5})
-    assert text(dark)[-1].split() == ["measured", "-", "W"]
+    assert ["measured", "-", "W"] in [line.split() for line in text(dark)]
 
 
 def fields(name: str) -> set[str]:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from worm_driver.commands.calibrate import Calibration, calibrate, main
-from worm_driver.errors import ConfigurationError, DriverError
+from worm_driver.errors import ConfigurationError, CorruptReplyError, DriverError
 from worm_driver.servos.calibration import Reading, parameter_text, spool_from
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.transmission import Fin, Spool
@@ -75,6 +75,7 @@ class Bench:
         self.port = SimulatedPort(wire, self.clock)
         self.bus = ServoBus(self.port, retries=0)
         self.start = self.robot.servos[0].motor.position
+        self.patience = "r"
         self.said: list[str] = []
         self.questions: list[tuple[str, bool]] = []
         self.calibration = Calibration(self.bus, self.answer, self.said.append, self.wait)
@@ -101,6 +102,8 @@ class Bench:
             return "c" if "servo 1 " in question else "f"
         if "auter" in question:
             return "t"
+        if "epeat" in question:
+            return self.patience
         if "ruler" in question:
             self.robot.advance(self.clock.now)
             turned = (self.robot.servos[0].motor.position - self.start) * 2 * math.pi / 4096
@@ -172,6 +175,54 @@ def test_a_blocked_cable_ends_the_conversation():
         bench.calibration.cable(servo, 0.3, 4)
 
 
+def lose_answers(bench: Bench, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    """From the third reading on, so many answers to a goal come garbled."""
+    write, goals = bench.bus.write, []
+
+    def garbled(servo, register, raw):
+        if register.name == "goal_position":
+            goals.append(raw)
+            if 4 <= len(goals) < 4 + count:
+                raise CorruptReplyError("servo 1: the answer's checksum is wrong")
+        write(servo, register, raw)
+
+    monkeypatch.setattr(bench.bus, "write", garbled)
+
+
+def test_a_garbled_answer_costs_one_reading_and_not_the_session(monkeypatch):
+    bench = Bench()
+    lose_answers(bench, monkeypatch, 2)
+    spools, _ = calibrate(bench.calibration, turns=0.3, points=4)
+    assert spools[0].radius == pytest.approx(0.025, rel=0.02)
+    readings = [question for question, _ in bench.questions if "ruler" in question]
+    assert [q.split(":")[0] for q in readings] == [f"reading {n} of 4" for n in (1, 2, 3, 4)]
+    assert sum("readings so far are kept" in line for line in bench.said) == 2
+    assert all(armed for _, armed in bench.questions)
+
+
+def test_a_person_may_give_up_after_a_garbled_answer(monkeypatch):
+    bench = Bench()
+    bench.patience = "g"
+    lose_answers(bench, monkeypatch, 9)
+    with pytest.raises(CorruptReplyError):
+        calibrate(bench.calibration, turns=0.3, points=4)
+
+
+def test_a_servo_that_lost_its_torque_meanwhile_is_not_read_on(monkeypatch):
+    bench = Bench()
+    lose_answers(bench, monkeypatch, 1)
+    say = bench.said.append
+
+    def restart(line: str) -> None:
+        say(line)
+        if "kept" in line:
+            bench.robot.servos[0].memory["torque_enable"] = 0
+
+    monkeypatch.setattr(bench.calibration, "_say", restart)
+    with pytest.raises(DriverError, match="begin anew"):
+        calibrate(bench.calibration, turns=0.3, points=4)
+
+
 def test_nonsense_is_asked_again():
     bench = Bench()
     answers = iter(["x", "", "n"])
@@ -191,8 +242,8 @@ def test_without_servos_it_says_what_to_check():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["{}/exists.yaml"], "exists: move it"),
-        (["{}/no/folder.yaml"], "no folder"),
+        (["{}/exists.yaml"], "nothing is overwritten"),
+        (["{}/no/folder.yaml"], "its folder does not exist"),
         (["{}/new.yaml", "--points", "2"], "--points"),
         (["{}/new.yaml", "--turns", "nan"], "--turns"),
     ],

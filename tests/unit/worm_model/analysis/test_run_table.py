@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run as one table."""
+
+import dataclasses
+import sys
+
+import numpy as np
+import pytest
+from recorded_run import GAIT, REST_S, simulated_run
+from recorded_session import recorded_session
+
+from worm_model.analysis.run_parts import joined
+from worm_model.analysis.run_table import run_table
+from worm_model.errors import InputError
+from worm_model.run import Run, TrackerSamples
+
+RUN = simulated_run(cycles=2)
+
+
+def test_every_sample_is_there_once_at_its_moment():
+    columns = run_table(RUN).columns
+    for name, samples, values in (
+        ("x1_m", RUN.tracker, RUN.tracker.rear_position),
+        ("power_W", RUN.power, RUN.power.power),
+        ("commanded_length_change_m", RUN.commanded, RUN.commanded.length_change),
+    ):
+        known = np.isfinite(values)
+        filled = np.isfinite(columns[name])
+        np.testing.assert_array_equal(columns[name][filled], values[known])
+        np.testing.assert_array_equal(columns["stamp_ns"][filled], samples.stamp[known])
+    assert np.all(np.diff(columns["stamp_ns"]) >= 0)
+    assert len({len(column) for column in columns.values()}) == 1
+
+
+def test_time_and_cycle_count_from_the_onset():
+    columns = run_table(RUN).columns
+    assert columns["time_s"][0] == pytest.approx(-REST_S)
+    cycle, time = columns["cycle"], columns["time_s"]
+    assert set(cycle[time < 0.0]) == {0}
+    inside = (time >= 0.0) & (time < 1.9 * GAIT.period)
+    np.testing.assert_array_equal(cycle[inside], 1 + time[inside] // GAIT.period)
+
+
+def test_each_gait_of_a_recording_has_a_time_of_its_own():
+    run = joined(recorded_session())
+    columns = run_table(run).columns
+    assert sorted(set(columns["gait"])) == [1, 2]
+    for number in (1, 2):
+        time = columns["time_s"][columns["gait"] == number]
+        assert time.min() < 0.0 < time.max()
+
+
+def test_two_samples_at_one_moment_are_two_rows():
+    stamp = np.array([5, 5, 7], np.int64)
+    run = Run(origin=5, tracker=TrackerSamples(stamp, np.arange(3.0), np.arange(3.0)))
+    columns = run_table(run).columns
+    assert columns["x1_m"].tolist() == [0.0, 1.0, 2.0]
+    assert columns["gait"].tolist() == [0, 0, 0]
+
+
+def test_a_power_that_is_not_valid_is_no_number():
+    status = RUN.power.status.copy()
+    status[3] = 1
+    run = dataclasses.replace(RUN, power=dataclasses.replace(RUN.power, status=status))
+    columns = run_table(run).columns
+    row = np.flatnonzero(columns["power_status"] == "overflow")
+    assert np.isnan(columns["power_W"][row]).all()
+
+
+def test_a_data_frame_has_the_same_columns(monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("pandas", reason="pandas is optional")
+    table = run_table(RUN)
+    frame = table.to_dataframe()
+    assert list(frame) == list(table.columns)
+    assert frame.x1_m.count() == np.isfinite(RUN.tracker.rear_position).sum()
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="pip install pandas"):
+        table.to_dataframe()
