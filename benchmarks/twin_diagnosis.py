@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.report import Row
-from tests.faulty_robots import ONSET, Fault, Lab, Robots, run_robots
+from tests.faulty_robots import ONSET, Fault, Robots, run_robots
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait
@@ -35,8 +38,8 @@ SOUND = 60  # runs with each gait
 CYCLES_LATE = 2.05  # cycles after that of the fault in which a cause is named in time
 #: three sizes of each kind, small to large
 SIZES: dict[str, tuple[float, ...]] = {
-    "rear": (1, 1, 2),
-    "front": (1, 1, 2),
+    "rear": (1, 2, 3),
+    "front": (1, 2, 3),
     "gained": (1, 1, 1),
     "gain": (-0.01, -0.03, -0.06),
     "slip": (0.001, 0.003, 0.006),
@@ -60,6 +63,19 @@ CODES = {
     "robot": "robot_moved",
     "camera": "camera_moved",
 }
+NAMES = {
+    "rear": "misses of the rear fin (cycles)",
+    "front": "misses of the front fin (cycles)",
+    "gained": "groove gained",
+    "gain": "gain of the cable (%)",
+    "slip": "cable slipped by (mm)",
+    "friction": "friction up (%)",
+    "less friction": "friction down (%)",
+    "scale": "scale of the power (%)",
+    "offset": "zero of the power (W)",
+    "robot": "robot moved (grooves)",
+    "camera": "camera moved (mm)",
+}
 UNITS = {
     "gain": 100.0,
     "slip": 1e3,
@@ -81,8 +97,8 @@ class Outcome:
     late: float
 
 
-def faults(gait: Gait) -> list[tuple[str, int, Fault]]:
-    """(kind, place of the size, fault) of all runs with a gait; grooves and pushes begin with a cycle."""
+def faults() -> list[tuple[str, int, Fault]]:
+    """(kind, place of the size, fault) of all runs with a gait; a fin's fault is that of a whole cycle."""
     found = [("sound", 0, Fault()) for _ in range(SOUND)]
     for kind, sizes in SIZES.items():
         for place, size in enumerate(sizes):
@@ -94,19 +110,20 @@ def faults(gait: Gait) -> list[tuple[str, int, Fault]]:
     return found
 
 
-def outcomes(gait: Gait, seed: int = 11, lab: Lab = Lab()) -> list[Outcome]:
+def outcomes(gait: Gait, seed: int = 11) -> list[Outcome]:
     """Every run with a gait, followed with and without a tracker."""
-    wanted = faults(gait)
+    wanted = faults()
     usual = round(evaluate_gait(gait).grooves_per_cycle)
-    robots = run_robots(gait, [f for _, _, f in wanted], seed=seed, lab=lab, usual=usual)
+    robots = run_robots(gait, [f for _, _, f in wanted], seed=seed, usual=usual)
     return [
-        _outcome(robots, k, kind, place, fault, tracker)
-        for k, (kind, place, fault) in enumerate(wanted)
+        _outcome(robots, k, what, tracker=tracker)
+        for k, what in enumerate(wanted)
         for tracker in (True, False)
     ]
 
 
-def _outcome(robots: Robots, k: int, kind: str, place: int, fault: Fault, tracker: bool) -> Outcome:
+def _outcome(robots: Robots, k: int, what: tuple[str, int, Fault], *, tracker: bool) -> Outcome:
+    kind, place, fault = what
     twin = Twin()
     events = twin.advance(twin.start(), robots.rows(k, tracker=tracker), to_the_end=True).events
     coded = [event for event in events if event.code]
@@ -146,7 +163,7 @@ def bound(gait: Gait, kind: str, place: int) -> float:
     return 0.5 * math.erfc((2.33 - distance) / math.sqrt(2.0))
 
 
-def table(found: Sequence[Outcome], tracker: bool) -> dict[tuple[str, int], Counter[str]]:
+def table(found: Sequence[Outcome], *, tracker: bool) -> dict[tuple[str, int], Counter[str]]:
     """What was told, by kind and size."""
     counts: dict[tuple[str, int], Counter[str]] = defaultdict(Counter)
     for outcome in found:
@@ -167,9 +184,13 @@ def measure() -> list[Outcome]:
 def run() -> list[Row]:
     """The table's rows."""
     found = measure()
+    if len(sys.argv) > 1 and sys.argv[-1].endswith(
+        ".png"
+    ):  # python -m benchmarks.twin_diagnosis FIGURE.png
+        draw(found, Path(sys.argv[-1]))
     rows = []
     for tracker in (True, False):
-        counts = table(found, tracker)
+        counts = table(found, tracker=tracker)
         where = "tracker" if tracker else "power alone"
         sound = counts.pop(("sound", 0))
         false = sum(n for code, n in sound.items() if code)
@@ -200,8 +221,36 @@ def _row(where: str, kind: str, place: int, told: Counter[str]) -> Row:
     return Row(f"{where}: {kind} {size:g}", value, best or "-", others)
 
 
+def draw(found: Sequence[Outcome], path: Path) -> None:
+    """How often each cause is named in time over its size, with a tracker and from power alone."""
+    figure, axes = plt.subplots(3, 4, figsize=(11, 7), sharey=True, layout="constrained")
+    for axis, kind in zip(axes.flat, SIZES, strict=False):
+        for tracker, label, marker in ((True, "with a tracker", "o"), (False, "power alone", "s")):
+            rates = [
+                np.mean(
+                    [
+                        right(o)
+                        for o in found
+                        if (o.kind, o.size, o.tracker) == (kind, place, tracker)
+                    ]
+                )
+                for place in range(3)
+            ]
+            axis.plot(range(3), 100.0 * np.array(rates), marker=marker, label=label)
+        sizes = [f"{UNITS.get(kind, 1.0) * size:g}" for size in SIZES[kind]]
+        axis.set_xticks(range(3), sizes)
+        axis.set_ylim(-5, 105)
+        axis.grid(alpha=0.3)
+        axis.set_title(NAMES[kind], fontsize=10)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("named in time (%)")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    axes.flat[-1].axis("off")
+    axes.flat[-1].legend(handles, labels, loc="center")
+    figure.savefig(path, dpi=110)
+
+
 if __name__ == "__main__":
     from benchmarks.report import print_rows
 
-    results = run()
-    print_rows(TITLE, results)
+    print_rows(TITLE, run())

@@ -72,7 +72,7 @@ def received(bag: Bag, namespace: str) -> dict[int, Stamps]:
     found: dict[int, list[Stamps]] = {kind: [] for kind in names.values()}
     for block in bag.blocks(names):
         for name, messages in block.by_topic():
-            found[names[name]].append(messages.log_time)
+            found[names[name]].append(messages.log_time.astype(np.int64))
     return {kind: np.concatenate(times) for kind, times in found.items() if times}
 
 
@@ -180,8 +180,10 @@ def _cycle_json(cycle: CycleReport) -> dict[str, Any]:
     }
 
 
-def describe(report: ReplayReport, duration: float, elapsed: float) -> str:
-    """The report for people."""
+def describe(
+    report: ReplayReport, dropped: Mapping[str, int], duration: float, elapsed: float
+) -> str:
+    """The report for people; ``dropped`` samples by why."""
     total = report.residuals
     lines = [
         f"x1      {1e3 * total.x1_rmse:8.3f} mm rms, {1e3 * total.x1_residual:+.3f} mm mean",
@@ -196,18 +198,23 @@ def describe(report: ReplayReport, duration: float, elapsed: float) -> str:
             f"{'forward' if gait.direction > 0 else 'reverse'}, {run.health.name.lower()} at worst"
         )
         lines.append("cycle  start s  grooves (measured)  x1 mm   length mm  power W  (rms)")
-        lines += [_cycle_line(count, cycle) for count, cycle in enumerate(run.cycles, 1)]
+        told = [event for _, event in run.events]
+        lines += [_cycle_line(count, cycle, told) for count, cycle in enumerate(run.cycles, 1)]
         lines += [f"  {time:.2f} s  {event.text}" for time, event in run.events]
+    if dropped:
+        why = ", ".join(f"{count} {name}" for name, count in dropped.items())
+        lines.append(f"samples not taken: {why}")
     lines.append(f"{duration:.1f} s in {elapsed:.3f} s: {duration / elapsed:.0f} times real time")
     return "\n".join(lines)
 
 
-def _cycle_line(number: int, cycle: CycleReport) -> str:
+def _cycle_line(number: int, cycle: CycleReport, told: Sequence[Event]) -> str:
     part = cycle.residuals
+    found = ", ".join(event.code.replace("_", " ") for event in told if event.cycle == number)
     return (
         f"{number:5}  {cycle.start:7.2f}  {cycle.grooves:7.0f} ({cycle.measured_grooves:8.2f})  "
         f"{1e3 * part.x1_rmse:6.2f}  {1e3 * part.length_rmse:9.2f}  {part.power_rmse:7.2f}"
-        f"{'' if cycle.complete else '  (cut off)'}"
+        f"{'' if cycle.complete else '  (cut off)'}{f'  {found}' if found else ''}"
     )
 
 
@@ -242,7 +249,7 @@ def _replay(options: argparse.Namespace) -> None:
     print_result(
         options,
         report_json(report, followed, duration, elapsed),
-        describe(report, duration, elapsed),
+        describe(report, followed.dropped or {}, duration, elapsed),
     )
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -12,6 +13,7 @@ import numpy as np
 
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.opening import open_bag
+from worm_model.errors import InputError
 from worm_model.gait import Gait, GaitError
 from worm_model.identification.actuation_stage import identify_actuation
 from worm_model.identification.estimate import Estimate
@@ -24,6 +26,7 @@ from worm_model.identification.measured_length import measured_length
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.quality import LONGEST_GAP, remarks, usable
 from worm_model.parameters import Parameters
+from worm_model.simulation.simulator import SimulationError
 
 SEED = 0  # of the resampled cycles: the same bags give the same intervals
 
@@ -63,20 +66,37 @@ def estimate_bags(
 
     ``definitions`` of messages are as `open_bag` takes them.
     """
-    found: dict[int, BagEstimates] = {}
+    found: dict[str, BagEstimates] = {}
     left_out = []
     for done, path in enumerate(paths):
         progress(done / len(paths))
         try:
             with open_bag(path, definitions=definitions) as bag:
                 start = bag.start
-            if start in found:
-                raise IdentificationError(f"the same run as {found[start].name}")
-            found[start] = estimate_bag(read_recording(path, definitions), start, parameters)
-        except (BagError, GaitError, IdentificationError) as error:
+            recording = read_recording(path, definitions)
+            content = _content(recording)
+            if content in found:
+                raise IdentificationError(f"the same run as {found[content].name}")
+            found[content] = estimate_bag(recording, start, parameters)
+        except (BagError, GaitError, IdentificationError, SimulationError) as error:
             left_out.append(LeftOut(path.name, str(error)))
+        except InputError:
+            raise
+        except (ValueError, np.linalg.LinAlgError) as error:
+            # One bag that no check foresaw is no reason to say nothing of the others.
+            left_out.append(
+                LeftOut(path.name, f"its numbers cannot be fitted ({error}); look at them")
+            )
     progress(1.0)
-    return tuple(found[start] for start in sorted(found)), tuple(left_out)
+    return tuple(sorted(found.values(), key=lambda bag: (bag.start, bag.name))), tuple(left_out)
+
+
+def _content(recording: Recording) -> str:
+    """What was seen, by which a run is known: an import may have invented its stamps."""
+    digest = hashlib.sha256()
+    for values in (recording.camera_time, recording.x1, recording.x2, recording.command):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()
 
 
 def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> BagEstimates:

@@ -140,7 +140,8 @@ def identify_locomotion(
     else:
         raise IdentificationError(
             "viscous_friction, switching_threshold: the fit kept finding a better solution far from the last, so "
-            "that no interval holds: leave out runs whose markers were hidden for long, or add runs"
+            "that no interval holds: a value that was given may be wrong (check the pitch first, then masses and "
+            "lengths), or markers were hidden for long; correct it, leave such runs out, or add runs"
         )
     progress(0.9)
     variants = _variants(traverses, known, fit, fin)

@@ -90,8 +90,10 @@ def recording_of(
         return (stamp >= first) & (stamp <= last)
 
     commanded, seen = within(run.commanded.stamp), within(run.tracker.stamp)
-    turned = within(run.cable.stamp)
+    commanded &= np.isfinite(run.commanded.length_change)
+    turned = within(run.cable.stamp) & np.isfinite(run.cable.length_change)
     powered = within(run.power.stamp) & (run.power.status == POWER_VALID)
+    powered &= np.isfinite(run.power.power)
     command_time = seconds(run.commanded.stamp[commanded], onset)
     command = run.commanded.length_change[commanded]
     shift = _onset_shift(command_time, command, gait, name)

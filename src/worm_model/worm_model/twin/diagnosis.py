@@ -147,8 +147,8 @@ def judge_cycle(history: History, seen: CycleSeen) -> tuple[History, list[Findin
         blind_s=history.blind_s + seen.blind_s,
     )
     history, data, findings = _place(history, seen, data)
-    if seen.joined:
-        return history, findings  # nobody knows how it began
+    if seen.joined or seen.blind_s:  # nobody knows how it went
+        return replace(history, cycles=()), findings
     step = data.step
     if step is not None and not step.is_none:
         data = replace(data, gained=_whole(step.size, seen) * seen.gait.direction)

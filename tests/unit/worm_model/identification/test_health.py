@@ -298,3 +298,18 @@ def test_charts_without_limits_or_ends_can_be_drawn(tmp_path: Path):
     charts = [chart_of(key, rows, PAPER_FILE) for key in ADVICE]
     draw_health(["a", "b"], charts, tmp_path / "few.svg")
     assert "</svg>" in (tmp_path / "few.svg").read_text()
+
+
+def test_a_command_that_is_not_a_number_is_left_out_of_its_run():
+    run = robot_run(1, 0)
+    run.commanded.length_change[[3, 400, 401]] = np.nan
+    recording = recording_of(run, "holes")
+    assert np.isfinite(recording.command).all()
+    assert len(recording.command) == len(recording.command_time)
+
+
+def test_runs_are_known_by_what_was_seen_and_not_by_stamps_that_an_import_made(tmp_path: Path):
+    paths = [write_bag(tmp_path / f"bag{seed}", robot_run(seed, 0)) for seed in (1, 2)]
+    used, left_out = estimate_bags([*paths, paths[0]], PAPER)
+    assert [bag.name for bag in used] == ["bag1", "bag2"]
+    assert ["same run" in bag.reason for bag in left_out] == [True]

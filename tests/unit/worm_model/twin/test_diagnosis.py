@@ -24,7 +24,7 @@ FAULTS = (
     Fault("slip", 0.003, 2, 0.6),
     Fault("friction", 1.0, 3),
     Fault("scale", 0.08, 2),
-    Fault("scale", -0.08, 2),
+    Fault("scale", -0.12, 2),
     Fault("offset", 0.6, 3, 0.3),
     Fault("robot", 3, 3, 0.3),
     Fault("camera", 0.008, 3, 0.3),
