@@ -93,7 +93,7 @@ def _answers_ahead(memory: Memory, until: int, a: Actuator) -> None:
         if rows[j].kind != COMMAND or rows[j].stamp <= when:
             continue
         while k < j:
-            if rows[k].kind == LENGTH and rows[k].stamp > when:
+            if rows[k].kind == LENGTH:  # at the stamp of a command, the answer itself
                 share = (rows[k].stamp - when) / (rows[j].stamp - when)
                 there = command + share * (rows[j].a - command)
                 rows[k].c = respond(answer, command, there, (rows[k].stamp - when) * SECOND, a)
