@@ -16,6 +16,7 @@ from pathlib import Path
 from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
 from worm_optimizer.operation.processes import Process, ProcessGroup, executable_command
+from worm_optimizer.orders import Order, RunProgress
 
 TIMEOUT_S = 60.0
 BEFORE_S, AFTER_S = 2.0, 0.5  # recorded at rest, and after the gait's end
@@ -65,13 +66,13 @@ def make(name: str, sample: Sample, folder: Path) -> None:
         recorder = group.start("recorder", record)
         recorder.wait_for_line("recording to", TIMEOUT_S)
         with operator("/worm", group.check) as node:
-            node.activate("driver")
+            node.activate()
             node.wait_for_recorder("recorder")
             node.rest(BEFORE_S)
             if sample.killed_in:
                 _run_until_killed(node, sample, recorder)
             else:
-                node.run_gait(sample.gait, sample.cycles, lambda _: None)
+                node.run(Order(sample.gait, sample.cycles), lambda _: None)
                 node.rest(AFTER_S)
                 group.end("recorder")
             node.stop()
@@ -96,15 +97,15 @@ def _start_robot(group: ProcessGroup, sample: Sample, place: Path) -> None:
 
 
 def _run_until_killed(node: OperatorNode, sample: Sample, recorder: Process) -> None:
-    def kill(cycle: int) -> None:
-        if cycle == sample.killed_in and recorder.exit_code is None:
+    def kill(now: RunProgress) -> None:
+        if now.cycle == sample.killed_in and recorder.exit_code is None:
             recorder.kill()
 
     def check() -> None:
         """The recorder's death is no accident."""
 
     node._check = check
-    node.run_gait(sample.gait, sample.cycles, kill)
+    node.run(Order(sample.gait, sample.cycles), kill)
 
 
 def main() -> int:

@@ -18,9 +18,10 @@ import numpy as np
 from benchmarks.report import Row
 from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_optimizer.nodes.operator_node import operator
-from worm_optimizer.operation.bring_up import DRIVER, start_nodes
+from worm_optimizer.operation.bring_up import start_nodes
 from worm_optimizer.operation.processes import ProcessGroup
 from worm_optimizer.operation.system import System, load_system_file
+from worm_optimizer.orders import Order
 
 TITLE = "soak: growth of memory and files, drift, over gaits faster than real time (WORM_BENCH_CYCLES for more)"
 DOMAIN = 94
@@ -62,13 +63,13 @@ def run() -> list[Row]:
         start_nodes(group, System(whole.namespace, nodes), say=lambda _: None)
         with operator(whole.namespace, group.check) as node:
             node.wait_for_nodes(each.name for each in nodes)
-            node.activate(DRIVER)
+            node.activate()
             started = time.monotonic()
             samples, ends, seconds = [], [], []
             for number in range(gaits):
                 direction = FORWARD if number % 2 == 0 else REVERSE
                 begun = node.robot_time_s
-                node.run_gait(Gait(0.07, 0.4, direction), CYCLES_PER_GAIT, lambda _: None)
+                node.run(Order(Gait(0.07, 0.4, direction), CYCLES_PER_GAIT), lambda _: None)
                 seconds.append(node.robot_time_s - begun)
                 samples.append({n: Sample.of(p.pid) for n, p in group.processes.items()})
                 ends.append(node.late_cycles)
@@ -77,7 +78,7 @@ def run() -> list[Row]:
                 )
             elapsed = time.monotonic() - started
             node.stop()
-            node.deactivate(DRIVER)
+            node.deactivate()
     return _rows(samples, seconds, ends, elapsed)
 
 

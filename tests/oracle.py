@@ -3,7 +3,9 @@
 
 It shares no formula with the kernel: the literal reduced dynamics in x1 (eq:continuous_model) with the
 first and second derivative of the length, the actuation lag as a state, the positive cable work as a
-state, integrated by SciPy with every border, threshold and sign change as a located, terminal event.
+state, integrated by SciPy with every border, threshold and sign change as a located, terminal event. Dry friction
+is Coulomb's inclusion: a module keeps sliding or sticking until its own event, and what follows from rest is the
+one acceleration at which the inclusion holds. Nothing is regularised.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 
 SETTLING_S = 1e-9  # after an event, in which its border cannot be passed again
+ROUNDING_N = 1e-9  # which a module that creeps to rest is held by beyond its dry friction
 
 
 @dataclass
@@ -40,10 +43,14 @@ class OracleRun:
 
 @dataclass(frozen=True)
 class _Discrete:
-    """Anchors in m, the region of each fin (−1, 0, 1), and the signs that the power depends on."""
+    """Anchors in m, the region of each fin (−1, 0, 1), and the signs that the power depends on.
+
+    ``slides``: the sign of each module's velocity, 0 where dry friction holds it.
+    """
 
     anchors: tuple[float, float]
     regions: tuple[int, int]
+    slides: tuple[int, int] = (0, 0)
     force_sign: float = 1.0
     rate_sign: float = 1.0
 
@@ -64,6 +71,8 @@ class Oracle:
         self.omega = 2.0 * math.pi * gait.frequency
         self.threshold = parameters.switching_threshold + gait.margin
         self.half = 0.5 * parameters.clearance
+        self.dry = parameters.rear_dry_friction, parameters.front_dry_friction
+        self.mass = parameters.rear_mass + parameters.front_mass
 
     def command(self, time: float, clipped: bool) -> tuple[float, float]:
         """(u_eff, its derivative)."""
@@ -89,13 +98,22 @@ class Oracle:
         front = self.fin_force(
             x1 + self.p.initial_length + length_change - d.anchors[1], d.regions[1]
         )
-        a1 = (
+        load = (
             -2.0 * self.p.viscous_friction * v1
             - rear
             - front
             - self.p.viscous_friction * rate
             - self.p.front_mass * acceleration
-        ) / (self.p.rear_mass + self.p.front_mass)
+        )
+        sliding = [dry * side for dry, side in zip(self.dry, d.slides, strict=True)]
+        a1 = (load - sliding[0] - sliding[1]) / self.mass
+        if self.dry[0] > 0.0 and d.slides[0] == 0:
+            a1 = 0.0
+        elif self.dry[1] > 0.0 and d.slides[1] == 0:
+            a1 = -acceleration
+        held = load - self.mass * a1  # by the dry friction of both
+        holds = held - sliding[1], held - sliding[0]
+        self._seen = load, acceleration, rate, holds
         force = (
             self.p.rear_mass * a1
             + self.p.bellows_stiffness
@@ -103,6 +121,7 @@ class Oracle:
             - self.p.bellows_damping * rate
             + self.p.viscous_friction * v1
             + rear
+            + (sliding[0] if d.slides[0] or self.dry[0] == 0.0 else holds[0])
         )
         billed = -force * rate if d.force_sign * d.rate_sign < 0.0 else 0.0
         self._last = force, rate
@@ -114,6 +133,70 @@ class Oracle:
         self.rates(time + nudge, ahead, clipped, d)
         force, rate = self._last
         return replace(d, force_sign=math.copysign(1.0, force), rate_sign=math.copysign(1.0, rate))
+
+    def grip(self, time: float, state: np.ndarray, clipped: bool, d: _Discrete) -> _Discrete:
+        """How dry friction holds from here on; a module without any "slides" forward."""
+        at_rest = tuple(
+            dry > 0.0 and side == 0 for dry, side in zip(self.dry, d.slides, strict=True)
+        )
+        if not any(at_rest):
+            return d
+        self.rates(time, state, clipped, d)
+        load, acceleration, _, _ = self._seen
+        turning = (0.0, -acceleration)  # ẍ1 at which a module that rests goes on resting
+
+        def surplus(a: float) -> float:
+            """Of inertia and friction over the load, ascending in the acceleration of the rear module."""
+            total = self.mass * a - load
+            for fin in (0, 1):
+                side = np.sign(a - turning[fin]) if at_rest[fin] else d.slides[fin]
+                total += self.dry[fin] * side
+            return total
+
+        tiny = 1e-12 * (1.0 + abs(acceleration))
+        for fin in (0, 1):
+            if at_rest[fin] and surplus(turning[fin] - tiny) < 0.0 < surplus(turning[fin] + tiny):
+                sides = [int(np.sign(turning[fin] - turning[k])) for k in (0, 1)]
+                break
+        else:
+            low, high = -1e9, 1e9
+            for _ in range(200):
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if surplus(middle) < 0.0 else (low, middle)
+            sides = [int(np.sign(0.5 * (low + high) - turning[k])) for k in (0, 1)]
+        return replace(d, slides=tuple(sides[k] if at_rest[k] else d.slides[k] for k in (0, 1)))
+
+    def grip_gaps(self, clipped: bool, d: _Discrete) -> list[tuple[int, Callable[..., float]]]:
+        """(module, function that falls through zero when how it is held changes)."""
+
+        def velocity(fin: int, time: float, state: np.ndarray) -> float:
+            self.rates(time, state, clipped, d)
+            return state[1] + fin * self._seen[2]
+
+        def spare(fin: int, time: float, state: np.ndarray) -> float:
+            self.rates(time, state, clipped, d)
+            return self.dry[fin] + ROUNDING_N - abs(self._seen[3][fin])
+
+        found = []
+        for fin in (0, 1):
+            side = d.slides[fin]
+            if self.dry[fin] > 0.0 and side:
+                found.append((fin, lambda t, s, fin=fin, side=side: side * velocity(fin, t, s)))
+            elif self.dry[fin] > 0.0:
+                found.append((fin, lambda t, s, fin=fin: spare(fin, t, s)))
+        return found
+
+    def at_rest(
+        self, module: int, time: float, state: np.ndarray, clipped: bool, d: _Discrete
+    ) -> tuple[np.ndarray, _Discrete]:
+        """(state, discrete state) at an event of a module's grip: it rests, and `grip` says what becomes of it."""
+        self.rates(time, state, clipped, d)
+        rest = state.copy()
+        rest[1] = 0.0 if module == 0 or self._rests(0, d) else -self._seen[2]
+        return rest, replace(d, slides=(0, d.slides[1]) if module == 0 else (d.slides[0], 0))
+
+    def _rests(self, module: int, d: _Discrete) -> bool:
+        return self.dry[module] > 0.0 and d.slides[module] == 0
 
     def gaps(self, clipped: bool, d: _Discrete) -> list[Callable[..., float]]:
         """Functions that fall through zero at an event: rear high, low, front high, low, signs."""
@@ -176,7 +259,8 @@ class Oracle:
         period = 1.0 / self.gait.frequency
         groove = math.ceil(self.p.initial_length / self.p.pitch - 0.5 - 1e-12)
         phase = self.p.initial_length - groove * self.p.pitch
-        d = _Discrete((0.0, groove * self.p.pitch), (0, _region(phase, self.half)))
+        start = _Discrete((0.0, groove * self.p.pitch), (0, _region(phase, self.half)))
+        d = replace(start, slides=(0 if self.dry[0] else 1, -1))  # ΔL starts with a rate at once
         state = np.zeros(4)
         for start, end, clipped in self.segments(cycles):
             if abs(start / period - round(start / period)) < 1e-9:
@@ -188,6 +272,7 @@ class Oracle:
     def _segment(self, start, end, clipped, state, d, samples, out):  # type: ignore[no-untyped-def]
         time = start
         while time < end:
+            d = self.grip(time, state, clipped, d)
             d = self.signs(time, state, clipped, d)
             solution = self._solve(time, end, clipped, state, d)
             reached = float(solution.t[-1])
@@ -201,6 +286,11 @@ class Oracle:
                 break
             event = hits[0]
             time, state = solution.t_events[event][0], solution.y_events[event][0]
+            of_fins_and_signs = len(self.gaps(clipped, d))
+            if event >= of_fins_and_signs:
+                module = self.grip_gaps(clipped, d)[event - of_fins_and_signs][0]
+                state, d = self.at_rest(module, time, state, clipped, d)
+                continue
             d, switched = self.apply(event, d)
             out.switches += switched
             if switched:
@@ -210,26 +300,35 @@ class Oracle:
     def _solve(self, time, end, clipped, state, d):  # type: ignore[no-untyped-def]
         """Integrates to the next event, in steps so short that none is crossed and crossed back unseen."""
         gaps = self.gaps(clipped, d)
+        grips = [gap for _, gap in self.grip_gaps(clipped, d)]
         for longest in (math.inf, 3e-3, 3e-4, 3e-5):
             solution = solve_ivp(
                 lambda t, s: self.rates(t, s, clipped, d),
                 (time, end),
                 state,
-                events=[_from_the_right_side(gap, time) for gap in gaps],
+                events=[_from_the_right_side(gap, time) for gap in gaps + grips],
                 dense_output=True,
                 max_step=longest,
                 **self.options,
             )
-            if not self._overlooked(solution, gaps[:4]):
+            times = _within_steps(solution.t)
+            states = solution.sol(times)
+            overlooked = any(np.min(gap(times, states), initial=0.0) < -1e-11 for gap in gaps[:4])
+            overlooked |= any(
+                gap(moment, seen) < -1e-9
+                for gap in grips
+                for moment, seen in zip(times, states.T, strict=True)
+                if moment > time + 2.0 * SETTLING_S
+            )
+            if not overlooked:
                 return solution
         raise AssertionError(f"an event was overlooked after {time} s")
 
-    def _overlooked(self, solution, gaps) -> bool:  # type: ignore[no-untyped-def]
-        """Whether a border was passed somewhere within the steps."""
-        steps = np.diff(solution.t)[:, np.newaxis]
-        times = (solution.t[:-1, np.newaxis] + steps * np.linspace(0.125, 1.0, 8)).ravel()
-        states = solution.sol(times)
-        return any(np.min(gap(times, states), initial=0.0) < -1e-11 for gap in gaps)
+
+def _within_steps(times: np.ndarray) -> np.ndarray:
+    """Eight moments within every step of an integration."""
+    steps = np.diff(times)[:, np.newaxis]
+    return (times[:-1, np.newaxis] + steps * np.linspace(0.125, 1.0, 8)).ravel()
 
 
 def _from_the_right_side(gap: Callable[..., float], start: float) -> Callable[..., float]:

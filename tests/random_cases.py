@@ -55,3 +55,19 @@ def random_case(seed: int) -> tuple[str, Gait, Parameters]:
         changes["switching_threshold"] = PAPER.pitch * rng.uniform(0.6, 1.6)
         changes["clearance"] = rng.choice([0.0, rng.uniform(0.0, 0.9) * PAPER.pitch])
     return kind, gait, PAPER.replace(**{key: float(value) for key, value in changes.items()})
+
+
+def random_dry_case(seed: int) -> tuple[str, Gait, Parameters]:
+    """The same with dry friction, from a little to more than the fins can bear, of one module or of both."""
+    kind, gait, parameters = random_case(seed)
+    rng = np.random.default_rng([seed, 1])
+    rear, front = np.exp(rng.uniform(np.log(0.02), np.log(20.0), 2))
+    one = rng.integers(0, 4)  # 0: the rear module alone, 1: the front one
+    return (
+        kind,
+        gait,
+        parameters.replace(
+            rear_dry_friction=0.0 if one == 1 else float(rear),
+            front_dry_friction=0.0 if one == 0 else float(front),
+        ),
+    )

@@ -60,7 +60,10 @@ def virtual_campaign(
             sinusoid(gait.stroke, gait.frequency),
             duration,
         )
-        truth = Parameters(**dataclasses.asdict(run.truth))
+        dry = settings.effects.dry_friction
+        truth = Parameters(
+            **dataclasses.asdict(run.truth), rear_dry_friction=dry, front_dry_friction=dry
+        )
         recordings.append(recording_of(run_of(run, gait, settings), f"run_{index + 1}"))
     bellows, fin = bench_tests(truth, np.random.default_rng(seed))
     given = ReferenceValues(read_off(truth, np.random.default_rng([seed, 1])), {}, "the maker")

@@ -7,9 +7,9 @@ from setuptools import find_packages, setup
 
 NAME = "worm_driver"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
-    "virtual_robot = worm_driver.nodes.virtual_robot_node:main",
-    "driver_node = worm_driver.nodes.driver_node:main",
-    "tracker_node = worm_driver.nodes.tracker_node:main",
+    "virtual_robot = worm_driver.nodes.executables:virtual_robot",
+    "driver_node = worm_driver.nodes.executables:driver_node",
+    "tracker_node = worm_driver.nodes.executables:tracker_node",
     "calibrate = worm_driver.commands.calibrate:main",
     "markers = worm_driver.commands.markers:main",
     "calibrate_camera = worm_driver.commands.calibrate_camera:main",

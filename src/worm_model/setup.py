@@ -8,18 +8,19 @@ from setuptools import find_packages, setup
 NAME = "worm_model"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
     "evaluate_gait = worm_model.commands.evaluate_gait:main",
+    "simulate = worm_model.commands.simulate:main",
     "phase_map = worm_model.commands.phase_map:main",
     "export = worm_model.commands.export:main",
     "identify = worm_model.commands.identify:main",
     "import_lab = worm_model.commands.import_lab:main",
     "bags = worm_model.commands.bags:main",
     "recover = worm_model.commands.recover:main",
-    "record = worm_model.nodes.record_node:main",
-    "play = worm_model.nodes.play_node:main",
+    "record = worm_model.nodes.executables:record",
+    "play = worm_model.nodes.executables:play",
     "replay = worm_model.commands.replay:main",
-    "twin_node = worm_model.nodes.twin_node:main",
+    "twin_node = worm_model.nodes.executables:twin_node",
     "health = worm_model.commands.health:main",
-    "watch = worm_model.nodes.watch_node:main",
+    "watch = worm_model.nodes.executables:watch",
 ]
 # What pip brings where there is no rosdep, as for a worker of a study; requirements*.txt pin the versions.
 NEEDED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "mcap", "rosbags", "pyarrow"]

@@ -7,12 +7,14 @@ from setuptools import find_packages, setup
 
 NAME = "worm_optimizer"
 EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/NAME
-    "optimizer_node = worm_optimizer.nodes.optimizer_node:main",
+    "optimizer_node = worm_optimizer.nodes.executables:optimizer_node",
     "optimize = worm_optimizer.commands.optimize:main",
     "scan_margin = worm_optimizer.commands.scan_margin:main",
     "request = worm_optimizer.commands.request:main",
     "demo = worm_optimizer.commands.demo:main",
     "report = worm_optimizer.commands.report:main",
+    "start = worm_optimizer.commands.start:main",
+    "operate = worm_optimizer.commands.operate:main",
     "campaign = worm_optimizer.commands.campaign:main",
     "study = worm_optimizer.commands.study:main",
 ]

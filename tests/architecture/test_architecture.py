@@ -227,7 +227,23 @@ def test_every_executable_has_its_main(package: str):
         path = file.with_suffix(".py") if file.with_suffix(".py").exists() else file / "__init__.py"
         tree = ast.parse(path.read_text(encoding="utf-8"))
         names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        names |= {
+            ast.unparse(node.targets[0]) for node in tree.body if isinstance(node, ast.Assign)
+        }
         assert function in names, f"{entry}: no {function} in {path.relative_to(ROOT)}"
+
+
+def test_the_modules_of_executables_that_are_nodes_have_their_main():
+    """They are imported when they are called."""
+    wrong = []
+    for path in (ROOT / "src").glob("*/*/nodes/executables.py"):
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(call, ast.Call):
+                module = ast.literal_eval(call.args[0])
+                file = ROOT / "src" / module.split(".")[0] / Path(*module.split("."))
+                if "\ndef main(" not in file.with_suffix(".py").read_text(encoding="utf-8"):
+                    wrong.append(module)
+    assert wrong == []
 
 
 def test_the_core_runs_without_ros():

@@ -675,7 +675,7 @@ def test_stop_answers_every_call_of_a_flood(driver, commander, probe):
     )  # by default a client keeps the last ten
     client = probe.node.create_client(Trigger, "stop", qos_profile=every_answer)
     probe.wait_for(client.service_is_ready, "service stop")
-    calls = [client.call_async(Trigger.Request()) for _ in range(200)]
+    calls = [client.call_async(Trigger.Request()) for _ in range(1000)]
     probe.wait_for(lambda: all(call.done() for call in calls), "answer to every stop")
     assert all(call.result().success for call in calls)
 

@@ -10,6 +10,7 @@ from rclpy.task import Future
 
 from worm_driver.control.diagnostics import Level, Report
 from worm_driver.nodes import driver_messages
+from worm_msgs.msg import GaitState
 from worm_optimizer.nodes import operator_node
 from worm_optimizer.nodes.operator_node import OperatorError, operator
 
@@ -67,7 +68,7 @@ def services(monkeypatch, node):
 
 def test_a_call_that_changes_nothing_more_is_made_again_by_the_same_client(node, services):
     made = services(lost=1)
-    node.activate("driver")  # it is active: only its state is asked for
+    node.activate()  # it is active: only its state is asked for
     node.stop()
     node.stop()
     assert {name: len(clients) for name, clients in made.items()} == {
@@ -88,7 +89,7 @@ def test_two_answers_that_are_lost_are_an_error(node, services):
 def test_a_transition_is_not_asked_for_twice(node, services):
     made = services(lost=1)
     with pytest.raises(OperatorError, match="no answer from driver/change_state"):
-        node.deactivate("driver")
+        node.deactivate()
     assert made["driver/change_state"][0].calls == 1
 
 
@@ -109,15 +110,20 @@ def test_it_hears_of_the_late_cycles_of_its_own_driver(node, probe):
     assert node.late_cycles == 31
 
 
-@pytest.mark.parametrize("others", [["driver"], ["driver", "driver_stop"]])
-def test_a_node_beside_one_of_ours_is_no_stranger(node, monkeypatch, others):
-    monkeypatch.setattr(node, "_names", lambda: [node.get_name(), *others])
-    node.refuse_strangers(["driver"])
-
-
-@pytest.mark.parametrize("others", [["driver", "twin"], ["driver", "driver"], ["driver_stop"]])
-def test_nodes_of_another_worm_are_strangers(node, monkeypatch, others):
+def test_a_robot_that_has_a_driver_gets_no_second_one(node, probe, monkeypatch):
     monkeypatch.setattr(operator_node, "LEASE_S", 0.1)
-    monkeypatch.setattr(node, "_names", lambda: [node.get_name(), *others])
+    probe.node.create_publisher(GaitState, "gait_state", 1)
+    with pytest.raises(OperatorError, match="/worm has a driver already"):
+        node.refuse_second_driver()
+
+
+def test_who_only_looks_on_is_no_driver(node, probe):
+    probe.node.create_subscription(GaitState, "gait_state", lambda _: None, 1)
+    node.refuse_second_driver()
+
+
+def test_two_nodes_of_one_name_are_two_worms(node, monkeypatch):
+    monkeypatch.setattr(operator_node, "LEASE_S", 0.1)
+    monkeypatch.setattr(node, "_names", lambda: ["driver", "driver", "watch"])
     with pytest.raises(OperatorError, match="another worm runs"):
-        node.refuse_strangers(["driver"])
+        node.wait_for_nodes(["driver"])

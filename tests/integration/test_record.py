@@ -353,6 +353,33 @@ def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tm
     assert [gait["run"] for gait in gaits] == ["1", "2"]
 
 
+@pytest.mark.parametrize("way", ["lets go", "is gone", "is not waited for"])
+def test_it_goes_on_after_ctrl_c_until_the_driver_has_let_go(
+    processes: Processes, probe: Probe, tmp_path: Path, way: str
+):
+    """As where ros2 launch asks all to end at once: the way to rest belongs to the recording."""
+    states = probe.node.create_publisher(GaitState, "gait_state", LATCHED)
+    positions = probe.node.create_publisher(Tracker, "tracker", 1000)
+    patience = [] if way == "is not waited for" else ["--to-rest"]
+    recorder = processes.start_node(
+        *("worm_model", "record", "gait_state", "tracker", "-o", str(tmp_path / "bag"), *patience)
+    )
+    for topic in ("gait_state", "tracker"):
+        recorder.wait_for_line(f"recording /worm/{topic} ", TIMEOUT_S)
+    states.publish(GaitState(state=GaitState.RUNNING))
+    assert states.wait_for_all_acked(ACKNOWLEDGED)
+    publish(positions, range(10))
+    recorder.interrupt()
+    if patience:
+        publish(positions, range(10, 20))
+    if way == "lets go":
+        states.publish(GaitState(state=GaitState.INACTIVE))
+    elif way == "is gone":
+        probe.node.destroy_publisher(states)
+    assert recorder.wait(TIMEOUT_S) == 0
+    assert recorded(tmp_path / "bag") == [float(i) for i in range(20 if patience else 10)]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameters of the worm robot and the file that holds them.
 
-The keys are those of the parameter table of the paper (``tab1``) in SI units, with two that the
-table lacks: ``pitch`` is in it, ``initial_length`` is not and was calibrated (see `Parameters`).
+The keys are those of the parameter table of the paper (``tab1``) in SI units, and three that the table
+lacks: ``initial_length``, which was calibrated, and the dry friction of both modules (see `Parameters`).
 """
 
 from __future__ import annotations
@@ -41,6 +41,9 @@ class Parameters:
     the price-of-robustness cliff lies where the paper found it, at 3.4 mm. It sets the groove phase
     and so decides how many grooves a cycle gains.
 
+    ``rear_dry_friction`` and ``front_dry_friction`` (D1, D2) are not in the paper's model, which has viscous
+    friction alone; 0, the default, is that model.
+
     Raises `ParameterError` if a value is not a finite number, lies outside its admissible range (a range of
     orders of magnitude, there to catch wrong units), or if values exclude each other.
     """
@@ -62,6 +65,8 @@ class Parameters:
     slack: float = _row(0.008, "m", 0.0, 0.1, "δ_s")
     idle_power: float = _row(0.82, "W", 0.0, 1e3, "P_idle")
     power_factor: float = _row(3.22, "1", 1e-2, 1e3, "α_P")
+    rear_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D1")
+    front_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D2")
 
     def __post_init__(self) -> None:
         for row in dataclasses.fields(self):
@@ -104,7 +109,7 @@ def _checked(row: dataclasses.Field[float], value: Any) -> float:
     if not low <= value <= high:
         raise ParameterError(
             f"{row.name}: {value:g} {unit} is outside {low:g} to {high:g} {unit}; "
-            f"is it in another unit? ({row.metadata['paper']} of the paper is {row.default:g} {unit})"
+            f"is it in another unit? (the default of {row.metadata['paper']} is {row.default:g} {unit})"
         )
     return float(value)
 

@@ -9,10 +9,14 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
 from typing import Any, NoReturn
 
+import yaml
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
@@ -23,6 +27,8 @@ from worm_msgs.ros_process import Ending, own_arguments, ros_process
 BAD_INPUT = 2
 #: what rclpy itself takes, beside the parameters that it declares
 _ALLOWED = ("qos_overrides.",)
+_FILE_OPTION = "--params-file"
+_CONTENT = "ros__parameters"  # in such a file
 
 #: name, default, descriptor of each parameter; made anew for each use, as declaring changes a descriptor
 Rows = Callable[[], Sequence[tuple[str, Any, ParameterDescriptor]]]
@@ -36,8 +42,10 @@ def declare(node: Node, rows: Rows) -> None:
     """Declares parameters; a whole number is a float's value too, also when it is set later.
 
     Raises:
-        ParameterRefusedError: a value has a wrong type or is out of its range, or no row has its name.
+        ParameterRefusedError: a value has a wrong type or is out of its range, no row has its name, or a file is for
+            a node whose name is not this one's, but nearly.
     """
+    _check_files(node)
     table = rows()
     floats = {name for name, default, _ in table if _is_float(default)}
     # rclpy keeps what the command line gave in this mapping alone
@@ -63,6 +71,54 @@ def _refuse_unknown(node: Node, given: dict[str, Parameter]) -> None:
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
         raise ParameterRefusedError(f"no parameter {name}: {hint}")
+
+
+def declare_none(node: Node) -> None:
+    """As declare, of a node that has no parameters of its own.
+
+    Raises:
+        SystemExit: something was given that it has no use for; the reason is on standard error.
+    """
+    try:
+        declare(node, list)
+    except ParameterRefusedError as error:
+        print(f"{node.get_name()}: {_one_line(error)}", file=sys.stderr)  # noqa: T201 (the command's own words)
+        raise SystemExit(BAD_INPUT) from error
+
+
+def _check_files(node: Node) -> None:
+    """Rcl passes over what a file of parameters holds for other names than the node's without a word."""
+    name = node.get_fully_qualified_name()
+    files = (file for option, file in pairwise(sys.argv) if option == _FILE_OPTION)
+    for file in files:
+        names = list(_node_names(yaml.safe_load(Path(file).read_text(encoding="utf-8"))))
+        if not names or any(re.fullmatch(_pattern(known), name) for known in names):
+            continue
+        own = name.rsplit("/", 1)[-1]
+        last = {known.rsplit("/", 1)[-1]: known for known in names}
+        near = difflib.get_close_matches(own, last, n=1)
+        if near:
+            raise ParameterRefusedError(f"{file} is for {last[near[0]]}, and this is {name}")
+        node.get_logger().warning(f"{file} holds nothing for {name}, only for {', '.join(names)}")
+
+
+def _node_names(content: Any, prefix: str = "") -> Iterator[str]:
+    """Full names, wildcards included, of the nodes in a file of parameters."""
+    for key, value in content.items() if isinstance(content, Mapping) else ():
+        name = f"{prefix}/{str(key).strip('/')}"
+        if key != _CONTENT and isinstance(value, Mapping):
+            if _CONTENT in value:
+                yield name
+            yield from _node_names(value, name)
+
+
+def _pattern(name: str) -> str:
+    """A name with rcl's wildcards as a regular expression: * is one part of a name, ** any number of them."""
+    parts = name.split("/")[1:]
+    return "".join(
+        "(/[^/]+)*" if part == "**" else "/" + re.escape(part).replace(r"\*", "[^/]+")
+        for part in parts
+    )
 
 
 def _is_float(default: Any) -> bool:

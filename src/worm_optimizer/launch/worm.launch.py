@@ -21,7 +21,6 @@ from launch.actions import (
     OpaqueFunction,
     RegisterEventHandler,
     Shutdown,
-    TimerAction,
 )
 from launch.event_handlers import OnProcessIO
 from launch.events import matches_action
@@ -43,9 +42,6 @@ from worm_optimizer.operation.system import (
     load_system_file,
 )
 
-# A virtual servo may answer late on a busy computer. A real robot is its operator's after one failure.
-VIRTUAL_ATTEMPTS = 6
-RETRY_PERIOD_S = 1.0
 # A virtual robot's time waits for whoever works with it: on a busy computer its seconds are longer.
 VIRTUAL_SLOWNESS = 8.0
 RESTARTS = 3  # of a node that is not required
@@ -102,9 +98,9 @@ def _start(context: LaunchContext, content: SystemFile) -> list[LaunchDescriptio
         name: value(name) for name, row in content.settings.items() if value(name) != row.default
     }
     system = content.system(mode, namespace, **given)
-    attempts, slowness = (VIRTUAL_ATTEMPTS, VIRTUAL_SLOWNESS) if mode == "virtual" else (1, 1.0)
+    slowness = VIRTUAL_SLOWNESS if mode == "virtual" else 1.0
     sim_time = _sim_time(mode, value("use_sim_time"))
-    common = _Common(namespace, attempts, slowness, value("log_level"), sim_time)
+    common = _Common(namespace, slowness, value("log_level"), sim_time)
     return common.start_in_order(system.nodes)
 
 
@@ -129,13 +125,11 @@ class _Common:
     def __init__(
         self,
         namespace: str,
-        attempts: int,
         slowness: float,
         log_level: str,
         sim_time: dict[str, bool],
     ) -> None:
         self._namespace = namespace
-        self._attempts = attempts
         self._log_level = log_level
         self._sim_time = sim_time
         self._patience = _Patience(slowness)
@@ -148,7 +142,7 @@ class _Common:
             if description.at_rest_within:
                 actions.append(_on_line(node, self._patience.reader(description.at_rest_within)))
             if description.lifecycle:
-                actions += _Activation(node, self._attempts).entities()
+                actions += _Activation(node).entities()
             else:
                 actions.append(node)
             if description.ready:
@@ -253,16 +247,14 @@ class _AtEnd:
 
 
 class _Activation:
-    """Configures and activates a node after its start, each in so many attempts, and never again.
+    """Configures and activates a node after its start, once.
 
-    The first transition that somebody else asks for, and the last attempt, hand the node over to its
-    operator: torque comes only to who asks for it.
+    A failure, and the first transition that somebody else asks for, hand the node over to its operator:
+    torque comes only to who asks for it.
     """
 
-    def __init__(self, node: LifecycleNode, attempts: int) -> None:
+    def __init__(self, node: LifecycleNode) -> None:
         self._node = node
-        self._attempts = attempts
-        self._left = attempts
         self._asked: int | None = None  # for the transition whose end is awaited
         self._ours = True
 
@@ -297,19 +289,14 @@ class _Activation:
         self._asked = None
         goal, following = _SUCCESSES[asked]
         if event.goal_state != goal:
-            return self._failed(context, asked)
-        self._left = self._attempts
+            return self._failed(context)
         self._ours = following is not None
         return self._ask(context, following) if following is not None else []
 
-    def _failed(self, context: LaunchContext, transition: int) -> list[LaunchDescriptionEntity]:
-        self._left -= 1
+    def _failed(self, context: LaunchContext) -> list[LaunchDescriptionEntity]:
+        self._ours = False
         if context.is_shutdown:
             return []
-        if self._left:
-            again = OpaqueFunction(function=self._ask, args=[transition])
-            return [TimerAction(period=RETRY_PERIOD_S, actions=[again])]
-        self._ours = False
         name = self._node.node_name
         return [
             LogInfo(

@@ -101,7 +101,7 @@ def test_unreadable_files_are_refused(tmp_path: Path) -> None:
 def test_numpy_numbers_are_numbers() -> None:
     assert Parameters(rear_mass=np.float64(0.5)).rear_mass == 0.5
     assert type(Parameters(rear_mass=np.float64(0.5)).rear_mass) is float
-    assert len(KEYS) == 17
+    assert len(KEYS) == 19
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor  # noqa: 
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
-from worm_msgs.node_command import declare, run_node  # noqa: E402
+from worm_msgs.node_command import declare, declare_none, run_node  # noqa: E402
 
 
 def rows():
@@ -83,6 +83,51 @@ def test_whole_numbers_are_values_of_floats_at_the_start_and_later():
 )
 def test_what_cannot_be_used_is_one_line_and_status_2(capsys, given, words):
     assert words in refused(capsys, "--ros-args", *given)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("/machine", ""),
+        ("machine", ""),
+        ("/**", ""),
+        ("/*", ""),
+        ("/**/machine", ""),
+        ("/robot7/machine", "is for /robot7/machine, and this is /machine"),
+        ("/machin", "is for /machin, and this is /machine"),
+        ("/*/machine", "is for /*/machine, and this is /machine"),
+    ],
+)
+def test_a_file_for_another_name_of_the_node_is_refused(capsys, monkeypatch, tmp_path, name, said):
+    """rcl itself passes over it, and the node runs with the values of another robot."""
+    file = tmp_path / "robot.yaml"
+    content = "{ros__parameters: {speed_m_s: 0.25}}"
+    file.write_text(f"'{name}': {content}\nelsewhere: {{deep: {content}}}\n")
+    words = ["--ros-args", "--params-file", str(file)]
+    monkeypatch.setattr("sys.argv", ["machine", *words])
+    status, values, _ = started(*words)
+    assert status == (2 if said else 0)
+    assert values.get("speed_m_s") == (None if said else 0.25)
+    assert said in capsys.readouterr().err
+
+
+def test_a_file_for_other_nodes_alone_is_told(capfd, monkeypatch, tmp_path):
+    file = tmp_path / "robot.yaml"
+    file.write_text("a: {b: {ros__parameters: {x: 1}}}\n")
+    monkeypatch.setattr("sys.argv", ["machine", "--ros-args", "--params-file", str(file)])
+    assert started()[0] == 0
+    assert "holds nothing for /machine, only for /a/b" in capfd.readouterr().err
+
+
+def test_a_node_without_parameters_refuses_them_all(capsys):
+    def run(_) -> None:
+        declare_none(Node("machine"))
+
+    words = ["machine", "--ros-args", "-p", "speed_m_s:=1.0"]
+    with pytest.raises(SystemExit) as error:
+        run_node("machine", "", list, run, (), words)
+    assert error.value.code == 2
+    assert "machine: no parameter speed_m_s: " in capsys.readouterr().err
 
 
 def test_a_stray_argument_is_refused(capsys):

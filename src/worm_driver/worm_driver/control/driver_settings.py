@@ -20,6 +20,7 @@ class Body:
     rear_mass: float = 0.429
     front_mass: float = 0.429
     initial_length: float = 0.2952
+    pitch: float = 0.0173
 
     @property
     def mass(self) -> float:

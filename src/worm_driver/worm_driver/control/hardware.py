@@ -44,7 +44,8 @@ class Hardware:
 
     Args:
         settings: of the robot.
-        tracker_ready: whether the tracker sees the robot, or there is none to wait for.
+        tracker_ready: whether the tracker sees the robot stand, or there is none to wait for.
+        why_not_start: why neither torque nor a run may begin, in words; empty when they may.
 
     Attributes:
         snapshots: of the cycles, oldest first; whoever takes them out owns them. None is ever dropped.
@@ -58,6 +59,7 @@ class Hardware:
         self,
         settings: DriverSettings,
         tracker_ready: Callable[[], bool] = lambda: True,
+        why_not_start: Callable[[], str] = lambda: "",
     ):
         self.settings = settings
         self._longest_stroke = settings.max_stroke  # that a run may have been begun with
@@ -77,7 +79,12 @@ class Hardware:
             self._bus.port.go_by(self.clock)
             self._check_latency(self._bus.port.latency)
             self.robot = Robot(
-                settings, self._bus, self._valid_samples, tracker_ready, clock=self.clock
+                settings,
+                self._bus,
+                self._valid_samples,
+                tracker_ready,
+                clock=self.clock,
+                why_not_start=why_not_start,
             )
             opened.pop_all()
         self._seen = _Seen(self._bus.counters, Counter())

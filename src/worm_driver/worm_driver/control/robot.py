@@ -46,9 +46,10 @@ class Robot:
         settings: of this robot.
         bus: an open bus, which the robot owns from now on.
         valid_power_samples: counts the valid power samples since the start.
-        tracker_ready: whether the tracker sees the robot, or there is none to wait for.
+        tracker_ready: whether the tracker sees the robot stand, or there is none to wait for.
         clock: s, monotonic.
         load: of the computer, as its load average.
+        why_not_start: why neither torque nor a run may begin, in words; empty when they may.
 
     Attributes:
         unreleased: what failed at the last release, in words: a servo may still have its torque.
@@ -67,6 +68,7 @@ class Robot:
         tracker_ready: Callable[[], bool] = lambda: True,
         clock: Callable[[], float] = time.monotonic,
         load: Callable[[], float] = lambda: os.getloadavg()[0],
+        why_not_start: Callable[[], str] = lambda: "",
     ):
         self.settings = settings
         self.bus = bus
@@ -76,6 +78,7 @@ class Robot:
         self.left_on = ""
         self._clock = clock
         self._load = load
+        self._why_not_start = why_not_start
         self._tracker_ready = tracker_ready
         self._valid_power_samples = valid_power_samples
         self._idle_from = 0
@@ -169,9 +172,11 @@ class Robot:
         """Enables the torque of every servo where it stands, with its bus watchdog armed.
 
         Raises:
+            LimitError: nothing may start.
             HomingError: the length of the cable is not known.
             BusError, ConfigurationError: a servo is not fit; the torque is off again.
         """
+        self._refuse_start()
         with self.bus.patient():
             self._check_fitness()
         self._reader.learn_clocks()
@@ -193,6 +198,11 @@ class Robot:
         self._counts, self._away_at, self.active = Counts(), -math.inf, True
         self._last_step = self._clock()
         self.unreleased, self.left_on = [], ""
+
+    def _refuse_start(self) -> None:
+        reason = self._why_not_start()
+        if reason:
+            raise LimitError(reason)
 
     def _check_fitness(self) -> None:
         self.homed = all(servos.is_homed(self.bus, servo) for servo in self.cables)
@@ -217,6 +227,7 @@ class Robot:
         """Begins a run and returns its number. Raises LimitError."""
         if not self.active:
             raise LimitError("the torque is off: activate the driver first")
+        self._refuse_start()
         self.limits.check(gait, cycles)
         self.player = gait_player.start(self.player, now, gait, cycles)
         assert self.player.run is not None
@@ -231,13 +242,17 @@ class Robot:
         try:
             self.limits.check(run.gait, run.cycles)
         except LimitError as error:
-            self.cancel(now)
+            self.cancel(now, f"ended by a new limit ({error})")
             return f"run {run.number} ends at its next point of rest: {error}"
         return ""
 
-    def cancel(self, now: float) -> None:
+    def finish(self, now: float) -> None:
+        """Lets the run end as completed with the present cycle."""
+        self.player = gait_player.finish(self.player, now)
+
+    def cancel(self, now: float, reason: str = "cancelled") -> None:
         """Lets the run end at its next point of rest."""
-        self.player = gait_player.cancel(self.player, now)
+        self.player = gait_player.cancel(self.player, now, reason)
 
     def stop(self, now: float, reason: str) -> None:
         """Holds the cable where it is, at once."""
@@ -309,6 +324,7 @@ class Robot:
             cable=self._cable_length_change(self._states),
             servos=self._states,
             alerts=self._reader.alerts,
+            homed=self.homed,
         )
 
     def _step(self, now: float) -> None:

@@ -65,6 +65,7 @@ class Snapshot:
         command_time: when the goals were sent.
         read_time: when the servos were asked for their state.
         active: torque is on.
+        homed: the length of the cable is known.
         player: what is being played.
         commanded: m, change of length asked of the cable; NaN with the torque off.
         cable: m, change of length by the encoders; NaN without all of them, or before homing.
@@ -80,3 +81,4 @@ class Snapshot:
     cable: float
     servos: tuple[ServoState, ...]
     alerts: frozenset[int] = frozenset()
+    homed: bool = False

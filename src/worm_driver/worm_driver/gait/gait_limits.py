@@ -51,6 +51,12 @@ class GaitLimits:
     min_frequency: float = 0.02
     max_duration: float = 7200.0
 
+    def most_cycles(self, gait: Gait) -> int:
+        """Of one run, at most; at least 1."""
+        if not (math.isfinite(gait.frequency) and gait.frequency > 0.0):
+            return 1  # check says what is wrong with the gait
+        return max(1, min(self.max_cycles, math.floor(self.max_duration * gait.frequency)))
+
     def check(self, gait: Gait, cycles: int) -> None:
         """Raises LimitError, which says what is wrong and what would be right."""
         for name in ("stroke", "frequency", "margin"):

@@ -82,10 +82,15 @@ class RunRecord:
 
 @dataclass(frozen=True)
 class Figures:
-    """Measured figures of a run; SI. reasons: why figures are missing or less certain, in words."""
+    """Measured figures of a run; SI. reasons: why figures are missing or less certain, in words.
+
+    Attributes:
+        distance: m, of x1 along the gait's direction over all whole cycles.
+    """
 
     cycles_completed: int
     cycles_averaged: int
+    distance: float
     speed: float
     power: float
     cost_of_transport: float
@@ -102,7 +107,14 @@ def figures(run: Run, record: RunRecord, body: Body) -> Figures:
     if run.onset is None or averaged == 0:
         nan = math.nan
         return Figures(
-            completed, 0, nan, nan, nan, idle_power, _given("no cycle was completed", idle_reason)
+            completed,
+            0,
+            nan,
+            nan,
+            nan,
+            nan,
+            idle_power,
+            _given("no cycle was completed", idle_reason),
         )
     end = run.onset + completed / run.gait.frequency
     start = end - averaged / run.gait.frequency
@@ -110,7 +122,8 @@ def figures(run: Run, record: RunRecord, body: Body) -> Figures:
     power, power_reason = _mean_power(record.power, start, end)
     cost, cost_reason = _cost_of_transport(power, speed, body)
     reasons = _given(speed_reason, power_reason, cost_reason, idle_reason)
-    return Figures(completed, averaged, speed, power, cost, idle_power, reasons)
+    travelled = run.gait.direction * (record.position_at(end)[0] - record.position_at(run.onset)[0])
+    return Figures(completed, averaged, travelled, speed, power, cost, idle_power, reasons)
 
 
 def distance(run: Run, record: RunRecord) -> float:

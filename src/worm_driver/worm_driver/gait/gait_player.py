@@ -112,7 +112,7 @@ class Observation:
     Attributes:
         fins_set: the fins have reached where they were sent to.
         idle_samples: valid power samples since the rest began.
-        tracker_ready: the tracker sees the robot, or there is none to wait for.
+        tracker_ready: the tracker sees the robot stand, or there is none to wait for.
     """
 
     fins_set: bool
@@ -161,14 +161,23 @@ def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerStat
     return _enter(state, Phase.RETURNING, now)
 
 
-def cancel(state: PlayerState, now: float) -> PlayerState:
+def finish(state: PlayerState, now: float) -> PlayerState:
+    """Lets the run end as completed with the present cycle: it has reached what it was asked for."""
+    run = state.active_run
+    if run is None or state.phase is not Phase.RUNNING:
+        return state
+    cycle = max(1, run.cycle(now))
+    return replace(state, run=replace(run, cycles=cycle, stop_cycle=cycle))
+
+
+def cancel(state: PlayerState, now: float, reason: str) -> PlayerState:
     """Lets the run end at the next point of rest."""
     run = state.active_run
     if run is None or state.phase is Phase.STOPPING:
         return state
     if run.onset is not None:
         run = replace(run, stop_cycle=max(1, run.cycle(now)))
-    run = replace(run, reason="cancelled")
+    run = replace(run, reason=reason)
     if state.phase is Phase.RETURNING or run.onset is not None:
         return replace(state, phase=Phase.STOPPING, run=run)
     return _end(replace(state, run=run), now, Ending.CANCELLED, Phase.IDLE)
@@ -263,7 +272,9 @@ def _resting(
     enough = rested >= settings.rest_duration and seen.idle_samples >= settings.rest_samples
     if not (enough and seen.tracker_ready) and rested < settings.rest_timeout:
         return state
-    return _enter(replace(state, run=replace(run, onset=now)), Phase.RUNNING, now)
+    message = "" if seen.tracker_ready else "the robot was not seen at rest before the gait"
+    state = replace(state, run=replace(run, onset=now), message=message)
+    return _enter(state, Phase.RUNNING, now)
 
 
 def _running(

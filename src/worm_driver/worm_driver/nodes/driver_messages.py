@@ -123,7 +123,7 @@ def gait_from(message: GaitMessage) -> Gait:
     return Gait(message.stroke, message.frequency, message.direction, message.margin)
 
 
-def gait_state(snapshot: Snapshot, clocks: ClockPair) -> GaitState:
+def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -> GaitState:
     """What the driver does with gaits, as of a snapshot."""
     player = snapshot.player
     run = player.active_run
@@ -132,6 +132,8 @@ def gait_state(snapshot: Snapshot, clocks: ClockPair) -> GaitState:
         state=_STATE[player.phase] if snapshot.active else GaitState.INACTIVE,
         run=0 if player.run is None else player.run.number,
         message=player.message,
+        homed=snapshot.homed,
+        emergency_stop=emergency_stop,
     )
     if run is not None:
         gait = run.gait

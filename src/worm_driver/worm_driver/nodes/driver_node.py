@@ -9,7 +9,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from traceback import format_exception
 from typing import TypeVar
 
@@ -22,25 +22,28 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from worm_driver.clock import Clock
 from worm_driver.control.diagnostics import network_report, offline_report, release_report
+from worm_driver.control.emergency import EmergencyLatch, state_folder
 from worm_driver.control.hardware import Hardware
 from worm_driver.control.telemetry import Snapshot
 from worm_driver.errors import ConfigurationError, DriverError, ReleaseError, StoppedError
 from worm_driver.gait.gait_player import Phase, PlayerState
+from worm_driver.gait.stillness import Stillness
 from worm_driver.nodes import driver_messages, driver_parameters
 from worm_driver.nodes.driver_messages import ClockPair
 from worm_driver.nodes.impossible_transitions import refuse_impossible_transitions
 from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.side_node import SideNode
 from worm_msgs import network
-from worm_msgs.msg import BodyLength, GaitState, Power, Tracker
+from worm_msgs.msg import BodyLength, GaitState, Heartbeat, Power, Tracker
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import Ending, spare_pauses
 
@@ -73,6 +76,8 @@ _TELEMETRY = QoSProfile(depth=200)
 _EVERY_CALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 #: a user may change history, depth and reliability: qos_overrides./worm/power.publisher.reliability
 _OPEN = QoSOverridingOptions.with_default_policies()
+#: matches every publisher, also one that promises nothing
+_ANYBODY = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -92,6 +97,7 @@ class DriverNode(LifecycleNode):
         self._robot_clock: Clock | None = None  # stays after a clean-up, so that stamps go on
         self._born = time.monotonic()
         self._tracked = -math.inf
+        self._stillness = Stillness()
         self._joint_states = self.create_publisher(
             JointState, "joint_states", _TELEMETRY, qos_overriding_options=_OPEN
         )
@@ -106,10 +112,16 @@ class DriverNode(LifecycleNode):
         )
         self._gait_state = self.create_publisher(GaitState, "gait_state", _LATCHED)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._action = RunGaitAction(self, lambda: self._hardware)
+        self._emergency = EmergencyLatch(state_folder(os.environ))
+        self._adopt_emergency()
+        self._action = RunGaitAction(self, lambda: self._hardware, self._sees_robot)
         self.create_subscription(Tracker, "tracker", self._on_tracker, 100)
         self._side = SideNode(self, "stop")
-        self._side.node.create_service(Trigger, "stop", self._on_stop, qos_profile=_EVERY_CALL)
+        self._stop = self._side.node.create_service(
+            Trigger, "stop", self._on_stop, qos_profile=_EVERY_CALL
+        )
+        self._side.node.create_subscription(Heartbeat, "heartbeat", self._action.on_heartbeat, 100)
+        self._listen_for_emergencies()
         self._side.start()
         self.create_service(Trigger, "home", self._on_home)
         self.create_service(Trigger, "reboot", self._on_reboot)
@@ -146,7 +158,8 @@ class DriverNode(LifecycleNode):
         """Opens and checks everything; FAILURE, with the reason in the log and the diagnostics, if it cannot."""
         try:
             settings = driver_parameters.settings(self)
-            self._hardware = Hardware(settings, self._tracker_ready)
+            self._adopt_emergency()
+            self._hardware = Hardware(settings, self._tracker_ready, self._emergency.why_not_start)
             self._robot_clock = self._hardware.clock
         except Exception as error:  # noqa: BLE001 (rclpy would drop it without a word)
             return self._failed("configure", error)
@@ -281,8 +294,8 @@ class DriverNode(LifecycleNode):
         while not self._do(lambda hardware, _: hardware.robot.released) and hardware.clock() < end:
             if self._do(lambda hardware, _: hardware.robot.holding):
                 raise StoppedError(
-                    "the service stop was called on the way to rest: the robot holds, with its torque "
-                    "on; deactivate it again to let go"
+                    "a stop came on the way to rest: the robot holds, with its torque on; "
+                    " deactivate it again to let go"
                 )
             self._publish()
         problems = self._do(lambda hardware, _: hardware.robot.release(), _LETTING_GO)
@@ -292,7 +305,8 @@ class DriverNode(LifecycleNode):
     # --- services ------------------------------------------------------------------------------
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """In the thread of its own node."""
+        """In the thread of its own node; one stop answers all who have called by then, as it takes a cycle."""
+        others = list(self._further_stops())
         try:
             hardware = self._opened()
             hardware.loop.insist(
@@ -302,7 +316,46 @@ class DriverNode(LifecycleNode):
             response.success, response.message = False, str(error)
         else:
             response.success, response.message = True, "stopped, and holding"
+        for header in others:
+            self._stop.send_response(response, header)
         return response
+
+    def _further_stops(self) -> Iterator[object]:
+        """The headers of calls that wait behind the one that is being served."""
+        handle = self._stop.handle
+        with handle:
+            while (header := handle.service_take_request(Trigger.Request)[1]) is not None:
+                yield header
+
+    def _listen_for_emergencies(self) -> None:
+        """Also to what was said before this driver began, which may be a stop but takes none back; from anybody."""
+        listen = self._side.node.create_subscription
+        listen(Bool, "emergency_stop", self._on_kept_emergency, _LATCHED)
+        listen(Bool, "emergency_stop", self._on_emergency, _ANYBODY)
+
+    def _adopt_emergency(self) -> None:
+        """The emergency stop of the robot that the parameters name, as it was left."""
+        problem = self._emergency.adopt(self.get_parameter("port").value)
+        if problem:
+            self.get_logger().error(problem)
+
+    def _on_kept_emergency(self, word: Bool) -> None:
+        if word.data:
+            self._on_emergency(word)
+
+    def _on_emergency(self, word: Bool) -> None:
+        """In the thread of the service stop: nothing starts from here on, and what moves holds."""
+        if word.data != self._emergency.on:
+            problem = self._emergency.set(word.data)
+            self.get_logger().error(
+                f"EMERGENCY STOP {'on: nothing starts' if word.data else 'off'}. {problem}".strip()
+            )
+        hardware = self._hardware
+        if word.data and hardware is not None:
+            hardware.loop.submit(
+                lambda now: hardware.robot.stop(now, "the emergency stop is on"),
+                patience=math.inf,
+            )
 
     def destroy_node(self) -> None:
         """Also ends the service stop."""
@@ -349,8 +402,12 @@ class DriverNode(LifecycleNode):
     # --- telemetry -----------------------------------------------------------------------------
 
     def _publish(self) -> None:
-        if self._hardware is not None and self.context.ok():
+        if not self.context.ok():
+            return
+        if self._hardware is not None:
             self._publish_all(self._hardware)
+        elif self._shown is not None and self._shown[1] != self._emergency.on:
+            self._show_inactive(str(self._shown[0]))
 
     def _read_clocks(self) -> ClockPair:
         """Both clocks now; a step of the ROS clock (NTP, a Pi without a clock of its own) is told.
@@ -402,14 +459,18 @@ class DriverNode(LifecycleNode):
         run = player.active_run
         shown = (
             snapshot.active,
+            snapshot.homed,
+            self._emergency.on,
             player.phase,
             player.message,
-            run and (run.number, run.onset, run.cycle(snapshot.command_time)),
+            run and (run.number, run.onset, run.cycles, run.cycle(snapshot.command_time)),
         )
         if shown != self._shown:
             self._tell_fault(player)
             self._shown = shown
-            self._gait_state.publish(driver_messages.gait_state(snapshot, clocks))
+            self._gait_state.publish(
+                driver_messages.gait_state(snapshot, clocks, emergency_stop=self._emergency.on)
+            )
 
     def _tell_fault(self, player: PlayerState) -> None:
         """A fault is an error in the log, once, with its cause and what to do."""
@@ -422,8 +483,10 @@ class DriverNode(LifecycleNode):
         self._faulty = is_fault
 
     def _show_inactive(self, reason: str) -> None:
-        self._shown = None
-        message = GaitState(state=GaitState.INACTIVE, message=reason)
+        self._shown = (reason, self._emergency.on)
+        message = GaitState(
+            state=GaitState.INACTIVE, message=reason, emergency_stop=self._emergency.on
+        )
         message.header.stamp = self._now()
         self._gait_state.publish(message)
 
@@ -436,16 +499,21 @@ class DriverNode(LifecycleNode):
         return stamp
 
     def _tracker_ready(self) -> bool:
-        """Whether samples come in, or so long did not that there is no tracker (discovery may take 3 s)."""
-        return self._robot_time() - self._tracked < _FRESH or (
-            math.isinf(self._tracked) and time.monotonic() - self._born > _DISCOVERY
-        )
+        """Whether the robot is seen to stand, or so long was not that there is no tracker (discovery may take 3 s)."""
+        if math.isinf(self._tracked):
+            return time.monotonic() - self._born > _DISCOVERY
+        return self._robot_time() - self._tracked < _FRESH and self._stillness.lasts
+
+    def _sees_robot(self) -> bool:
+        """Whether samples of the tracker come in."""
+        return self._robot_time() - self._tracked < _FRESH
 
     def _robot_time(self) -> float:
         return time.monotonic() if self._robot_clock is None else self._robot_clock()
 
     def _on_tracker(self, message: Tracker) -> None:
-        self._tracked = self._robot_time()
+        now = self._tracked = self._robot_time()
+        self._stillness.observe(now, message.rear_position, message.front_position)
         clocks = self._read_clocks()
         self._action.on_position(clocks.monotonic(message.header.stamp), message.rear_position)
 

@@ -51,7 +51,8 @@ class _Row:
         return descriptor
 
 
-_LIVE = {"rest_duration_s", "return_speed_m_s"}
+HEARTBEAT = "heartbeat_s"
+_LIVE = {"rest_duration_s", "return_speed_m_s", HEARTBEAT}
 _ROWS = (
     _Row("autostart", False, "Configure and activate by itself, without a lifecycle manager."),
     _Row(
@@ -110,6 +111,13 @@ _ROWS = (
         (0.0, 2.0),
     ),
     _Row("rest_duration_s", 1.0, "Least rest before a gait.", (0.1, 60.0)),
+    _Row(
+        HEARTBEAT,
+        0.0,
+        "Silence of a goal's owner on the topic heartbeat after which its run ends at the next point of rest; 0: as "
+        "each goal asks.",
+        (0.0, 60.0),
+    ),
     _Row("return_speed_m_s", 0.05, "Peak cable speed on the way back to rest.", (1e-3, 0.5)),
 )
 

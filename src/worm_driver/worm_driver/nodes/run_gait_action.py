@@ -5,23 +5,29 @@ A goal that cannot be played is accepted and aborted at once, since a rejection 
 """
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.clock import Clock as RosClock
+from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
 from worm_driver.control.hardware import Hardware
+from worm_driver.control.heartbeat import PERIOD, Owner, patience_of
 from worm_driver.control.telemetry import Snapshot
-from worm_driver.errors import DriverError
-from worm_driver.gait.gait_limits import Gait
+from worm_driver.errors import DriverError, LimitError
 from worm_driver.gait.gait_metrics import Figures, RunRecord, distance, figures
 from worm_driver.gait.gait_player import Ending, Phase, Run
+from worm_driver.gait.run_end import RunEnd, is_in_vain, is_late, unseen_cycle
 from worm_driver.nodes.driver_messages import gait_from
+from worm_driver.nodes.driver_parameters import HEARTBEAT
 from worm_driver.power.ina219 import PowerSample
 from worm_msgs.action import RunGait
+from worm_msgs.msg import Heartbeat
 
 #: s between two feedback messages
 _FEEDBACK_PERIOD = 0.2
@@ -38,8 +44,14 @@ class _Current:
     number: int
     done: Future
     record: RunRecord
+    end: RunEnd
+    owner: Owner
     next_feedback: float = -math.inf
     ended: Run | None = None
+    #: the last word on the run, the last cycle whose end the tracker saw, and what has been asked for
+    run: Run | None = None
+    judged: int = 0
+    leaving: bool = False
 
 
 class RunGaitAction:
@@ -48,11 +60,15 @@ class RunGaitAction:
     Args:
         node: that serves.
         hardware: gives what is open, or None while nothing is.
+        sees_robot: whether the tracker does.
     """
 
-    def __init__(self, node: Node, hardware: Callable[[], Hardware | None]):
+    def __init__(
+        self, node: Node, hardware: Callable[[], Hardware | None], sees_robot: Callable[[], bool]
+    ):
         self._node = node
         self._hardware = hardware
+        self._sees_robot = sees_robot
         # The last one is being played, those before it still wait for the tracker.
         self._runs: list[_Current] = []
         self._open = 0
@@ -63,12 +79,22 @@ class RunGaitAction:
             self._execute,
             cancel_callback=self._on_cancel,
         )
+        steady = RosClock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(PERIOD, self._look_for_owners, clock=steady)
 
     def on_position(self, time_s: float, rear_position: float) -> None:
         """Takes a tracker sample (s monotonic, m) into the run's record."""
         if math.isfinite(rear_position):
             for current in self._runs:
                 current.record.positions.append((time_s, rear_position))
+                self._judge(current)
+
+    def on_heartbeat(self, beat: Heartbeat) -> None:
+        """In any thread: the owner of a goal is there."""
+        goal = bytes(beat.goal)
+        for current in tuple(self._runs):
+            if bytes(current.goal.goal_id.uuid) == goal:
+                current.owner.hear()
 
     def on_power(self, sample: PowerSample) -> None:
         """Takes a power sample into the run's record."""
@@ -80,7 +106,9 @@ class RunGaitAction:
         run = snapshot.player.run
         for current in self._runs:
             if run is not None and run.number == current.number and run.ending is None:
+                current.run = run
                 self._give_feedback(current, run, snapshot)
+                self._end_unseen(current, run, snapshot.command_time)
             elif run is not None and run.number == current.number:
                 current.ended = run
             if current.ended is not None and not current.done.done():
@@ -103,10 +131,48 @@ class RunGaitAction:
             hardware.loop.submit(hardware.robot.cancel)
         return CancelResponse.ACCEPT
 
+    def _judge(self, current: _Current) -> None:
+        """Ends a run that has reached what it was asked for, by the tracker's newest word."""
+        run, hardware = current.run, self._hardware()
+        if run is None or run.onset is None or not is_late(run, current.record):
+            return
+        current.judged = run.cycle(current.record.positions[-1][0])
+        if hardware is None or not current.end.needs_tracker or current.leaving:
+            return
+        if current.end.is_reached(run, current.record, hardware.settings.body.pitch):
+            current.leaving = True
+            hardware.loop.submit(hardware.robot.finish)
+        elif is_in_vain(run, current.record, hardware.settings.body.pitch):
+            self._leave(current, "ended, as the robot gains no groove with this gait")
+
+    def _end_unseen(self, current: _Current, run: Run, now: float) -> None:
+        """A run that the tracker does not see comes to rest where it was to go so far, and no farther."""
+        cycle = unseen_cycle(run, current.judged, now) if current.end.needs_tracker else 0
+        if cycle:
+            self._leave(
+                current, f"ended, as the tracker did not see the robot at the end of cycle {cycle}"
+            )
+
+    def _look_for_owners(self) -> None:
+        """A run whose owner is not heard any more comes to rest."""
+        now = time.monotonic()
+        for current in self._runs:
+            if current.owner.is_silent(now) and current.ended is None:
+                silence = current.owner.patience
+                self._leave(current, f"ended, as its owner was not heard for {silence:g} s")
+
+    def _leave(self, current: _Current, reason: str) -> None:
+        """Ends a run at its next point of rest, once."""
+        hardware = self._hardware()
+        if hardware is None or current.leaving:
+            return
+        current.leaving = True
+        self._node.get_logger().warning(f"run {current.number} {reason}")
+        hardware.loop.submit(lambda now: hardware.robot.cancel(now, reason), patience=math.inf)
+
     async def _execute(self, goal: ServerGoalHandle) -> RunGait.Result:
-        gait, cycles = gait_from(goal.request.gait), goal.request.cycles
         try:
-            current = self._begin(goal, gait, cycles)
+            current = self._begin(goal)
         except DriverError as error:
             self._node.get_logger().warning(f"gait refused: {error}")
             goal.abort()
@@ -117,18 +183,33 @@ class RunGaitAction:
         self._open -= 1
         return self._finish(current, outcome)
 
-    def _begin(self, goal: ServerGoalHandle, gait: Gait, cycles: int) -> _Current:
+    def _begin(self, goal: ServerGoalHandle) -> _Current:
         hardware = self._hardware()
         if hardware is None:
             raise DriverError("the driver is not configured: configure and activate it first")
+        asked, gait = goal.request, gait_from(goal.request.gait)
+        end = RunEnd(asked.cycles, asked.grooves, asked.distance)
+        cycles = end.most_cycles(gait, hardware.robot.limits)
+        if end.needs_tracker and not self._sees_robot():
+            raise DriverError(
+                "a run that ends by grooves or distance needs the topic tracker, which is silent"
+            )
+        owner = Owner(self._patience(asked.heartbeat), time.monotonic())
         number = hardware.loop.ask(
             lambda now: hardware.robot.start(now, gait, cycles), undo=hardware.robot.cancel
         )
-        current = _Current(goal, number, Future(), RunRecord())
+        current = _Current(goal, number, Future(), RunRecord(), end, owner)
         self._runs.append(current)
         if goal.is_cancel_requested:  # faster than this callback
             hardware.loop.submit(hardware.robot.cancel)
         return current
+
+    def _patience(self, asked: float) -> float:
+        """Raises LimitError."""
+        if not (math.isfinite(asked) and asked >= 0.0):
+            raise LimitError(f"heartbeat must be a time in s, not {asked:g}")
+        demanded: float = self._node.get_parameter(HEARTBEAT).value
+        return patience_of(asked, demanded)
 
     def _finish(self, current: _Current, outcome: Run | str) -> RunGait.Result:
         goal = current.goal
@@ -140,7 +221,7 @@ class RunGaitAction:
         if body is None:
             goal.abort()
             return _no_result("the driver was closed during the run, what was measured is lost")
-        result = _result(outcome, figures(outcome, current.record, body))
+        result = _result(outcome, figures(outcome, current.record, body), body.pitch)
         if outcome.ending is Ending.COMPLETED:
             goal.succeed()
         elif outcome.ending is Ending.CANCELLED and goal.is_cancel_requested:
@@ -155,12 +236,15 @@ class RunGaitAction:
         if now < current.next_feedback:
             return
         current.next_feedback = now + _FEEDBACK_PERIOD
-        record = current.record
+        record, hardware = current.record, self._hardware()
+        travelled = distance(run, record)
+        pitch = math.nan if hardware is None else hardware.settings.body.pitch
         current.goal.publish_feedback(
             RunGait.Feedback(
                 cycle=run.cycle(now),
                 elapsed=_elapsed(run, snapshot),
-                distance=distance(run, record),
+                grooves=travelled / pitch,
+                distance=travelled,
                 power=record.latest_power(),
             )
         )
@@ -183,10 +267,10 @@ def _elapsed(run: Run, snapshot: Snapshot) -> float:
     return -(snapshot.command_time - snapshot.player.since) if resting else -0.0
 
 
-def _result(run: Run, found: Figures) -> RunGait.Result:
+def _result(run: Run, found: Figures, pitch: float) -> RunGait.Result:
     endings = {
         Ending.COMPLETED: f"completed {found.cycles_completed} cycles",
-        Ending.CANCELLED: f"cancelled, at rest after {found.cycles_completed} cycles",
+        Ending.CANCELLED: f"{run.reason}, at rest after {found.cycles_completed} cycles",
         Ending.STOPPED: f"stopped: {run.reason}",
         Ending.FAILED: f"fault: {run.reason}",
         None: "unfinished",
@@ -196,6 +280,8 @@ def _result(run: Run, found: Figures) -> RunGait.Result:
         message="; ".join((endings[run.ending], *found.reasons)),
         cycles_completed=found.cycles_completed,
         cycles_averaged=found.cycles_averaged,
+        grooves=found.distance / pitch,
+        distance=found.distance,
         speed=found.speed,
         power=found.power,
         cost_of_transport=found.cost_of_transport,
@@ -205,6 +291,5 @@ def _result(run: Run, found: Figures) -> RunGait.Result:
 
 def _no_result(message: str) -> RunGait.Result:
     nan = math.nan
-    return RunGait.Result(
-        message=message, speed=nan, power=nan, cost_of_transport=nan, idle_power=nan
-    )
+    names = ("grooves", "distance", "speed", "power", "cost_of_transport", "idle_power")
+    return RunGait.Result(message=message, **dict.fromkeys(names, nan))

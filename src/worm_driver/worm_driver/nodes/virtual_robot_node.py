@@ -34,6 +34,7 @@ from worm_driver.virtual_robot.wire.faults import (
     parse_fault,
 )
 from worm_msgs.msg import BodyLength, Tracker
+from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import Ending, own_arguments, ros_process
 from worm_msgs.srv import InjectFault
 
@@ -63,6 +64,7 @@ class VirtualRobotNode(Node):
         camera: Path | None = None,
     ) -> None:
         super().__init__("virtual_robot")
+        declare_none(self)
         epoch_ns = self.get_clock().now().nanoseconds
         self.endpoints = Endpoints(
             robot,

@@ -121,6 +121,23 @@ def comparison_figure(frame: Frame, advances: Curves, energies: Curves) -> Figur
     )
 
 
+def simulation_figure(
+    frame: Frame, positions: Curves, lengths: Curves, forces: Curves, powers: Curves, pitch: float
+) -> Figure:
+    """A simulated gait: where both modules and their anchors are, length, forces, power."""
+    return _figure(
+        frame,
+        [
+            _Panel(
+                "advance (mm)", positions, MM, 3.0, "horizontal lines: the pipe's ridges", pitch
+            ),
+            _Panel("length change ΔL (mm)", lengths, MM),
+            _Panel("force (N)", forces),
+            _Panel("source power (W)", powers),
+        ],
+    )
+
+
 def run_style(number: int) -> dict[str, Any]:
     """The style of one of several runs, counted from 0."""
     return {"color": CYCLE[number % len(CYCLE)], "linewidth": 1.5}

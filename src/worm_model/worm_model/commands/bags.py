@@ -1,25 +1,79 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: what is done with bags as a whole, a verb each."""
+"""Command line: what was recorded, and what is done with bags as a whole, a verb each."""
 
 from __future__ import annotations
 
 import argparse
+import sys
+from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from worm_model.bags.cleaning import clean_bag
-from worm_model.bags.opening import open_bag
+from worm_model.commands.bag_table import bag_rows, describe
 from worm_model.commands.command_line import (
+    InputError,
     Parser,
+    ProgressLine,
     new_file,
     notifier,
     print_result,
     run_command,
 )
 
+if TYPE_CHECKING:
+    from worm_model.bags.bag import Bag
+
+TABLE = "table"
+FOLDER = Path("bags")  # where ./worm records
+
 
 def _parser() -> Parser:
-    parser = Parser(prog="bags", description="What is done with bags as a whole.")
+    parser = Parser(
+        prog="bags",
+        description="A table of what was recorded below a folder, a row for each run, or a VERB. `bags FOLDER` is "
+        "`bags table FOLDER`.",
+    )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
+    table = verbs.add_parser(
+        TABLE,
+        help="what was recorded; the verb may be left out",
+        description="Gait, cycles, groove phase, grooves per cycle, speed, power, cost of transport, health by the "
+        "twin, state of the files and notes of every run. What was read once is kept in an index.",
+    )
+    table.add_argument(
+        "folder", type=Path, nargs="?", default=FOLDER, metavar="FOLDER", help="default: bags"
+    )
+    table.add_json()
+    table.add_parameters()
+    table.set_defaults(act=_table)
+    info = verbs.add_parser("info", help="what a bag holds")
+    info.add_argument("bag", type=Path, metavar="BAG")
+    info.add_json()
+    info.set_defaults(act=_info)
+    trim = verbs.add_parser(
+        "trim",
+        help="a part of a bag, by time or by run",
+        description="Writes a bag with the messages of a span, or of one run with the rest before it.",
+    )
+    trim.add_argument("bag", type=Path, metavar="BAG")
+    trim.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
+    trim.add_number("--start", "S", "start of the span, in s since the bag's")
+    trim.add_number("--end", "S", "end of the span, in s since the bag's start")
+    trim.add_argument("--run", type=int, metavar="N", help="the n-th run instead")
+    trim.add_json()
+    trim.set_defaults(act=_trim)
+    split = verbs.add_parser("split", help="a bag for each run of a bag")
+    split.add_argument("bag", type=Path, metavar="BAG")
+    split.add_argument(
+        "--output", required=True, metavar="FOLDER", help="of run_1, run_2, …; must not exist"
+    )
+    split.add_json()
+    split.set_defaults(act=_split)
+    merge = verbs.add_parser("merge", help="one bag of several, by time")
+    merge.add_argument("bags", type=Path, nargs="+", metavar="BAG")
+    merge.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
+    merge.add_json()
+    merge.set_defaults(act=_merge)
     clean = verbs.add_parser(
         "clean",
         help="a copy without the host's name and absolute paths",
@@ -35,7 +89,106 @@ def _parser() -> Parser:
     return parser
 
 
+def _table(options: argparse.Namespace) -> None:
+    rows, _ = bag_rows(options.folder, options.parameters, ProgressLine("bags"))
+    print_result(options, {"runs": rows}, describe(rows, options.folder))
+
+
+def _info(options: argparse.Namespace) -> None:
+    from worm_model.bags.opening import open_bag
+
+    with open_bag(options.bag, notifier("bags info")) as bag:
+        content = {
+            "bag": str(bag.path),
+            "start_ns": bag.start,
+            "duration_s": (bag.end - bag.start) * 1e-9,
+            "messages": bag.message_count,
+            "topics": [
+                {"name": topic.name, "type": topic.type_name, "messages": topic.count}
+                for topic in bag.topics.values()
+            ],
+            "metadata": {
+                name: record for name, record in bag.metadata.items() if name != "rosbag2"
+            },
+            "attachments": [attached.name for attached in bag.attachments()],
+        }
+    lines = [f"{content['bag']}: {content['messages']} messages in {content['duration_s']:.3f} s"]
+    lines += [f"  {t['messages']:8}  {t['name']}  {t['type']}" for t in content["topics"]]
+    for name, record in content["metadata"].items():
+        lines += [f"  {name}.{key}: {value}" for key, value in record.items() if value]
+    lines += [f"  attached: {name}" for name in content["attachments"]]
+    print_result(options, content, "\n".join(lines))
+
+
+def _trim(options: argparse.Namespace) -> None:
+    from worm_model.bags.cutting import trim
+    from worm_model.bags.opening import open_bag
+
+    if (options.run is None) == (options.start is None and options.end is None):
+        raise InputError("give --start, --end or both, or --run")
+    output = new_file(options.output)
+    with open_bag(options.bag, notifier("bags trim")) as bag:
+        first, last = bag.start, bag.end
+        if options.run is not None:
+            spans = _spans(bag)
+            if not 1 <= options.run <= len(spans):
+                raise InputError(f"--run {options.run}: {bag.path} holds {len(spans)} runs")
+            first, last = spans[options.run - 1]
+        elif options.start is not None:
+            first = bag.start + round(options.start * 1e9)
+        if options.end is not None:
+            last = bag.start + round(options.end * 1e9)
+        count = trim(bag, output, first, last)
+    _written(options, {"bag": str(output), "messages": count})
+
+
+def _spans(bag: Bag) -> list[tuple[int, int]]:
+    """Log times, in ns, between which each run lies: from the end of the one before it, its rest included."""
+    from worm_model.analysis.run_metrics import played_gaits
+    from worm_model.bags.run_reader import read_run
+
+    played = played_gaits(read_run(bag, names=("gait_state",)).gait_state)
+    ends = [gait.end or bag.end for gait in played[:-1]]
+    return list(zip([bag.start, *ends], [*ends, bag.end], strict=True)) if played else []
+
+
+def _split(options: argparse.Namespace) -> None:
+    from worm_model.bags.cutting import trim
+    from worm_model.bags.opening import open_bag
+
+    output = new_file(options.output)
+    with open_bag(options.bag, notifier("bags split")) as bag:
+        spans = _spans(bag)
+        if not spans:
+            raise InputError(f"{bag.path}: holds no run; `bags trim` cuts by time")
+        output.mkdir()
+        made = [output / f"run_{number}" for number in range(1, len(spans) + 1)]
+        counts = [trim(bag, path, *span) for path, span in zip(made, spans, strict=True)]
+    _written(options, {"bags": [str(path) for path in made], "messages": sum(counts)})
+
+
+def _merge(options: argparse.Namespace) -> None:
+    from worm_model.bags.cutting import merge
+    from worm_model.bags.opening import open_bag
+
+    output = new_file(options.output)
+    with ExitStack() as stack:
+        notify = notifier("bags merge")
+        count = merge(
+            [stack.enter_context(open_bag(path, notify)) for path in options.bags], output
+        )
+    _written(options, {"bag": str(output), "messages": count})
+
+
+def _written(options: argparse.Namespace, content: dict[str, Any]) -> None:
+    where = content.get("bag") or ", ".join(content["bags"])
+    print_result(options, content, f"{where}: {content['messages']} messages")
+
+
 def _clean(options: argparse.Namespace) -> None:
+    from worm_model.bags.cleaning import clean_bag
+    from worm_model.bags.opening import open_bag
+
     output = new_file(options.output)
     with open_bag(options.bag, notifier("bags clean"), options.definitions) as bag:
         count = bag.message_count
@@ -45,6 +198,15 @@ def _clean(options: argparse.Namespace) -> None:
     print_result(options, content, text)
 
 
+VERBS = (TABLE, "info", "trim", "split", "merge", "clean")
+
+
+def _arguments(given: list[str]) -> list[str]:
+    """With the verb that may be left out."""
+    named = bool(given) and (given[0] in VERBS or given[0] in ("-h", "--help"))
+    return given if named else [TABLE, *given]
+
+
 def main() -> int:
     """Entry point of the executable bags."""
-    return run_command(_parser(), lambda options: options.act(options))
+    return run_command(_parser(), lambda options: options.act(options), _arguments(sys.argv[1:]))

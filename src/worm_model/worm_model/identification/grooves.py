@@ -35,7 +35,7 @@ from worm_model.identification.locomotion import (
     worm_of,
     x1_residuals,
 )
-from worm_model.simulation.kernel.dry_friction import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
+from worm_model.simulation.kernel.stepped_dry_friction import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
 
 Array = NDArray[np.float64]
 

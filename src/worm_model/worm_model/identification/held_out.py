@@ -14,7 +14,13 @@ from worm_model.identification.energy import PowerRun, fit_energy
 from worm_model.identification.energy_stage import EnergyResult
 from worm_model.identification.idle import idle_power
 from worm_model.identification.locomotion import Known
-from worm_model.identification.locomotion_stage import PITCH, LocomotionResult, refit
+from worm_model.identification.locomotion_stage import (
+    FRONT_DRY,
+    PITCH,
+    REAR_DRY,
+    LocomotionResult,
+    refit,
+)
 from worm_model.identification.run_prediction import Errors, errors, predict
 from worm_model.identification.run_selection import Run
 from worm_model.parameters import PAPER, Parameters
@@ -66,6 +72,8 @@ def leave_one_out(
         values = parameters.replace(
             viscous_friction=fit.means[0],
             switching_threshold=fit.means[1],
+            rear_dry_friction=fit.means[REAR_DRY],
+            front_dry_friction=fit.means[FRONT_DRY],
             pitch=fit.means[PITCH],
             slack=other_actuation.slack,
             gain=other_actuation.gain,

@@ -164,12 +164,8 @@ def _number(form: str, value: float) -> str:
 def nuisance_text(result: Identification) -> str:
     """Friction, scatter and weights that are no parameters, and each run's own numbers."""
     locomotion, scatter = result.locomotion, result.locomotion.fit.scatter
-    rear, front = (
-        f"{value:.2f} ± {1.96 * deviation:.2f} N"
-        for value, deviation in zip(locomotion.dry_friction, locomotion.dry_deviation, strict=True)
-    )
     head = (
-        f"Dry friction: rear module {rear}, front module {front}; without it, as J_loc is printed, "
+        "Without dry friction, as J_loc is printed, "
         f"η = {locomotion.as_printed[0]:.1f} N·s/m and p_sw = {locomotion.as_printed[1] * 1e3:.2f} mm. "
         f"Grooves differ by {scatter.threshold * 1e3:.3f} mm "
         f"in threshold and {scatter.stiffness * 100:.1f} % in stiffness (standard deviations). When the slack is taken "

@@ -25,7 +25,7 @@ from worm_model.identification.measured_length import MeasuredLength
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.robust import noise_of
 from worm_model.parameters import Parameters
-from worm_model.simulation.kernel import dry_friction
+from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
 
 Array = NDArray[np.float64]
 

@@ -45,12 +45,18 @@ from worm_model.identification.locomotion import (
     worm_of,
 )
 from worm_model.parameters import PAPER, Parameters
-from worm_model.simulation.kernel.dry_friction import HOLDING_FORCE, STIFFNESS, THRESHOLD, X1
+from worm_model.simulation.kernel.stepped_dry_friction import (
+    HOLDING_FORCE,
+    STIFFNESS,
+    THRESHOLD,
+    X1,
+)
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-FRICTION, SWITCHING, PITCH, ONSET = 0, 1, 4, 5  # entries of the means
+FRICTION, SWITCHING, REAR_DRY, FRONT_DRY, PITCH, ONSET = range(6)  # entries of the means
+USUAL_DRY = 0.3  # N, that of η at 3.5 mm/s: an interval of less than half of it tells something
 SOUGHT = (FRICTION, SWITCHING, PITCH)
 FIRST_REACH = {
     FRICTION: 1.0,
@@ -77,7 +83,7 @@ class FinKnowledge:
 class LocomotionResult:
     """``viscous_friction`` N·s/m, ``switching_threshold`` m and ``pitch`` m with intervals; the rest are diagnostics.
 
-    ``dry_friction`` (rear, front) N with ``dry_deviation`` their standard deviations; ``onset`` as in
+    ``dry_friction`` N of the rear and the front module with intervals; ``onset`` as in
     `simulation.kernel.dry_friction.Worm`; ``initial_length`` (runs,) m; ``residuals`` of each run in m; ``inflation``
     of the variance for what is not white in them; ``correlation`` of (η, p_sw, rear, front dry friction, pitch,
     onset); ``variants``: fits under a fin test that is one standard deviation off, one a direction of its covariance;
@@ -88,8 +94,7 @@ class LocomotionResult:
     viscous_friction: Estimate
     switching_threshold: Estimate
     pitch: Estimate
-    dry_friction: tuple[float, float]
-    dry_deviation: tuple[float, float]
+    dry_friction: tuple[Estimate, Estimate]
     onset: float
     initial_length: Array
     residuals: tuple[Array, ...]
@@ -153,8 +158,10 @@ def identify_locomotion(
         viscous_friction=if_told(friction, PAPER.viscous_friction),
         switching_threshold=if_told(threshold, PAPER.switching_threshold),
         pitch=if_told(pitch),
-        dry_friction=(float(fit.means[2]), float(fit.means[3])),
-        dry_deviation=(float(deviation[2]), float(deviation[3])),
+        dry_friction=(
+            _dry_estimate(fit.means[REAR_DRY], deviation[REAR_DRY]),
+            _dry_estimate(fit.means[FRONT_DRY], deviation[FRONT_DRY]),
+        ),
         onset=float(fit.means[ONSET]),
         initial_length=fit.solution.own[:, 0],
         residuals=tuple(
@@ -168,6 +175,13 @@ def identify_locomotion(
         stiffer=_stiffer(traverses, known, fit, friction),
         as_printed=(float(plain[0]), float(plain[1])),
     )
+
+
+def _dry_estimate(value: float, deviation: float) -> Estimate:
+    """By the curvature of the cost, which has no jumps in dry friction as small as this; no less than nothing."""
+    reach = NORMAL * float(deviation)
+    found = Estimate(float(value), max(float(value) - reach, 0.0), float(value) + reach)
+    return if_told(found, USUAL_DRY)
 
 
 def refit(
@@ -310,7 +324,7 @@ def _as_printed(traverses: Sequence[Traverse], known: Known, start: Solution) ->
     """(η, p_sw) without dry friction, at the start's pitch and onset."""
     problem = with_fixed(locomotion_problem(traverses, known), ONSET, start.shared[ONSET])
     problem = with_fixed(problem, PITCH, start.shared[PITCH])
-    frictionless = with_fixed(with_fixed(problem, 3, 0.0), 2, 0.0)
+    frictionless = with_fixed(with_fixed(problem, FRONT_DRY, 0.0), REAR_DRY, 0.0)
     return solve(frictionless, start.shared[:2], start.own).shared
 
 

@@ -39,9 +39,6 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
             key: e.note for key, e in result.estimates.items() if not e.identifiable
         },
         "notes": {key: e.note for key, e in result.estimates.items() if e.identifiable and e.note},
-        "dry_friction_N": dict(
-            zip(("rear", "front"), map(float, result.locomotion.dry_friction), strict=True)
-        ),
         "bench_tests": {name: test.checksum for name, test in tests.items() if test},
         "runs": runs,
     }
@@ -99,8 +96,6 @@ def nuisances(result: Identification) -> dict[str, Any]:
     """What is no parameter of the model but was found on the way."""
     locomotion = result.locomotion
     return {
-        "rear_dry_friction": locomotion.dry_friction[0],
-        "front_dry_friction": locomotion.dry_friction[1],
         "without_dry_friction": dict(
             zip(("viscous_friction", "switching_threshold"), locomotion.as_printed, strict=True)
         ),

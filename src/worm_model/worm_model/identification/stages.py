@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,7 @@ NO_FIN = (
     "x1 tells its ratio to the fins' stiffness alone, fitted under the given one; add a fin test"
 )
 UNDER_GIVEN_FINS = "fitted under the given fins; add a fin test"
+NOT_OF_PAPER = "not in the paper's model; without it η would be {:.1f} N·s/m"
 NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
 NO_FRICTION = "η is not told, and c_b and α_P depend on it"
 SOFT_FIN = (
@@ -234,15 +235,20 @@ def _locomotion_estimates(
 ) -> dict[str, Estimate]:
     """Without a fin test x1 gives only the ratio of η to the fins' stiffness. The pitch is narrower than measured."""
     friction, threshold = locomotion.viscous_friction, locomotion.switching_threshold
+    note = NOT_OF_PAPER.format(locomotion.as_printed[0])
+    dry = [replace(estimate, note=estimate.note or note) for estimate in locomotion.dry_friction]
     if _fin_knowledge(estimates, fin) is None:
         friction = not_told(friction.value, NO_FIN)
         threshold = not_told(threshold.value, UNDER_GIVEN_FINS)
+        dry = [not_told(estimate.value, NO_FIN) for estimate in dry]
     given = estimates["pitch"]
     note = f"from x1 over the ridges; {given.value * 1e3:.2f} ± {given.spread * 1e3:.2f} mm {given.note}"
     pitch = locomotion.pitch
     return {
         "viscous_friction": friction,
         "switching_threshold": threshold,
+        "rear_dry_friction": dry[0],
+        "front_dry_friction": dry[1],
         "pitch": Estimate(pitch.value, pitch.low, pitch.high, pitch.identifiable, note),
     }
 

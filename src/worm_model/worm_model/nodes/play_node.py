@@ -36,6 +36,7 @@ from worm_model.bags.play_clock import Timeline
 from worm_model.bags.recording_session import is_latched
 from worm_model.commands.command_line import InputError, Parser, number, run_command
 from worm_model.nodes.keyboard import keys_of_terminal, pressed
+from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import own_arguments, ros_process
 
 LONGEST_WAIT_S = 0.005  # between two looks at services and keys
@@ -91,6 +92,7 @@ class PlayNode(Node):
 
     def __init__(self, bag: Bag, options: argparse.Namespace) -> None:
         super().__init__("player")
+        declare_none(self)
         self._bag = bag
         self._options = options
         self._first_ns = bag.start + round(options.start * 1e9)

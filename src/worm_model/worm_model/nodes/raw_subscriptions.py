@@ -33,6 +33,8 @@ from worm_model.bags.recording_thread import Note
 from worm_model.bags.run_manifest import GAIT_RECORD
 from worm_model.bags.topic_selection import SelectionError, TopicSelection
 from worm_model.nodes.recording_qos import describe, subscription_qos
+from worm_model.run import INACTIVE
+from worm_msgs.node_command import declare_none
 
 GAIT_STATE = "worm_msgs/msg/GaitState"
 ALARM_TYPE = "worm_msgs/msg/TwinEvent"
@@ -142,6 +144,7 @@ class RecordNode(Node):
             start_parameter_services=False,  # nobody would answer: the node is not spun
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
+        declare_none(self)
         names = frozenset(map(self._full_name, selection.names))
         self._selection = replace(selection, names=names)
         self._depth = depth
@@ -149,6 +152,7 @@ class RecordNode(Node):
         self._refused: set[str] = set()
         self._run, self._onset = 0, 0  # of the gait that was noted last
         self._noted = False
+        self._drivers: dict[str, int] = {}  # the last state, by topic
         self._offered: list[Service] = []
         self._settled = time.monotonic() + SETTLING_S
 
@@ -251,9 +255,18 @@ class RecordNode(Node):
         for sample in samples:
             if sample.channel.type_name == GAIT_STATE:
                 state: Any = deserialize_message(sample.data, message_class(GAIT_STATE))
+                self._drivers[sample.topic] = state.state
                 gait = _describe_gait(state)
                 if gait and not self._is_known(state):
                     yield Note(GAIT_RECORD, gait)
+
+    @property
+    def awaits_rest(self) -> bool:
+        """Whether a driver that was heard is there and has not let go of its robot."""
+        return any(
+            state != INACTIVE and self.count_publishers(topic) > 0
+            for topic, state in self._drivers.items()
+        )
 
     def alarm(self, samples: Sequence[Message]) -> str:
         """What the twin raises an alarm about in the messages, the last one; empty without one."""

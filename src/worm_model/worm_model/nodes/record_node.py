@@ -9,6 +9,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
@@ -22,7 +23,7 @@ from worm_model.bags.run_manifest import is_text, run_manifest
 from worm_model.bags.topic_selection import TopicSelection
 from worm_model.commands.command_line import Parser, number
 from worm_model.nodes.raw_subscriptions import RecordNode
-from worm_msgs.ros_process import own_arguments, ros_process
+from worm_msgs.ros_process import Ending, own_arguments, ros_process
 
 POLL_S = 0.01
 DISCOVERY_S = 0.1
@@ -123,6 +124,11 @@ def _parser() -> Parser:
         action="store_true",
         help="leave out the host's name and absolute paths, also in texts of messages",
     )
+    parser.add_argument(
+        "--to-rest",
+        action="store_true",
+        help="after Ctrl-C, go on until the driver has let go of the robot or is gone; Ctrl-C once more ends at once",
+    )
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
     return parser
 
@@ -138,11 +144,20 @@ class _Recording:
         self._cleaner = cleaner
         self._start = time.monotonic()
         self._uncleaned = 0
+        self._impatient = False
 
     @property
     def elapsed(self) -> float:
         """Seconds since the start."""
         return time.monotonic() - self._start
+
+    def hurry(self) -> None:
+        """Wait for nobody. Safe in a signal handler."""
+        self._impatient = True
+
+    def to_rest(self, ended: Callable[[], bool]) -> bool:
+        """In the place of ``ended``: whether told to stop, and the driver has let go of the robot."""
+        return ended() and (self._impatient or not self._node.awaits_rest)
 
     def run(self, ended: Callable[[], bool], duration: float) -> None:
         """Take messages until told to stop, the time is over or the disk fails."""
@@ -243,7 +258,7 @@ def _session_options(
     )
 
 
-def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Callable[[], bool]) -> int:
+def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Ending) -> int:
     selection = TopicSelection(
         frozenset(arguments.topics),
         everything=arguments.all,
@@ -260,8 +275,10 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Callable[
     kept = f"the last {options.ring_s:g} s for snapshots" if options.ring_s else "to"
     node.get_logger().info(f"recording {kept} {options.output}")
     recording = _Recording(node, session, cleaner)
+    ended.again = recording.hurry
+    end = partial(recording.to_rest, ended) if arguments.to_rest else ended
     try:
-        recording.run(ended, arguments.duration)
+        recording.run(end, arguments.duration)
     finally:
         session.close()
     return _report(recording, node, session, arguments)

@@ -25,6 +25,7 @@ from worm_model.parameters import load_parameters
 from worm_model.twin.records import Activity, Health, LengthSource
 from worm_model.twin.watch_view import CLEAR, NAN, Trend, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
+from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import own_arguments, ros_process, spin
 
 PERIOD_S = 0.2
@@ -47,6 +48,7 @@ class WatchNode(Node):
 
     def __init__(self, pitch: float, namespace: str) -> None:
         super().__init__("watch", namespace=namespace)
+        declare_none(self)
         self._pitch = pitch
         self.view = View()
         self.closed = False

@@ -62,7 +62,7 @@ def cost_of_transport(speed: ArrayLike, power: ArrayLike, mass: ArrayLike) -> Ar
 
 
 def parameter_row(parameters: Parameters) -> Array:
-    """The values in the order of `worm_model.parameters.KEYS`, shape (17,), as the kernel takes them."""
+    """The values in the order of `worm_model.parameters.KEYS`, shape (PARAMETER_COLUMNS,), as the kernel takes them."""
     return np.array(list(parameters.as_dict().values()))
 
 

@@ -9,8 +9,6 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
-
 from worm_model.commands.command_line import (
     FAILED,
     InputError,
@@ -20,7 +18,13 @@ from worm_model.commands.command_line import (
     run_command,
 )
 from worm_model.parameters import load_parameter_file
+from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.commands.search_options import shown_progress
+from worm_optimizer.operation.bring_up import (
+    FAILURES,
+    Narrator,
+    work_folder,
+)
 from worm_optimizer.operation.campaign_plan import (
     PROMISES,
     Plan,
@@ -28,10 +32,8 @@ from worm_optimizer.operation.campaign_plan import (
     make_plan,
     write_promises,
 )
-from worm_optimizer.operation.campaign_runs import Robot, run_gaits
+from worm_optimizer.operation.campaign_runs import run_gaits
 from worm_optimizer.operation.processes import termination_as_interrupt
-from worm_optimizer.operation.session import FAILURES, Narrator, work_folder
-from worm_optimizer.operation.system import SystemFileError, load_system_file
 from worm_optimizer.report.agreement import agreement_json, describe
 from worm_optimizer.report.identification_parts import add_identification, identification_of
 from worm_optimizer.report.recorded_gait import RecordedGait
@@ -58,13 +60,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--mode", choices=_MODES, default=_MODES[0], help="which robot (default: virtual)"
     )
-    add(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="a setting of system.yaml, such as port=/dev/ttyUSB0 or seed=2; may be repeated",
-    )
+    add_robot(parser)
     add(
         "--output",
         type=Path,
@@ -89,7 +85,7 @@ def _parser() -> Parser:
 def _campaign(options: argparse.Namespace) -> int:
     content = load_parameter_file(options.parameters)
     identification = identification_of(options)
-    robot = _robot(options)
+    robot = robot_of(options, options.mode)
     folder = _folder(options)
     say = Narrator("campaign")
     settings, cache = Settings(margin=options.margin), Cache.at(default_directory())
@@ -141,25 +137,6 @@ def _promise(plan: Plan, folder: Path, options: argparse.Namespace) -> None:
         raise InputError(
             f"{folder} was begun with other gaits than these options make: give those it was begun with"
         )
-
-
-def _robot(options: argparse.Namespace) -> Robot:
-    """The robot that is asked for; raises InputError if there is no such setting."""
-    settings = (
-        {"parameter_file": str(Path(options.parameters).resolve())} if options.parameters else {}
-    )
-    for text in options.set:
-        name, separator, value = text.partition("=")
-        if not (name and separator):
-            raise InputError(f"--set {text}: write NAME=VALUE")
-        settings[name] = value
-    share = Path(get_package_share_directory("worm_optimizer"))
-    try:
-        robot = Robot(load_system_file(share / "config" / "system.yaml"), options.mode, settings)
-        robot.system()
-    except SystemFileError as error:
-        raise InputError(str(error)) from None
-    return robot
 
 
 def _print(

@@ -14,8 +14,6 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
-
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.commands.command_line import (
@@ -27,14 +25,18 @@ from worm_model.commands.command_line import (
 )
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.twin.offline_replay import replay_run
-from worm_optimizer.operation.bring_up import Say
+from worm_optimizer.operation.bring_up import (
+    FAILURES,
+    Narrator,
+    Say,
+    installed_system_file,
+    work_folder,
+)
 from worm_optimizer.operation.demo_comparison import Comparison, compare
 from worm_optimizer.operation.demo_figure import draw_run
 from worm_optimizer.operation.demo_run import drive
 from worm_optimizer.operation.demo_table import comparison_table
 from worm_optimizer.operation.processes import termination_as_interrupt
-from worm_optimizer.operation.session import FAILURES, Narrator, work_folder
-from worm_optimizer.operation.system import load_system_file
 from worm_optimizer.robustness.prediction import Prediction
 
 
@@ -90,9 +92,8 @@ def _new_bag(folder: Path) -> Path:
 
 
 def _drive(options: argparse.Namespace, bag: Path, say: Say) -> Prediction:
-    share = Path(get_package_share_directory("worm_optimizer"))
     with work_folder("demo") as folder:
-        system = load_system_file(share / "config" / "system.yaml").system(
+        system = installed_system_file().system(
             "virtual",
             directory=str(folder),
             bag=str(bag),

@@ -11,25 +11,23 @@ from worm_model.commands.command_line import (
     InputError,
     Parser,
     figure_file,
-    number,
     print_result,
     run_command,
 )
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import (
     add_front_options,
+    add_objective,
     cache_of,
     chosen_settings,
     gait_table,
+    request_of_options,
     shown_progress,
 )
 from worm_optimizer.report.front_plots import front_figure
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import load_front, make_front
-from worm_optimizer.search.gait_request import GaitRequest, Objective, RequestStatus, select
-
-_OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
-_NAMED = {objective.name.lower(): objective for objective in _OBJECTIVES}
+from worm_optimizer.search.gait_request import RequestStatus, select
 
 
 def _parser() -> Parser:
@@ -39,24 +37,9 @@ def _parser() -> Parser:
         "the highest speed, the lowest power at a speed or the highest speed at a power. The front is "
         "computed if it is not in the cache. Exit status 2 with the nearest gait if there is none.",
     )
-    wanted = parser.add_mutually_exclusive_group()
-    wanted.add_argument("--objective", choices=tuple(_NAMED), help="default cruise")
-    wanted.add_argument(
-        "--speed", type=number, metavar="MPS", help="lowest power of those at least as fast, in m/s"
-    )
-    wanted.add_argument(
-        "--power", type=number, metavar="W", help="highest speed of those that need no more, in W"
-    )
+    add_objective(parser)
     add_front_options(parser)
     return parser
-
-
-def _request_of(options: argparse.Namespace) -> GaitRequest:
-    if options.speed is not None:
-        return GaitRequest(Objective.MIN_POWER_AT_SPEED, options.speed)
-    if options.power is not None:
-        return GaitRequest(Objective.MAX_SPEED_AT_POWER, options.power)
-    return GaitRequest(_NAMED[options.objective or "cruise"])
 
 
 def describe(gait: Prediction) -> str:
@@ -67,7 +50,7 @@ def describe(gait: Prediction) -> str:
 
 def _request(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
-    settings, request = chosen_settings(options), _request_of(options)
+    settings, request = chosen_settings(options), request_of_options(options)
     cache, figure = cache_of(options), figure_file(options)
     front = load_front(content, settings, options.direction, cache)
     if front is None:

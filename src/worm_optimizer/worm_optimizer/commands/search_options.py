@@ -14,6 +14,7 @@ from worm_model.commands.command_line import Parser, ProgressLine, number
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search import front as pipeline
 from worm_optimizer.search.cache import Cache, default_directory
+from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.search.search_settings import (
     FRONT_SETTINGS,
     SCAN_SETTINGS,
@@ -22,6 +23,9 @@ from worm_optimizer.search.search_settings import (
     Settings,
     settings_of,
 )
+
+_OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
+_NAMED = {objective.name.lower(): objective for objective in _OBJECTIVES}
 
 
 def add_scan_options(parser: Parser) -> None:
@@ -86,6 +90,27 @@ def _as_text(default: object) -> str:
     if isinstance(default, float):
         return "" if math.isnan(default) else f"{default:g}"
     return str(default)
+
+
+def add_objective(parser: Parser) -> None:
+    """Adds the options of a gait for a purpose; see `request_of_options`."""
+    wanted = parser.add_mutually_exclusive_group()
+    wanted.add_argument("--objective", choices=tuple(_NAMED), help="default cruise")
+    wanted.add_argument(
+        "--speed", type=number, metavar="MPS", help="lowest power of those at least as fast, in m/s"
+    )
+    wanted.add_argument(
+        "--power", type=number, metavar="W", help="highest speed of those that need no more, in W"
+    )
+
+
+def request_of_options(options: argparse.Namespace) -> GaitRequest:
+    """The request that the options of `add_objective` make; raises `OptimizerError` on an impossible value."""
+    if options.speed is not None:
+        return GaitRequest(Objective.MIN_POWER_AT_SPEED, options.speed)
+    if options.power is not None:
+        return GaitRequest(Objective.MAX_SPEED_AT_POWER, options.power)
+    return GaitRequest(_NAMED[options.objective or "cruise"])
 
 
 def cache_of(options: argparse.Namespace) -> Cache:

@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an operator does with the robot, as blocking calls with deadlines; for the demo's process."""
+"""What a person does with a robot, as calls with deadlines: used by `operate`, the demo, the campaign and the console.
+
+All of it goes over the topics, services and actions that `ros2` would use. One thread owns an operator; a call waits
+by spinning it. A gait that runs is a `GaitRun`: begin it, follow it, and spin as long as it is to go on.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -13,20 +19,35 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rclpy.action import ActionClient
+from rcl_interfaces.msg import Log
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from worm_model import gait as model
-from worm_msgs.action import RunGait
-from worm_msgs.msg import Gait, GaitPrediction
-from worm_msgs.srv import RequestGait
+from worm_model.gait import FORWARD
+from worm_msgs import network
+from worm_msgs.msg import (
+    GaitPrediction,
+    GaitState,
+    Heartbeat,
+    Power,
+    Tracker,
+    TwinResiduals,
+    TwinState,
+)
+from worm_msgs.srv import InjectFault, RequestGait
+from worm_optimizer.nodes.gait_run import GaitRun
+from worm_optimizer.orders import Order, Progress, RobotState, RunResult
 from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search.gait_request import GaitRequest, Objective
 
+DRIVER = "driver"  # the node's name in system.yaml
 NODES_TIMEOUT_S = 120.0  # a twin whose kernel is not compiled yet does that first
 DISCOVERY_TIMEOUT_S = 30.0
 LEASE_S = 25.0  # DDS believes for 20 s that a participant lives which says nothing any more
@@ -34,16 +55,42 @@ CALL_TIMEOUT_S = 30.0
 SILENCE_S = 60.0  # without a word of a gait that runs, after which it has failed
 OPTIMIZER_TIMEOUT_S = 120.0  # it may still be searching its front
 REQUEST_PERIOD_S = 1.0
+REASON_S = 1.0  # for which the driver's own word on a failed transition is waited for
+TELEMETRY_S = 1.0  # for which state waits for what need not be there: power, tracker, twin
 ATTEMPTS = 2  # at transitions of a lifecycle node: from unconfigured to active
 SPIN_S = 0.05
+STRANGER_S = 2.0  # in which a driver that is there already has been discovered
+_TELEMETRY: dict[type, str] = {
+    Power: "power",
+    Tracker: "tracker",
+    TwinResiduals: "twin/residuals",
+    TwinState: "twin/state",
+}
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
+}
+_STATES = {
+    getattr(GaitState, name): name
+    for name in ("INACTIVE", "IDLE", "RESTING", "RUNNING", "STOPPING", "FAULT")
+}
+_HEALTH = {
+    getattr(TwinResiduals, name): name.lower()
+    for name in ("UNKNOWN", "HEALTHY", "SUSPECT", "FAULTY")
 }
 
 
 class OperatorError(RuntimeError):
     """A node did not answer in time, or refused."""
+
+
+class UnreachableError(OperatorError):
+    """No gait of the front is what was asked for; ``nearest`` is the nearest one that is there."""
+
+    def __init__(self, message: str, nearest: Prediction) -> None:
+        super().__init__(message)
+        self.nearest = nearest
 
 
 class GaitFailedError(OperatorError):
@@ -55,15 +102,21 @@ class _NoAnswerError(OperatorError):
 
 
 @contextmanager
-def operator(namespace: str, check: Callable[[], None]) -> Iterator[OperatorNode]:
+def operator(
+    namespace: str, check: Callable[[], None], name: str = "operator"
+) -> Iterator[OperatorNode]:
     """An operator's node with a ROS context of its own, in which signals stay Python's.
 
     Nothing of it is announced in the ROS graph afterwards, whatever happened.
     """
+    try:
+        network.bind(os.environ, rclpy.get_rmw_implementation_identifier())
+    except network.NetworkError as error:
+        raise OperatorError(str(error)) from None
     context = rclpy.Context()
     context.init(args=[])
     try:
-        node = OperatorNode(namespace, check, context)
+        node = OperatorNode(namespace, check, context, name)
         try:
             yield node
         finally:
@@ -73,22 +126,43 @@ def operator(namespace: str, check: Callable[[], None]) -> Iterator[OperatorNode
 
 
 class OperatorNode(Node):
-    """Calls the services and actions of the driver and the optimizer in its own namespace.
+    """Calls the services and actions of the driver, the optimizer and the virtual robot in its own namespace.
 
     ``late_cycles`` is how many deadlines the driver says that it has missed since its start.
     ``check`` is called while waiting and may raise, such as when a node's process has died.
     """
 
-    def __init__(self, namespace: str, check: Callable[[], None], context: rclpy.Context) -> None:
-        super().__init__("operator", namespace=namespace, context=context)
+    def __init__(
+        self,
+        namespace: str,
+        check: Callable[[], None],
+        context: rclpy.Context,
+        name: str = "operator",
+    ) -> None:
+        super().__init__(name, namespace=namespace, context=context)
         self._check = check
         self._named_clients: dict[str, Client] = {}
         self.late_cycles = 0
         self._simulated_s: float | None = None  # by the clock of a virtual robot
+        self._heard: dict[type, Any] = {}  # the last message of each type
+        self._errors: deque[str] = deque(maxlen=20)  # of the driver's log
+        self._watched: set[type] = set()
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.create_subscription(Clock, "clock", self._on_clock, 10)
+        self.create_subscription(Log, "/rosout", self._on_log, 100)
+        self.create_subscription(GaitState, "gait_state", self._hear, _LATCHED)
+        self._heartbeat = self.create_publisher(Heartbeat, "heartbeat", 10)
+        self._emergency = self.create_publisher(Bool, "emergency_stop", _LATCHED)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self)
+
+    def _hear(self, message: Any) -> None:
+        self._heard[type(message)] = message
+
+    def _on_log(self, message: Log) -> None:
+        own = f"{self.get_namespace()}/{DRIVER}".strip("/").replace("/", ".")
+        if message.name == own and message.level >= LoggingSeverity.ERROR:
+            self._errors.append(message.msg)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         own = self.get_namespace().strip("/")
@@ -110,38 +184,47 @@ class OperatorNode(Node):
         self._executor.shutdown()
         super().destroy_node()
 
+    # --- the graph -----------------------------------------------------------------------------
+
+    def wait_for_driver(self, timeout_s: float) -> None:
+        """Wait until a driver is heard in this namespace; raises `OperatorError` if none is."""
+        if not self.wait(lambda: GaitState in self._heard, timeout_s):
+            raise OperatorError(
+                f"no driver is heard in {self.get_namespace()} within {timeout_s:g} s: start one "
+                "(./worm start, or ros2 launch worm_optimizer worm.launch.py), or give its namespace "
+                "and ROS_DOMAIN_ID"
+            )
+
+    def refuse_second_driver(self) -> None:
+        """Raise `OperatorError` if the robot of this namespace has its driver already.
+
+        A process that was killed is announced for a while after its end, and is waited for.
+        """
+        topic = self.resolve_topic_name("gait_state")
+        self.wait(lambda: self.count_publishers(topic) > 0, STRANGER_S)
+        if not self.wait(lambda: self.count_publishers(topic) == 0, LEASE_S):
+            raise OperatorError(
+                f"another worm runs in this ROS domain: {self.get_namespace()} has a driver already; "
+                "end it, or set ROS_DOMAIN_ID to another number for one of them"
+            )
+
     def wait_for_nodes(self, names: Iterable[str]) -> None:
         """Wait until these nodes are there; raises `OperatorError` if one is not, or is there twice.
 
         Two nodes of one name in this ROS domain mean that another worm runs, and commands would reach
         both; those of a process that was killed go after a while.
         """
-        expected = {*names, self.get_name()}
-        self._wait(lambda: expected <= set(self._names()), NODES_TIMEOUT_S)
+        expected = set(names)
+        self.wait(lambda: expected <= set(self._names()), NODES_TIMEOUT_S)
         missing = sorted(expected - set(self._names()))
         if missing:
             raise OperatorError(f"no node {missing[0]} within {NODES_TIMEOUT_S:g} s")
-        if not self._wait(lambda: not self._repeated(expected), LEASE_S):
+        if not self.wait(lambda: not self._repeated(expected), LEASE_S):
             raise self._another_worm(sorted(self._names()))
 
     def _repeated(self, names: set[str]) -> list[str]:
         found = self._names()
         return [name for name in names if found.count(name) > 1]
-
-    def refuse_strangers(self, names: Iterable[str]) -> None:
-        """Raise `OperatorError` if the namespace has other nodes than these: another worm runs.
-
-        A node beside one of these carries its name and a purpose (driver_stop) and is no stranger. A process
-        that was killed is announced for a while after its end, and is waited for.
-        """
-        expected = sorted({*names, self.get_name()})
-        beside = tuple(f"{name}_" for name in expected)
-
-        def found() -> list[str]:
-            return sorted(n for n in self._names() if n in expected or not n.startswith(beside))
-
-        if not self._wait(lambda: found() == expected, LEASE_S):
-            raise self._another_worm(sorted(self._names()))
 
     def _another_worm(self, found: list[str]) -> OperatorError:
         return OperatorError(
@@ -152,13 +235,13 @@ class OperatorNode(Node):
     def wait_for_publisher(self, topic: str, remedy: str) -> None:
         """Wait until somebody publishes a topic; raises `OperatorError`, which tells the remedy."""
         name = self.resolve_topic_name(topic)
-        if not self._wait(lambda: self.count_publishers(name) > 0, DISCOVERY_TIMEOUT_S):
+        if not self.wait(lambda: self.count_publishers(name) > 0, DISCOVERY_TIMEOUT_S):
             raise OperatorError(f"nobody publishes {name}: {remedy}")
 
     def rest(self, duration_s: float) -> None:
         """Let time of the robot pass, while everything is checked to be alive."""
         end = self.robot_time_s + duration_s
-        self._wait(lambda: self.robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
+        self.wait(lambda: self.robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
 
     def wait_for_recorder(self, name: str) -> None:
         """Wait until a node subscribes to all visible topics of this namespace that are published.
@@ -166,7 +249,7 @@ class OperatorNode(Node):
         What is published before that is not in its recording. Raises `OperatorError` with a topic
         that it does not subscribe to in time.
         """
-        if not self._wait(lambda: not self._unheard_topics(name), DISCOVERY_TIMEOUT_S):
+        if not self.wait(lambda: not self._unheard_topics(name), DISCOVERY_TIMEOUT_S):
             raise OperatorError(f"{name} does not subscribe to {self._unheard_topics(name)[0]}")
 
     def _unheard_topics(self, listener: str) -> list[str]:
@@ -184,83 +267,180 @@ class OperatorNode(Node):
         nodes = self.get_node_names_and_namespaces()
         return [name for name, namespace in nodes if namespace == self.get_namespace()]
 
-    def activate(self, node: str) -> None:
-        """Configure and activate a lifecycle node; raises `OperatorError` if it does not get there."""
-        attempts = 0
+    # --- what a person does --------------------------------------------------------------------
+
+    def state(self) -> RobotState:
+        """What is heard of the robot. Raises `OperatorError` if there is no driver."""
+        for kind, topic in _TELEMETRY.items():
+            if kind not in self._watched:
+                self._watched.add(kind)
+                self.create_subscription(kind, topic, self._hear, 10)
+        self.wait_for_driver(DISCOVERY_TIMEOUT_S)
+        self.wait(lambda: _TELEMETRY.keys() <= self._heard.keys(), TELEMETRY_S)
+        return _state_of(self._state(DRIVER).label, self._heard)
+
+    def activate(self, node: str = DRIVER, attempts: int = ATTEMPTS) -> None:
+        """Configure and activate a lifecycle node; raises `OperatorError` if it does not get there.
+
+        ``attempts`` counts transitions: 2 are needed from unconfigured to active.
+        """
+        asked = 0
         while (state := self._state(node)).id != State.PRIMARY_STATE_ACTIVE:
-            if state.id not in _NEXT or attempts == ATTEMPTS:
-                raise OperatorError(f"{node} stays {state.label}: its log says why")
-            attempts += 1
+            if state.id not in _NEXT or asked == attempts:
+                raise OperatorError(f"{node} stays {state.label}: {self._reason()}")
+            asked += 1
+            self._errors.clear()
             self._change(node, _NEXT[state.id])
 
-    def deactivate(self, node: str) -> None:
-        """Deactivate a lifecycle node, which turns the torque of a driver off."""
-        if not self._change(node, Transition.TRANSITION_DEACTIVATE):
-            raise OperatorError(f"{node} does not deactivate: its log says why")
+    def configure(self, node: str = DRIVER) -> None:
+        """Configure a lifecycle node that is not yet; raises `OperatorError` if it cannot be."""
+        if self._state(node).id == State.PRIMARY_STATE_UNCONFIGURED:
+            self._errors.clear()
+            if not self._change(node, Transition.TRANSITION_CONFIGURE):
+                raise OperatorError(f"{node} cannot be configured: {self._reason()}")
 
-    def request_cruise(self, progress: Callable[[str], None]) -> Prediction:
-        """Ask the optimizer for its most economical forward gait, again until it has a front.
+    def deactivate(self, node: str = DRIVER) -> None:
+        """Deactivate a lifecycle node that is active; a driver comes to rest and turns its torque off.
 
-        ``progress`` gets the reason why there is no gait yet. Raises `OperatorError` with the last
-        reason when there is none in time.
+        Raises `OperatorError` if it stays active.
         """
-        request = RequestGait.Request(objective=RequestGait.Request.CRUISE, direction=Gait.FORWARD)
+        if self._state(node).id != State.PRIMARY_STATE_ACTIVE:
+            return
+        self._errors.clear()
+        if not self._change(node, Transition.TRANSITION_DEACTIVATE):
+            raise OperatorError(f"{node} does not deactivate: {self._reason()}")
+
+    def home(self) -> str:
+        """Take the present cable length as the initial one; returns what was done. Raises `OperatorError`."""
+        self.configure()
+        return self._trigger("home")
+
+    def reboot(self) -> str:
+        """Restart the servos with a hardware error; returns what was done. Raises `OperatorError`."""
+        return self._trigger("reboot")
+
+    def stop(self) -> str:
+        """Hold the robot where it is, at once; returns what was done. Raises `OperatorError`."""
+        return self._trigger("stop")
+
+    def emergency_stop(self, on: bool) -> None:  # noqa: FBT001 (the topic's own value)
+        """Hold at once and refuse every start, or permit starts again; waits until the driver says so.
+
+        Raises `OperatorError` if it does not.
+        """
+
+        def follows() -> bool:
+            self._emergency.publish(Bool(data=on))
+            heard = self._heard.get(GaitState)
+            return heard is not None and heard.emergency_stop == on
+
+        if not self.wait(follows, CALL_TIMEOUT_S):
+            raise OperatorError("the driver does not follow the topic emergency_stop")
+
+    def inject_fault(self, name: str, **details: float) -> str:
+        """Rehearse a fault on the virtual robot; returns what will happen. Raises `OperatorError`.
+
+        ``details`` are the fields of InjectFault: target, delay, duration, count, value.
+        """
+        fault = InjectFault.Request(name=name, **details)
+        response = self._call(InjectFault, "inject_fault", fault)
+        if not response.success:
+            raise OperatorError(response.message)
+        return str(response.message)
+
+    def request_gait(
+        self,
+        request: GaitRequest,
+        progress: Callable[[str], None],
+        direction: int = FORWARD,
+        initial_length: float = 0.0,
+    ) -> Prediction:
+        """Ask the optimizer for a gait, again until it has a front.
+
+        ``initial_length`` in m is that of the robot as it rests (`RobotState` has it), 0 that of the optimizer's
+        parameters. ``progress`` gets the reason why there is no gait yet. Raises `UnreachableError`, and
+        `OperatorError` with the last reason when there is none in time.
+        """
+        message = RequestGait.Request(
+            objective=int(request.objective), direction=direction, initial_length=initial_length
+        )
+        if request.objective is Objective.MIN_POWER_AT_SPEED:
+            message.speed = request.value
+        elif request.objective is Objective.MAX_SPEED_AT_POWER:
+            message.power = request.value
         deadline = time.monotonic() + OPTIMIZER_TIMEOUT_S
         while True:
-            response = self._call_twice(RequestGait, "request_gait", request)
+            response = self._call_twice(RequestGait, "request_gait", message)
             if response.success:
                 return _prediction_of(response.prediction)
-            if time.monotonic() > deadline:
+            if response.status == RequestGait.Response.UNREACHABLE:
+                raise UnreachableError(response.message, _prediction_of(response.prediction))
+            waits = response.status == RequestGait.Response.COMPUTING
+            if not waits or time.monotonic() > deadline:
                 raise OperatorError(f"the optimizer has no gait: {response.message}")
             progress(response.message)
-            self._wait(lambda: False, REQUEST_PERIOD_S)
+            self.wait(lambda: False, REQUEST_PERIOD_S)
 
-    def run_gait(self, gait: model.Gait, cycles: int, progress: Callable[[int], None]) -> None:
-        """Run a gait to its end; raises `OperatorError` if it is refused, `GaitFailedError` if it fails.
+    def begin(self, order: Order, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
+        """Have a gait begun; whoever gets it closes it.
 
-        ``progress`` gets the number of cycles begun.
+        The robot comes to rest when this operator is not heard any more, or ``wanted`` says no: it is asked four
+        times a second. Raises `OperatorError` if there is nobody who could run it.
         """
-        client = ActionClient(self, RunGait, "run_gait")
+        run = GaitRun(self, self._heartbeat, order, wanted)
         try:
-            self._run_goal(client, gait, cycles, progress)
+            if not self.wait(lambda: run.possible, DISCOVERY_TIMEOUT_S):
+                raise OperatorError("no action run_gait")
+            run.send()
+            if not self.wait(lambda: run.answered, CALL_TIMEOUT_S):
+                raise _NoAnswerError(f"no answer from run_gait within {CALL_TIMEOUT_S:g} s")
+        except BaseException:
+            run.close()
+            raise
+        return run
+
+    def follow(
+        self, run: GaitRun, progress: Progress, until: Callable[[], bool] = lambda: False
+    ) -> bool:
+        """Wait for a run's end, or until something else is so; whether the run has ended.
+
+        ``progress`` gets each new word of it. Raises `OperatorError` when nothing is heard any more: a virtual
+        robot's time may pass more slowly than this computer's, but as long as it goes on, all is well.
+        """
+        told = None
+        while not run.done and not until():
+            if time.monotonic() > run.heard_at + SILENCE_S:
+                raise _NoAnswerError(f"nothing is heard of the run for {SILENCE_S:g} s")
+            self._spin()
+            if run.progress is not None and run.progress is not told:
+                told = run.progress
+                progress(told)
+        return run.done
+
+    def run(self, order: Order, progress: Progress) -> RunResult:
+        """Run a gait to its end; raises `OperatorError`, `GaitFailedError` if it was begun and failed."""
+        run = self.begin(order)
+        try:
+            self.follow(run, progress)
+            result = run.result
         finally:
-            client.destroy()  # else the node stays announced
+            run.close()
+        if not result.success:
+            raise GaitFailedError(f"the gait failed: {result.message}")
+        return result
 
-    def _run_goal(
-        self, client: ActionClient, gait: model.Gait, cycles: int, progress: Callable[[int], None]
-    ) -> None:
-        if not self._wait(client.server_is_ready, DISCOVERY_TIMEOUT_S):
-            raise OperatorError("no action run_gait")
-        goal = RunGait.Goal(cycles=cycles)
-        goal.gait = Gait(
-            stroke=gait.stroke,
-            frequency=gait.frequency,
-            direction=gait.direction,
-            margin=gait.margin,
-        )
-        heard = [time.monotonic()]
+    # --- calls ---------------------------------------------------------------------------------
 
-        def hear(message: Any) -> None:
-            heard[0] = time.monotonic()
-            progress(message.feedback.cycle)
-
-        sent = client.send_goal_async(goal, hear)
-        handle = self._result(sent, "run_gait", CALL_TIMEOUT_S)
-        if not handle.accepted:
-            raise OperatorError("the driver refuses the gait: its log says why")
-        ended = handle.get_result_async()
-        # A virtual robot's time may pass more slowly than this computer's: as long as it goes on, all is well.
-        while not ended.done() and time.monotonic() < heard[0] + SILENCE_S:
-            self._wait(ended.done, 1.0)
-        answer = self._result(ended, "run_gait", 0.0)
-        if not answer.result.success:
-            raise GaitFailedError(f"the gait failed: {answer.result.message}")
-
-    def stop(self) -> None:
-        """Stop the robot at once."""
-        response = self._call_twice(Trigger, "stop", Trigger.Request())
+    def _trigger(self, name: str) -> str:
+        response = self._call_twice(Trigger, name, Trigger.Request())
         if not response.success:
-            raise OperatorError(f"the driver did not stop: {response.message}")
+            raise OperatorError(f"{name}: {response.message}")
+        return str(response.message)
+
+    def _reason(self) -> str:
+        """The driver's own word on what has just failed, or where it is to be found."""
+        self.wait(lambda: bool(self._errors), REASON_S)
+        return self._errors[-1] if self._errors else "its log says why"
 
     def _state(self, node: str) -> State:
         answer = self._call_twice(GetState, f"{node}/get_state", GetState.Request())
@@ -282,23 +462,53 @@ class OperatorNode(Node):
         if name not in self._named_clients:  # one for good: a new one would be discovered anew
             self._named_clients[name] = self.create_client(kind, name)
         client = self._named_clients[name]
-        if not self._wait(client.service_is_ready, DISCOVERY_TIMEOUT_S):
+        if not self.wait(client.service_is_ready, DISCOVERY_TIMEOUT_S):
             raise OperatorError(f"no service {name}")
         return self._result(client.call_async(request), name, CALL_TIMEOUT_S)
 
     def _result(self, future: Future, name: str, timeout_s: float) -> Any:
-        if not self._wait(future.done, timeout_s):
+        if not self.wait(future.done, timeout_s):
             raise _NoAnswerError(f"no answer from {name} within {timeout_s:g} s")
         return future.result()
 
-    def _wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Spin until a condition holds; false if it does not within a time (s)."""
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:
                 return False
-            self._check()
-            self._executor.spin_once(timeout_sec=SPIN_S)
+            self._spin()
         return True
+
+    def _spin(self) -> None:
+        self._check()
+        self._executor.spin_once(timeout_sec=SPIN_S)
+
+
+def _state_of(lifecycle: str, heard: dict[type, Any]) -> RobotState:
+    gait_state = heard[GaitState]
+    told: dict[str, Any] = {}
+    if (power := heard.get(Power)) is not None:
+        told["power"] = power.power
+    if (tracker := heard.get(Tracker)) is not None:
+        told["rear_position"] = tracker.rear_position
+    if (residuals := heard.get(TwinResiduals)) is not None:
+        told["health"] = _HEALTH.get(residuals.health, "")
+    if (twin := heard.get(TwinState)) is not None:
+        told["initial_length"] = twin.initial_length
+    return RobotState(
+        lifecycle=lifecycle,
+        state=_STATES.get(gait_state.state, ""),
+        homed=gait_state.homed,
+        emergency_stop=gait_state.emergency_stop,
+        cycle=gait_state.cycle,
+        cycles=gait_state.cycles,
+        stroke=gait_state.gait.stroke,
+        frequency=gait_state.gait.frequency,
+        direction=gait_state.gait.direction,
+        message=gait_state.message,
+        **told,
+    )
 
 
 def _prediction_of(message: GaitPrediction) -> Prediction:

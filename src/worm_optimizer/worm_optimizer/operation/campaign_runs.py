@@ -17,10 +17,11 @@ from worm_optimizer.operation.bring_up import (
     RECORDER,
     Say,
     Session,
+    recording,
     session,
-    start_node,
 )
 from worm_optimizer.operation.system import System, SystemFile
+from worm_optimizer.orders import Order
 
 _UNUSED = {"optimizer", RECORDER}  # the front is known; each gait has a recorder of its own
 _AFTERWARDS_S = 2.0  # of rest that end a recording; the slack of a resting cable comes back in it
@@ -104,9 +105,6 @@ def _record_gait(running: Session, system: System, name: str, gait: Gait) -> Non
         f"{name}: stroke {1e3 * gait.stroke:.1f} mm, frequency {gait.frequency:.3f} Hz, "
         f"{CYCLES} cycles in {CYCLES / gait.frequency:.0f} s"
     )
-    process = f"{RECORDER}_{name}"
-    start_node(running.group, system.node(RECORDER), system.namespace, process)
-    running.node.wait_for_recorder(RECORDER)
-    running.run_gait(gait)
-    running.node.rest(_AFTERWARDS_S)
-    running.group.end(process)
+    with recording(running.group, running.node, system.node(RECORDER), f"{RECORDER}_{name}"):
+        running.run_gait(Order(gait, CYCLES))
+        running.node.rest(_AFTERWARDS_S)

@@ -9,7 +9,9 @@ from pathlib import Path
 
 from worm_optimizer.operation.bring_up import CYCLES, RECORDER, Say, Session, session
 from worm_optimizer.operation.system import System
+from worm_optimizer.orders import Order
 from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search.gait_request import GaitRequest, Objective
 
 PATIENCE_S = 5.0  # between two lines that say that there is no gait yet
 
@@ -26,8 +28,7 @@ def drive(system: System, logs: Path, say: Say) -> Prediction:
 
 def _run_gait(running: Session, say: Say) -> Prediction:
     node = running.node
-    node.refuse_strangers(description.name for description in running.system.nodes)
-    prediction = node.request_cruise(_now_and_then(say))
+    prediction = node.request_gait(GaitRequest(Objective.CRUISE), now_and_then(say))
     gait = prediction.gait
     say(
         f"the optimizer answers: stroke {1e3 * gait.stroke:.1f} mm, frequency "
@@ -36,12 +37,13 @@ def _run_gait(running: Session, say: Say) -> Prediction:
     running.activate()
     node.wait_for_recorder(RECORDER)
     say(f"running {CYCLES} cycles, {CYCLES / gait.frequency:.0f} s")
-    running.run_gait(gait)
+    running.run_gait(Order(gait, CYCLES))
     running.release()
     return prediction
 
 
-def _now_and_then(say: Say) -> Callable[[str], None]:
+def now_and_then(say: Say) -> Callable[[str], None]:
+    """A progress of `OperatorNode.request_gait` that tells the reason every few seconds."""
     last = [-PATIENCE_S]
 
     def progress(reason: str) -> None:

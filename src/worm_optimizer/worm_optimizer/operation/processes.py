@@ -19,6 +19,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 POLL_PERIOD_S = 0.02
 GRACE_S = 30.0  # from an interrupt to a kill; a driver brings its gait to rest within a cycle, if it gets a processor
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -63,8 +64,9 @@ class Process:
         self, name: str, command: Sequence[str], log: Path, env: Mapping[str, str]
     ) -> None:
         self.name = name
+        self.command = command
         self._log = log
-        with log.open("wb") as output:
+        with log.open("ab") as output:
             self._popen = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -146,19 +148,37 @@ class Process:
 
 
 @contextlib.contextmanager
+def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    before = {number: signal.signal(number, handler) for number in ENDING_SIGNALS}
+    try:
+        yield
+    finally:
+        for number, previous in before.items():
+            signal.signal(number, previous)
+
+
+@contextlib.contextmanager
 def termination_as_interrupt() -> Iterator[None]:
     """Let SIGTERM and SIGHUP raise `KeyboardInterrupt`, as SIGINT does, so that nothing is left behind."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, interrupt) for number in numbers}
-    try:
+    with _handling(interrupt):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def counted_interrupts() -> Iterator[Callable[[], int]]:
+    """How often SIGINT, SIGTERM and SIGHUP came, which do nothing else meanwhile."""
+    count = 0
+
+    def note(_number: int, _frame: FrameType | None) -> None:
+        nonlocal count
+        count += 1
+
+    with _handling(note):
+        yield lambda: count
 
 
 class ProcessGroup:
@@ -176,6 +196,17 @@ class ProcessGroup:
         process = Process(name, command, self.log_folder / f"{name}.log", self._env)
         self.processes[name] = process
         return process
+
+    def restart(self, name: str) -> None:
+        """Start a process that has ended once more; its log goes on."""
+        ended = self.forget(name)
+        self.start(name, ended.command)
+
+    def forget(self, name: str) -> Process:
+        """Let go of a process that has ended: how it did no longer matters."""
+        ended = self.processes.pop(name)
+        ended.release()
+        return ended
 
     def check(self) -> None:
         """Raise `ProcessError` if a process has ended with an error."""

@@ -14,6 +14,7 @@ import yaml
 Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
 MODES = ("robot", "virtual", "replay")
+RESTARTS = 3  # of a node that is not required, where the nodes are to stay up
 _SYSTEM_KEYS = {"namespace", "settings", "nodes"}
 _NODE_KEYS = {
     "package",

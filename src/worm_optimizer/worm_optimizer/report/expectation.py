@@ -19,11 +19,11 @@ from worm_model.simulation.simulator import (
     cost_of_transport,
     evaluate_gait,
 )
-from worm_optimizer.robustness.uncertainty import phase_known
+from worm_optimizer.robustness.uncertainty import correlated, phase_known
 
 # 95 % half-widths relative to the value, of the parameters that touch the power only, for those without an interval
-# in the parameter file. This project's judgement, as those of `robustness.uncertainty`. Damping and power factor
-# are drawn independently; a fit knows their product better than either, so that the band of power is rather too wide.
+# in the parameter file. This project's judgement, as those of `robustness.uncertainty`. A fit knows the product of
+# damping and power factor better than either: what the file says of their correlation decides the band of power.
 POWER_HALF_WIDTHS: Mapping[str, float] = {
     "bellows_stiffness": 0.03,
     "bellows_damping": 0.10,
@@ -104,11 +104,16 @@ def expect(gait: Gait, content: ParameterFile, averaged: tuple[int, int] = _STEA
 
 def _power_draws(content: ParameterFile) -> dict[str, np.ndarray]:
     values = content.parameters.as_dict()
+    independent = {
+        key: np.random.default_rng([SEED, stream]).standard_normal(SAMPLES)
+        for stream, key in enumerate(POWER_HALF_WIDTHS, start=_STREAM)
+    }
+    deviates = correlated(independent, content.correlations)
     draws = {}
-    for stream, (key, width) in enumerate(POWER_HALF_WIDTHS.items(), start=_STREAM):
+    for key, width in POWER_HALF_WIDTHS.items():
         value = values[key]
         low, high = content.intervals.get(key, (value * (1.0 - width), value * (1.0 + width)))
-        deviate = np.random.default_rng([SEED, stream]).standard_normal(SAMPLES) / _NORMAL_95
+        deviate = deviates[key] / _NORMAL_95
         drawn = value + np.where(deviate > 0.0, deviate * (high - value), deviate * (value - low))
         draws[key] = np.clip(drawn, 0.1 * value, 10.0 * value)
     return draws

@@ -28,6 +28,8 @@ DEFAULT_HALF_WIDTHS: Mapping[str, float] = {
     "time_constant": 0.10,
     "gain": 0.02,
     "slack": 0.05,
+    "rear_dry_friction": 0.0,
+    "front_dry_friction": 0.0,
 }
 
 _PHASES = 64  # of every_phase
@@ -70,12 +72,12 @@ def description(content: ParameterFile) -> str:
 
 def _parameters_described(content: ParameterFile) -> str:
     own = [key for key in DEFAULT_HALF_WIDTHS if key in content.intervals]
-    if len(own) == len(DEFAULT_HALF_WIDTHS):
+    if all(key in own for key, width in DEFAULT_HALF_WIDTHS.items() if width > 0.0):
         return "the parameter file's 95 % intervals"
     others = ", ".join(
         f"{key} ±{100.0 * width:g} %"
         for key, width in DEFAULT_HALF_WIDTHS.items()
-        if key not in content.intervals
+        if key not in content.intervals and width > 0.0
     )
     mine = f"the parameter file's 95 % intervals of {', '.join(own)}; " if own else ""
     return f"{mine}assumed at 95 %: {others}"

@@ -58,6 +58,8 @@ def test_the_rest_waits_for_the_tracker_but_not_for_ever():
     blind = Observation(fins_set=True, idle_samples=100, tracker_ready=False)
     states = play(state, 0.0, 10.0, seen=blind, until=lambda s: s.phase is Phase.RUNNING)
     assert states[-1][0] - states[-1][1].run.rest_start >= SETTINGS.rest_timeout - DT
+    assert states[-1][1].message == "the robot was not seen at rest before the gait"
+    assert play(state, 0.0, 10.0, until=lambda s: s.phase is Phase.RUNNING)[-1][1].message == ""
 
 
 def test_a_rest_without_samples_ends_all_the_same():
@@ -93,7 +95,7 @@ def test_cancel_ends_at_the_next_point_of_rest(when):
     if state.run.ending is not None:
         return
     cycle = state.run.cycle(now)
-    state = gait_player.cancel(state, now)
+    state = gait_player.cancel(state, now, "cancelled")
     assert state.phase is Phase.STOPPING
     final = play(state, now, 3.0)[-1][1]
     assert final.run.ending is Ending.CANCELLED
@@ -105,7 +107,7 @@ def test_cancel_at_rest_ends_at_once():
     state = gait_player.start(PlayerState(), 0.0, Gait(0.07, 0.4), 5)
     now, state = play(state, 0.0, 0.8)[-1]
     assert state.phase is Phase.RESTING
-    state = gait_player.cancel(state, now)
+    state = gait_player.cancel(state, now, "cancelled")
     assert (state.phase, state.run.ending) == (Phase.IDLE, Ending.CANCELLED)
     assert state.run.cycles_completed(now) == 0
 

@@ -7,7 +7,7 @@ import pytest
 from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_model.identification.locomotion import worm_of
 from worm_model.parameters import PAPER
-from worm_model.simulation.kernel import dry_friction as kernel
+from worm_model.simulation.kernel import stepped_dry_friction as kernel
 from worm_model.simulation.simulator import Locomotion, simulate
 
 STEP = 0.008  # s, that identification uses
@@ -40,6 +40,19 @@ def test_without_dry_friction_it_is_the_exact_model(gait, direction):
     work = np.sum(np.maximum(-force * motions.length_rate, 0.0))
     exact = np.sum(np.maximum(-motions.cable_force * motions.length_rate, 0.0))
     assert work == pytest.approx(exact, rel=2e-3)
+
+
+def test_with_dry_friction_it_is_near_the_exact_model():
+    """Its friction fades below 1 mm/s and its lengths have a step: 0.06 mm, a quarter of a camera's noise."""
+    dry = PAPER.replace(rear_dry_friction=0.12, front_dry_friction=0.03)
+    for gait in GAITS:
+        times, changes = length_changes(gait, STEP)
+        worm = worm_of(PAPER, FORWARD)._replace(rear_dry=0.12, front_dry=0.03)
+        switches, samples = slide(STEP, changes, worm)
+        model = Locomotion(dry)
+        state, motions = model.follow(model.start(), times[1:], changes[1:])
+        assert switches == state.switches
+        assert np.sqrt(np.mean((samples[1:, kernel.X1] - motions.x1) ** 2)) < 6e-5
 
 
 def test_the_step_hardly_matters_with_dry_friction():

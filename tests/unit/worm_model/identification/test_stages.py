@@ -30,7 +30,7 @@ from worm_model.identification.locomotion import (
 from worm_model.identification.measured_length import measured_length
 from worm_model.identification.observed_run import recording_of
 from worm_model.parameters import PAPER
-from worm_model.simulation.kernel import dry_friction
+from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
 from worm_model.simulation.simulator import simulate
 
 TRUTH = PAPER.replace(

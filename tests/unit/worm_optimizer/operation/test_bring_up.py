@@ -12,6 +12,7 @@ from worm_optimizer.operation import bring_up
 from worm_optimizer.operation.bring_up import Session, load
 from worm_optimizer.operation.processes import ProcessGroup
 from worm_optimizer.operation.system import System
+from worm_optimizer.orders import Order, RunProgress
 
 GAIT = Gait(0.07, 0.2)
 
@@ -23,19 +24,19 @@ class Operator:
         self.failures, self.late_cycles = failures, late_cycles
         self.asked: list[str] = []
 
-    def run_gait(self, gait: Gait, cycles: int, progress) -> None:
-        assert (gait, cycles) == (GAIT, 5)
+    def run(self, order: Order, progress) -> None:
+        assert order == Order(GAIT, 5)
         self.asked.append("run")
-        progress(1)
+        progress(RunProgress(1, 0.0, 0.0, 0.0, 0.0))
         if self.failures:
             self.failures -= 1
             raise GaitFailedError("the gait failed: fault: servo 1 gives no state")
 
-    def activate(self, node: str) -> None:
-        self.asked.append(f"activate {node}")
+    def activate(self) -> None:
+        self.asked.append("activate")
 
-    def deactivate(self, node: str) -> None:
-        self.asked.append(f"deactivate {node}")
+    def deactivate(self) -> None:
+        self.asked.append("deactivate")
 
 
 @pytest.fixture
@@ -46,7 +47,7 @@ def idle(monkeypatch):
 def run(operator: Operator, folder: Path) -> list[str]:
     told: list[str] = []
     system = System("worm", ())
-    Session(ProcessGroup(folder), operator, system, told.append).run_gait(GAIT)
+    Session(ProcessGroup(folder), operator, system, told.append).run_gait(Order(GAIT, 5))
     return told
 
 
@@ -60,7 +61,7 @@ def test_a_gait_that_fails_is_run_once_more_and_that_is_said(idle, tmp_path):
     operator = Operator(1)
     told = run(operator, tmp_path)
     assert "the gait failed: fault: servo 1 gives no state: once more" in told
-    assert operator.asked == ["run", "deactivate driver", "activate driver", "run"]
+    assert operator.asked == ["run", "deactivate", "activate", "run"]
 
 
 def test_a_gait_that_fails_twice_has_failed(idle, tmp_path):

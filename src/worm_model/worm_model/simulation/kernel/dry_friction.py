@@ -1,261 +1,248 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The locomotion model with dry friction of its modules, integrated in steps along a sampled length.
+"""Dry friction of the modules (Coulomb's), exact: sliding is a constant force, sticking a mode, its end an event.
 
-Identification needs it: dry friction that nobody models would be booked as viscous friction. It has no closed
-form, so this is the one place of the model with a step size. Without dry friction it is the model of
-`worm_model.simulation.kernel.mode` (eq:continuous_model to eq:A2_switch) up to that step.
+A module that slides is pushed back by a constant force D. One that sticks moves with the pipe, so that ΔL alone
+moves the other, until what friction must hold exceeds D. Where both stick, ΔL stands still, too. How a module is held
+follows from its velocity and, where that vanishes, from the forces: it is judged wherever a mode opens.
 
-The state is y = x1 + μ·ΔL as everywhere. Friction of a module is (η + F/(|v| + v_s))·v: v_s, the speed below
-which dry friction fades, keeps it a function.
+`STILL` and `SPARE` are the widths of the borders between sliding and sticking. They keep rounding from deciding, and
+from deciding to and fro: a module sticks below STILL, and slides on from SPARE above what friction holds.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
-import numpy as np
+from worm_model.simulation.kernel.compiled import compiled, inlined
+from worm_model.simulation.kernel.guard import (
+    FRONT_GRIP_HIGH,
+    FRONT_GRIP_LOW,
+    NEVER,
+    REAR_GRIP_HIGH,
+    REAR_GRIP_LOW,
+    Horizon,
+    above,
+    below,
+    follow,
+    locate,
+    narrow,
+    read,
+)
+from worm_model.simulation.kernel.linear import (
+    Basis,
+    Coefficients,
+    Wave,
+    combine,
+    derivative,
+    roots_of,
+    shifted,
+    value,
+)
+from worm_model.simulation.kernel.mode import (
+    Constants,
+    Mode,
+    Motion,
+    cable_force,
+    enter_mode,
+    fin_force,
+    fin_stiffness,
+    mode_of,
+)
 
-from worm_model.simulation.kernel.compiled import inlined, unlocked
-
-FADING_SPEED = 1e-3  # m/s
-SHORTEST_STEP = 1e-9  # s, after a switch at a step's end
-MOST_SWITCHES = 8  # in a step; beyond it the anchors switch to and fro
-
-# Columns of a row of samples: rear module, its velocity, and the cable force but for the body's part
-X1, V1, HOLDING_FORCE = range(3)
-SAMPLE_COLUMNS = 3
-# Columns of a row of grooves
-THRESHOLD, STIFFNESS = range(2)
-GROOVE_COLUMNS = 2
-FIRST_GROOVE = 2  # row of the groove in which a module starts
-
-
-class Worm(NamedTuple):
-    """Parameters in SI units; ``direction`` is that of the fins, ±1, ``rear_dry`` and ``front_dry`` are in N.
-
-    ``onset`` is how ΔL sets in with a rate at once: 0 if the modules share it by their masses, so that the centre of
-    mass stays at rest, 1 if the rear module is at rest after it too, as the paper's initial values have it.
-    """
-
-    direction: float
-    rear_mass: float
-    front_mass: float
-    initial_length: float
-    friction: float
-    pitch: float
-    engaged_stiffness: float
-    disengaged_stiffness: float
-    threshold: float
-    clearance: float
-    rear_dry: float
-    front_dry: float
-    onset: float = 0.0
-
-
-@inlined
-def _spring(stretch: float, factor: float, worm: Worm) -> tuple[float, float]:
-    """(stiffness, rest) of a fin at a stretch: its force is stiffness·(stretch − rest) (eq:fin_force_piecewise)."""
-    half = 0.5 * worm.clearance
-    if abs(stretch) <= half:
-        return 0.0, 0.0
-    slides = stretch * worm.direction > 0.0  # forward fins are stiff when pushed backward
-    stiffness = worm.disengaged_stiffness if slides else worm.engaged_stiffness
-    return factor * stiffness, math.copysign(half, stretch)
+STILL = 1e-11  # m/s
+SPARE = 1e-9  # N
+LOCATED = 0.1  # share of these widths to which an event is located
 
 
-@inlined
-def _drag(velocity: float, dry: float, worm: Worm) -> float:
-    return worm.friction + dry / (abs(velocity) + FADING_SPEED)
+class Grip(NamedTuple):
+    """How dry friction holds both modules: the sign of the velocity of one that slides, 0 for one that sticks."""
 
-
-class _Piece(NamedTuple):
-    """What stays during a step: ΔL at its start and its slope, the anchors and the factors of their stiffness."""
-
-    start: float
-    slope: float
-    rear_anchor: float
-    front_anchor: float
-    rear_factor: float
-    front_factor: float
-
-
-@inlined
-def _implicit_step(
-    y: float,
-    rate: float,
-    h: float,
-    piece: _Piece,
-    y_seen: float,
-    rate_seen: float,
-    at: float,
-    worm: Worm,
-) -> tuple[float, float, float, float]:
-    """(mean ẏ, weight of the end, drag and fin force of the rear module) of a step of ``h`` seconds.
-
-    The fins' regions and the drags are those of the state ``y_seen``, ``rate_seen``, ``at`` seconds into the step;
-    the rest is solved implicitly, by the trapezoidal rule unless the drag is so high that it would ring.
-    """
-    mass = worm.rear_mass + worm.front_mass
-    mu = worm.front_mass / mass
-    v1 = rate_seen - mu * piece.slope
-    rear_drag = _drag(v1, worm.rear_dry, worm)
-    front_drag = _drag(v1 + piece.slope, worm.front_dry, worm)
-    drag = rear_drag + front_drag
-    seen = piece.start + at * piece.slope
-    rear_k, rear_rest = _spring(y_seen - mu * seen - piece.rear_anchor, piece.rear_factor, worm)
-    front_offset = worm.initial_length - piece.front_anchor
-    front_seen = y_seen + (1.0 - mu) * seen + front_offset
-    front_k, front_rest = _spring(front_seen, piece.front_factor, worm)
-    weight = max(0.5, 1.0 - mass / (drag * h))
-    along = piece.start + weight * h * piece.slope
-    rear_rest += mu * along + piece.rear_anchor
-    force = (rear_drag * mu - front_drag * (1.0 - mu)) * piece.slope + rear_k * rear_rest
-    force += front_k * (front_rest - front_offset - (1.0 - mu) * along)
-    # mass·(ẏ' − ẏ)/h = force − drag·ẏw − k·yw at the weighted moment, y' = y + h·ẏw, yw = y + weight·h·ẏw
-    inertia, k = mass / (weight * h), rear_k + front_k
-    mean_rate = (force + inertia * rate - k * y) / (inertia + drag + k * weight * h)
-    fin_force = rear_k * (y + weight * h * mean_rate - rear_rest)
-    return mean_rate, weight, rear_drag, fin_force
-
-
-@inlined
-def _step(y: float, rate: float, h: float, piece: _Piece, worm: Worm) -> tuple[float, float, float]:
-    """(y, ẏ, force of friction and fin on the rear module) after ``h`` seconds, of second order in ``h``."""
-    mean_rate, weight, drag, force = _implicit_step(y, rate, h, piece, y, rate, 0.0, worm)
-    middle, middle_rate = y + 0.5 * h * mean_rate, rate + 0.5 * (mean_rate - rate) / weight
-    mean_rate, weight, drag, force = _implicit_step(
-        y, rate, h, piece, middle, middle_rate, 0.5 * h, worm
-    )
-    mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
-    holding = drag * (mean_rate - mu * piece.slope) + force
-    return y + h * mean_rate, rate + (mean_rate - rate) / weight, holding
-
-
-@inlined
-def _first_switch(
-    rear_before: float,
-    rear_after: float,
-    rear_threshold: float,
-    front_before: float,
-    front_after: float,
-    front_threshold: float,
-) -> tuple[float, int, int]:
-    """(fraction of the step until the first threshold is passed, steps of the rear and of the front anchor)."""
-    fraction, rear, front = 1.0, 0, 0
-    if abs(rear_after) > rear_threshold:
-        border = math.copysign(rear_threshold, rear_after)
-        fraction = (border - rear_before) / (rear_after - rear_before)
-        rear = 1 if rear_after > 0.0 else -1
-    if abs(front_after) > front_threshold:
-        border = math.copysign(front_threshold, front_after)
-        own = (border - front_before) / (front_after - front_before)
-        if rear == 0 or own < fraction:
-            fraction, rear, front = own, 0, 1 if front_after > 0.0 else -1
-    return min(max(fraction, 0.0), 1.0), rear, front
-
-
-@inlined
-def _row(groove: int, grooves: np.ndarray) -> int:
-    """Row of a groove, counted from where its module started, which is the row FIRST_GROOVE."""
-    return min(max(groove + FIRST_GROOVE, 0), grooves.shape[0] - 1)
-
-
-class _State(NamedTuple):
-    """State between steps: y and its rate, and how many grooves each anchor has moved."""
-
-    y: float
-    rate: float
     rear: int
     front: int
 
 
 @inlined
-def _advance(
-    state: _State,
-    step: float,
-    start: float,
-    end: float,
-    lattice: float,
-    worm: Worm,
-    rear_grooves: np.ndarray,
-    front_grooves: np.ndarray,
-) -> tuple[_State, float, int]:
-    """(state after a step, force on the rear module, switches or −1), ΔL going straight from ``start`` to ``end``."""
-    mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
-    y, rate, rear, front = state.y, state.rate, state.rear, state.front
-    slope, left = (end - start) / step, step
-    for switches in range(MOST_SWITCHES + 1):
-        rear_row, front_row = _row(rear, rear_grooves), _row(front, front_grooves)
-        piece = _Piece(
-            start,
-            slope,
-            rear * worm.pitch,
-            lattice + front * worm.pitch,
-            1.0 + rear_grooves[rear_row, STIFFNESS],
-            1.0 + front_grooves[front_row, STIFFNESS],
-        )
-        new_y, new_rate, holding = _step(y, rate, left, piece, worm)
-        fraction, rear_move, front_move = _first_switch(
-            y - mu * start - piece.rear_anchor,
-            new_y - mu * end - piece.rear_anchor,
-            worm.threshold + rear_grooves[rear_row, THRESHOLD],
-            y + (1.0 - mu) * start + worm.initial_length - piece.front_anchor,
-            new_y + (1.0 - mu) * end + worm.initial_length - piece.front_anchor,
-            worm.threshold + front_grooves[front_row, THRESHOLD],
-        )
-        if rear_move == 0 and front_move == 0:
-            return _State(new_y, new_rate, rear, front), holding, switches
-        spent = fraction * left
-        if spent > 0.0:
-            y, rate, holding = _step(y, rate, spent, piece, worm)
-        start += spent * slope
-        left = max(left - spent, SHORTEST_STEP)
-        rear += rear_move
-        front += front_move
-    return _State(y, rate, rear, front), 0.0, -1
+def _sign(value: float) -> int:
+    return 1 if value > 0.0 else -1
 
 
 @inlined
-def _add_inertia(step: float, mass: float, samples: np.ndarray) -> None:
-    """M1·v̇1, from sample to sample."""
-    for at in range(1, samples.shape[0]):
-        gain = samples[at, V1] - samples[at - 1, V1]
-        samples[at, HOLDING_FORCE] += mass * gain / step
+def _from_rest(load: float, stretch: int, bend: float, c: Constants) -> Grip:
+    """The grip of two modules at rest.
 
-
-@unlocked
-def slide(
-    step: float,
-    length_changes: np.ndarray,
-    worm: Worm,
-    rear_grooves: np.ndarray,
-    front_grooves: np.ndarray,
-    samples: np.ndarray,
-) -> int:
-    """Follows ΔL from rest at x1 = 0, the front anchor on the nearest groove; returns the number of switches.
-
-    ``length_changes`` (n,) in m at every ``step`` s, the first at rest, straight lines between them. The grooves
-    that a module passes, (m, GROOVE_COLUMNS), each differ from the worm's values by a threshold in m and a relative
-    stiffness; the row FIRST_GROOVE is where it starts. ``samples`` (n, SAMPLE_COLUMNS) is filled: x1 in m, v1 in
-    m/s and M1·v̇1 + friction + F_1 in N (eq:Fc) over the step that ends there. Returns −1 if the anchors switch to
-    and fro without end.
+    ``load`` in N pushes both, ``stretch`` is the sign of L̇ from here on (0: ΔL stands still), ``bend`` is L̈. The
+    more load along the stretch, the more goes that way: none, first one, then both modules.
     """
-    mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
-    lattice = worm.pitch * math.ceil(worm.initial_length / worm.pitch - 0.5 - 1e-12)
-    onset_rate = worm.onset * mu * (length_changes[1] - length_changes[0]) / step
-    state, total = _State(mu * length_changes[0], onset_rate, 0, 0), 0
-    samples[0, X1], samples[0, V1], samples[0, HOLDING_FORCE] = 0.0, 0.0, 0.0
-    for at in range(1, length_changes.size):
-        start, end = length_changes[at - 1], length_changes[at]
-        state, holding, switches = _advance(
-            state, step, start, end, lattice, worm, rear_grooves, front_grooves
-        )
-        if switches < 0:
-            return -1
-        total += switches
-        samples[at, X1] = state.y - mu * end
-        samples[at, V1] = state.rate - mu * (end - start) / step
-        samples[at, HOLDING_FORCE] = holding
-    _add_inertia(step, worm.rear_mass, samples)
-    return total
+    both = c.rear_dry + c.front_dry
+    if stretch == 0:
+        side = 0 if abs(load) <= both + SPARE else _sign(load)
+        return Grip(side, side)
+    along = stretch * load
+    apart = c.mass * max(stretch * bend, 0.0)
+    if along > both + SPARE:
+        return Grip(stretch, stretch)
+    if along >= c.front_dry - c.rear_dry - SPARE:
+        return Grip(0, stretch)
+    if along > c.front_dry - c.rear_dry - apart + SPARE:
+        return Grip(-stretch, stretch)
+    if along >= -both - apart - SPARE:
+        return Grip(-stretch, 0)
+    return Grip(-stretch, -stretch)
+
+
+@compiled
+def _judge(
+    motion: Motion, length_change: Coefficients, wave: Wave, c: Constants, b: Basis
+) -> tuple[Grip, float]:
+    """(the grip from here on, ẏ of a module at rest without rounding)."""
+    roots = roots_of(c.mass, c.friction, 0.0)
+    rate_form = derivative(length_change, roots, wave)
+    bend_form = derivative(rate_form, roots, wave)
+    change, rate, bend = value(length_change, b), value(rate_form, b), value(bend_form, b)
+    rear_velocity = motion.rate - c.mu * rate
+    front_velocity = rear_velocity + rate
+    rear = motion.y - c.mu * change - motion.rear_groove * c.pitch
+    front = motion.y + (1.0 - c.mu) * change + c.initial_length - motion.front_groove * c.pitch
+    rear -= (motion.rear_region - 1.0) * c.half_clearance
+    front -= (motion.front_region - 1.0) * c.half_clearance
+    fins = (
+        fin_stiffness(motion.rear_region, c) * rear + fin_stiffness(motion.front_region, c) * front
+    )
+    load = -fins - c.friction * rate - (c.mass - c.rear_mass) * bend
+    rear_rests = c.rear_dry > 0.0 and abs(rear_velocity) <= 2.0 * STILL
+    front_rests = c.front_dry > 0.0 and abs(front_velocity) <= 2.0 * STILL
+    if rear_rests and front_rests:
+        turn = rate
+        if turn == 0.0:
+            turn = bend if bend != 0.0 else value(derivative(bend_form, roots, wave), b)
+        stretch = 0 if turn == 0.0 else _sign(turn)
+        grip = _from_rest(load, stretch, bend, c)
+        return grip, (c.mu if grip.rear == 0 or grip.front != 0 else c.mu - 1.0) * rate
+    if rear_rests:
+        side = _sign(front_velocity)
+        load -= c.front_dry * side
+        return Grip(0 if abs(load) <= c.rear_dry + SPARE else _sign(load), side), c.mu * rate
+    side = _sign(rear_velocity)
+    if front_rests:
+        load += 2.0 * c.friction * rate + c.mass * bend - c.rear_dry * side
+        own = 0 if abs(load) <= c.front_dry + SPARE else _sign(load)
+        return Grip(side, own), (c.mu - 1.0) * rate
+    return Grip(side, _sign(front_velocity)), motion.rate
+
+
+@inlined
+def _held(mode: Mode, grip: Grip, motion: Motion, wave: Wave, c: Constants) -> Coefficients:
+    """What dry friction must hold of the module that sticks, N; of both together where both do."""
+    rate = derivative(mode.length_change, mode.roots, wave)
+    bend = derivative(rate, mode.roots, wave)
+    fins = combine(
+        -1.0,
+        fin_force(mode.rear, motion.rear_region, c),
+        -1.0,
+        fin_force(mode.front, motion.front_region, c),
+    )
+    if grip.rear == 0:
+        moved = combine(-c.friction, rate, c.rear_mass - c.mass, bend)
+        return shifted(combine(1.0, fins, 1.0, moved), -c.front_dry * grip.front)
+    moved = combine(c.friction, rate, c.rear_mass, bend)
+    return shifted(combine(1.0, fins, 1.0, moved), -c.rear_dry * grip.rear)
+
+
+@compiled
+def enter_dry_mode(
+    motion: Motion, length_change: Coefficients, wave: Wave, c: Constants, start: Basis
+) -> tuple[Mode, Coefficients, Grip]:
+    """(the mode that begins with ``motion``, F_c over it, its grip); of the basis only the segment's part counts.
+
+    Where both modules stick, how they share the load is open, as for any body that rests at two places; they are
+    taken to share it by what each can hold. No work depends on it, for ΔL stands still.
+    """
+    grip, rate = _judge(motion, length_change, wave, c, start)
+    motion = Motion(
+        motion.y,
+        rate,
+        motion.rear_groove,
+        motion.front_groove,
+        motion.rear_region,
+        motion.front_region,
+    )
+    push = -(c.rear_dry * grip.rear + c.front_dry * grip.front)
+    mode = enter_mode(motion, length_change, wave, c, start, push)
+    if grip.rear == 0 or grip.front == 0:
+        share = c.mu if grip.rear == 0 else c.mu - 1.0
+        rest = motion.y - share * value(length_change, start)
+        y = shifted(combine(share, length_change, 0.0, length_change), rest)
+        mode = mode_of(y, length_change, motion, roots_of(c.mass, c.friction, 0.0), False, c)
+    force = cable_force(mode, motion.rear_region, wave, c)
+    if grip.rear != 0:
+        return mode, shifted(force, c.rear_dry * grip.rear), grip
+    own = 1.0 if grip.front != 0 else c.rear_dry / (c.rear_dry + c.front_dry)
+    return mode, combine(1.0, force, own, _held(mode, grip, motion, wave, c)), grip
+
+
+@inlined
+def _watched(
+    at_front: bool, mode: Mode, grip: Grip, motion: Motion, wave: Wave, c: Constants
+) -> tuple[Coefficients, float, float]:
+    """(what decides how a module is held, the borders below and above at which that changes)."""
+    side = grip.front if at_front else grip.rear
+    dry = c.front_dry if at_front else c.rear_dry
+    together = grip.rear == 0 and grip.front == 0
+    if dry == 0.0 or (together and at_front):
+        return mode.rear, -NEVER, NEVER
+    if side == 0:
+        limit = 2.0 * SPARE + (c.rear_dry + c.front_dry if together else dry)
+        return _held(mode, grip, motion, wave, c), -limit, limit
+    y_rate = derivative(mode.y, mode.roots, wave)
+    rate = derivative(mode.length_change, mode.roots, wave)
+    velocity = combine(1.0, y_rate, 1.0 - c.mu if at_front else -c.mu, rate)
+    return velocity, (-STILL if side > 0 else -NEVER), (STILL if side < 0 else NEVER)
+
+
+@compiled
+def look_for_grip(
+    ahead: Horizon,
+    mode: Mode,
+    grip: Grip,
+    motion: Motion,
+    b: Basis,
+    s: float,
+    left: float,
+    wave: Wave,
+    c: Constants,
+) -> Horizon:
+    """The horizon once the modules' grips have been consulted."""
+    coarse = mode.roots.joined or mode.resonant
+    for at_front in (False, True):
+        watched, low, high = _watched(at_front, mode, grip, motion, wave, c)
+        followed = follow(watched, mode.roots, wave)
+        seen = read(followed, b, s, left, mode.roots, wave, coarse)
+        if high < NEVER:
+            stop = FRONT_GRIP_HIGH if at_front else REAR_GRIP_HIGH
+            ahead = narrow(ahead, below(seen, high), stop)
+        if low > -NEVER:
+            stop = FRONT_GRIP_LOW if at_front else REAR_GRIP_LOW
+            ahead = narrow(ahead, above(seen, low), stop)
+    return ahead
+
+
+@compiled
+def locate_grip(
+    ahead: Horizon,
+    mode: Mode,
+    grip: Grip,
+    motion: Motion,
+    b: Basis,
+    s: float,
+    offset: float,
+    wave: Wave,
+    c: Constants,
+) -> tuple[float, Basis]:
+    """(time in the mode, basis) at which a grip changes."""
+    at_front = ahead.stop in (FRONT_GRIP_HIGH, FRONT_GRIP_LOW)
+    watched, low, high = _watched(at_front, mode, grip, motion, wave, c)
+    border = high if ahead.stop in (REAR_GRIP_HIGH, FRONT_GRIP_HIGH) else low
+    sticks = (grip.front if at_front else grip.rear) == 0
+    tolerance = LOCATED * (SPARE if sticks else STILL)
+    followed = follow(watched, mode.roots, wave)
+    return locate(followed, border, tolerance, s, b, ahead, offset, mode.roots, wave, mode.resonant)

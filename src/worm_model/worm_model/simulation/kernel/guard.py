@@ -25,6 +25,8 @@ from worm_model.simulation.kernel.linear import (
 )
 
 NOTHING, REAR_HIGH, REAR_LOW, FRONT_HIGH, FRONT_LOW, FORCE_SIGN, RATE_SIGN, END = range(8)
+# Beyond END: dry friction, see `worm_model.simulation.kernel.dry_friction`
+REAR_GRIP_HIGH, REAR_GRIP_LOW, FRONT_GRIP_HIGH, FRONT_GRIP_LOW = range(8, 12)
 
 SHORTEST_STEP = 1e-10  # s, keeps a gap that opens from zero moving
 TOUCH = 1e-13  # m (N, m/s of a sign): a fin at rest at its border, moved by rounding alone, does not pass it

@@ -13,6 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from worm_model.simulation.kernel.compiled import compiled, inlined
+from worm_model.simulation.kernel.dry_friction import (
+    Grip,
+    enter_dry_mode,
+    locate_grip,
+    look_for_grip,
+)
 from worm_model.simulation.kernel.guard import (
     END,
     FORCE_SIGN,
@@ -96,10 +102,14 @@ class Segment(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """Everything about a mode that is followed; ``offset`` is the mode's start in its segment."""
+    """Everything about a mode that is followed; ``offset`` is the mode's start in its segment.
+
+    ``grip`` is that of dry friction, without meaning where there is none.
+    """
 
     offset: float
     mode: Mode
+    grip: Grip
     rear: Followed
     front: Followed
     force: Followed
@@ -120,6 +130,12 @@ class Bill(NamedTuple):
 
 
 @inlined
+def is_dry(c: Constants) -> bool:
+    """Whether there is dry friction."""
+    return c.rear_dry + c.front_dry > 0.0
+
+
+@inlined
 def _borders(region: int, c: Constants) -> tuple[float, float]:
     """Displacements at which a fin leaves its region."""
     if region == CLEAR:
@@ -132,15 +148,20 @@ def _borders(region: int, c: Constants) -> tuple[float, float]:
 @inlined
 def _open_stage(motion: Motion, segment: Segment, offset: float, b: Basis, c: Constants) -> Stage:
     wave = segment.wave
-    mode = enter_mode(motion, segment.length_change, wave, c, b)
+    if is_dry(c):
+        mode, force, grip = enter_dry_mode(motion, segment.length_change, wave, c, b)
+    else:
+        mode = enter_mode(motion, segment.length_change, wave, c, b, 0.0)
+        force, grip = cable_force(mode, motion.rear_region, wave, c), Grip(0, 0)
     rear_low, rear_high = _borders(motion.rear_region, c)
     front_low, front_high = _borders(motion.front_region, c)
     return Stage(
         offset,
         mode,
+        grip,
         follow(mode.rear, mode.roots, wave),
         follow(mode.front, mode.roots, wave),
-        follow(cable_force(mode, motion.rear_region, wave, c), mode.roots, wave),
+        follow(force, mode.roots, wave),
         follow(derivative(segment.length_change, mode.roots, wave), mode.roots, wave),
         rear_low,
         rear_high,
@@ -150,7 +171,16 @@ def _open_stage(motion: Motion, segment: Segment, offset: float, b: Basis, c: Co
 
 
 @inlined
-def _look_ahead(stage: Stage, bill: Bill, b: Basis, s: float, left: float, wave: Wave) -> Horizon:
+def _look_ahead(
+    stage: Stage,
+    bill: Bill,
+    motion: Motion,
+    b: Basis,
+    s: float,
+    left: float,
+    wave: Wave,
+    c: Constants,
+) -> Horizon:
     """What comes next within the ``left`` seconds of the segment; see `Horizon`."""
     roots = stage.mode.roots
     coarse = roots.joined or stage.mode.resonant
@@ -169,16 +199,28 @@ def _look_ahead(stage: Stage, bill: Bill, b: Basis, s: float, left: float, wave:
         rate = read(stage.length_rate, b, s, left, roots, wave, coarse)
         gap = above(rate, 0.0) if bill.rate_side > 0.0 else below(rate, 0.0)
         ahead = narrow(ahead, gap, RATE_SIGN)
+    if is_dry(c):
+        ahead = look_for_grip(ahead, stage.mode, stage.grip, motion, b, s, left, wave, c)
     return ahead
 
 
 @inlined
-def _go(stage: Stage, ahead: Horizon, s: float, b: Basis, wave: Wave) -> tuple[float, Basis]:
+def _go(
+    stage: Stage,
+    ahead: Horizon,
+    motion: Motion,
+    s: float,
+    b: Basis,
+    wave: Wave,
+    c: Constants,
+) -> tuple[float, Basis]:
     """(time in the mode, basis) of the next stop."""
     mode, offset = stage.mode, stage.offset
     if ahead.stop == NOTHING or ahead.stop == END:
         s += max(ahead.time, SHORTEST_STEP) if ahead.stop == NOTHING else ahead.time
         return s, basis_at(offset + s, s, mode.roots, wave, mode.resonant)
+    if ahead.stop > END:
+        return locate_grip(ahead, mode, stage.grip, motion, b, s, offset, wave, c)
     followed, border, tolerance = stage.rear, stage.rear_high, POSITION_TOLERANCE
     if ahead.stop == REAR_LOW:
         border = stage.rear_low
@@ -323,8 +365,9 @@ def _follow_mode(
     s = 0.0
     while True:
         ledger[STEPS] += 1.0
-        ahead = _look_ahead(stage, bill, b, s, segment.duration - stage.offset - s, wave)
-        s, b = _go(stage, ahead, s, b, wave)
+        left = segment.duration - stage.offset - s
+        ahead = _look_ahead(stage, bill, motion, b, s, left, wave, c)
+        s, b = _go(stage, ahead, motion, s, b, wave, c)
         if ahead.stop == NOTHING and ledger[STEPS] <= MOST_STEPS:
             continue
         if ledger[SAMPLED] < samples.shape[0]:
@@ -352,6 +395,8 @@ def march(
 ) -> Motion:
     """Advances the motion to the end of a segment.
 
+    Which module sticks is judged anew wherever a mode opens, so that a motion needs no memory of it.
+
     ``ledger`` (LEDGER_SIZE,) accumulates the positive cable work in J (of a gait's length; a sampled
     length has no usable rate), groove switches, steps, and the numbers of rows used of ``samples``
     (n, SAMPLE_COLUMNS; their TIME column, ascending, is given) and of ``events`` (m, EVENT_COLUMNS;
@@ -368,9 +413,8 @@ def march(
         offset += duration
         y = value(stage.mode.y, b)
         y_rate = value(derivative(stage.mode.y, stage.mode.roots, segment.wave), b)
-        if stop in (END, NOTHING):
-            ledger[CHATTER] = 1.0 if stop == NOTHING else ledger[CHATTER]
-            return Motion(
+        if stop in (END, NOTHING) or stop > END:
+            motion = Motion(
                 y,
                 y_rate,
                 motion.rear_groove,
@@ -378,6 +422,10 @@ def march(
                 motion.rear_region,
                 motion.front_region,
             )
+            if stop > END:
+                continue
+            ledger[CHATTER] = 1.0 if stop == NOTHING else ledger[CHATTER]
+            return motion
         grooves = motion.rear_groove + motion.front_groove
         motion = _crossed(motion, stop, y, y_rate, c)
         switched = motion.rear_groove + motion.front_groove != grooves

@@ -44,6 +44,8 @@ class Constants(NamedTuple):
     bellows_stiffness: float
     bellows_damping: float
     unstressed_length: float
+    rear_dry: float
+    front_dry: float
 
 
 class Motion(NamedTuple):
@@ -139,10 +141,34 @@ def _free(y: float, rate: float, roots: Roots) -> tuple[float, float]:
 
 
 @inlined
-def enter_mode(
-    motion: Motion, length_change: Coefficients, wave: Wave, c: Constants, start: Basis
+def mode_of(
+    y: Coefficients,
+    length_change: Coefficients,
+    motion: Motion,
+    roots: Roots,
+    resonant: bool,
+    c: Constants,
 ) -> Mode:
-    """The mode that begins with ``motion``; of the basis ``start`` only the part of the segment counts."""
+    """The mode in which y and ΔL are these, with what follows from them."""
+    rear = shifted(combine(1.0, y, -c.mu, length_change), -motion.rear_groove * c.pitch)
+    offset = c.initial_length - motion.front_groove * c.pitch
+    front = shifted(combine(1.0, y, 1.0 - c.mu, length_change), offset)
+    return Mode(y, length_change, rear, front, roots, resonant)
+
+
+@inlined
+def enter_mode(
+    motion: Motion,
+    length_change: Coefficients,
+    wave: Wave,
+    c: Constants,
+    start: Basis,
+    push: float,
+) -> Mode:
+    """The mode that begins with ``motion``; of the basis ``start`` only the part of the segment counts.
+
+    ``push`` in N is a constant force on both modules together, that of dry friction on modules that slide.
+    """
     rear_k = fin_stiffness(motion.rear_region, c)
     front_k = fin_stiffness(motion.front_region, c)
     rear_anchor = motion.rear_groove * c.pitch
@@ -159,7 +185,7 @@ def enter_mode(
     )
     rear_rest = rear_anchor + (motion.rear_region - 1.0) * c.half_clearance
     front_rest = front_anchor + (motion.front_region - 1.0) * c.half_clearance - c.initial_length
-    forcing = shifted(forcing, rear_k * rear_rest + front_k * front_rest)
+    forcing = shifted(forcing, rear_k * rear_rest + front_k * front_rest + push)
     p = _particular(forcing, k, c, wave, resonant, start)
     p_rate = derivative(p, roots, wave)
     # Of the particular response only the part of the segment counts: its resonant part starts from rest.
@@ -167,9 +193,7 @@ def enter_mode(
     y0, rate0 = value(p, moment), value(p_rate, moment)
     h1, h2 = _free(motion.y - y0, motion.rate - rate0, roots)
     y = Coefficients(p.one, p.t1, p.t2, p.t3, p.cos, p.sin, p.exp, h1, h2, p.res)
-    rear = shifted(combine(1.0, y, -c.mu, length_change), -rear_anchor)
-    front = shifted(combine(1.0, y, 1.0 - c.mu, length_change), c.initial_length - front_anchor)
-    return Mode(y, length_change, rear, front, roots, resonant)
+    return mode_of(y, length_change, motion, roots, resonant, c)
 
 
 @inlined

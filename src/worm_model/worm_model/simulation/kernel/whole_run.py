@@ -47,7 +47,10 @@ from worm_model.simulation.kernel.mode import Constants, Motion, region_of
     SLACK,
     IDLE_POWER,
     POWER_FACTOR,
-) = range(17)
+    REAR_DRY_FRICTION,
+    FRONT_DRY_FRICTION,
+) = range(19)
+PARAMETER_COLUMNS = 19
 # Columns of a result row
 MEAN_ADVANCE, MEAN_POWER, LEAST_ADVANCE, RUN_SWITCHES, RUN_CHATTER = range(5)
 RESULT_COLUMNS = 5
@@ -72,6 +75,8 @@ def constants_of(p: np.ndarray, direction: float, margin: float) -> Constants:
         p[BELLOWS_STIFFNESS],
         p[BELLOWS_DAMPING],
         p[UNSTRESSED_LENGTH],
+        p[REAR_DRY_FRICTION],
+        p[FRONT_DRY_FRICTION],
     )
 
 
@@ -209,7 +214,7 @@ def evaluate_many(
 ) -> None:
     """`evaluate` of rows (stroke, frequency, direction, margin), without the interpreter's lock.
 
-    ``gaits`` (n, 4); ``parameters`` (n, 17) or (1, 17), shared; ``results`` (n, RESULT_COLUMNS).
+    ``gaits`` (n, 4); ``parameters`` (n, PARAMETER_COLUMNS) or one row, shared; ``results`` (n, RESULT_COLUMNS).
     """
     shared = parameters.shape[0] == 1
     for k in range(gaits.shape[0]):

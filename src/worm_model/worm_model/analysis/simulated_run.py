@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A gait that was simulated, over time: as a table, as the run that instruments without errors would have recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.gait import Gait
+from worm_model.parameters import Parameters
+from worm_model.run import (
+    IDLE,
+    POWER_VALID,
+    RESTING,
+    RUNNING,
+    GaitStates,
+    LengthSamples,
+    PowerSamples,
+    Run,
+    TrackerSamples,
+)
+from worm_model.simulation.closed_form import front_groove, groove_phase
+from worm_model.simulation.simulator import Motions, simulate
+
+Array = NDArray[np.float64]
+
+EPOCH_NS = (
+    1_767_225_600 * 10**9
+)  # 2026-01-01 00:00 UTC: a simulation has no date, ROS has no stamp of 0
+REST_S = 2.0  # before the gait, of a recorded run
+ESTIMATED = 2  # BodyLength.source
+BUS_VOLTAGE = 12.0  # V, at which the current of a recorded run is told
+
+
+@dataclass(frozen=True)
+class SimulatedRun:
+    """A gait from rest: ``time`` (n,) s since its onset, ``command`` (n,) u_cmd in m, ``motions`` at these times."""
+
+    gait: Gait
+    parameters: Parameters
+    cycles: int
+    time: Array
+    command: Array
+    motions: Motions
+
+    def table(self) -> dict[str, Array]:
+        """Columns by name, unit included."""
+        motions = self.motions
+        return {
+            "time_s": self.time,
+            "length_change_m": motions.length - self.parameters.initial_length,
+            "rear_position_m": motions.x1,
+            "front_position_m": motions.x2,
+            "rear_anchor_m": motions.rear_anchor,
+            "front_anchor_m": motions.front_anchor,
+            "cable_force_N": motions.cable_force,
+            "power_W": motions.power,
+            "energy_J": motions.energy,
+        }
+
+    @property
+    def stamp(self) -> NDArray[np.int64]:
+        """Stamps (n,) in ns since the epoch, of a date that is made up."""
+        return EPOCH_NS + round(REST_S * 1e9) + np.round(1e9 * self.time).astype(np.int64)
+
+    def provenance(self) -> dict[str, str]:
+        """What a bag says of where it comes from: no robot, these parameters."""
+        values = {f"parameter.{key}": repr(v) for key, v in self.parameters.as_dict().items()}
+        return {"made_by": "worm_model simulate", **values}
+
+    def twin_states(self) -> dict[str, NDArray[Any]]:
+        """The fields of TwinState at the stamps."""
+        motions, p = self.motions, self.parameters
+        one = np.ones(self.time.size)
+        return {
+            "length_source": ESTIMATED * one,
+            "initial_length": p.initial_length * one,
+            "groove_phase": groove_phase(p) * one,
+            "length": motions.length,
+            "length_rate": motions.length_rate,
+            "rear_position": motions.x1,
+            "front_position": motions.x2,
+            "rear_velocity": motions.v1,
+            "front_velocity": motions.v2,
+            "rear_anchor": motions.rear_anchor,
+            "front_anchor": motions.front_anchor,
+            "rear_groove": motions.rear_groove,
+            "front_groove": motions.front_groove - front_groove(p),
+            "cable_force": motions.cable_force,
+            "rear_fin_force": motions.rear_force,
+            "front_fin_force": motions.front_force,
+            "power": motions.power,
+            "energy": motions.energy,
+        }
+
+    def as_recorded(self) -> Run:
+        """As driver, camera and power sensor without errors would tell it, after a rest; its date is made up."""
+        length = self.parameters.initial_length
+        step = self.time[1] - self.time[0]
+        rest = np.zeros(round(REST_S / step))
+        onset = int(self.stamp[0])
+        early = onset - np.round(1e9 * step * np.arange(rest.size, 0, -1)).astype(np.int64)
+        stamp = np.concatenate([early, self.stamp])
+        command = np.concatenate([rest, self.command])
+        change = np.concatenate([rest, self.motions.length - length])
+        power = np.concatenate([rest + self.parameters.idle_power, self.motions.power])
+        x1 = np.concatenate([rest, self.motions.x1])
+        told = LengthSamples(stamp, length + command, command)
+        body = LengthSamples(stamp, length + change, change)
+        current = power / BUS_VOLTAGE
+        status = np.full(stamp.size, POWER_VALID)
+        return Run(
+            origin=EPOCH_NS,
+            commanded=told,
+            measured=body,
+            tracker=TrackerSamples(stamp, x1, x1 + body.length),
+            power=PowerSamples(stamp, status, np.full(stamp.size, BUS_VOLTAGE), current, power),
+            gait_state=self._states(onset),
+        )
+
+    def _states(self, onset: int) -> GaitStates:
+        """What the driver tells: the rest, each cycle, the end."""
+        period = 1e9 * self.gait.period
+        cycle = np.array([0, *range(1, self.cycles + 1), self.cycles])
+        begins = [onset + round(k * period) for k in range(self.cycles + 1)]
+        one = np.ones(cycle.size)
+        return GaitStates(
+            stamp=np.array([EPOCH_NS, *begins]),
+            state=np.array([RESTING, *[RUNNING] * self.cycles, IDLE]),
+            stroke=self.gait.stroke * one,
+            frequency=self.gait.frequency * one,
+            direction=np.full(cycle.size, self.gait.direction),
+            margin=self.gait.margin * one,
+            onset=np.full(cycle.size, onset),
+            cycle=cycle,
+            cycles=np.full(cycle.size, self.cycles),
+            run=np.ones(cycle.size, np.int64),
+        )
+
+
+def simulated_run(gait: Gait, parameters: Parameters, cycles: int, rate: float) -> SimulatedRun:
+    """Simulates a gait and samples it at a rate in Hz from its onset to its end."""
+    trajectory = simulate(gait, parameters, cycles)
+    time = np.arange(int(trajectory.duration * rate * (1.0 + 1e-12)) + 1) / rate
+    time = np.minimum(time, trajectory.duration)
+    command = -0.5 * gait.stroke * (1.0 - np.cos(2.0 * np.pi * gait.frequency * time))
+    return SimulatedRun(gait, parameters, cycles, time, command, trajectory.at(time))

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was recorded: a row for each run of each bag below a folder, from an index of what was read before."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from worm_model.errors import InputError
+
+Row = dict[str, Any]
+
+CLOSED, OPEN, DAMAGED = "closed", "not closed", "damaged"
+STORAGE = (".mcap", ".db3")
+METADATA_FILE = "metadata.yaml"
+RECOVERED = "_recovered"  # ends the name of what `recover` makes
+NUMBERS = (
+    *("groove_phase", "grooves_per_cycle", "speed", "power", "cost_of_transport"),
+    *("duration_s", "cycles"),
+)
+INDEX_VERSION = 1  # of a row's content: raise it where a figure is computed otherwise
+
+
+def bag_rows(
+    folder: Path, parameters: str, progress: Callable[[float], None]
+) -> tuple[list[Row], int]:
+    """(the rows of all runs below a folder, or of one bag; how many bags were read anew).
+
+    ``parameters`` is a parameter file; empty: the one inside each bag, else the paper's. Raises `InputError` where
+    there is no bag.
+    """
+    bags = find_bags(folder)
+    index = _index_file(folder, parameters)
+    known = _known(index)
+    marks = {str(bag): _mark(bag) for bag in bags}
+    todo = [bag for bag in bags if known.get(str(bag), [""])[0] != marks[str(bag)]]
+    for done, bag in enumerate(todo, 1):
+        known[str(bag)] = [marks[str(bag)], _read(bag, parameters)]
+        progress(done / len(todo))
+    if todo or len(known) != len(bags):
+        _keep(index, {name: known[name] for name in marks})
+    found = [{"bag": str(bag), **row} for bag in bags for row in known[str(bag)][1]]
+    return found, len(todo)
+
+
+def find_bags(folder: Path) -> list[Path]:
+    """All bags below a folder, by name: folders with a metadata.yaml, and recordings that have none; or the bag itself.
+
+    What was recovered from a bag stands beside it and is listed instead of it. Raises `InputError` if there is none.
+    """
+    if folder.is_file() or (folder / METADATA_FILE).is_file():
+        return [folder]
+    if not folder.is_dir():
+        raise InputError(f"{folder}: does not exist; name a folder that holds bags, or a bag")
+    whole, loose = set(), set()
+    for place, _, names in os.walk(folder):
+        if METADATA_FILE in names:
+            whole.add(Path(place))
+        elif any(name.endswith(STORAGE) for name in names):
+            loose.add(Path(place))
+    files = {file for place in loose for file in ([place] if place != folder else _files(folder))}
+    found = whole | files
+    found = {bag for bag in found if bag.with_name(f"{bag.name}{RECOVERED}") not in found}
+    if not found:
+        raise InputError(
+            f"{folder}: holds no bag (a folder with {METADATA_FILE}, or a file *.mcap, *.db3); record one (./worm demo)"
+        )
+    return sorted(found)
+
+
+def _files(folder: Path) -> list[Path]:
+    return [file for file in folder.iterdir() if file.suffix in STORAGE]
+
+
+def _mark(bag: Path) -> str:
+    """What a bag's rows follow from: sizes and times of its files."""
+    files = [bag] if bag.is_file() else sorted(file for file in bag.iterdir() if file.is_file())
+    stats = [(file.name, file.stat()) for file in files]
+    return " ".join(f"{name}:{stat.st_size}:{stat.st_mtime_ns}" for name, stat in stats)
+
+
+def _index_file(folder: Path, parameters: str) -> Path:
+    content = Path(parameters).read_bytes() if parameters else b""
+    name = f"{INDEX_VERSION}\n{folder.resolve()}\n".encode() + content
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+    return home / "worm_model" / f"bags-{hashlib.sha256(name).hexdigest()[:16]}.json"
+
+
+def _known(index: Path) -> dict[str, Any]:
+    """What an index holds; nothing where it is missing or not one."""
+    try:
+        content = json.loads(index.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _keep(index: Path, content: dict[str, Any]) -> None:
+    """An index that cannot be kept is made again the next time."""
+    with suppress(OSError):
+        index.parent.mkdir(parents=True, exist_ok=True)
+        draft = index.with_name(f"{index.name}.{os.getpid()}")
+        draft.write_text(json.dumps(content), encoding="utf-8")
+        draft.replace(index)
+
+
+def _read(bag: Path, parameters: str) -> list[Row]:
+    """The rows of a bag; one that cannot be read as it is has one that says why, and is left as it is."""
+    from worm_model.commands.bag_runs import rows_of_bag, state_of_bag
+
+    empty: Row = {"start": None, "gait": None, **dict.fromkeys(NUMBERS), "health": None}
+    try:
+        state, reason = state_of_bag(bag)
+        if state != CLOSED:
+            return [{**empty, "state": state, "notes": reason}]
+        return [{**empty, "state": CLOSED, **row} for row in rows_of_bag(bag, parameters)]
+    except (InputError, OSError) as error:
+        return [{**empty, "state": DAMAGED, "notes": " ".join(str(error).split())}]
+
+
+def describe(rows: Sequence[Row], folder: Path) -> str:
+    """The table for people."""
+    head = ("bag", "start", "s", "gait", "cycles", "φ mm", "grooves", "mm/s", "W", "COT", "health")
+    lines = [head]
+    notes = []
+    for row in rows:
+        bag = Path(row["bag"])
+        name = str(bag.relative_to(folder)) if bag != folder else bag.name
+        gait = row["gait"]
+        way = "" if gait is None or gait["direction"] > 0 else " reverse"
+        shown = (
+            "–"
+            if gait is None
+            else f"{1e3 * gait['stroke']:.1f} mm {gait['frequency']:.3f} Hz{way}"
+        )
+        lines.append(
+            (
+                name,
+                (row["start"] or "–")[:19],
+                _number(row["duration_s"], 1.0, 1),
+                shown,
+                _number(row["cycles"], 1.0, 0),
+                _number(row["groove_phase"], 1e3, 2),
+                _number(row["grooves_per_cycle"], 1.0, 2),
+                _number(row["speed"], 1e3, 2),
+                _number(row["power"], 1.0, 2),
+                _number(row["cost_of_transport"], 1.0, 1),
+                row["health"] or row["state"],
+            )
+        )
+        if row["notes"]:
+            notes.append(f"{name}: {row['notes']}")
+    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
+    table = [
+        "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in lines
+    ]
+    return "\n".join([*table, *dict.fromkeys(notes)])
+
+
+def _number(value: float | None, scale: float, decimals: int) -> str:
+    return "–" if value is None or math.isnan(value) else f"{scale * value:.{decimals}f}"

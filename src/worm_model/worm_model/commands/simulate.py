@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: what a gait does over time, as a table, a figure or a bag."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from worm_model.analysis.simulated_run import SimulatedRun, simulated_run
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    new_file,
+    print_result,
+    run_command,
+)
+from worm_model.commands.evaluate_gait import describe, gait_json
+from worm_model.gait import Gait
+from worm_model.parameters import load_parameters
+from worm_model.simulation.simulator import AVERAGED, CYCLES, evaluate_gait
+
+MOST_SAMPLES = 10_000_000
+MOST_CYCLES = 1000
+FIGURES = (".png", ".pdf", ".svg")
+RUN_RECORD = "worm_run"
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="simulate",
+        description="Positions, anchors, length, cable force, power and energy of a gait over time, from rest. The "
+        "ending of --output decides: a table (.csv), a figure (.png, .pdf, .svg), or a recording (.mcap) as "
+        "instruments without errors would make it, after two seconds of rest, for all that reads recordings.",
+    )
+    parser.add_number("--stroke", "M", "contraction stroke in m", required=True)
+    parser.add_number("--frequency", "HZ", "frequency in Hz", required=True)
+    parser.add_number("--margin", "M", "robustness margin in m", 0.0)
+    parser.add_direction()
+    parser.add_argument(
+        "--cycles", type=int, default=CYCLES, metavar="N", help=f"from rest (default: {CYCLES})"
+    )
+    parser.add_number("--rate", "HZ", "samples a second", 100.0)
+    parser.add_argument("--output", required=True, metavar="FILE", help="which must not exist")
+    parser.add_json()
+    parser.add_parameters()
+    return parser
+
+
+def _write_table(run: SimulatedRun, path: Path) -> None:
+    columns = run.table()
+    with path.open("x", encoding="utf-8") as file:
+        rows = np.column_stack(list(columns.values()))
+        np.savetxt(file, rows, fmt="%.12g", delimiter=",", header=",".join(columns), comments="")
+
+
+def _write_figure(run: SimulatedRun, path: Path) -> None:
+    from worm_model.analysis.plot_style import save_figure
+    from worm_model.analysis.simulated_run_figure import figure_of
+
+    save_figure(figure_of(run), path)
+
+
+def _write_recording(run: SimulatedRun, path: Path) -> None:
+    """A bag's one file; anchors and forces are in the topic in which a twin tells them."""
+    from worm_model.bags.bag_writer import BagWriter
+    from worm_model.bags.message_types import topic_of
+    from worm_model.bags.run_writer import stamped_messages, write_run
+    from worm_model.bags.worm_topics import TYPES, offered_qos
+
+    name = "twin/state"
+    with TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as folder:
+        with BagWriter(Path(folder, path.stem)) as writer:
+            writer.add_metadata(RUN_RECORD, run.provenance())
+            write_run(writer, run.as_recorded())
+            topic = topic_of(f"/worm/{name}", TYPES[name], offered_qos(name))
+            writer.add_topic(topic)
+            writer.write_all(stamped_messages(topic, run.stamp, run.twin_states()))
+        Path(folder, path.stem, f"{path.stem}_0.mcap").rename(path)
+
+
+def _writer_of(path: Path) -> Callable[[SimulatedRun, Path], None]:
+    writers = {".csv": _write_table, ".mcap": _write_recording}
+    writers |= dict.fromkeys(FIGURES, _write_figure)
+    if path.suffix.lower() not in writers:
+        raise InputError(f"--output {path}: end its name in {', '.join(writers)}")
+    return writers[path.suffix.lower()]
+
+
+def _run(options: argparse.Namespace) -> None:
+    gait = Gait(options.stroke, options.frequency, options.direction, options.margin)
+    if not 1 <= options.cycles <= MOST_CYCLES:
+        raise InputError(f"--cycles {options.cycles}: 1 to {MOST_CYCLES} can be simulated")
+    samples = options.cycles * gait.period * options.rate
+    if not 1.0 <= samples <= MOST_SAMPLES:
+        raise InputError(
+            f"--rate {options.rate:g}: {samples:.0f} samples; 1 to {MOST_SAMPLES} can be written"
+        )
+    output = new_file(options.output)
+    write = _writer_of(output)
+    parameters = load_parameters(options.parameters)
+    run = simulated_run(gait, parameters, options.cycles, options.rate)
+    figures = evaluate_gait(gait, parameters, options.cycles, min(AVERAGED, options.cycles))
+    write(run, output)
+    content = {"output": str(output), "samples": int(run.time.size), **gait_json(figures)}
+    text = f"{describe(figures)}\n{run.time.size} samples written to {output}"
+    print_result(options, content, text)
+
+
+def main() -> int:
+    """Entry point of the executable simulate."""
+    return run_command(_parser(), _run)

@@ -1,0 +1,335 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: what a person does with a robot whose node graph runs; the same that ros2 would do."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from worm_model.commands.command_line import (
+    FAILED,
+    InputError,
+    Parser,
+    number,
+    print_result,
+    run_command,
+)
+from worm_model.gait import Gait
+from worm_optimizer.commands.search_options import add_objective, request_of_options
+from worm_optimizer.nodes.operator_node import (
+    OperatorNode,
+    UnreachableError,
+    operator,
+)
+from worm_optimizer.operation.bring_up import (
+    CYCLES,
+    FAILURES,
+    RECORDER,
+    Narrator,
+    installed_system_file,
+    recording,
+    work_folder,
+)
+from worm_optimizer.operation.demo_run import now_and_then
+from worm_optimizer.operation.processes import ProcessGroup, counted_interrupts
+from worm_optimizer.orders import Order, RobotState, RunProgress, RunResult
+
+_AFTERWARDS_S = 2.0  # of rest that end a recording
+_TOLD_S = 2.0  # between two lines of progress
+
+Action = Callable[[OperatorNode, argparse.Namespace], int]
+
+
+def main() -> int:
+    """Entry point of the executable operate."""
+    return run_command(_parser(), _operate)
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="operate",
+        description="What a person does with a robot whose node graph runs (./worm start, or ros2 launch): the same "
+        "services, actions and topics that ros2 would use.",
+    )
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+
+    def add(name: str, action: Action, text: str) -> Parser:
+        added: Parser = actions.add_parser(name, help=text, description=text)
+        added.set_defaults(action=action)
+        added.add_argument("--namespace", default="worm", help="of the robot (default: worm)")
+        added.add_argument(
+            "--timeout",
+            type=number,
+            default=10.0,
+            metavar="S",
+            help="for a driver to be heard (default: 10)",
+        )
+        added.add_json()
+        return added
+
+    add("state", _state, "What is heard of the robot; exit status 1 where there is no driver.")
+    add("home", _home, "Take the present length of the cable as the initial one; torque is off.")
+    add("activate", _activate, "Turn the torque on, where the cable is.")
+    add("deactivate", _deactivate, "Bring the robot to rest and turn its torque off.")
+    add("stop", _stop, "Hold the cable where it is, at once; the torque stays on.")
+    add("reboot", _reboot, "Restart the servos that report a hardware error; torque is off.")
+    switch = add(
+        "emergency_stop",
+        _emergency_stop,
+        "on: hold at once, and refuse every start, also of a driver that is started again; off: permit starts again.",
+    )
+    switch.add_argument("switch", choices=("on", "off"))
+    _add_fault(add("fault", _fault, "Rehearse a fault on the virtual robot."))
+    _add_run(
+        add(
+            "run",
+            _run,
+            "Run a gait of one's own (--stroke, --frequency) or one of the optimizer's front, the most economical by "
+            "default. Ctrl-C stops it at the next point of rest, another Ctrl-C holds at once.",
+        )
+    )
+    return parser
+
+
+def _add_fault(parser: Parser) -> None:
+    parser.add_argument(
+        "name", help="as `worm_driver virtual_robot --help` lists them; clear ends all"
+    )
+    parser.add_argument("--target", type=int, default=0, help="id of the servo; default: any")
+    parser.add_argument("--count", type=int, default=0, help="packets that it strikes")
+    parser.add_number("--delay", "S", "s from now", 0.0)
+    parser.add_number("--duration", "S", "s; 0: the fault's own", 0.0)
+    parser.add_number("--value", "X", "as the fault takes it; 0: its own", 0.0)
+
+
+def _add_run(parser: Parser) -> None:
+    own = parser.add_argument_group("a gait of one's own")
+    own.add_argument("--stroke", type=number, metavar="M", help="in m, with --frequency")
+    own.add_argument("--frequency", type=number, metavar="HZ", help="in Hz")
+    parser.add_number("--margin", "M", "that a gait of one's own was designed with, in m", 0.0)
+    add_objective(parser)
+    parser.add_direction()
+    ends = parser.add_argument_group("its end: the first that is reached")
+    ends.add_argument(
+        "--cycles", type=int, default=0, metavar="N", help=f"default {CYCLES} where no end is given"
+    )
+    ends.add_argument("--grooves", type=int, default=0, metavar="N", help="needs a tracker")
+    ends.add_argument(
+        "--distance", type=number, default=0.0, metavar="M", help="in m; needs a tracker"
+    )
+    parser.add_argument(
+        "--record", type=Path, metavar="FOLDER", help="record the run into a new bag in this folder"
+    )
+    parser.add_parameters()
+
+
+def _operate(options: argparse.Namespace) -> int:
+    namespace = "/" + options.namespace.strip("/")
+    if options.timeout <= 0.0:
+        raise InputError(f"--timeout {options.timeout:g}: give a positive time in s")
+    action: Action = options.action
+    try:
+        with operator(namespace, lambda: None, f"operate_{os.getpid()}") as node:
+            node.wait_for_driver(options.timeout)
+            return action(node, options)
+    except FAILURES as error:
+        print(f"operate: {error}", file=sys.stderr)  # noqa: T201
+        return FAILED
+
+
+def _done(options: argparse.Namespace, message: str) -> int:
+    print_result(options, {"message": message}, message)
+    return 0
+
+
+def _state(node: OperatorNode, options: argparse.Namespace) -> int:
+    state = node.state()
+    print_result(options, asdict(state), _state_words(state))
+    return 0
+
+
+def _state_words(state: RobotState) -> str:
+    rows = [
+        ("driver", state.lifecycle),
+        ("state", state.state.lower() + (f": {state.message}" if state.message else "")),
+        ("homed", "yes" if state.homed else "no"),
+        ("emergency stop", "ON: nothing starts" if state.emergency_stop else "off"),
+    ]
+    if state.cycle:
+        rows.append(("cycle", f"{state.cycle} of {state.cycles}"))
+    if math.isfinite(state.power):
+        rows.append(("power", f"{state.power:.2f} W"))
+    if math.isfinite(state.rear_position):
+        rows.append(("rear position", f"{1e3 * state.rear_position:.1f} mm"))
+    if state.health:
+        rows.append(("health", state.health))
+    return "\n".join(f"{name:<15} {value}" for name, value in rows)
+
+
+def _home(node: OperatorNode, options: argparse.Namespace) -> int:
+    return _done(options, node.home())
+
+
+def _activate(node: OperatorNode, options: argparse.Namespace) -> int:
+    node.activate()
+    return _done(options, "the driver is active, its torque is on")
+
+
+def _deactivate(node: OperatorNode, options: argparse.Namespace) -> int:
+    node.deactivate()
+    return _done(options, "the robot is at rest, its torque is off")
+
+
+def _stop(node: OperatorNode, options: argparse.Namespace) -> int:
+    return _done(options, node.stop())
+
+
+def _reboot(node: OperatorNode, options: argparse.Namespace) -> int:
+    return _done(options, node.reboot())
+
+
+def _emergency_stop(node: OperatorNode, options: argparse.Namespace) -> int:
+    node.emergency_stop(options.switch == "on")
+    return _done(
+        options,
+        "holding; nothing starts before it is off"
+        if options.switch == "on"
+        else "off: starts are permitted again",
+    )
+
+
+def _fault(node: OperatorNode, options: argparse.Namespace) -> int:
+    names = ("name", "target", "delay", "duration", "count", "value")
+    return _done(options, node.inject_fault(**{name: getattr(options, name) for name in names}))
+
+
+def _run(node: OperatorNode, options: argparse.Namespace) -> int:
+    own = _own_gait(options)
+    ends = {"grooves": options.grooves, "distance": options.distance}
+    cycles = options.cycles or (0 if any(ends.values()) else CYCLES)
+    Order(own or Gait(0.05, 0.1), cycles, **ends)  # refused before anything is asked for
+    say = Narrator("operate")
+    order = Order(own or _requested(node, options, say), cycles, **ends)
+    bag = _new_bag(options)
+    say(f"running {order}")
+    with _recorded(node, options, bag):
+        result = _attended(node, order, say)
+        if bag is not None:
+            node.rest(_AFTERWARDS_S)
+    content = {**asdict(result), "bag": None if bag is None else str(bag)}
+    print_result(options, content, _result_words(result, bag))
+    if not result.success:
+        print(f"operate: {result.message}", file=sys.stderr)  # noqa: T201
+    return 0 if result.success else FAILED
+
+
+def _own_gait(options: argparse.Namespace) -> Gait | None:
+    """The gait that is given in numbers, None where one is to be requested. Raises `InputError`."""
+    if options.stroke is None and options.frequency is None:
+        return None
+    if options.stroke is None or options.frequency is None:
+        raise InputError("a gait has a stroke and a frequency: give --stroke and --frequency")
+    if (options.objective, options.speed, options.power) != (None, None, None):
+        raise InputError(
+            "--stroke and --frequency make the gait: leave --objective, --speed, --power out"
+        )
+    return Gait(options.stroke, options.frequency, options.direction, options.margin)
+
+
+def _requested(node: OperatorNode, options: argparse.Namespace, say: Narrator) -> Gait:
+    """A gait of the optimizer's front, for the groove phase at which the robot rests where the twin knows it."""
+    request = request_of_options(options)
+    length = node.state().initial_length
+    try:
+        found = node.request_gait(request, now_and_then(say), options.direction, length)
+    except UnreachableError as error:
+        raise InputError(str(error)) from None
+    phase = 1e3 * found.groove_phase
+    say(f"{1e3 * found.nominal_speed:.2f} mm/s expected at a groove phase of {phase:+.1f} mm")
+    return found.gait
+
+
+def _new_bag(options: argparse.Namespace) -> Path | None:
+    """A bag that is not there yet, in the folder of --record. Raises `InputError`."""
+    if options.record is None:
+        return None
+    folder: Path = options.record.resolve()
+    if (folder / "metadata.yaml").exists():
+        raise InputError(f"--record {folder}: this is a bag; give the folder that holds the bags")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--record {folder}: {error.strerror}") from None
+    bag = folder / time.strftime("run_%Y_%m_%d-%H_%M_%S")
+    if bag.exists():
+        raise InputError(f"{bag}: exists already; try again in a second")
+    return bag
+
+
+@contextmanager
+def _recorded(node: OperatorNode, options: argparse.Namespace, bag: Path | None) -> Iterator[None]:
+    """A recorder beside the graph's own, where a bag is wanted."""
+    if bag is None:
+        yield
+        return
+    parameters = str(Path(options.parameters).resolve()) if options.parameters else ""
+    system = installed_system_file().system(
+        "robot", options.namespace.strip("/"), bag=str(bag), parameter_file=parameters
+    )
+    name = f"{RECORDER}_{os.getpid()}"
+    with (
+        work_folder("operate") as work,
+        ProcessGroup(work / "logs") as group,
+        recording(group, node, system.node(RECORDER), name),
+    ):
+        yield
+
+
+def _attended(node: OperatorNode, order: Order, say: Narrator) -> RunResult:
+    """A run to its end; Ctrl-C stops it at the next point of rest, another one at once."""
+    with counted_interrupts() as interrupts:
+        run = node.begin(order)
+        try:
+            if not node.follow(run, _progress(say), lambda: interrupts() > 0):
+                run.cancel()
+                say("stopping at the next point of rest; Ctrl-C again holds at once")
+            if not node.follow(run, _progress(say), lambda: interrupts() > 1):
+                say(node.stop())
+            node.follow(run, _progress(say))
+            return run.result
+        finally:
+            run.close()
+
+
+def _progress(say: Narrator) -> Callable[[RunProgress], None]:
+    told, cycle = -math.inf, -1
+
+    def progress(now: RunProgress) -> None:
+        nonlocal told, cycle
+        if now.cycle != cycle or time.monotonic() > told + _TOLD_S:
+            told, cycle = time.monotonic(), now.cycle
+            say(str(now))
+
+    return progress
+
+
+def _result_words(result: RunResult, bag: Path | None) -> str:
+    rows: list[tuple[str, Any]] = [
+        ("cycles", result.cycles_completed),
+        ("distance", f"{1e3 * result.distance:.1f} mm, {result.grooves:.1f} grooves"),
+        ("speed", f"{1e3 * result.speed:.2f} mm/s"),
+        ("power", f"{result.power:.2f} W, at rest {result.idle_power:.2f} W"),
+        ("cost of transport", f"{result.cost_of_transport:.1f}"),
+    ]
+    if bag is not None:
+        rows.append(("recording", bag))
+    table = "\n".join(f"{name:<18} {value}" for name, value in rows)
+    return f"{result.message}\n{table}"

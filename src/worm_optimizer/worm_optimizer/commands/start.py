@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: the whole node graph of system.yaml, until Ctrl-C; what the launch file does with a ROS installed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+from worm_model.commands.command_line import FAILED, Parser, run_command
+from worm_optimizer.commands.robot_options import add_robot, robot_of
+from worm_optimizer.nodes.operator_node import OperatorError
+from worm_optimizer.operation.bring_up import FAILURES, Narrator, Session, session
+from worm_optimizer.operation.processes import counted_interrupts, termination_as_interrupt
+from worm_optimizer.operation.system import RESTARTS
+
+
+def main() -> int:
+    """Entry point of the executable start."""
+    return run_command(_parser(), _start)
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="start",
+        description="Brings the node graph up, activates the driver and keeps all of it until Ctrl-C, which brings "
+        "the robot to rest first. Where the driver cannot be activated, as a robot that is not homed, it says why "
+        "and leaves it to operate.",
+    )
+    parser.add_argument(
+        "--virtual", action="store_true", help="a virtual robot in the place of the real one"
+    )
+    parser.add_argument("--namespace", default="", help="of all nodes (default: worm)")
+    add_robot(parser)
+    parser.add_parameters()
+    return parser
+
+
+def _start(options: argparse.Namespace) -> int:
+    robot = robot_of(options, "virtual" if options.virtual else "robot")
+    system = robot.file.system(robot.mode, options.namespace, **robot.settings)
+    logs = Path(tempfile.mkdtemp(prefix="worm_start_"))
+    say = Narrator("start")
+    say(f"the logs of all nodes go to {logs}")
+    try:
+        with termination_as_interrupt(), session(system, logs, say, RESTARTS) as running:
+            _activate(running)
+            _keep(running)
+    except FAILURES as error:
+        print(f"start: {error}\nstart: the logs are in {logs}", file=sys.stderr)  # noqa: T201
+        return FAILED
+    return 0
+
+
+def _activate(running: Session) -> None:
+    """A robot that cannot be activated is its operator's."""
+    try:
+        running.activate()
+    except OperatorError as error:
+        running.say(f"{error}. Mend it, then: ./worm operate home, ./worm operate activate")
+
+
+def _keep(running: Session) -> None:
+    """Until a signal comes. Raises `ProcessError` when a node ends that the others need."""
+    running.say(
+        "ready: ./worm operate state, ./worm operate run --objective cruise; Ctrl-C ends all"
+    )
+    with counted_interrupts() as interrupts:
+        while not interrupts():
+            running.node.wait(lambda: interrupts() > 0, 1.0)

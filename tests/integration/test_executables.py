@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What holds for every executable that is a node: how it is loaded, and what it does with what it has no use for."""
+
+import signal
+from pathlib import Path
+
+import pytest
+from harness import TIMEOUT_S, Processes
+from recorded_run import simulated_run, write_bag
+
+from worm_optimizer.operation.processes import Process, wait_for
+
+NODES = {
+    "driver_node": "worm_driver",
+    "virtual_robot": "worm_driver",
+    "tracker_node": "worm_driver",
+    "twin_node": "worm_model",
+    "record": "worm_model",
+    "play": "worm_model",
+    "watch": "worm_model",
+    "optimizer_node": "worm_optimizer",
+}
+
+
+def imports(process: Process) -> bool:
+    """Whether a process has begun to load rclpy."""
+    try:
+        return "rclpy" in Path(f"/proc/{process.pid}/maps").read_text()
+    except OSError:
+        return False
+
+
+@pytest.fixture
+def arguments(tmp_path: Path) -> dict[str, list[str]]:
+    """What an executable needs on its command line."""
+    return {
+        "virtual_robot": ["--directory", str(tmp_path / "robot")],
+        "record": ["--all", "--output", str(tmp_path / "bag")],
+        "play": [str(write_bag(tmp_path / "played", simulated_run(cycles=1)))],
+    }
+
+
+@pytest.mark.parametrize("executable", sorted(NODES))
+def test_ctrl_c_while_it_loads_is_no_traceback(
+    processes: Processes, arguments: dict[str, list[str]], executable: str
+):
+    process = processes.start_executable(
+        NODES[executable], executable, *arguments.get(executable, [])
+    )
+    assert wait_for(lambda: imports(process), TIMEOUT_S)
+    process.signal(signal.SIGINT)
+    assert process.wait(TIMEOUT_S) in (0, -signal.SIGINT)
+    assert "Traceback" not in process.output()
+
+
+@pytest.mark.parametrize("executable", ["virtual_robot", "record", "play", "watch"])
+def test_a_node_without_parameters_refuses_them(
+    processes: Processes, arguments: dict[str, list[str]], executable: str
+):
+    words = [*arguments.get(executable, []), "--ros-args", "-p", "frobnicate:=1"]
+    process = processes.start_executable(NODES[executable], executable, *words)
+    assert process.wait(TIMEOUT_S) == 2
+    assert "no parameter frobnicate" in process.last_line()
+    assert "Traceback" not in process.output()

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rest as the tracker sees it."""
+
+import math
+import random
+
+import pytest
+
+from worm_driver.gait.stillness import SPAN, Stillness
+
+RATE_HZ = 30.0
+LENGTH = 0.2952
+
+
+def seen(
+    length, duration: float, noise: float = 0.0, rear=lambda _: 0.1
+) -> list[tuple[float, bool]]:
+    """Time and outcome of each sample of a robot whose length is a function of time."""
+    draw, still, found = random.Random(1), Stillness(), []
+    for index in range(round(duration * RATE_HZ)):
+        time = index / RATE_HZ
+        place = rear(time) + draw.gauss(0.0, noise)
+        still.observe(time, place, place + length(time) + draw.gauss(0.0, noise))
+        found.append((time, still.lasts))
+    return found
+
+
+def test_a_robot_that_stands_is_seen_to_after_most_of_a_span():
+    found = seen(lambda _: LENGTH, 3.0, noise=1e-4)
+    assert not any(lasts for time, lasts in found if time < SPAN / 2)
+    assert all(lasts for time, lasts in found if time > SPAN)
+
+
+def test_a_body_that_creeps_is_not_taken_for_one_that_stands():
+    """From 4.7 mm off, with a time constant of a second: a length taken then is within half a millimetre."""
+
+    def creeping(time: float) -> float:
+        return LENGTH - 4.7e-3 * math.exp(-time)
+
+    first = next(time for time, lasts in seen(creeping, 6.0) if lasts)
+    assert first > 2.0
+    assert LENGTH - creeping(first - SPAN / 2) < 1e-3
+
+
+@pytest.mark.parametrize("module", ["rear", "front"])
+def test_what_is_hidden_is_not_seen_to_stand(module: str):
+    hidden = {"rear": (lambda _: math.nan), "front": (lambda _: 0.1)}[module]
+    found = seen(lambda _: math.nan if module == "front" else LENGTH, 3.0, rear=hidden)
+    assert not any(lasts for _, lasts in found)
+
+
+def test_a_robot_that_slides_whole_does_not_stand():
+    assert not any(lasts for _, lasts in seen(lambda _: LENGTH, 3.0, rear=lambda time: 2e-3 * time))

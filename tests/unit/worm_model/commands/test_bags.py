@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was recorded, as a table; parts of bags and bags joined."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from worm_model.bags.opening import open_bag
+from worm_model.commands import bag_runs, bags
+from worm_model.commands.bag_table import find_bags
+
+SAMPLES = Path(__file__).resolve().parents[4] / "bags"
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+    def call(*words):
+        monkeypatch.setattr("sys.argv", ["bags", *map(str, words)])
+        try:
+            status = bags.main()
+        except SystemExit as left:
+            status = left.code
+        return status, *capsys.readouterr()
+
+    return call
+
+
+def test_the_table_tells_every_run_and_why_a_bag_has_none(run):
+    before = sorted(SAMPLES.rglob("*"))
+    status, told, _ = run(SAMPLES, "--json")
+    rows = {Path(row["bag"]).name: row for row in json.loads(told)["runs"]}
+    assert status == 0
+    assert set(rows) == {"faults", "forward", "killed", "reverse"}
+    forward = rows["forward"]
+    assert forward["gait"] == {"stroke": 0.07, "frequency": 0.25, "direction": 1, "margin": 0.0}
+    assert forward["grooves_per_cycle"] == pytest.approx(1.0, abs=0.01)
+    assert forward["state"] == "closed"
+    assert forward["health"] == "healthy"
+    assert rows["reverse"]["gait"]["direction"] == -1
+    assert rows["reverse"]["speed"] > 0.0
+    assert rows["killed"]["state"] == "not closed"
+    assert rows["killed"]["gait"] is None
+    assert "recover" in rows["killed"]["notes"]
+    assert sorted(SAMPLES.rglob("*")) == before  # nothing is recovered by looking
+
+
+def test_what_was_read_once_is_not_read_again(run, monkeypatch):
+    first = run("table", SAMPLES, "--json")[1]
+    monkeypatch.setattr(bag_runs, "rows_of_bag", None)
+    status, again, error = run("table", SAMPLES, "--json")
+    assert (status, again, error) == (0, first, "")
+
+
+def test_a_bag_that_changed_is_read_again(run, tmp_path):
+    shutil.copytree(SAMPLES / "forward", tmp_path / "bags" / "one")
+    assert "70.0 mm 0.250 Hz" in run(tmp_path / "bags")[1]
+    file = tmp_path / "bags" / "one" / "forward_0.mcap"
+    file.write_bytes(file.read_bytes()[:-5000])
+    assert "damaged" in run(tmp_path / "bags")[1]
+
+
+def test_a_folder_without_bags_is_refused(run, tmp_path):
+    status, told, error = run(tmp_path)
+    assert (status, told) == (2, "")
+    assert "holds no bag" in error
+    assert run(tmp_path / "none")[0] == 2
+
+
+def test_a_recovered_bag_stands_for_its_source(tmp_path):
+    for name in ("run", "run_recovered"):
+        shutil.copytree(SAMPLES / "forward", tmp_path / name)
+    assert [bag.name for bag in find_bags(tmp_path)] == ["run_recovered"]
+
+
+def test_info_tells_topics_and_metadata(run):
+    content = json.loads(run("info", SAMPLES / "forward", "--json")[1])
+    assert {topic["name"] for topic in content["topics"]} >= {"/worm/tracker", "/worm/power"}
+    assert sum(topic["messages"] for topic in content["topics"]) == content["messages"]
+
+
+def test_a_trimmed_bag_begins_with_what_latched_topics_had_said(run, tmp_path):
+    output = tmp_path / "part"
+    words = ("--start", 8, "--end", 9, "--output", output)
+    assert run("trim", SAMPLES / "forward", *words)[0] == 0
+    with open_bag(SAMPLES / "forward") as whole, open_bag(output) as part:
+        first = whole.start + 8 * 10**9
+        expected = [m for m in whole.messages() if first <= m.log_time <= first + 10**9]
+        found = list(part.messages())
+        latched = [m for m in found if m not in expected]
+        assert [m.topic for m in latched] == ["/worm/gait_state"]
+        assert latched[0].log_time == first
+        assert len(found) == len(expected) + 1
+    assert run("trim", SAMPLES / "forward", *words)[0] == 2
+    assert run("trim", SAMPLES / "forward", "--start", 1e4, "--output", tmp_path / "no")[0] == 2
+    assert run("trim", SAMPLES / "forward", "--output", tmp_path / "no")[0] == 2
+
+
+def test_what_is_split_and_merged_again_is_the_same(run, tmp_path):
+    assert run("split", SAMPLES / "forward", "--output", tmp_path / "runs")[0] == 0
+    (made,) = (tmp_path / "runs").iterdir()
+    assert run("merge", made, SAMPLES / "reverse", "--output", tmp_path / "both")[0] == 0
+    with open_bag(SAMPLES / "forward") as a, open_bag(SAMPLES / "reverse") as b:
+        count = a.message_count + b.message_count
+    with open_bag(tmp_path / "both") as both:
+        times = [m.log_time for m in both.messages()]
+    assert len(times) == count
+    assert times == sorted(times)
+    rows = json.loads(run(tmp_path / "both", "--json")[1])["runs"]
+    assert [row["gait"]["direction"] for row in rows] == [1, -1]

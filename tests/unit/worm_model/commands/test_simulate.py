@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated gait as a table, a figure and a recording."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from worm_model.analysis.simulated_run import simulated_run
+from worm_model.commands import simulate as command
+from worm_model.gait import Gait
+from worm_model.identification.observed_run import recording_of
+from worm_model.parameters import PAPER
+from worm_model.simulation.simulator import evaluate_gait
+from worm_model.twin.offline_replay import replay_run
+
+COLUMNS = (
+    "time_s,length_change_m,rear_position_m,front_position_m,rear_anchor_m,front_anchor_m,"
+    "cable_force_N,power_W,energy_J"
+)
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    def call(*words):
+        monkeypatch.setattr("sys.argv", ["simulate", *map(str, words)])
+        try:
+            status = command.main()
+        except SystemExit as left:
+            status = left.code
+        return status, *capsys.readouterr()
+
+    return call
+
+
+def test_the_table_holds_the_gait_from_its_onset_to_its_end(run, tmp_path):
+    path = tmp_path / "gait.csv"
+    words = ("--stroke", 0.07, "--frequency", 0.2, "--json", "--output", path)
+    status, told, _ = run(*words)
+    assert status == 0
+    assert path.read_text().splitlines()[0] == COLUMNS
+    rows = np.array(list(csv.reader(path.open()))[1:], float)
+    assert rows.shape == (2501, 9)  # five cycles of 5 s at 100 Hz
+    assert np.all(rows[0, [0, 1, 2, 8]] == 0.0)
+    result = evaluate_gait(Gait(0.07, 0.2))
+    assert (rows[-1, 2] - rows[1000, 2]) / 15.0 == pytest.approx(result.speed, rel=1e-9)
+    assert (rows[-1, 8] - rows[1000, 8]) / 15.0 == pytest.approx(result.power, rel=1e-9)
+    assert json.loads(told)["speed"] == pytest.approx(result.speed)
+    status, _, error = run(*words)
+    assert status == 2
+    assert "exists already" in error
+
+
+def test_a_period_that_is_no_multiple_of_the_step_does_not_run_over_the_end(run, tmp_path):
+    path = tmp_path / "gait.csv"
+    words = ("--stroke", 0.07, "--frequency", 0.3, "--cycles", 1, "--rate", 7, "--output", path)
+    assert run(*words)[0] == 0
+    times = np.array([row.split(",")[0] for row in path.read_text().splitlines()[1:]], float)
+    assert times == pytest.approx(np.arange(24) / 7.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--output", "x.txt"), "end its name in .csv, .mcap"),
+        (("--output", "x.csv", "--cycles", "0"), "--cycles 0"),
+        (("--output", "x.csv", "--rate", "1e9"), "--rate"),
+        (("--output", "none/x.csv"), "its folder none does not exist"),
+    ],
+)
+def test_bad_input_is_one_line(run, tmp_path, monkeypatch, words, said):
+    monkeypatch.chdir(tmp_path)
+    status, told, error = run("--stroke", 0.07, "--frequency", 0.2, *words)
+    assert (status, told) == (2, "")
+    assert said in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_figure_is_drawn(run, tmp_path):
+    path = tmp_path / "gait.svg"
+    assert run("--stroke", 0.07, "--frequency", 0.2, "--output", path)[0] == 0
+    assert "anchor" in path.read_text() or path.stat().st_size > 10_000
+
+
+def test_the_twin_follows_a_simulated_recording_exactly():
+    simulated = simulated_run(Gait(0.07, 0.2), PAPER, 5, 200.0)
+    replay = replay_run(simulated.as_recorded(), PAPER)
+    residual = replay.residuals["rear_position"]
+    assert np.nanmax(np.abs(residual)) < 5e-5  # lengths are joined by straight lines
+    assert not replay.notices
+
+
+def test_identification_reads_a_simulated_recording():
+    simulated = simulated_run(Gait(0.07, 0.2), PAPER, 5, 100.0)
+    recording = recording_of(simulated.as_recorded(), "simulated")
+    assert recording.gait == Gait(0.07, 0.2)
+    assert recording.x1[recording.at_rest] == pytest.approx(0.0, abs=1e-12)

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dry friction of the model, against an independent integration, balances and limits."""
+
+import numpy as np
+import pytest
+from oracle import Oracle
+from random_cases import random_dry_case
+
+from worm_model.gait import FORWARD, REVERSE, Gait
+from worm_model.parameters import PAPER
+from worm_model.simulation.batch import evaluate_gaits
+from worm_model.simulation.simulator import Locomotion, evaluate_gait, simulate
+
+GAIT = Gait(0.07, 0.2)
+
+
+def with_dry(rear, front, **more):
+    return PAPER.replace(rear_dry_friction=rear, front_dry_friction=front, **more)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_gaits_agree_with_the_oracle(seed):
+    _, gait, parameters = random_dry_case(seed)
+    result = evaluate_gait(gait, parameters)
+    oracle = Oracle(gait, parameters).run()
+    x1 = simulate(gait, parameters).at(np.arange(6) * gait.period).x1
+    assert x1 == pytest.approx([x1 for x1, _ in oracle.boundaries], rel=0, abs=1e-9)
+    power = parameters.idle_power + parameters.power_factor * oracle.work(3) * gait.frequency
+    assert result.power == pytest.approx(power, rel=1e-6)
+    assert result.switches == oracle.switches
+
+
+def test_positions_between_cycles_agree_with_the_oracle():
+    parameters = with_dry(1.3, 0.6)
+    times = np.linspace(0.01, 5 * GAIT.period, 97)
+    oracle = Oracle(GAIT, parameters).run(samples=times)
+    states = np.concatenate(oracle.states, axis=1)
+    motions = simulate(GAIT, parameters).at(np.concatenate(oracle.times))
+    assert motions.x1 == pytest.approx(states[0], abs=1e-9)
+    assert motions.v1 == pytest.approx(states[1], abs=1e-7)
+    energy = parameters.idle_power * motions.time + parameters.power_factor * states[3]
+    assert motions.energy == pytest.approx(energy, rel=1e-8)
+
+
+def test_a_module_that_sticks_does_not_move():
+    motions = simulate(GAIT, with_dry(500.0, 0.0)).at(np.linspace(0.0, 25.0, 400))
+    assert motions.x1 == pytest.approx(0.0, abs=1e-15)  # rounding of y
+    assert motions.v1 == pytest.approx(0.0, abs=1e-15)
+    assert np.ptp(motions.x2) > 0.04
+
+
+def test_the_cable_pays_for_what_friction_and_damping_take():
+    # So short a stroke that no anchor switches: the springs give back what they took.
+    gait, parameters = Gait(0.02, 0.2), with_dry(0.7, 0.4)
+    trajectory = simulate(gait, parameters, cycles=8)
+    assert not any(event.switched for event in trajectory.events())
+    time = np.linspace(6 * gait.period, 7 * gait.period, 200_001)
+    motions = trajectory.at(time)
+    p = parameters
+    taken = p.viscous_friction * (motions.v1**2 + motions.v2**2)
+    taken += p.bellows_damping * motions.length_rate**2
+    taken += p.rear_dry_friction * np.abs(motions.v1) + p.front_dry_friction * np.abs(motions.v2)
+    given = -motions.cable_force * motions.length_rate
+    assert np.trapezoid(given, time) == pytest.approx(np.trapezoid(taken, time), rel=1e-5)
+
+
+def test_with_equal_frictions_the_directions_are_mirror_images():
+    parameters = with_dry(0.9, 0.9, initial_length=17 * PAPER.pitch)
+    forward, reverse = (
+        evaluate_gait(Gait(0.07, 0.2, direction), parameters) for direction in (FORWARD, REVERSE)
+    )
+    assert forward.speed == pytest.approx(reverse.speed, rel=1e-9)
+    assert forward.power == pytest.approx(reverse.power, rel=1e-9)
+
+
+def test_less_and_less_dry_friction_is_none():
+    exact = evaluate_gait(GAIT, PAPER).power
+    found = [evaluate_gait(GAIT, with_dry(dry, dry)).power for dry in (1e-3, 1e-5, 1e-12)]
+    assert found == pytest.approx([exact] * 3, rel=1e-4)
+    assert abs(found[1] - exact) < 0.02 * abs(found[0] - exact)
+
+
+def test_a_batch_takes_dry_friction_of_each_row():
+    rear = np.array([0.0, 0.5, 5.0])
+    table = evaluate_gaits(0.07, 0.2, overrides={"rear_dry_friction": rear})
+    alone = [evaluate_gait(GAIT, with_dry(float(dry), 0.0)).power for dry in rear]
+    assert table.power == pytest.approx(alone, rel=1e-14)
+
+
+@pytest.mark.parametrize("pieces", [1, 7, 50])
+def test_a_length_may_be_cut_anywhere(pieces):
+    """Which module sticks is judged anew where a piece begins: that must not tell."""
+    parameters = with_dry(1.0, 0.4)
+    model = Locomotion(parameters)
+    time = np.linspace(0.0, 10.0, 401)[1:]
+    change = 0.5 * 0.05 * (np.cos(2 * np.pi * 0.2 * time) - 1.0)
+    whole, _ = model.follow(model.start(), time, change)
+    state = model.start()
+    for part in np.array_split(np.arange(time.size), pieces):
+        state, _ = model.follow(state, time[part], change[part])
+    assert state.y == pytest.approx(whole.y, abs=1e-12)
+    assert state.switches == whole.switches
+
+
+def test_a_body_that_rests_stays_until_its_fins_push_too_hard():
+    """ΔL stands still: both modules stick together, and hold up to the sum of their frictions."""
+    bent = 0.001  # of both fins beyond their clearance, pushed forward: they slide
+    push = 2.0 * bent * PAPER.disengaged_stiffness
+    for share in (0.6, 0.3):  # of the push that each module can hold
+        parameters = with_dry(share * push, share * push, initial_length=17 * PAPER.pitch)
+        model, x1 = Locomotion(parameters), 0.5 * PAPER.clearance + bent
+        _, motions = model.follow(model.start(x1=x1), [2.0, 4.0], [0.0, 0.0])
+        left = min(2.0 * share, 1.0) * bent
+        assert motions.x1[-1] - 0.5 * PAPER.clearance == pytest.approx(left, abs=1e-8)
+        assert motions.v1[-1] == pytest.approx(0.0, abs=1e-9)
