@@ -106,7 +106,7 @@ def outcomes(gait: Gait, seed: int = 11, lab: Lab = Lab()) -> list[Outcome]:
     ]
 
 
-def _outcome(robots: Robots, k: int, kind: str, place: int, fault: Fault, *, tracker: bool) -> Outcome:
+def _outcome(robots: Robots, k: int, kind: str, place: int, fault: Fault, tracker: bool) -> Outcome:
     twin = Twin()
     events = twin.advance(twin.start(), robots.rows(k, tracker=tracker), to_the_end=True).events
     coded = [event for event in events if event.code]
@@ -146,7 +146,7 @@ def bound(gait: Gait, kind: str, place: int) -> float:
     return 0.5 * math.erfc((2.33 - distance) / math.sqrt(2.0))
 
 
-def table(found: Sequence[Outcome], *, tracker: bool) -> dict[tuple[str, int], Counter[str]]:
+def table(found: Sequence[Outcome], tracker: bool) -> dict[tuple[str, int], Counter[str]]:
     """What was told, by kind and size."""
     counts: dict[tuple[str, int], Counter[str]] = defaultdict(Counter)
     for outcome in found:
