@@ -62,9 +62,9 @@ from worm_optimizer.operation.spread_figure import draw_spread
 from worm_optimizer.orders import Order
 from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
 from worm_optimizer.report.identification_parts import add_identification, identification_of
-from worm_optimizer.report.page import Report, build_report
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
+from worm_optimizer.report.report_page import Report, build_report
 from worm_optimizer.search.cache import Cache, default_directory
 from worm_optimizer.search.search_settings import Settings
 
