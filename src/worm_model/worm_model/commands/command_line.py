@@ -64,6 +64,19 @@ class Parser(argparse.ArgumentParser):
             help="parameter file (YAML); default: the paper's values",
         )
 
+    def add_transmission(self) -> None:
+        """Adds --onset and --spool-radius of a lab's logs, which are found where they are not given."""
+        self.add_number(
+            "--onset",
+            "S",
+            "start of the gait in a lab's logs in s; default: as the servo's log shows it",
+        )
+        self.add_number(
+            "--spool-radius",
+            "M",
+            "of the cable servo in a lab's logs in m; default: that with which its goals play the gait's stroke",
+        )
+
     def add_definitions(self) -> None:
         """Adds --definitions."""
         self.add_argument(
