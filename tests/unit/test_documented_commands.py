@@ -29,11 +29,12 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
         ("worm_model", name): ()
         for name in (
             *("evaluate_gait", "export", "health", "identify", "import_lab"),
-            *("bags", "phase_map", "recover", "replay"),
+            *("bags", "phase_map", "recover", "replay", "simulate"),
         )
     },
     ("worm_optimizer", "optimize"): SMALL_FRONT,
     ("worm_optimizer", "report"): ("--without-front",),
+    ("worm_optimizer", "sensitivity"): ("--samples", "16"),
     ("worm_optimizer", "request"): SMALL_FRONT,
     ("worm_optimizer", "scan_margin"): ("--lowest", "0.0033", "--highest", "0.0036"),
 }
@@ -49,6 +50,8 @@ ELSEWHERE = {
     ("worm_driver", "virtual_robot"): "tests/integration/test_virtual_robot.py",
     ("worm_model", "twin_node"): "tests/integration/test_twin_node.py",
     ("worm_model", "watch"): "tests/integration/test_watch.py",
+    ("worm_optimizer", "start"): "tests/integration/test_start.py",
+    ("worm_optimizer", "operate"): "tests/integration/test_operate.py",
     ("worm_optimizer", "campaign"): "tests/integration/test_campaign.py",
     ("worm_optimizer", "demo"): "tests/integration/test_demo.py",
     ("worm_optimizer", "study"): "tests/unit/worm_optimizer/study/test_study_command.py",
