@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.report import Row
-from worm_driver.virtual_robot.offline_run import Run, rehearse, sinusoid
+from worm_driver.virtual_robot.offline_run import Run, run_offline, sinusoid
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
@@ -55,7 +55,7 @@ def rough_run(gait: Gait, seed: int) -> Run:
     def command(time: float) -> float:
         return wave(time) if time < end else 0.0
 
-    return rehearse(settings, command, end + AFTER_S, direction=gait.direction)
+    return run_offline(settings, command, end + AFTER_S, direction=gait.direction)
 
 
 def recording_of(run: Run, gait: Gait) -> Recording:

@@ -38,7 +38,7 @@ CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
 }
 # Needs a robot or an operator: which test runs it, with real processes where they matter.
 ELSEWHERE = {
-    ("worm_driver", "calibrate"): "tests/unit/worm_driver/test_calibrate.py",
+    ("worm_driver", "calibrate"): "tests/unit/worm_driver/commands/test_calibrate.py",
     ("worm_driver", "calibrate_camera"): "tests/unit/worm_driver/commands/test_camera_commands.py",
     ("worm_driver", "markers"): "tests/unit/worm_driver/commands/test_camera_commands.py",
     ("worm_driver", "track"): "tests/unit/worm_driver/commands/test_camera_commands.py",

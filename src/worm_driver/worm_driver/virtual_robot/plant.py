@@ -258,18 +258,18 @@ class Plant:
         p = self.parameters
         if law == LOOSE:
             return round(x / p.pitch), 0.0
-        stretch = x - groove * p.pitch
+        deflection = x - groove * p.pitch
         index = groove % _GROOVES
-        if stretch > grooves.thresholds[index]:
+        if deflection > grooves.thresholds[index]:
             groove += 1
-        elif stretch < -grooves.thresholds[index]:
+        elif deflection < -grooves.thresholds[index]:
             groove -= 1
-        stretch = x - groove * p.pitch
+        deflection = x - groove * p.pitch
         half = 0.5 * p.clearance
-        if -half <= stretch <= half:
+        if -half <= deflection <= half:
             return groove, 0.0
         # Forward fins are stiff when pushed backward, reverse fins when pushed forward.
-        stiff = law * stretch < 0
+        stiff = law * deflection < 0
         stiffness = p.engaged_stiffness if stiff else p.disengaged_stiffness
-        excess = stretch - math.copysign(half, stretch)
+        excess = deflection - math.copysign(half, deflection)
         return groove, stiffness * grooves.stiffness[groove % _GROOVES] * excess

@@ -73,17 +73,6 @@ class Recording:
         """The last moment, in s, that camera and command both cover."""
         return float(min(self.camera_time[-1], self.command_time[-1]))
 
-    def with_cable_as_command(self) -> Recording:
-        """The same run, the encoder's cable length in the place of the command.
-
-        Raises `IdentificationError` if the encoder was not recorded.
-        """
-        if not self.cable.size:
-            raise IdentificationError(
-                f"{self.name}: no body_length/cable: the encoder was not recorded"
-            )
-        return replace(self, command_time=self.cable_time, command=self.cable)
-
 
 def recording_of(
     run: Run, name: str, sources: Mapping[str, str] | None = None, date: str = ""

@@ -36,9 +36,9 @@ from worm_optimizer.operation.campaign_runs import run_gaits
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.report.agreement import agreement_json, describe
 from worm_optimizer.report.identification_parts import add_identification, identification_of
-from worm_optimizer.report.page import Report, build_report
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
+from worm_optimizer.report.report_page import Report, build_report
 from worm_optimizer.search.cache import Cache, default_directory
 from worm_optimizer.search.search_settings import Settings
 

@@ -114,7 +114,7 @@ def _refusal(answer: str | BaseException, mine: str) -> str:
 
 
 @dataclass
-class _Desk:
+class _Dispatcher:
     """What has been handed out, and to whom it may go; a piece is kept until its result is back."""
 
     client: Client
@@ -173,7 +173,7 @@ def spread(
     worker that it is given to; else what the function raises.
     """
     crew = _Crew(client, say)
-    desk = _Desk(client, crew, function, enumerate(pieces))
+    dispatcher = _Dispatcher(client, crew, function, enumerate(pieces))
     told = False
     try:
         while True:
@@ -189,12 +189,12 @@ def spread(
                 )
                 say(f"waiting for workers, {there} (Ctrl-C ends this; what is finished stays)")
             told = not crew.able
-            desk.fill()
-            if crew.able and not desk.kept:
+            dispatcher.fill()
+            if crew.able and not dispatcher.kept:
                 return
-            yield from desk.results()
+            yield from dispatcher.results()
     finally:
-        desk.clear()
+        dispatcher.clear()
 
 
 def _finished(futures: list[Future]) -> list[Future]:
