@@ -90,13 +90,14 @@ def _parser() -> Parser:
     return parser
 
 
-class _Reporter:
+class StageProgress:
     """One progress line for each stage."""
 
     def __init__(self) -> None:
         self._stage, self._line = "", ProgressLine("")
 
     def __call__(self, stage: str, done: float) -> None:
+        """Shows how far a stage is, from 0 to 1."""
         if stage != self._stage:
             self._stage, self._line = stage, ProgressLine(stage)
         self._line(done)
@@ -119,7 +120,7 @@ def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -
             "--literal has no report and no validation: leave --report and --validation out"
         )
     reference = _reference(options, inputs)
-    found = literal(inputs, reference.parameters, _Reporter())
+    found = literal(inputs, reference.parameters, StageProgress())
     if output is not None:
         provenance = {"made_by": "worm_model identify --literal", "given": reference.source}
         write_parameter_file(output, ParameterFile(found.parameters, {}, provenance))
@@ -156,7 +157,7 @@ def _run(options: argparse.Namespace) -> None:
         raise InputError("--seed must not be negative")
     if (options.spool_radius or 1.0) <= 0:
         raise InputError("--spool-radius must be positive")
-    reporter = _Reporter()
+    reporter = StageProgress()
     logs = LabSettings(EPOCH, onset=options.onset, spool_radius=options.spool_radius)
     inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions, logs)
     if options.literal:

@@ -78,7 +78,10 @@ def draw_cycles(gait: RecordedGait) -> Figure:
     measured, twin = ([getattr(c, f) for c in cycles] for f in ("measured_grooves", "grooves"))
     panels[0].bar(number - 0.2, measured, 0.4, color=BLUE, label="measured")
     panels[0].bar(number + 0.2, twin, 0.4, color=VERMILION, hatch="//", label="twin")
+    bars, names = panels[0].get_legend_handles_labels()
+    figure.legend(bars, names, loc="outside upper left", ncols=2, fontsize="small", frameon=False)
     finish(panels[0], "grooves gained (1)")
+    panels[0].get_legend().remove()  # it is wider than the panel
     for axes, name, scale, label in (
         (panels[1], "x1_rmse", MM, "x1 residual (mm rms)"),
         (panels[2], "length_rmse", MM, "length residual (mm rms)"),
