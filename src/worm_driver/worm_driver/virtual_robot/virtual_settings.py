@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from importlib.resources import files
 from pathlib import Path
 from random import Random
@@ -19,7 +19,7 @@ DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_robot.yaml
 
 # What a ruler and a scale tell stays where it is when a seed moves the parameters.
 _MEASURED = ("rear_mass", "front_mass", "unstressed_length", "initial_length", "pitch")
-_SUFFIXES = ("_s", "_m", "_N", "_rad", "_ohm", "_V", "_W", "_Hz")
+_SUFFIXES = ("_N_per_m", "_s", "_m", "_N", "_rad", "_ohm", "_V", "_W", "_Hz")
 
 T = TypeVar("T")
 
@@ -194,7 +194,8 @@ def _build(kind: type[T], values: dict[str, Any], place: str) -> T:
     unknown = sorted(set(values) - set(wanted))
     if unknown:
         raise SettingsError(f"{place}: unknown name {unknown[0]!r} ({', '.join(wanted)})")
-    missing = sorted(set(wanted) - set(values) - {"parameter_spread", "recording"})
+    needed = {name for name, field in wanted.items() if field.default is MISSING}
+    missing = sorted(needed - set(values))
     if missing:
         raise SettingsError(f"{place}: {missing[0]!r} is missing")
     for name, value in values.items():

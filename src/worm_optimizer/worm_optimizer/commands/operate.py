@@ -136,6 +136,8 @@ def _operate(options: argparse.Namespace) -> int:
     if options.timeout <= 0.0:
         raise InputError(f"--timeout {options.timeout:g}: give a positive time in s")
     action: Action = options.action
+    if action is _run:
+        _ends(options, _own_gait(options) or Gait(0.05, 0.1))  # refused before anybody is asked
     try:
         with operator(namespace, lambda: None, f"operate_{os.getpid()}") as node:
             node.wait_for_driver(options.timeout)
@@ -212,12 +214,8 @@ def _fault(node: OperatorNode, options: argparse.Namespace) -> int:
 
 
 def _run(node: OperatorNode, options: argparse.Namespace) -> int:
-    own = _own_gait(options)
-    ends = {"grooves": options.grooves, "distance": options.distance}
-    cycles = options.cycles or (0 if any(ends.values()) else CYCLES)
-    Order(own or Gait(0.05, 0.1), cycles, **ends)  # refused before anything is asked for
     say = Narrator("operate")
-    order = Order(own or _requested(node, options, say), cycles, **ends)
+    order = _ends(options, _own_gait(options) or _requested(node, options, say))
     bag = _new_bag(options)
     say(f"running {order}")
     with _recorded(node, options, bag):
@@ -242,6 +240,12 @@ def _own_gait(options: argparse.Namespace) -> Gait | None:
             "--stroke and --frequency make the gait: leave --objective, --speed, --power out"
         )
     return Gait(options.stroke, options.frequency, options.direction, options.margin)
+
+
+def _ends(options: argparse.Namespace, gait: Gait) -> Order:
+    """A gait with the ends that are asked for, five cycles without any. Raises `InputError`."""
+    default = 0 if options.grooves or options.distance else CYCLES
+    return Order(gait, options.cycles or default, options.grooves, options.distance)
 
 
 def _requested(node: OperatorNode, options: argparse.Namespace, say: Narrator) -> Gait:
