@@ -72,7 +72,7 @@ def received(bag: Bag, namespace: str) -> dict[int, Stamps]:
     found: dict[int, list[Stamps]] = {kind: [] for kind in names.values()}
     for block in bag.blocks(names):
         for name, messages in block.by_topic():
-            found[names[name]].append(messages.log_time)
+            found[names[name]].append(messages.log_time.astype(np.int64))
     return {kind: np.concatenate(times) for kind, times in found.items() if times}
 
 
