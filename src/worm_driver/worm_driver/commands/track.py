@@ -94,9 +94,9 @@ def _import_lab() -> list[str]:
     with contextlib.suppress(ImportError, LookupError):
         from ament_index_python.packages import get_package_prefix
 
-        found = Path(get_package_prefix("worm_model"), "lib", "worm_model", "import_lab")
-        if found.is_file():
-            return [str(found)]
+        executable = Path(get_package_prefix("worm_model"), "lib", "worm_model", "import_lab")
+        if executable.is_file():
+            return [str(executable)]
     raise TrackingError(
         "a bag needs worm_model's import_lab, which is not installed here: give --output a name that ends in .csv"
     )
@@ -162,21 +162,23 @@ def _preview(tracker: Tracker, frame: Frame, path: Path) -> None:
 
 
 def _report(samples: list[TrackedPositions], options: argparse.Namespace) -> None:
-    seen = sum(math.isfinite(s.length) for s in samples)
+    complete = sum(math.isfinite(s.length) for s in samples)
     poses = [s.pose for s in samples if s.pose is not None]
     error = poses[-1].error if poses else math.nan
     if options.json:
         content = {
             "output": str(options.output),
             "images": len(samples),
-            "seen": seen,
+            "seen": complete,
             "news": [{"time_s": s.time, "message": s.news} for s in samples if s.news],
             "reprojection_error_px": error if poses else None,
         }
         sys.stdout.write(json.dumps(content) + "\n")
         return
     fit = f"; reference markers fit within {error:.2f} px" if poses else ""
-    sys.stdout.write(f"{options.output}: both modules in {seen} of {len(samples)} images{fit}\n")
+    sys.stdout.write(
+        f"{options.output}: both modules in {complete} of {len(samples)} images{fit}\n"
+    )
     reasons = Counter(s.reason for s in samples if s.reason)
     for reason, count in reasons.most_common(3):
         sys.stdout.write(f"  {count}: {reason}\n")

@@ -39,11 +39,11 @@ def _label(tracker: Tracker, detection: Detection, sample: TrackedPositions) -> 
         ("front", setup.front, sample.front),
     ):
         if number == module.number:
-            seen = math.isfinite(position)
+            known = math.isfinite(position)
             text = (
-                f"{number} {name} {position * 1e3:.2f} mm" if seen else f"{number} {name}: refused"
+                f"{number} {name} {position * 1e3:.2f} mm" if known else f"{number} {name}: refused"
             )
-            return Label(detection.corners, text, _MODULE if seen else _REFUSED)
+            return Label(detection.corners, text, _MODULE if known else _REFUSED)
     if number in setup.reference:
         return Label(detection.corners, f"{number} reference", _REFERENCE)
     return Label(detection.corners, f"{number} not in the setup", _STRANGER)

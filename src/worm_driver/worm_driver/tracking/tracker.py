@@ -67,8 +67,8 @@ class Tracker:
         counts = Counter(detection.number for detection in detections)
         once = {d.number: d for d in detections if counts[d.number] == 1}
         sharp = {n for n, detection in once.items() if detection.edge_width <= BLURRED}
-        seen = {n: once[n].corners for n in self.setup.reference if n in sharp}
-        watch = self._place.look(seen)
+        references = {n: once[n].corners for n in self.setup.reference if n in sharp}
+        watch = self._place.look(references)
         if watch.pose is None:
             return TrackedPositions(time, math.nan, math.nan, watch.problem, watch.news)
         news = watch.news or self._doubt(watch.pose)

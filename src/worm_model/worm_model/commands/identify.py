@@ -120,7 +120,7 @@ def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -
             "--literal has no report and no validation: leave --report and --validation out"
         )
     reference = _reference(options, inputs)
-    found = literal(inputs, reference.parameters, _Reporter())
+    found = literal(inputs, reference.parameters, StageProgress())
     if output is not None:
         provenance = {"made_by": "worm_model identify --literal", "given": reference.source}
         write_parameter_file(output, ParameterFile(found.parameters, {}, provenance))

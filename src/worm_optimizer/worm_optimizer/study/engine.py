@@ -174,7 +174,7 @@ def spread(
     """
     crew = _Crew(client, say)
     dispatcher = _Dispatcher(client, crew, function, enumerate(pieces))
-    told = False
+    idle_said = False
     try:
         while True:
             if client.status != "running":
@@ -183,12 +183,12 @@ def spread(
             if crew.refused and not crew.able:
                 address, why = next(iter(crew.refused.items()))
                 raise ClusterError(f"no worker can be used: worker {address}: {why}")
-            if not crew.able and not told:
+            if not crew.able and not idle_said:
                 there = (
                     f"{len(crew.silent)} have not answered yet" if crew.silent else "none is there"
                 )
                 say(f"waiting for workers, {there} (Ctrl-C ends this; what is finished stays)")
-            told = not crew.able
+            idle_said = not crew.able
             dispatcher.fill()
             if crew.able and not dispatcher.kept:
                 return

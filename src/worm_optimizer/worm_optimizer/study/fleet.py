@@ -69,12 +69,12 @@ def bags_below(folder: Path) -> list[Path]:
     }
     # what was recovered from a bag stands beside it, and reading the bag itself is enough
     copies = {bag.with_name(f"{bag.name}{_RECOVERED}") for bag in closed | loose}
-    found = (closed | loose) - copies
-    if not found:
+    bags = (closed | loose) - copies
+    if not bags:
         raise InputError(
             f"{folder}: holds no bag (a folder with metadata.yaml, or a file *.mcap, *.db3)"
         )
-    return sorted(found)
+    return sorted(bags)
 
 
 def bag_rows(path: str, name: str, parameters: str) -> list[Row]:
