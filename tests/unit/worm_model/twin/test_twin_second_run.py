@@ -37,7 +37,9 @@ def session(second: Gait, release_s: float = 0.5) -> list:
 
     The transmission gives its slack back when the cable has rested for ``release_s``.
     """
-    body = BodyParameters(**{f.name: getattr(PAPER, f.name) for f in dataclasses.fields(PAPER)})
+    body = BodyParameters(
+        **{f.name: getattr(PAPER, f.name) for f in dataclasses.fields(BodyParameters)}
+    )
     effects = PlantEffects(0.0, 0.0, 0.0, 1e-4, release_s)
     grooves = make_grooves(body, effects, 0)
     plant = Plant(body, effects, grooves, grooves, STEP_S)
