@@ -163,8 +163,8 @@ def _overlay(gaits: Sequence[RecordedGait], pictures: _Pictures) -> Picture | No
     if len(gaits) < 2:
         return None
     caption = (
-        "Advance of the rear module along each gait's direction, and accumulated energy: measured (full) and as the "
-        "model has them from the command alone (dashed)."
+        "Advance of the rear module along each gait's direction, and accumulated energy: measured (broad) and as the "
+        "model has them from the command alone (thin)."
     )
     return pictures.save("runs", draw_overlay(gaits), caption)
 
