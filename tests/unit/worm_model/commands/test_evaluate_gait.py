@@ -164,6 +164,6 @@ def test_help_does_not_wait_for_the_compiler() -> None:
         "import worm_model.commands.bags\n"
         "sys.exit(bool({'numba', 'numpy', 'matplotlib', 'rosbags'} & set(sys.modules)))"
     )
-    source = Path(__file__).resolve().parents[3] / "src/worm_model"
+    source = Path(command.__file__).resolve().parents[2]
     path = {"PYTHONPATH": str(source), "PATH": "/usr/bin:/bin"}
     assert subprocess.run([sys.executable, "-c", code], env=path).returncode == 0
