@@ -144,12 +144,12 @@ def test_what_is_heard_and_done_without_a_run(lab: Lab):
     assert state["power"] > 0.0
     assert abs(state["rear_position"]) < 0.01
     assert "homing needs the torque off" in lab.operate("home", status=1)
+    assert "outside" in lab.operate("run", *LONG[2:], "--stroke", "0.5", status=1)
     lab.operate("deactivate")
     lab.operate("home")
     assert "shaft" in lab.operate("fault", "stalled", "--target", "1", "--delay", "100")
     assert "no fault" in lab.operate("fault", "nonsense", status=1)
     assert "the torque is off" in lab.operate("run", *LONG, status=1)
-    assert "outside" in lab.operate("run", *LONG[2:], "--stroke", "0.5", status=1)
 
 
 def test_without_a_driver_it_says_so(processes: Processes):

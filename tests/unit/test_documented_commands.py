@@ -164,7 +164,9 @@ def test_it_runs(command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     arguments = [word.replace("/tmp/", f"{tmp_path}/") for word in command.arguments]
     for before, word in pairwise(["", *arguments]):
         prepared(word, before, tmp_path)
-    if command.words == ("./worm", "report"):  # of what was recorded last
+    if (
+        command.words == ("./worm", "report") or command.words[-1] == "bags"
+    ):  # of all that was recorded
         prepared("bags/demo_1", "", tmp_path)
     if command.executable == ("worm_model", "import_lab"):  # which takes one run of a lab
         arguments = ["FOLDER/run_01" if word == "FOLDER" else word for word in arguments]

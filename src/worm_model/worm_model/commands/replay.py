@@ -65,23 +65,30 @@ def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str, shift_n
     write_beside(bag, output, kept, found)
 
 
-def received(bag: Bag, namespace: str) -> dict[int, Stamps]:
-    """When the twin's inputs were received (ns), by their kind, in the order of `read_run`."""
+def received(bag: Bag, namespace: str, run: Run) -> dict[int, Stamps]:
+    """When the samples of a run were received (ns), by their kind; without kinds of which it leaves messages out."""
     topics = [find_topic(bag.topics.values(), name, namespace) for name in INPUTS]
     names = {topic.name: Kind(k) for k, topic in enumerate(topics) if topic is not None}
     found: dict[int, list[Stamps]] = {kind: [] for kind in names.values()}
     for block in bag.blocks(names):
         for name, messages in block.by_topic():
             found[names[name]].append(messages.log_time.astype(np.int64))
-    return {kind: np.concatenate(times) for kind, times in found.items() if times}
+    times = {kind: np.concatenate(parts) for kind, parts in found.items() if parts}
+    samples = _by_kind(run)
+    return {kind: t for kind, t in times.items() if len(t) == len(samples[kind].stamp)}
 
 
 def shift_of(run: Run, times: Mapping[int, Stamps]) -> int:
     """By how much log time is ahead of the stamps, ns; 0 for less than a second, which is delay."""
-    stamps = dict(zip(Kind, (getattr(run, name) for name in SERIES), strict=True))
-    ahead = [times[kind] - stamps[kind].stamp for kind in times if kind != Kind.GAIT]
+    samples = _by_kind(run)
+    ahead = [times[kind] - samples[kind].stamp for kind in times if kind != Kind.GAIT]
     shift = int(np.median(np.concatenate(ahead))) if ahead else 0
     return shift if abs(shift) > LONGEST_DELAY_NS else 0
+
+
+def _by_kind(run: Run) -> dict[int, Any]:
+    """The run's samples of the twin's inputs."""
+    return dict(zip(Kind, (getattr(run, name) for name in SERIES), strict=True))
 
 
 def _messages(name: str, replay: Replay, namespace: str, shift_ns: int) -> list[Message]:
@@ -249,7 +256,7 @@ def _replay(options: argparse.Namespace) -> None:
 def _follow(
     run: Run, parameters: Parameters, bag: Bag, output: Path | None, namespace: str
 ) -> Replay:
-    times = received(bag, namespace)
+    times = received(bag, namespace, run)
     replay = replay_run(run, parameters, received=times)
     for notice in replay.notices:
         _notify(notice.text)

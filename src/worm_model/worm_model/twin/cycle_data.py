@@ -112,13 +112,19 @@ def _step(sums: Array, position: Array, some: NDArray[np.bool_], pitch: float) -
         if part[:, POSITION_COUNT].sum()
     ]
     apart = abs(means[-1] - means[0])
-    if apart > SLIPPING_M:
-        return None
     size = float(np.mean(means))
-    if apart > STEADY_M:
-        size = min(means, key=lambda mean: abs(mean - round(mean / pitch) * pitch))
+    if apart > SLIPPING_M:  # a fin that catches itself just before the end
+        size = float(position[-1])
+        if not some[-1] or round(size / pitch) == 0 or abs(_off_whole(size, pitch)) > STEADY_M:
+            return None
+    elif apart > STEADY_M:
+        size = min(means, key=lambda mean: abs(_off_whole(mean, pitch)))
     step = Step(size)
     return step if step.is_none else _located(sums, position, some, step.size)
+
+
+def _off_whole(size: float, pitch: float) -> float:
+    return size - round(size / pitch) * pitch
 
 
 def _located(sums: Array, position: Array, some: NDArray[np.bool_], size: float) -> Step:

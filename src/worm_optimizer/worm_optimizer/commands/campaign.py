@@ -49,6 +49,7 @@ from worm_optimizer.operation.identification_runs import (
     identification_orders,
     identify_robot,
     record_identification,
+    virtual_bench,
 )
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.spread import (
@@ -203,6 +204,8 @@ def _identify(
         say("identifying")
         source = options.parameters or "the paper"
         bench = Bench(options.bellows, options.fin)
+        if options.mode == "virtual" and bench == Bench(None, None):
+            bench = virtual_bench(robot, folder, work / "logs")
         result = identify_robot(bags, bench, (known, source), folder, StageProgress())
         found.write_text(json.dumps(finite(result)), encoding="utf-8")
     content: dict[str, Any] = json.loads(found.read_text(encoding="utf-8"))

@@ -326,6 +326,8 @@ def _progress(say: Narrator) -> Callable[[RunProgress], None]:
 
 
 def _result_words(result: RunResult, bag: Path | None) -> str:
+    if not result.cycles_completed:
+        return result.message
     rows: list[tuple[str, Any]] = [
         ("cycles", result.cycles_completed),
         ("distance", f"{1e3 * result.distance:.1f} mm, {result.grooves:.1f} grooves"),

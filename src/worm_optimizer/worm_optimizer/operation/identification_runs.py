@@ -19,6 +19,11 @@ from worm_model.identification.stages import identify
 from worm_model.parameters import ParameterFile, write_parameter_file
 from worm_optimizer.operation.bring_up import Say
 from worm_optimizer.operation.campaign_runs import Confirm, Robot, run_gaits
+from worm_optimizer.operation.processes import (
+    ProcessError,
+    ProcessGroup,
+    executable_command,
+)
 from worm_optimizer.orders import Order
 
 # Three frequencies tell the damping from the power factor, which one cannot (docs/model.md); strokes tell gain from
@@ -35,6 +40,7 @@ _BEYOND = 0.3  # pitches that a run goes on past the last ridge, as one outlier 
 _MOST_CYCLES = (
     12  # after which a gait that has not passed them never will, as identify's advice has it
 )
+BENCH, BENCH_S = "bench_tests", 60.0
 RUNS, PARAMETERS, REPORT, SUMMARY = (
     "identification",
     "parameters.yaml",
@@ -70,6 +76,22 @@ def record_identification(
     runs.mkdir(exist_ok=True)
     run_gaits(robot, orders, runs, logs, say, confirm)
     return [runs / name for name in orders]
+
+
+def virtual_bench(robot: Robot, folder: Path, logs: Path) -> Bench:
+    """The bench tests of the virtual robot that ran, made where they are not there yet. Raises `ProcessError`."""
+    bench = folder / BENCH
+    if not bench.exists():
+        words = [str(bench)]
+        for name, option in (("plant", "--parameters"), ("seed", "--seed")):
+            if value := robot.settings.get(name, ""):
+                words += [option, value]
+        with ProcessGroup(logs) as group:
+            command = [*executable_command("worm_driver", "bench_tests"), *words]
+            process = group.start("bench_tests", command)
+            if process.wait(BENCH_S) != 0:
+                raise ProcessError(f"bench_tests: {process.last_line()}")
+    return Bench(bench / "bellows.csv", bench / "fin.csv")
 
 
 def identify_robot(

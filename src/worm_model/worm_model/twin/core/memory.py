@@ -24,7 +24,7 @@ PHASES = 200  # of a cycle, in which its samples are summed up
 TAKEN, DUPLICATE, LATE, AHEAD, NOT_A_NUMBER, CROWDED = range(6)
 VERDICTS = ("taken", "duplicate", "late", "ahead", "not a number", "crowded")
 
-# Columns of the sums of a cycle: what was measured minus predicted, and how often; measured power apart.
+# Columns of the sums of a cycle: what was measured minus predicted, and how often.
 (
     POSITION_SUM,
     POSITION_COUNT,
@@ -32,9 +32,8 @@ VERDICTS = ("taken", "duplicate", "late", "ahead", "not a number", "crowded")
     LENGTH_COUNT,
     POWER_SUM,
     POWER_COUNT,
-    MEASURED_POWER_SUM,
-) = range(7)
-SUMS = 7
+) = range(6)
+SUMS = 6
 
 _WHOLE = """
     present old_in_a_row ahead filled place taken_ns activity

@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a run has reached what it was asked for, and when its owner has fallen silent."""
+"""When a run has reached what it was asked for."""
 
 import math
-from pathlib import Path
 
 import pytest
 
-from worm_driver.control.emergency import EmergencyLatch, state_folder
-from worm_driver.control.heartbeat import PERIOD, Owner, patience_of
 from worm_driver.errors import LimitError
 from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import Gait, GaitLimits
@@ -80,71 +77,3 @@ def test_a_run_that_is_finished_ends_as_completed_with_its_cycle():
     assert (run.cycles, run.stop_cycle) == (3, 3)
     resting = PlayerState(phase=Phase.RESTING, run=Run(1, GAIT, 5, 5))
     assert gait_player.finish(resting, 0.0) == resting
-
-
-# --- the owner ---------------------------------------------------------------------------------
-
-
-def test_an_owner_that_is_heard_is_not_silent():
-    owner = Owner(1.0, 0.0)
-    for look in range(100):
-        if look % 3 == 0:
-            owner.hear()
-        assert not owner.is_silent(look * PERIOD)
-
-
-def test_an_owner_that_falls_silent_is_missed_after_its_patience():
-    owner = Owner(1.0, 0.0)
-    silent = [owner.is_silent(look * PERIOD) for look in range(1, 15)]
-    assert silent == [look * PERIOD > 1.0 + 1e-9 for look in range(1, 15)]
-
-
-def test_the_drivers_own_pause_is_not_its_owners_silence():
-    owner = Owner(1.0, 0.0)
-    assert not owner.is_silent(30.0)
-
-
-def test_the_shorter_patience_holds():
-    assert patience_of(2.0, 0.0) == patience_of(0.0, 2.0) == patience_of(2.0, 3.0) == 2.0
-    assert patience_of(0.0, 0.0) == math.inf
-
-
-# --- the emergency stop ------------------------------------------------------------------------
-
-
-def test_the_emergency_stop_outlasts_its_driver_for_its_robot_alone(tmp_path: Path):
-    first = EmergencyLatch(tmp_path / "state")
-    assert first.adopt("/dev/worm_bus") == ""
-    assert first.why_not_start() == ""
-    first.set(True)
-    for port, on in (("/dev/worm_bus", True), ("/dev/ttyUSB3", False)):
-        later = EmergencyLatch(tmp_path / "state")
-        later.adopt(port)
-        assert later.on == on
-    assert "emergency_stop off" in first.why_not_start()
-    first.set(False)
-    later = EmergencyLatch(tmp_path / "state")
-    later.adopt("/dev/worm_bus")
-    assert not later.on
-
-
-def test_one_that_comes_before_the_robot_is_known_is_kept(tmp_path: Path):
-    latch = EmergencyLatch(tmp_path)
-    latch.set(True)
-    latch.adopt("/dev/worm_bus")
-    assert latch.on
-    assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_one_that_cannot_be_kept_holds_all_the_same_and_that_is_said(tmp_path: Path):
-    (tmp_path / "file").touch()
-    latch = EmergencyLatch(tmp_path / "file" / "state")
-    latch.adopt("/dev/worm_bus")
-    assert "the next driver will not know" in latch.set(True)
-    assert latch.on
-
-
-def test_where_it_is_kept():
-    assert state_folder({"STATE_DIRECTORY": "/var/lib/worm"}) == Path("/var/lib/worm")
-    assert state_folder({"XDG_STATE_HOME": "/s", "HOME": "/h"}) == Path("/s/worm_driver")
-    assert state_folder({"HOME": "/h"}) == Path("/h/.local/state/worm_driver")
