@@ -28,7 +28,12 @@ from worm_driver.errors import (
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.calibration import Reading, parameter_text, spool_from
 from worm_driver.servos.encoding import from_raw
-from worm_driver.servos.registers import MODELS, POSITION_MODE, TICKS_PER_TURN
+from worm_driver.servos.registers import (
+    MODELS,
+    POSITION_MODE,
+    TICKS_PER_TURN,
+    WATCHDOG_EXPIRED,
+)
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.transmission import Fin, Spool
@@ -158,27 +163,31 @@ class Calibration:
 
     def _reach(self, servo: Servo, ticks: int) -> None:
         """`_move`, repeated at a person's word when an answer is lost: the readings so far stay. Raises DriverError."""
+        interrupted = False
         while True:
             try:
+                if interrupted:
+                    self._take_over(servo)
                 self._move(servo, ticks)
+                return
             except (NoReplyError, CorruptReplyError) as error:
+                interrupted = True
                 self._say(f"{error}; the readings so far are kept")
                 if self._choice("[r]epeat this step or [g]ive up? ", "rg") == "g":
                     raise
-                self._take_over(servo)
-            else:
-                return
 
     def _take_over(self, servo: Servo) -> None:
         """Goes on with a servo whose bus watchdog may have fired. Raises DriverError if it has lost its torque."""
         with self._bus.patient():
             torque = self._bus.read(servo.number, servo["torque_enable"])
+            watchdog = self._bus.read(servo.number, servo["bus_watchdog"])
         if not torque:
             raise DriverError(
                 f"servo {servo.number} has lost its torque, by a restart or an overload, and may have turned: "
                 "its readings do not belong together any more; begin anew"
             )
-        self._torque_on(servo)
+        if watchdog == WATCHDOG_EXPIRED:
+            self._torque_on(servo)
 
     def _torque_off(self, servo: Servo) -> None:
         self._meanwhile = lambda: None
