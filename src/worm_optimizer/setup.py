@@ -16,6 +16,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "start = worm_optimizer.commands.start:main",
     "operate = worm_optimizer.commands.operate:main",
     "campaign = worm_optimizer.commands.campaign:main",
+    "console = worm_optimizer.commands.console:main",
     "study = worm_optimizer.commands.study:main",
 ]
 # What pip brings for a worker of a study, which needs no ROS; requirements*.txt pin the versions.
