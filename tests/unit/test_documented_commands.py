@@ -49,6 +49,7 @@ ELSEWHERE = {
     ("worm_model", "watch"): "tests/integration/test_watch.py",
     ("worm_optimizer", "campaign"): "tests/integration/test_campaign.py",
     ("worm_optimizer", "demo"): "tests/integration/test_demo.py",
+    ("worm_optimizer", "console"): "tests/integration/test_console.py",
     ("worm_optimizer", "study"): "tests/unit/worm_optimizer/study/test_study_command.py",
 }
 NODES = {  # whose only arguments are those of ROS

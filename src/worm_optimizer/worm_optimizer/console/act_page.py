@@ -57,7 +57,7 @@ class ActPage:
                 on_click=partial(self._ask, "ending the emergency stop", rounds.emergency_stop_off),
             )
         with ui.row().classes("w-full gap-4"):
-            with ui.column().classes("grow gap-1").style("min-width: 18rem"):
+            with ui.column().classes("gap-1").style("flex: 1 1 18rem; min-width: 0"):
                 self._front()
             with ui.column().classes("gap-1"):
                 self._gait()

@@ -17,9 +17,11 @@ _LONGEST_FORM = 4096  # bytes
 _FORM = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Worm console</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
-<body style="font-family:sans-serif;max-width:24rem;margin:4rem auto;padding:1rem"><h1>Worm console</h1>
+<body style="font-family:sans-serif;max-width:24rem;margin:4rem auto;padding:1rem">
+<h1>Worm console</h1>
 <p role="alert">{0}</p><form method="post" action="/login"><label>Token or password
-<input type="password" name="token" autocomplete="current-password" autofocus style="width:100%;font-size:1.2rem"></label>
+<input type="password" name="token" autocomplete="current-password" autofocus
+ style="width:100%;font-size:1.2rem"></label>
 <p><button style="font-size:1.2rem">Sign in</button></form>"""
 
 Scope = MutableMapping[str, Any]
@@ -111,8 +113,8 @@ async def _body(receive: Receive) -> str:
         message = await receive()
         body += message.get("body", b"")
         if not message.get("more_body"):
-            return body.decode("utf-8", "replace")
-    return ""
+            break
+    return body.decode("utf-8", "replace") if len(body) <= _LONGEST_FORM else ""
 
 
 async def _answer(

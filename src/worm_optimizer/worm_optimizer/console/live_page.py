@@ -47,7 +47,7 @@ class LivePage:
                 ui.label("blue: robot, amber: twin; fins green hold, amber yield, grey are free")
             with ui.row().classes("w-full gap-4"):
                 self._cells = _table(_ROWS)
-                with ui.column().classes("grow").style("min-width: 18rem"):
+                with ui.column().style("flex: 1 1 18rem; min-width: 0"):
                     self._lengths = _chart("length, mm", _LENGTHS)
                     self._powers = _chart("power, W", _POWERS)
         ui.timer(FRAME_S, self._draw)

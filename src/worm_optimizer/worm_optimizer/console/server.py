@@ -10,7 +10,7 @@ from worm_optimizer.console.guard import Guard
 from worm_optimizer.console.hub import Hub
 from worm_optimizer.console.pages import build
 
-_RECONNECT_S = 3.0  # for which a page that lost its connection is kept
+_RECONNECT_S = 15.0  # for which a page is kept that lost its connection, or is slow to come; control is lost before
 
 
 def serve(hub: Hub, access: Access, host: str, port: int) -> None:
