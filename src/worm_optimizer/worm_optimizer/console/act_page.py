@@ -189,8 +189,9 @@ class ActPage:
         if gaits is not self._shown:
             self._shown = gaits
             self._plot.options["series"][0]["data"] = [_point(gait) for gait in gaits]
-            self._plot.options["series"][1]["data"] = []
-            self._chosen = None
+            if self._chosen not in gaits:
+                self._chosen = None
+                self._plot.options["series"][1]["data"] = []
             self._plot.update()
 
 

@@ -107,10 +107,10 @@ class Desk:
         self.busy = ""
 
     def _say(self, text: str) -> None:
-        if self._ended.is_set():
-            raise _ClosedError
         self.busy = text
         self._tell(Word(text))
+        if self._ended.is_set():
+            raise _ClosedError
 
     def _do(self, node: OperatorNode) -> None:
         act, self._asked = self._asked, None
