@@ -34,7 +34,11 @@ setup(
     packages=find_packages(),
     package_data={NAME: ["config/*", "report/*.jinja", "study/*.jinja"]},
     install_requires=NEEDED,
-    extras_require={"study": STUDY, "console": CONSOLE, "test": ["pytest"]},  # colcon test takes pytest for it
+    extras_require={
+        "study": STUDY,
+        "console": CONSOLE,
+        "test": ["pytest"],
+    },  # colcon test takes pytest for it
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

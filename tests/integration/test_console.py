@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from harness import Processes
 
+from worm_optimizer.operation.processes import executable_command
+
 NEEDED = "needs pip install -r requirements-console.txt -r requirements-dev.txt"
 pytest.importorskip("nicegui", reason=NEEDED)
 sync_api = pytest.importorskip("playwright.sync_api", reason=NEEDED)
@@ -61,7 +63,15 @@ class Console:
         port = free_port()
         self.address = f"http://127.0.0.1:{port}/"
         words = ["--port", str(port), "--bags", str(self.bags), *arguments]
-        self.process = processes.start_executable("worm_optimizer", "console", *words)
+        command = executable_command("worm_optimizer", "console")
+        command = [
+            "env",
+            "-u",
+            "PYTEST_CURRENT_TEST",
+            *command,
+            *words,
+        ]  # else NiceGUI tests itself
+        self.process = processes.start("console", command)
         self.process.wait_for_line(re.escape(self.address), TIMEOUT_S)
 
     def open(self, page: "sync_api.Page") -> None:

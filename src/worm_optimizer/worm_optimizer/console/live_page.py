@@ -105,7 +105,7 @@ def _chart(title: str, lines: dict[str, str]) -> ui.echart:
             {
                 "animation": False,
                 "title": {"text": title, "textStyle": {"fontSize": 13}, "left": 0},
-                "legend": {"right": 0, "itemHeight": 8},
+                "legend": {"right": 0, "top": 0, "itemHeight": 8},
                 "grid": {"left": 40, "right": 10, "top": 30, "bottom": 24},
                 "xAxis": {"type": "value", "min": -REMEMBERED_S, "max": 0, "name": "s"},
                 "yAxis": {"type": "value", "scale": True},

@@ -38,7 +38,7 @@ _STYLE = """<style>
 .scene svg { width: 100%; max-height: 45vh; display: block }
 .worm .pipe { fill: #8d8d99 } .worm .robot { fill: #2659bf } .worm .ghost { fill: #e6b422; opacity: .45 }
 .worm .bellows { opacity: .5 } .worm .ghost.bellows { opacity: .25 } .worm .fins { opacity: .9 }
-.worm text { font: 11px sans-serif; fill: currentColor } .worm path.scale { stroke: currentColor; stroke-width: 1.5 }
+.worm text { font: 8px sans-serif; fill: currentColor } .worm path.scale { stroke: currentColor; stroke-width: 1.5 }
 .numbers .value { text-align: right; font-variant-numeric: tabular-nums }
 .silent { color: #c62828 } .body--dark .silent { color: #ff8a80 }
 .stop { font-weight: 700; font-size: 1.4rem; min-height: 3.2rem; min-width: 9rem }

@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
+from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,6 +20,9 @@ from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, 
 from worm_optimizer.snapshot import DriverWord, Residuals, Snapshot
 
 _NEWEST = QoSProfile(depth=1)
+_SIGHTINGS = (
+    200  # 2 s at 100 Hz: the twin is behind by its delay, and is shown beside what was seen then
+)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _LENGTHS = {
     LengthSource.COMMANDED: "body_length/commanded",
@@ -41,17 +45,20 @@ class Telemetry:
 
     def __init__(self, node: Node) -> None:
         self._heard: dict[str, tuple[float, Any]] = {}
+        self._sightings: deque[Any] = deque(maxlen=_SIGHTINGS)
         for topic, (kind, qos) in _TOPICS.items():
             node.create_subscription(kind, topic, self._keep(topic), qos)
 
     def _keep(self, topic: str) -> Any:
         def keep(message: Any) -> None:
             self._heard[topic] = (time.monotonic(), message)
+            if topic == "tracker":
+                self._sightings.append(message)
 
         return keep
 
     def snapshot(self) -> Snapshot:
-        """What is known now, heard by the monotonic clock."""
+        """What is known now, heard by the monotonic clock; the robot as it was seen at the twin's stamp."""
         heard = dict(self._heard)
         newest = {topic: message for topic, (_, message) in heard.items()}
         power = newest.get("power")
@@ -59,7 +66,7 @@ class Telemetry:
             driver=_driver_of(newest.get("gait_state")),
             twin=_twin_of(newest.get("twin/state")),
             residuals=_residuals_of(newest.get("twin/residuals")),
-            robot=_robot_of(newest.get("tracker")),
+            robot=_robot_at(newest.get("twin/state"), list(self._sightings)),
             lengths={s: newest[topic].length for s, topic in _LENGTHS.items() if topic in newest},
             power=power.power if power is not None else math.nan,
             heard={topic: at for topic, (at, _) in heard.items()},
@@ -92,8 +99,13 @@ def _residuals_of(message: Any) -> Residuals | None:
     return Residuals(**{**values, "health": Health(message.health)})
 
 
-def _robot_of(message: Any) -> Sighting:
-    if message is None:
-        return Sighting()
-    stamp = nanoseconds(message.header.stamp)
-    return Sighting(message.rear_position, message.front_position, stamp)
+def _robot_at(twin: Any, sightings: list[Any]) -> Sighting:
+    """What the tracker said about the stamp of a message of the twin, its newest word without one."""
+    seen = [
+        Sighting(message.rear_position, message.front_position, nanoseconds(message.header.stamp))
+        for message in (sightings if twin is not None else sightings[-1:])
+    ]
+    if twin is None or not seen:
+        return seen[-1] if seen else Sighting()
+    stamp = nanoseconds(twin.header.stamp)
+    return min(seen, key=lambda sighting: abs(sighting.stamp_ns - stamp))
