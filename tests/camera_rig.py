@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_driver.tracking.camera_model import CameraModel
-from worm_driver.tracking.tracker import Sighting, Tracker
+from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.tracker_setup import ModuleMarker, TrackerSetup
 from worm_driver.tracking.vision import Detection, MarkerDetector
 from worm_driver.virtual_robot.camera_images import (
@@ -73,12 +73,12 @@ class Film:
     """True places (m), shape (images, 2), and what was seen."""
 
     truth: Array
-    sightings: list[Sighting]
+    samples: list[TrackedPositions]
 
     @property
     def errors(self) -> Array:
         """Seen minus true (m), shape (images, 2); NaN while hidden."""
-        return np.array([[s.rear, s.front] for s in self.sightings]) - self.truth
+        return np.array([[s.rear, s.front] for s in self.samples]) - self.truth
 
 
 def film(
@@ -92,7 +92,7 @@ def film(
     camera = VirtualCamera(settings, seed)
     tracker = Tracker(setup or setup_of(settings))
     detector = MarkerDetector(tracker.setup.dictionary)
-    truth, sightings = [], []
+    truth, samples = [], []
     for time in times:
         places = motion(time)
         before = motion(time - 1e-3)
@@ -100,9 +100,9 @@ def film(
             (round(time * 1e9), *places), (round(time * 1e9) - 10**6, *before), settings.exposure
         )
         image = camera.image(path)
-        sightings.append(tracker.see(detector.detect(image), float(time)))
+        samples.append(tracker.see(detector.detect(image), float(time)))
         truth.append(places)
-    return Film(np.array(truth), sightings)
+    return Film(np.array(truth), samples)
 
 
 class PaperCamera:

@@ -18,7 +18,9 @@ BLOCK_LINE = re.compile(
 )
 INLINE = re.compile(r"`((?:\./worm|ros2 (?:run|launch)) [^`\n]+)`")
 # Subcommands that are executables, and of which package.
-SHORTCUTS = dict.fromkeys(("demo", "report", "campaign", "study", "console"), "worm_optimizer")
+SHORTCUTS = dict.fromkeys(
+    ("start", "operate", "demo", "report", "campaign", "study", "console"), "worm_optimizer"
+)
 SHORTCUTS["watch"] = "worm_model"
 
 
@@ -70,12 +72,12 @@ def _words(line: str) -> tuple[str, ...]:
 
 
 def entry_points() -> dict[tuple[str, str], str]:
-    """Module by package and executable, as the setup.py files declare them."""
+    """Module and function (``module:function``) by package and executable, as the setup.py files declare them."""
     found = {}
     for setup in sorted((ROOT / "src").glob("*/setup.py")):
         for node in ast.walk(ast.parse(setup.read_text(encoding="utf-8"))):
             if isinstance(node, ast.AnnAssign) and getattr(node.target, "id", "") == "EXECUTABLES":
                 for entry in ast.literal_eval(node.value):  # type: ignore[arg-type]
                     name, target = (part.strip() for part in entry.split("="))
-                    found[setup.parent.name, name] = target.split(":")[0]
+                    found[setup.parent.name, name] = target
     return found

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_driver.virtual_robot.offline_run import Run as Rehearsal
-from worm_driver.virtual_robot.offline_run import rehearse, sinusoid
+from worm_driver.virtual_robot.offline_run import run_offline, sinusoid
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_model.gait import Gait
 from worm_model.identification.inputs import BenchTest, Inputs
@@ -55,7 +55,7 @@ def virtual_campaign(
     settings = dataclasses.replace(load_settings(), seed=seed, parameter_spread=spread)
     recordings, truth = [], PAPER
     for index, (gait, duration) in enumerate(plan):
-        run = rehearse(
+        run = run_offline(
             dataclasses.replace(settings, recording=index + 1),
             sinusoid(gait.stroke, gait.frequency),
             duration,

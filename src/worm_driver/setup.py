@@ -11,6 +11,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "driver_node = worm_driver.nodes.executables:driver_node",
     "tracker_node = worm_driver.nodes.executables:tracker_node",
     "calibrate = worm_driver.commands.calibrate:main",
+    "bench_tests = worm_driver.commands.bench_tests:main",
     "markers = worm_driver.commands.markers:main",
     "calibrate_camera = worm_driver.commands.calibrate_camera:main",
     "track = worm_driver.commands.track:main",

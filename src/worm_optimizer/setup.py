@@ -18,6 +18,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "campaign = worm_optimizer.commands.campaign:main",
     "console = worm_optimizer.commands.console:main",
     "study = worm_optimizer.commands.study:main",
+    "sensitivity = worm_optimizer.commands.sensitivity:main",
 ]
 # What pip brings for a worker of a study, which needs no ROS; requirements*.txt pin the versions.
 NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo", "jinja2", "markdown2"]
@@ -32,7 +33,7 @@ setup(
     maintainer="The worm robot maintainers",
     maintainer_email="maintainers@worm.invalid",
     packages=find_packages(),
-    package_data={NAME: ["config/*", "report/*.jinja", "study/*.jinja"]},
+    package_data={NAME: ["config/*", "config/fronts/*", "report/*.jinja", "study/*.jinja"]},
     install_requires=NEEDED,
     extras_require={
         "study": STUDY,
@@ -42,7 +43,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*"))),
+        (f"share/{NAME}/config", sorted(glob("config/*") + glob(f"{NAME}/config/*.yaml"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
     ],
     entry_points={"console_scripts": EXECUTABLES},

@@ -8,7 +8,9 @@ from harness import system_file
 
 from worm_model.gait import Gait
 from worm_optimizer.operation.campaign_runs import Robot, run_gaits
-from worm_optimizer.report.agreement import agreements, orders
+from worm_optimizer.orders import Order
+from worm_optimizer.report.agreement import agreements
+from worm_optimizer.report.agreement import orders as orders_of
 from worm_optimizer.report.recordings import read_recorded_gaits
 
 pytestmark = pytest.mark.integration
@@ -20,7 +22,8 @@ GAITS = {"slow": Gait(0.06, 0.38), "fast": Gait(0.08, 0.4)}
 def test_each_gait_has_a_recording_of_its_own_that_agrees(ros_domain: int, tmp_path: Path):
     (tmp_path / "logs").mkdir()
     robot = Robot(system_file(), "virtual", {"directory": str(tmp_path / "robot")})
-    run_gaits(robot, GAITS, tmp_path, tmp_path / "logs", say=print)
+    orders = {name: Order(gait, 5) for name, gait in GAITS.items()}
+    run_gaits(robot, orders, tmp_path, tmp_path / "logs", say=print)
 
     recorded = read_recorded_gaits([tmp_path / name for name in GAITS], "", print)
     assert [gait.name for gait in recorded] == list(GAITS)
@@ -32,4 +35,4 @@ def test_each_gait_has_a_recording_of_its_own_that_agrees(ros_domain: int, tmp_p
         assert [row.measured.value for row in agreements(gait)] == pytest.approx(
             [row.expected.value for row in agreements(gait)], rel=0.2
         )
-    assert orders(recorded)[0].preserved is True
+    assert orders_of(recorded)[0].preserved is True

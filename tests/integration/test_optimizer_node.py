@@ -144,7 +144,7 @@ def test_an_optimisation_reports_its_generations_and_is_served_after_a_restart(s
     assert done.status == GoalStatus.STATUS_SUCCEEDED
     assert done.result.success
     assert done.result.margin == 0.001
-    assert done.result.served in ("nsga2", "map")
+    assert done.result.source in ("nsga2", "map")
     assert 0.0 < done.result.hypervolume_share < 1.01
     assert [gait.speed for gait in done.result.front] == sorted(
         gait.speed for gait in done.result.front

@@ -366,6 +366,8 @@ def test_it_goes_on_after_ctrl_c_until_the_driver_has_let_go(
     )
     for topic in ("gait_state", "tracker"):
         recorder.wait_for_line(f"recording /worm/{topic} ", TIMEOUT_S)
+    for publisher in (states, positions):
+        probe.wait_for(lambda p=publisher: p.get_subscription_count() > 0, "the recorder")
     states.publish(GaitState(state=GaitState.RUNNING))
     assert states.wait_for_all_acked(ACKNOWLEDGED)
     publish(positions, range(10))

@@ -14,6 +14,7 @@ from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 SHARE = Path(get_package_share_directory("worm_model"))
 _TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
@@ -46,12 +47,13 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         return LaunchConfiguration(name).perform(context)
 
     namespace = value("namespace").strip("/")
+    robot = (SHARE / "urdf" / "worm.urdf").read_text(encoding="utf-8")
     nodes = [
         Node(
             package="robot_state_publisher",
             executable="robot_state_publisher",
             namespace=namespace,
-            parameters=[{"robot_description": (SHARE / "urdf" / "worm.urdf").read_text()}],
+            parameters=[{"robot_description": ParameterValue(robot, value_type=str)}],  # not YAML
             remappings=[*_TF, ("joint_states", "twin/joint_states")],
         )
     ]

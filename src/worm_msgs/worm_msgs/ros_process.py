@@ -93,6 +93,17 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Ending]:
             signal.signal(number, signal.SIG_IGN if ending() else handler)
 
 
+@contextlib.contextmanager
+def ending_at_once() -> Iterator[None]:
+    """Within ros_process, while this lasts: a signal ends the process where it is, as there is nothing to do before."""
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def own_arguments(arguments: Sequence[str]) -> list[str]:
     """A command line without its ROS arguments.
 

@@ -36,6 +36,7 @@ from lifecycle_msgs.msg import Transition
 
 from worm_optimizer.operation.system import (
     MODES,
+    RESTARTS,
     NodeDescription,
     SystemFile,
     SystemFileError,
@@ -44,7 +45,6 @@ from worm_optimizer.operation.system import (
 
 # A virtual robot's time waits for whoever works with it: on a busy computer its seconds are longer.
 VIRTUAL_SLOWNESS = 8.0
-RESTARTS = 3  # of a node that is not required
 RESTART_DELAY_S = 2.0
 GRACE_S = 5.0  # beyond the time in which a node says it is at rest; launch's own default
 OWN_TIME = ("virtual_robot", "driver", "player")  # they make the time that the others go by

@@ -71,17 +71,17 @@ class Calibration:
 
     def find_servos(self) -> list[Servo]:
         """Every servo with a control table that answers; one that has none is named and left out."""
-        found = []
+        answering = []
         for number in range(253):
             try:
                 model = self._bus.ping(number).model_number
             except BusError:
                 continue
             if model in MODELS:
-                found.append(servos.identify(self._bus, number))
+                answering.append(servos.identify(self._bus, number))
             else:
                 self._say(f"servo {number}: model number {model} is unknown here, left out")
-        return found
+        return answering
 
     def role(self, servo: Servo) -> str:
         """What a person says that a servo is for: c, f or n. Its LED is lit meanwhile.
@@ -212,15 +212,15 @@ class Calibration:
 
 def calibrate(calibration: Calibration, turns: float, points: int) -> tuple[list[Spool], list[Fin]]:
     """The whole conversation. Raises DriverError."""
-    found = calibration.find_servos()
-    if not found:
+    answering = calibration.find_servos()
+    if not answering:
         raise ConfigurationError("no servo answers: check the power, the cable and --baud-rate")
-    roles = {servo.number: calibration.role(servo) for servo in found}
-    cables = [servo for servo in found if roles[servo.number] == "c"]
+    roles = {servo.number: calibration.role(servo) for servo in answering}
+    cables = [servo for servo in answering if roles[servo.number] == "c"]
     if not cables:
         raise ConfigurationError("a robot needs a cable servo: none was named")
     spools = [calibration.cable(servo, turns, points) for servo in cables]
-    fins = [calibration.fin(servo) for servo in found if roles[servo.number] == "f"]
+    fins = [calibration.fin(servo) for servo in answering if roles[servo.number] == "f"]
     return spools, fins
 
 

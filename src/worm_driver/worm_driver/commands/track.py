@@ -24,7 +24,7 @@ from worm_driver.tracking.image_sources import (
     frames_of_folder,
 )
 from worm_driver.tracking.preview import preview, summary
-from worm_driver.tracking.tracker import Sighting, Tracker
+from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.tracker_setup import load_setup
 from worm_driver.tracking.tracking_errors import TrackingError
 from worm_driver.tracking.vision import MarkerDetector, write_image
@@ -35,8 +35,8 @@ PICTURES = (".png", ".jpg", ".jpeg")
 _TELL_EVERY = 300  # images
 
 
-def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[Sighting]:
-    """The sighting of each image; tells on standard error what is to be told, and how far it is.
+def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[TrackedPositions]:
+    """The sample of each image; tells on standard error what is to be told, and how far it is.
 
     Raises:
         TrackingError: an image cannot be read, or has not the camera's size.
@@ -44,29 +44,29 @@ def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[Sighting]:
     detector = MarkerDetector(tracker.setup.dictionary)
     for index, frame in enumerate(frames, 1):
         check_size(frame.image, (tracker.camera.width, tracker.camera.height), frame.name)
-        sighting = tracker.see(detector.detect(frame.image), frame.time)
-        if sighting.news:
-            say(f"track: {frame.time:.3f} s: {sighting.news}")
+        sample = tracker.see(detector.detect(frame.image), frame.time)
+        if sample.news:
+            say(f"track: {frame.time:.3f} s: {sample.news}")
         if index % _TELL_EVERY == 0:
             say(f"track: {index} images, {frame.time:.1f} s")
-        yield sighting
+        yield sample
 
 
-def write_table(path: Path, sightings: Iterable[Sighting]) -> list[Sighting]:
-    """Writes the table while the images come, so that a cancelled run keeps its rows; returns the sightings."""
+def write_table(path: Path, samples: Iterable[TrackedPositions]) -> list[TrackedPositions]:
+    """Writes the table while the images come, so that a cancelled run keeps its rows; returns the samples."""
     kept = []
     with path.open("x", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(COLUMNS)
-        for s in sightings:
+        for s in samples:
             numbers = [f"{value:.6f}" for value in (s.time, s.rear, s.front, s.length)]
             writer.writerow([*numbers, s.reason])
             kept.append(s)
     return kept
 
 
-def write_bag(path: Path, sightings: Iterable[Sighting]) -> list[Sighting]:
-    """Makes a bag of the topics tracker and body_length/measured; returns the sightings.
+def write_bag(path: Path, samples: Iterable[TrackedPositions]) -> list[TrackedPositions]:
+    """Makes a bag of the topics tracker and body_length/measured; returns the samples.
 
     Bags are worm_model's: its command import_lab makes this one, from a table of the lab's form.
 
@@ -74,7 +74,7 @@ def write_bag(path: Path, sightings: Iterable[Sighting]) -> list[Sighting]:
         TrackingError: import_lab is not installed, or refuses.
     """
     command = _import_lab()
-    kept = list(sightings)
+    kept = list(samples)
     with tempfile.TemporaryDirectory() as name:
         with (Path(name) / "camera.csv").open("x", encoding="utf-8", newline="") as stream:
             writer = csv.writer(stream)
@@ -94,9 +94,9 @@ def _import_lab() -> list[str]:
     with contextlib.suppress(ImportError, LookupError):
         from ament_index_python.packages import get_package_prefix
 
-        found = Path(get_package_prefix("worm_model"), "lib", "worm_model", "import_lab")
-        if found.is_file():
-            return [str(found)]
+        executable = Path(get_package_prefix("worm_model"), "lib", "worm_model", "import_lab")
+        if executable.is_file():
+            return [str(executable)]
     raise TrackingError(
         "a bag needs worm_model's import_lab, which is not installed here: give --output a name that ends in .csv"
     )
@@ -141,9 +141,9 @@ def _run(options: argparse.Namespace) -> None:
         _preview(tracker, next(_frames(options, tracker)), options.preview)
     if options.output is None:
         return
-    sightings = follow(Tracker(tracker.setup), _frames(options, tracker))
+    samples = follow(Tracker(tracker.setup), _frames(options, tracker))
     write = write_table if options.output.suffix == ".csv" else write_bag
-    _report(write(options.output, sightings), options)
+    _report(write(options.output, samples), options)
 
 
 def _frames(options: argparse.Namespace, tracker: Tracker) -> Iterator[Frame]:
@@ -155,29 +155,31 @@ def _frames(options: argparse.Namespace, tracker: Tracker) -> Iterator[Frame]:
 def _preview(tracker: Tracker, frame: Frame, path: Path) -> None:
     check_size(frame.image, (tracker.camera.width, tracker.camera.height), frame.name)
     detections = MarkerDetector(tracker.setup.dictionary).detect(frame.image)
-    sighting = tracker.see(detections, frame.time)
-    write_image(path, preview(tracker, frame.image, detections, sighting))
-    for line in summary(tracker, detections, sighting):
+    sample = tracker.see(detections, frame.time)
+    write_image(path, preview(tracker, frame.image, detections, sample))
+    for line in summary(tracker, detections, sample):
         say(f"track: {line}")
 
 
-def _report(sightings: list[Sighting], options: argparse.Namespace) -> None:
-    seen = sum(math.isfinite(s.length) for s in sightings)
-    poses = [s.pose for s in sightings if s.pose is not None]
+def _report(samples: list[TrackedPositions], options: argparse.Namespace) -> None:
+    complete = sum(math.isfinite(s.length) for s in samples)
+    poses = [s.pose for s in samples if s.pose is not None]
     error = poses[-1].error if poses else math.nan
     if options.json:
         content = {
             "output": str(options.output),
-            "images": len(sightings),
-            "seen": seen,
-            "news": [{"time_s": s.time, "message": s.news} for s in sightings if s.news],
+            "images": len(samples),
+            "seen": complete,
+            "news": [{"time_s": s.time, "message": s.news} for s in samples if s.news],
             "reprojection_error_px": error if poses else None,
         }
         sys.stdout.write(json.dumps(content) + "\n")
         return
     fit = f"; reference markers fit within {error:.2f} px" if poses else ""
-    sys.stdout.write(f"{options.output}: both modules in {seen} of {len(sightings)} images{fit}\n")
-    reasons = Counter(s.reason for s in sightings if s.reason)
+    sys.stdout.write(
+        f"{options.output}: both modules in {complete} of {len(samples)} images{fit}\n"
+    )
+    reasons = Counter(s.reason for s in samples if s.reason)
     for reason, count in reasons.most_common(3):
         sys.stdout.write(f"  {count}: {reason}\n")
 

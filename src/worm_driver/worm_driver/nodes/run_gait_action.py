@@ -220,7 +220,7 @@ class RunGaitAction:
         body = hardware.settings.body if hardware is not None else None
         if body is None:
             goal.abort()
-            return _no_result("the driver was closed during the run, its figures are lost")
+            return _no_result("the driver was closed during the run, what was measured is lost")
         result = _result(outcome, figures(outcome, current.record, body), body.pitch)
         if outcome.ending is Ending.COMPLETED:
             goal.succeed()

@@ -26,7 +26,7 @@ from worm_driver.tracking.camera_model import CameraModel, make_camera_model
 from worm_driver.tracking.frame_thread import FrameThread
 from worm_driver.tracking.image_sources import check_size
 from worm_driver.tracking.initial_length import InitialLength
-from worm_driver.tracking.tracker import Sighting
+from worm_driver.tracking.tracker import TrackedPositions
 from worm_driver.tracking.tracker import Tracker as ModuleTracker
 from worm_driver.tracking.tracker_report import TrackerReport
 from worm_driver.tracking.tracker_setup import load_setup
@@ -177,18 +177,18 @@ class TrackerNode(Node):
             self._refuse(str(error))
             return
         nanoseconds = stamp.sec * _NANOSECONDS + stamp.nanosec
-        sighting = self._tracker.see(self._detector.detect(image), nanoseconds / _NANOSECONDS)
-        self._report.count(sighting)
-        if sighting.news:
-            self.get_logger().warning(sighting.news)
-        self._publish(sighting, _time(nanoseconds - round(self._setup.delay * _NANOSECONDS)))
+        sample = self._tracker.see(self._detector.detect(image), nanoseconds / _NANOSECONDS)
+        self._report.count(sample)
+        if sample.news:
+            self.get_logger().warning(sample.news)
+        self._publish(sample, _time(nanoseconds - round(self._setup.delay * _NANOSECONDS)))
 
-    def _publish(self, sighting: Sighting, stamp: Time) -> None:
+    def _publish(self, sample: TrackedPositions, stamp: Time) -> None:
         header = Header(stamp=stamp, frame_id=FRAME)
         self._positions.publish(
-            Tracker(header=header, rear_position=sighting.rear, front_position=sighting.front)
+            Tracker(header=header, rear_position=sample.rear, front_position=sample.front)
         )
-        length = sighting.length
+        length = sample.length
         if not math.isnan(length):
             change = self._initial_length.change(length)
             source = BodyLength.MEASURED

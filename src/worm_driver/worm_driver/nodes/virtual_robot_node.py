@@ -156,7 +156,7 @@ class VirtualRobotNode(Node):
 
 def _camera_file(text: str) -> Path:
     """The file that --camera names."""
-    return Path(str(CAMERA_FILE)) if text == _VIRTUAL else Path(text)
+    return CAMERA_FILE if text == _VIRTUAL else Path(text)
 
 
 def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:

@@ -60,24 +60,24 @@ def print_corners(centre: tuple[float, float, float], size: float, facing: int) 
     return corners
 
 
-def find_pose(setup: TrackerSetup, camera: CameraModel, seen: Corners) -> CameraPose:
+def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> CameraPose:
     """The camera's pose from the corners (pixels, shape (4, 2)) of reference markers by their numbers.
 
     Raises:
         PoseError: too few markers are seen, two poses fit alike, or none fits.
     """
-    if len(seen) < FEWEST_REFERENCES:
-        have = ", ".join(map(str, seen)) or "none"
+    if len(corners_of) < FEWEST_REFERENCES:
+        have = ", ".join(map(str, corners_of)) or "none"
         raise PoseError(f"reference markers in view: {have}; {FEWEST_REFERENCES} are needed")
-    pixels = np.concatenate(list(seen.values()))
+    pixels = np.concatenate(list(corners_of.values()))
     rays = vision.directions(camera, pixels)
     if not np.isfinite(rays).all():
         raise PoseError("a reference marker is where the lens calibration does not reach")
     candidates = sorted(
         (
-            _judged(setup, camera, seen, facing, pose)
+            _judged(setup, camera, corners_of, facing, pose)
             for facing in (-1, 1)
-            for pose in vision.poses(_places(setup, seen, facing), rays)
+            for pose in vision.poses(_places(setup, corners_of, facing), rays)
         ),
         key=lambda candidate: candidate.error,
     )
@@ -95,20 +95,26 @@ def find_pose(setup: TrackerSetup, camera: CameraModel, seen: Corners) -> Camera
     return best
 
 
-def _places(setup: TrackerSetup, seen: Corners, facing: int) -> Array:
-    corners = [print_corners(setup.reference[n], setup.marker_size, facing) for n in seen]
+def _places(setup: TrackerSetup, corners_of: Corners, facing: int) -> Array:
+    corners = [print_corners(setup.reference[n], setup.marker_size, facing) for n in corners_of]
     return np.concatenate(corners)
 
 
 def _judged(
-    setup: TrackerSetup, camera: CameraModel, seen: Corners, facing: int, pose: tuple[Array, Array]
+    setup: TrackerSetup,
+    camera: CameraModel,
+    corners_of: Corners,
+    facing: int,
+    pose: tuple[Array, Array],
 ) -> CameraPose:
     rotation, shift = pose
-    places = _places(setup, seen, facing)
+    places = _places(setup, corners_of, facing)
     depth = float((places @ rotation.T + shift)[:, 2].mean())
     if not depth > 0.0:  # behind the camera, or no pose at all
         return CameraPose(rotation, shift, facing, math.inf, math.inf)
-    wrong = vision.project(camera, places, rotation, shift) - np.concatenate(list(seen.values()))
+    wrong = vision.project(camera, places, rotation, shift) - np.concatenate(
+        list(corners_of.values())
+    )
     error = float(np.sqrt((wrong**2).sum(axis=1).mean()))
     return CameraPose(rotation, shift, facing, error, error * depth / camera.focal[0])
 
@@ -146,9 +152,11 @@ class FixedCamera:
         self._pose: CameraPose | None = None
         self._stray: set[int] = set()
 
-    def look(self, seen: Corners) -> Watch:
+    def look(self, corners_of: Corners) -> Watch:
         """Takes the reference markers of the next image."""
-        trusted = {number: corners for number, corners in seen.items() if number not in self._stray}
+        trusted = {
+            number: corners for number, corners in corners_of.items() if number not in self._stray
+        }
         if not trusted:
             return Watch(None, "no reference marker in view: the camera cannot be checked")
         moved = {
@@ -170,18 +178,18 @@ class FixedCamera:
         mean = self._sums[number] / self._counts[number]
         return float(np.hypot(*(corners - mean).mean(axis=0)))
 
-    def _explain(self, moved: Mapping[int, float], seen: Corners) -> Watch:
+    def _explain(self, moved: Mapping[int, float], corners_of: Corners) -> Watch:
         names = ", ".join(f"{n} by {distance:.1f} px" for n, distance in moved.items())
-        still = len(seen) - len(moved)
+        still = len(corners_of) - len(moved)
         if len(moved) == 1 and still >= FEWEST_REFERENCES:
             (number,) = moved
             self._stray.add(number)
             self._forget()
-            self._average({n: corners for n, corners in seen.items() if n not in self._stray})
+            self._average({n: corners for n, corners in corners_of.items() if n not in self._stray})
             news = f"reference marker {names} against the others: it has come off, or was moved; it counts no more"
             return Watch(None, f"reference marker {number} moved", news)
         self._forget()
-        self._average(seen)
+        self._average(corners_of)
         cause = "the camera" if not still else "the camera, or these markers,"
         return Watch(
             None, "camera moved", f"reference markers moved in the image ({names}): {cause} moved"
@@ -190,9 +198,9 @@ class FixedCamera:
     def _forget(self) -> None:
         self._sums, self._counts, self._images, self._pose = {}, {}, 0, None
 
-    def _average(self, seen: Corners) -> None:
+    def _average(self, corners_of: Corners) -> None:
         self._images += 1
-        for number, corners in seen.items():
+        for number, corners in corners_of.items():
             if self._counts.get(number, 0) < _AVERAGED:
                 self._sums[number] = self._sums.get(number, 0.0) + corners
                 self._counts[number] = self._counts.get(number, 0) + 1
@@ -212,9 +220,9 @@ class MovingCamera:
         self._setup = setup
         self._camera = camera
 
-    def look(self, seen: Corners) -> Watch:
+    def look(self, corners_of: Corners) -> Watch:
         """Takes the reference markers of the next image."""
         try:
-            return Watch(find_pose(self._setup, self._camera, seen))
+            return Watch(find_pose(self._setup, self._camera, corners_of))
         except PoseError as error:
             return Watch(None, str(error))

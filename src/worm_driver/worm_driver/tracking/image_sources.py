@@ -61,7 +61,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 
 def _listed(path: Path) -> list[tuple[Path, float]]:
-    found: list[tuple[Path, float]] = []
+    frames: list[tuple[Path, float]] = []
     before = -math.inf
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
@@ -75,13 +75,13 @@ def _listed(path: Path) -> list[tuple[Path, float]]:
                     raise ImageError(f"{place}: time_s does not rise")
                 if not row["file"] or not (path.parent / row["file"]).is_file():
                     raise ImageError(f"{place}: there is no file {row['file']!r}")
-                found.append((path.parent / row["file"], time))
+                frames.append((path.parent / row["file"], time))
                 before = time
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ImageError(f"{path} cannot be read: {error}") from None
-    if not found:
+    if not frames:
         raise ImageError(f"{path} has no rows")
-    return found
+    return frames
 
 
 def _time(text: str | None, place: str) -> float:

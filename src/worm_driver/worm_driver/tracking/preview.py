@@ -8,7 +8,7 @@ import numpy as np
 
 from worm_driver.tracking import vision
 from worm_driver.tracking.camera_pose import CameraPose, print_corners
-from worm_driver.tracking.tracker import Sighting, Tracker
+from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.vision import Detection, Image, Label
 
 # blue, green, red
@@ -23,27 +23,27 @@ _MARGIN = 0.1  # m of the modules' line that is drawn beyond the reference marke
 
 
 def preview(
-    tracker: Tracker, image: Image, detections: Sequence[Detection], sighting: Sighting
+    tracker: Tracker, image: Image, detections: Sequence[Detection], sample: TrackedPositions
 ) -> Image:
     """An image with the markers that were found, the modules' line, and what came out, shape (height, width, 3)."""
-    labels = [_label(tracker, detection, sighting) for detection in detections]
-    if sighting.pose is not None:
-        labels += _line(tracker, sighting.pose)
-    return vision.draw(image, labels, summary(tracker, detections, sighting))
+    labels = [_label(tracker, detection, sample) for detection in detections]
+    if sample.pose is not None:
+        labels += _line(tracker, sample.pose)
+    return vision.draw(image, labels, summary(tracker, detections, sample))
 
 
-def _label(tracker: Tracker, detection: Detection, sighting: Sighting) -> Label:
+def _label(tracker: Tracker, detection: Detection, sample: TrackedPositions) -> Label:
     setup, number = tracker.setup, detection.number
     for name, module, position in (
-        ("rear", setup.rear, sighting.rear),
-        ("front", setup.front, sighting.front),
+        ("rear", setup.rear, sample.rear),
+        ("front", setup.front, sample.front),
     ):
         if number == module.number:
-            seen = math.isfinite(position)
+            known = math.isfinite(position)
             text = (
-                f"{number} {name} {position * 1e3:.2f} mm" if seen else f"{number} {name}: refused"
+                f"{number} {name} {position * 1e3:.2f} mm" if known else f"{number} {name}: refused"
             )
-            return Label(detection.corners, text, _MODULE if seen else _REFUSED)
+            return Label(detection.corners, text, _MODULE if known else _REFUSED)
     if number in setup.reference:
         return Label(detection.corners, f"{number} reference", _REFERENCE)
     return Label(detection.corners, f"{number} not in the setup", _STRANGER)
@@ -64,22 +64,24 @@ def _line(tracker: Tracker, pose: CameraPose) -> list[Label]:
     return labels
 
 
-def summary(tracker: Tracker, detections: Sequence[Detection], sighting: Sighting) -> list[str]:
+def summary(
+    tracker: Tracker, detections: Sequence[Detection], sample: TrackedPositions
+) -> list[str]:
     """What came out, in lines of text."""
     missing = set(tracker.setup.reference) - {detection.number for detection in detections}
     lines = [f"{len(detections)} markers found"]
     if missing:
         lines.append(f"reference markers not found: {', '.join(map(str, sorted(missing)))}")
-    if sighting.pose is not None:
-        x, y, z = sighting.pose.position
+    if sample.pose is not None:
+        x, y, z = sample.pose.position
         lines.append(
-            f"reference markers fit within {sighting.pose.error:.2f} px ({sighting.pose.error_m * 1e3:.2f} mm); "
+            f"reference markers fit within {sample.pose.error:.2f} px ({sample.pose.error_m * 1e3:.2f} mm); "
             f"camera at x {x:.3f}, y {y:.3f}, z {z:.3f} m"
         )
-    if math.isfinite(sighting.length):
+    if math.isfinite(sample.length):
         lines.append(
-            f"x1 {sighting.rear * 1e3:.2f} mm, x2 {sighting.front * 1e3:.2f} mm, L {sighting.length * 1e3:.2f} mm"
+            f"x1 {sample.rear * 1e3:.2f} mm, x2 {sample.front * 1e3:.2f} mm, L {sample.length * 1e3:.2f} mm"
         )
-    if sighting.reason:
-        lines.append(sighting.reason)
+    if sample.reason:
+        lines.append(sample.reason)
     return lines

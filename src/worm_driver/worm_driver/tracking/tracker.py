@@ -18,7 +18,7 @@ _PLAY = 0.003
 
 
 @dataclass(frozen=True)
-class Sighting:
+class TrackedPositions:
     """What an image tells.
 
     Attributes:
@@ -61,16 +61,16 @@ class Tracker:
         self._doubted = False
         self._last: dict[str, tuple[float, float]] = {}
 
-    def see(self, detections: Sequence[Detection], stamp: float) -> Sighting:
-        """The sighting of an image with these markers, stamped at a time (s)."""
+    def see(self, detections: Sequence[Detection], stamp: float) -> TrackedPositions:
+        """The sample of an image with these markers, stamped at a time (s)."""
         time = stamp - self.setup.delay
         counts = Counter(detection.number for detection in detections)
         once = {d.number: d for d in detections if counts[d.number] == 1}
         sharp = {n for n, detection in once.items() if detection.edge_width <= BLURRED}
-        seen = {n: once[n].corners for n in self.setup.reference if n in sharp}
-        watch = self._place.look(seen)
+        references = {n: once[n].corners for n in self.setup.reference if n in sharp}
+        watch = self._place.look(references)
         if watch.pose is None:
-            return Sighting(time, math.nan, math.nan, watch.problem, watch.news)
+            return TrackedPositions(time, math.nan, math.nan, watch.problem, watch.news)
         news = watch.news or self._doubt(watch.pose)
         fixes = {}
         for name, module in (("rear", self.setup.rear), ("front", self.setup.front)):
@@ -78,7 +78,7 @@ class Tracker:
             fixes[name] = self._believed(name, fix, time)
         reasons = [f"{name} marker {fix.reason}" for name, fix in fixes.items() if fix.reason]
         positions = fixes["rear"].position, fixes["front"].position
-        return Sighting(time, *positions, "; ".join(reasons), news, watch.pose)
+        return TrackedPositions(time, *positions, "; ".join(reasons), news, watch.pose)
 
     def _doubt(self, pose: CameraPose) -> str:
         """Told once where the reference markers fit their places less well than markers can."""

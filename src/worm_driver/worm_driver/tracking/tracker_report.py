@@ -5,7 +5,7 @@ import math
 from collections import Counter
 
 from worm_driver.control.diagnostics import Level, Report
-from worm_driver.tracking.tracker import Sighting
+from worm_driver.tracking.tracker import TrackedPositions
 
 _OFTEN = 0.1  # share of images without both modules from where a warning is given
 
@@ -21,16 +21,16 @@ class TrackerReport:
         self._news = ""
         self._trouble = "no image yet"
 
-    def count(self, sighting: Sighting) -> None:
+    def count(self, sample: TrackedPositions) -> None:
         """Takes what an image told."""
         self._images += 1
         self._trouble = ""
-        if sighting.reason:
-            self._hidden[sighting.reason] += 1
-        if sighting.news:
-            self._news = sighting.news
-        if sighting.pose is not None:
-            self._error = sighting.pose.error
+        if sample.reason:
+            self._hidden[sample.reason] += 1
+        if sample.news:
+            self._news = sample.news
+        if sample.pose is not None:
+            self._error = sample.pose.error
 
     def refuse(self, problem: str) -> bool:
         """Takes why images cannot be used; returns whether that is new."""

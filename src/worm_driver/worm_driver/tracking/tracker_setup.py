@@ -118,16 +118,16 @@ def load_setup(path: Path) -> TrackerSetup:
 
 
 def _setup(content: Any, folder: Path) -> TrackerSetup:
-    given = _keys(content, "the file", _REQUIRED, _OPTIONAL)
-    size = _length(given["marker_size_m"], "marker_size_m", LARGEST_MARKER)
+    keys = _keys(content, "the file", _REQUIRED, _OPTIONAL)
+    size = _length(keys["marker_size_m"], "marker_size_m", LARGEST_MARKER)
     if size <= 0.0:
         raise SetupError(f"marker_size_m must be above 0, not {size:g}")
-    dictionary = given["dictionary"]
+    dictionary = keys["dictionary"]
     if dictionary not in DICTIONARIES:
         raise SetupError(f"no dictionary {dictionary!r}: there are {', '.join(DICTIONARIES)}")
-    line = _keys(given["module_line"], "module_line", ("y_m", "z_m"), {})
-    rear, front = (_module(given[name], name) for name in ("rear", "front"))
-    reference = _reference(given["reference"])
+    line = _keys(keys["module_line"], "module_line", ("y_m", "z_m"), {})
+    rear, front = (_module(keys[name], name) for name in ("rear", "front"))
+    reference = _reference(keys["reference"])
     _check_numbers(dictionary, rear, front, reference)
     _check_places(size, reference)
     return TrackerSetup(
@@ -140,11 +140,11 @@ def _setup(content: Any, folder: Path) -> TrackerSetup:
             _length(line["z_m"], "module_line: z_m", LARGEST_SIDEWAYS),
         ),
         reference,
-        _camera(given["camera_info"], folder),
-        _not_negative(given["rate_hz"], "rate_hz"),
-        _not_negative(given["delay_s"], "delay_s"),
-        _choice(given["pose"], "pose", POSES),
-        _positive(given["max_speed_m_s"], "max_speed_m_s"),
+        _camera(keys["camera_info"], folder),
+        _not_negative(keys["rate_hz"], "rate_hz"),
+        _not_negative(keys["delay_s"], "delay_s"),
+        _choice(keys["pose"], "pose", POSES),
+        _positive(keys["max_speed_m_s"], "max_speed_m_s"),
     )
 
 
@@ -165,10 +165,10 @@ def _keys(
 
 
 def _module(content: Any, name: str) -> ModuleMarker:
-    given = _keys(content, name, ("id",), {"offset_m": 0.0})
+    keys = _keys(content, name, ("id",), {"offset_m": 0.0})
     return ModuleMarker(
-        _marker_number(given["id"], f"{name}: id"),
-        _length(given["offset_m"], f"{name}: offset_m", LARGEST_MARKER),
+        _marker_number(keys["id"], f"{name}: id"),
+        _length(keys["offset_m"], f"{name}: offset_m", LARGEST_MARKER),
     )
 
 

@@ -52,19 +52,19 @@ class MarkerDetector:
     """Finds the markers of one dictionary (OpenCV's name)."""
 
     def __init__(self, dictionary: str):
-        found = _dictionary(dictionary)
-        self._cells = found.markerSize + _BORDER
+        markers = _dictionary(dictionary)
+        self._cells = markers.markerSize + _BORDER
         settings = cv2.aruco.DetectorParameters()
         # One threshold, of a window that is wider than a cell of a marker of 40 pixels.
         settings.adaptiveThreshWinSizeMin = settings.adaptiveThreshWinSizeMax = 23
-        self._detector = cv2.aruco.ArucoDetector(found, settings)
+        self._detector = cv2.aruco.ArucoDetector(markers, settings)
 
     def detect(self, image: Image) -> list[Detection]:
         """The markers in an image; one that is there twice stands there twice."""
-        found, numbers, _ = self._detector.detectMarkers(image)
+        quadrilaterals, numbers, _ = self._detector.detectMarkers(image)
         if numbers is None:
             return []
-        first = np.concatenate(found).astype(float)
+        first = np.concatenate(quadrilaterals).astype(float)
         corners, widths = first, np.empty(len(first))
         for _ in range(_REFINEMENTS):
             corners, widths = _refined(image, corners, self._cells)
@@ -173,23 +173,27 @@ def project(camera: CameraModel, points: Array, rotation: Array, shift: Array) -
     """Pixels, shape (n, 2), of points (n, 3) in m that the camera sees at rotation @ point + shift."""
     turn = cv2.Rodrigues(rotation)[0]
     distortion = np.array(camera.distortion)
-    given = points.reshape(-1, 1, 3)
+    places = points.reshape(-1, 1, 3)
     if camera.model == "equidistant":
-        pixels, _ = cv2.fisheye.projectPoints(given, turn, shift, camera.matrix, distortion)
+        pixels, _ = cv2.fisheye.projectPoints(places, turn, shift, camera.matrix, distortion)
     else:
-        pixels, _ = cv2.projectPoints(given, turn, shift, camera.matrix, distortion)
+        pixels, _ = cv2.projectPoints(places, turn, shift, camera.matrix, distortion)
     return np.asarray(pixels, float).reshape(-1, 2)
 
 
 def directions(camera: CameraModel, pixels: Array) -> Array:
     """(x/z, y/z), shape (n, 2), of what is seen at pixels; NaN where the lens model has no inverse."""
     distortion = np.array(camera.distortion)
-    given = np.ascontiguousarray(pixels, float).reshape(-1, 1, 2)
+    image_points = np.ascontiguousarray(pixels, float).reshape(-1, 1, 2)
     if camera.model == "equidistant":
-        found = cv2.fisheye.undistortPoints(given, camera.matrix, distortion, criteria=_EXACT)
+        undistorted = cv2.fisheye.undistortPoints(
+            image_points, camera.matrix, distortion, criteria=_EXACT
+        )
     else:
-        found = cv2.undistortPointsIter(given, camera.matrix, distortion, None, None, _EXACT)
-    rays = np.asarray(found, float).reshape(-1, 2)
+        undistorted = cv2.undistortPointsIter(
+            image_points, camera.matrix, distortion, None, None, _EXACT
+        )
+    rays = np.asarray(undistorted, float).reshape(-1, 2)
     ahead = np.column_stack([rays, np.ones(len(rays))])
     again = project(camera, ahead, np.eye(3), np.zeros(3))
     rays[~(np.abs(again - pixels.reshape(-1, 2)).max(axis=1) < 1e-3)] = np.nan
@@ -212,7 +216,7 @@ def poses(points: Array, rays: Array) -> list[tuple[Array, Array]]:
     if flat:
         own[:, 2] = 0.0
         methods.append(cv2.SOLVEPNP_IPPE)
-    found = []
+    candidates = []
     for method in methods:
         _, turns, shifts, _ = cv2.solvePnPGeneric(own, rays, _UNIT, None, flags=method)
         for turn, shift in zip(turns, shifts, strict=True):
@@ -220,8 +224,8 @@ def poses(points: Array, rays: Array) -> list[tuple[Array, Array]]:
                 continue
             better = cv2.solvePnPRefineLM(own, rays, _UNIT, None, turn, shift)
             rotation = cv2.Rodrigues(better[0])[0] @ axes
-            found.append((rotation, better[1].ravel() - rotation @ centre))
-    return found
+            candidates.append((rotation, better[1].ravel() - rotation @ centre))
+    return candidates
 
 
 # --- dictionaries ---------------------------------------------------------------------------------
@@ -233,9 +237,9 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 def marker_cells(dictionary: str, number: int) -> NDArray[np.bool_]:
     """A marker's cells with its frame, shape (n, n), row by row from the top; true is white."""
-    found = _dictionary(dictionary)
-    side = found.markerSize + _BORDER
-    cells: NDArray[np.bool_] = cv2.aruco.generateImageMarker(found, number, side) > 0
+    markers = _dictionary(dictionary)
+    side = markers.markerSize + _BORDER
+    cells: NDArray[np.bool_] = cv2.aruco.generateImageMarker(markers, number, side) > 0
     return cells
 
 
@@ -294,9 +298,9 @@ def calibrate(
     """
     flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
     places = [place.astype(np.float32) for place, _ in views]
-    seen = [corners.astype(np.float32).reshape(-1, 1, 2) for _, corners in views]
+    pixels = [corners.astype(np.float32).reshape(-1, 1, 2) for _, corners in views]
     error, matrix, distortion, _, _, deviations, _, errors = cv2.calibrateCameraExtended(
-        places, seen, size, None, None, flags=flags
+        places, pixels, size, None, None, flags=flags
     )
     count = 8 if flags else 5
     camera = CameraModel(

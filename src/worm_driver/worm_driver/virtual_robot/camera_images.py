@@ -14,16 +14,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from worm_driver.virtual_robot.virtual_settings import SettingsError
+from worm_driver.virtual_robot.virtual_settings import SettingsError, read_settings
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Window = tuple[slice, slice]
 
-DEFAULT_FILE = files("worm_driver").joinpath("config/virtual_camera.yaml")
+DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_camera.yaml")))
 
 _QUIET = 1.0  # cells of white around a print
 _PAPER, _INK = 1.0, 0.07  # reflectance
@@ -83,27 +82,22 @@ _KEYS = {
 
 def load_camera_settings(path: Path | None = None) -> CameraSettings:
     """The settings of a file, None: the installed one. Raises SettingsError."""
-    source = DEFAULT_FILE if path is None else path
-    try:
-        content = yaml.safe_load(source.read_text())
-    except OSError as error:
-        raise SettingsError(f"{source}: {error.strerror}") from error
-    except yaml.YAMLError as error:
-        raise SettingsError(f"{source}: no YAML: {' '.join(str(error).split())}") from error
+    return read_settings(DEFAULT_FILE if path is None else path, _camera)
+
+
+def _camera(content: Any) -> CameraSettings:
     if not isinstance(content, Mapping):
-        raise SettingsError(f"{source}: expected a mapping of names to values")
-    given = {_KEYS.get(str(key), str(key)): value for key, value in content.items()}
+        raise SettingsError("expected a mapping of names to values")
+    values = {_KEYS.get(str(key), str(key)): value for key, value in content.items()}
     known = {field.name for field in fields(CameraSettings)}
-    odd = sorted(known.symmetric_difference(given))
+    odd = sorted(known.symmetric_difference(values))
     if odd:
-        problem = "unknown name" if odd[0] in given else "there is no"
-        raise SettingsError(f"{source}: {problem} {odd[0]!r}")
+        problem = "unknown name" if odd[0] in values else "there is no"
+        raise SettingsError(f"{problem} {odd[0]!r}")
     try:
-        return CameraSettings(**{name: _value(name, value) for name, value in given.items()})
+        return CameraSettings(**{name: _value(name, value) for name, value in values.items()})
     except (KeyError, TypeError, ValueError) as error:
-        raise SettingsError(
-            f"{source}: a value is not of the kind that it must be: {error}"
-        ) from error
+        raise SettingsError(f"a value is not of the kind that it must be: {error}") from error
 
 
 def _value(name: str, value: Any) -> Any:

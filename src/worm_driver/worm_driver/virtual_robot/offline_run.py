@@ -61,7 +61,7 @@ def sinusoid(stroke: float, frequency: float) -> Callable[[float], float]:
     return lambda time: -0.5 * stroke * (1.0 - math.cos(2.0 * math.pi * frequency * time))
 
 
-def rehearse(
+def run_offline(
     settings: RobotSettings,
     command: Callable[[float], float],
     duration: float,

@@ -2,8 +2,9 @@
 """The worm in its pipe: fixed-step integration of the two-mass model and of what it leaves out.
 
 The model's part follows the paper (eq:x1_ddot_full to eq:power_model) with parameters of its own.
-Beyond it: dry friction of both modules, and fins whose threshold and stiffness differ from groove
-to groove. SI units; forward is +x; contraction is negative.
+Beyond it: dry friction of both modules, fins whose threshold and stiffness differ from groove to groove, and,
+if it is asked for, a cable that gives: then its force drives the two masses, and load changes the length, which the
+model takes from the command alone. SI units; forward is +x; contraction is negative.
 
 The state keeps the centre of mass, y = x1 + M2/(M1+M2)*(L - L0): adding eq:x1_ddot_full and
 eq:x2_ddot_full leaves no second derivative of the length in its equation of motion.
@@ -53,6 +54,9 @@ class PlantEffects:
     threshold from groove to groove. stiffness_scatter: relative standard deviation of the fins'
     stiffness. The transmission takes its slack up when the cable is first pulled beyond
     slack_engagement (m), and gives it back when the cable rests for slack_release (s).
+    cable_stiffness: N/m, of the cable with its servo and transmission, pulled at the modules; such a cable
+    cannot push. The body's gain and time constant then have no meaning: k_cable/(k_cable + k_b) and
+    c_b/(k_cable + k_b) take their place. 0: the length follows the command alone, as in the paper.
     """
 
     dry_friction: float
@@ -60,6 +64,7 @@ class PlantEffects:
     stiffness_scatter: float
     slack_engagement: float
     slack_release: float
+    cable_stiffness: float = 0.0
 
 
 class Grooves(NamedTuple):
@@ -131,6 +136,8 @@ class Plant:
         cable: m, what the servos have wound of the cable since the start, contraction negative.
         laws: direction in which the rear and the front fins let the robot slide.
         """
+        if self.effects.cable_stiffness > 0.0:
+            return self._pulled(state, cable, laws)
         p = self.parameters
         taken, cable_rest = self._slack(state, cable)
         length_change, length_rate = self._actuate(state.length_change, cable, taken=taken)
@@ -165,6 +172,55 @@ class Plant:
         """Power (W) at the source (eq:power_model), without noise."""
         return self.parameters.idle_power + self.parameters.power_factor * state.mechanical_power
 
+    def _pulled(self, state: PlantState, cable: float, laws: tuple[int, int]) -> PlantState:
+        """The state a step later of two masses that a cable's force pulls together (eq:x1_ddot_full, eq:x2_ddot_full).
+
+        Springs, dampers and frictions enter implicitly. A cable that would push is slack, and its force nothing.
+        """
+        p, h = self.parameters, self.step_s
+        taken, cable_rest = self._slack(state, cable)
+        x1, x2 = self.positions(state)
+        rear_groove, rear_force = self._fin(x1, state.rear_groove, laws[0], self.rear_grooves)
+        front_groove, front_force = self._fin(x2, state.front_groove, laws[1], self.front_grooves)
+        share = p.front_mass / (p.rear_mass + p.front_mass)
+        v1 = state.centre_velocity - share * state.length_rate
+        v2 = v1 + state.length_rate
+        rear = p.rear_mass / h, p.rear_mass * v1 / h - rear_force, self._drag(v1)
+        front = p.front_mass / h, p.front_mass * v2 / h - front_force, self._drag(v2)
+        preload = p.bellows_stiffness * (p.unstressed_length - p.initial_length)
+        bellows = p.bellows_stiffness * state.length_change - preload
+        stiffness = self.effects.cable_stiffness
+        pull = preload + stiffness * (state.length_change - min(cable, -p.slack if taken else 0.0))
+        for held, k in ((pull, stiffness), (0.0, 0.0)):  # taut, else slack
+            inner = (k + p.bellows_stiffness) * h + p.bellows_damping
+            a1, a2 = rear[0] + rear[2] + inner, front[0] + front[2] + inner
+            b1, b2 = rear[1] + held + bellows, front[1] - held - bellows
+            determinant = a1 * a2 - inner * inner
+            v1, v2 = (b1 * a2 + b2 * inner) / determinant, (b2 * a1 + b1 * inner) / determinant
+            force = held + k * h * (v2 - v1)
+            if force >= 0.0:
+                break
+        rate = v2 - v1
+        velocity = v1 + share * rate
+        return PlantState(
+            state.length_change + h * rate,
+            rate,
+            state.centre + h * velocity,
+            velocity,
+            rear_groove,
+            front_groove,
+            taken,
+            cable_rest,
+            force,
+            max(-force * rate, 0.0),
+        )
+
+    def _drag(self, velocity: float) -> float:
+        """Friction over velocity, viscous and dry, N·s/m."""
+        return self.parameters.viscous_friction + self.effects.dry_friction / (
+            abs(velocity) + _SLOW
+        )
+
     def _slack(self, state: PlantState, cable: float) -> tuple[bool, float]:
         if cable < -self.effects.slack_engagement:
             return True, 0.0
@@ -191,8 +247,7 @@ class Plant:
         share = p.front_mass / mass
         v1 = state.centre_velocity - share * length_rate
         v2 = v1 + length_rate
-        drag1 = p.viscous_friction + self.effects.dry_friction / (abs(v1) + _SLOW)
-        drag2 = p.viscous_friction + self.effects.dry_friction / (abs(v2) + _SLOW)
+        drag1, drag2 = self._drag(v1), self._drag(v2)
         pull = (drag1 * share - drag2 * (1.0 - share)) * length_rate - fin_forces
         inertia = mass / self.step_s
         velocity = (inertia * state.centre_velocity + pull) / (inertia + drag1 + drag2)
@@ -203,18 +258,18 @@ class Plant:
         p = self.parameters
         if law == LOOSE:
             return round(x / p.pitch), 0.0
-        stretch = x - groove * p.pitch
+        deflection = x - groove * p.pitch
         index = groove % _GROOVES
-        if stretch > grooves.thresholds[index]:
+        if deflection > grooves.thresholds[index]:
             groove += 1
-        elif stretch < -grooves.thresholds[index]:
+        elif deflection < -grooves.thresholds[index]:
             groove -= 1
-        stretch = x - groove * p.pitch
+        deflection = x - groove * p.pitch
         half = 0.5 * p.clearance
-        if -half <= stretch <= half:
+        if -half <= deflection <= half:
             return groove, 0.0
         # Forward fins are stiff when pushed backward, reverse fins when pushed forward.
-        stiff = law * stretch < 0
+        stiff = law * deflection < 0
         stiffness = p.engaged_stiffness if stiff else p.disengaged_stiffness
-        excess = stretch - math.copysign(half, stretch)
+        excess = deflection - math.copysign(half, deflection)
         return groove, stiffness * grooves.stiffness[groove % _GROOVES] * excess

@@ -9,7 +9,14 @@ from collections import deque
 from random import Random
 
 from worm_driver.virtual_robot.camera import Tracker, TrackerSample
-from worm_driver.virtual_robot.plant import FORWARD, LOOSE, REVERSE, Plant, make_grooves
+from worm_driver.virtual_robot.plant import (
+    FORWARD,
+    LOOSE,
+    REVERSE,
+    BodyParameters,
+    Plant,
+    make_grooves,
+)
 from worm_driver.virtual_robot.servo.control_table import (
     BAUD_RATES,
     EXTENDED_POSITION_MODE,
@@ -203,11 +210,15 @@ class VirtualRobot:
             self.chip.power_on()
 
 
-def _make_plant(settings: RobotSettings) -> Plant:
-    seed = settings.seed
-    body = settings.body
+def body_of(settings: RobotSettings) -> BodyParameters:
+    """What is true of the robot that these settings make."""
     if settings.parameter_spread > 0:
-        body = perturbed(body, settings.parameter_spread, Random(f"{seed} body"))
+        return perturbed(settings.body, settings.parameter_spread, Random(f"{settings.seed} body"))
+    return settings.body
+
+
+def _make_plant(settings: RobotSettings) -> Plant:
+    seed, body = settings.seed, body_of(settings)
     rear, front = (make_grooves(body, settings.effects, 2 * seed + i) for i in range(2))
     return Plant(body, settings.effects, rear, front, settings.step)
 

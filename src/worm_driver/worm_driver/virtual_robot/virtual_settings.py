@@ -2,8 +2,8 @@
 """The virtual robot's file: one frozen dataclass per section, read and checked."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, replace
 from importlib.resources import files
 from pathlib import Path
 from random import Random
@@ -15,11 +15,11 @@ from worm_driver.virtual_robot.plant import BodyParameters, PlantEffects
 from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, MODELS, ServoModel
 from worm_driver.virtual_robot.wire.packet import HIGHEST_ID
 
-DEFAULT_FILE = files("worm_driver").joinpath("config/virtual_robot.yaml")
+DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_robot.yaml")))
 
 # What a ruler and a scale tell stays where it is when a seed moves the parameters.
 _MEASURED = ("rear_mass", "front_mass", "unstressed_length", "initial_length", "pitch")
-_SUFFIXES = ("_s", "_m", "_N", "_rad", "_ohm", "_V", "_W", "_Hz")
+_SUFFIXES = ("_N_per_m", "_s", "_m", "_N", "_rad", "_ohm", "_V", "_W", "_Hz")
 
 T = TypeVar("T")
 
@@ -125,17 +125,19 @@ def perturbed(body: BodyParameters, spread: float, random: Random) -> BodyParame
 
 def load_settings(path: Path | None = None) -> RobotSettings:
     """The settings of a file, None: the installed one. Raises SettingsError."""
-    source = DEFAULT_FILE if path is None else path
+    return read_settings(DEFAULT_FILE if path is None else path, _robot)
+
+
+def read_settings(path: Path, build: Callable[[Any], T]) -> T:
+    """What is built of a YAML file's content. Raises SettingsError, also build's, with the name of the file."""
     try:
-        content = yaml.safe_load(source.read_text())
+        return build(yaml.safe_load(path.read_text(encoding="utf-8")))
     except OSError as error:
-        raise SettingsError(f"{source}: {error.strerror}") from error
-    except yaml.YAMLError as error:
-        raise SettingsError(f"{source}: no YAML: {' '.join(str(error).split())}") from error
-    try:
-        return _robot(content)
+        raise SettingsError(f"{path}: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path}: no YAML: {' '.join(str(error).split())}") from error
     except SettingsError as error:
-        raise SettingsError(f"{source}: {error}") from error
+        raise SettingsError(f"{path}: {error}") from error
 
 
 def _robot(content: Any) -> RobotSettings:
@@ -192,7 +194,8 @@ def _build(kind: type[T], values: dict[str, Any], place: str) -> T:
     unknown = sorted(set(values) - set(wanted))
     if unknown:
         raise SettingsError(f"{place}: unknown name {unknown[0]!r} ({', '.join(wanted)})")
-    missing = sorted(set(wanted) - set(values) - {"parameter_spread", "recording"})
+    needed = {name for name, field in wanted.items() if field.default is MISSING}
+    missing = sorted(needed - set(values))
     if missing:
         raise SettingsError(f"{place}: {missing[0]!r} is missing")
     for name, value in values.items():

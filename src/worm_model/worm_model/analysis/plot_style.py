@@ -71,6 +71,9 @@ def symbol(text: str) -> str:
     return rf"${base}_\mathrm{{{index}}}$" if index else text
 
 
+COMMANDED_INPUT, EFFECTIVE_INPUT = f"commanded {symbol('u_cmd')}", f"effective {symbol('u_eff')}"
+
+
 def finish(axes: Axes, ylabel: str, note: str = "") -> None:
     """Unit, grid, a note on the left above the axes, and the legend on the right above them, where it hides nothing."""
     axes.set_ylabel(ylabel)

@@ -7,7 +7,16 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from worm_model.analysis.plot_style import CABLE, COMMANDED, EFFECTIVE, MEASURED, PREDICTED, Style
+from worm_model.analysis.plot_style import (
+    CABLE,
+    COMMANDED,
+    COMMANDED_INPUT,
+    EFFECTIVE,
+    EFFECTIVE_INPUT,
+    MEASURED,
+    PREDICTED,
+    Style,
+)
 from worm_model.analysis.run_metrics import (
     Samples,
     accumulated_energy,
@@ -65,8 +74,13 @@ def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves,
         Curve("body, predicted", time, predicted, PREDICTED),
     ]
     inputs = [
-        Curve("commanded u_cmd", time, command, COMMANDED),
-        Curve("effective u_eff", time, effective_command(command, parameters.slack), EFFECTIVE),
+        Curve(COMMANDED_INPUT, time, command, COMMANDED),
+        Curve(
+            EFFECTIVE_INPUT,
+            time,
+            effective_command(command, parameters.slack),
+            EFFECTIVE,
+        ),
     ]
     return [curve for curve in lengths if curve.time.size], inputs
 

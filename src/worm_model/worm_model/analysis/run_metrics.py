@@ -91,11 +91,11 @@ def last_played_gait(states: GaitStates) -> PlayedGait:
 
 def played_gaits(states: GaitStates) -> list[PlayedGait]:
     """The gaits that were played, in their order; one that is not admissible is left out."""
-    found = []
+    gaits = []
     for rows in states.rows_of_runs():
         with suppress(RecordingError):
-            found.append(_played_gait(states, rows))
-    return found
+            gaits.append(_played_gait(states, rows))
+    return gaits
 
 
 def _played_gait(states: GaitStates, rows: NDArray[np.int64]) -> PlayedGait:

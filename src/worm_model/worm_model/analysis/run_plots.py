@@ -140,7 +140,7 @@ def simulation_figure(
 
 def run_style(number: int) -> dict[str, Any]:
     """The style of one of several runs, counted from 0."""
-    return {"color": CYCLE[number % len(CYCLE)], "linewidth": 1.5}
+    return {"color": CYCLE[number % len(CYCLE)], "linewidth": 1.2}
 
 
 def _positions(curves: Curves, pitch: float) -> _Panel:

@@ -108,13 +108,13 @@ class SimulatedRun:
         change = np.concatenate([rest, self.motions.length - length])
         power = np.concatenate([rest + self.parameters.idle_power, self.motions.power])
         x1 = np.concatenate([rest, self.motions.x1])
-        told = LengthSamples(stamp, length + command, command)
+        commanded = LengthSamples(stamp, length + command, command)
         body = LengthSamples(stamp, length + change, change)
         current = power / BUS_VOLTAGE
         status = np.full(stamp.size, POWER_VALID)
         return Run(
             origin=EPOCH_NS,
-            commanded=told,
+            commanded=commanded,
             measured=body,
             tracker=TrackerSamples(stamp, x1, x1 + body.length),
             power=PowerSamples(stamp, status, np.full(stamp.size, BUS_VOLTAGE), current, power),

@@ -5,7 +5,14 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from worm_model.analysis.plot_style import CABLE, COMMANDED, EFFECTIVE, MEASURED, PREDICTED
+from worm_model.analysis.plot_style import (
+    CABLE,
+    COMMANDED,
+    EFFECTIVE,
+    EFFECTIVE_INPUT,
+    MEASURED,
+    PREDICTED,
+)
 from worm_model.analysis.run_plots import Curve, Frame, simulation_figure
 from worm_model.analysis.simulated_run import SimulatedRun
 from worm_model.simulation.actuation import effective_command
@@ -28,7 +35,7 @@ def figure_of(run: SimulatedRun) -> Figure:
         ],
         [
             Curve("commanded", time, run.command, COMMANDED),
-            Curve("effective u_eff", time, effective_command(run.command, p.slack), EFFECTIVE),
+            Curve(EFFECTIVE_INPUT, time, effective_command(run.command, p.slack), EFFECTIVE),
             Curve("realised", time, motions.length - p.initial_length, MEASURED),
         ],
         [

@@ -41,6 +41,11 @@ FILES = {
     "servo.csv": ("time_s", "goal_ticks"),
 }
 GAITS_FILE = "runs.json"
+USUAL_ONSET = 2.0  # s
+USUAL_SPOOL = 0.012  # m
+SPOOL_TOLERANCE = 2e-3  # relative: beyond it a radius and a stroke contradict each other
+FEWEST_MOVED = 10  # samples, by which the onset is told
+FEWEST_TICKS = 200  # of a stroke, from which a radius can be told to half a percent
 
 
 class LabError(InputError):
@@ -53,17 +58,26 @@ class LabSettings:
 
     Attributes:
         epoch: stamp of t = 0, ns since the epoch.
-        onset: when the gait starts, s.
-        spool_radius: of the cable servo, m.
+        onset: when the gait starts, s; None: when the servo's goal leaves its first value.
+        spool_radius: of the cable servo, m; None: that with which its goals play the gait's stroke.
         initial_length: L0, m; None: the camera's median before the onset, else `fallback_length`.
         fallback_length: L0 where no camera saw the body at rest, m.
     """
 
     epoch: int
-    onset: float = 2.0
-    spool_radius: float = 0.012
+    onset: float | None = None
+    spool_radius: float | None = None
     initial_length: float | None = None
     fallback_length: float = 0.2952
+
+
+@dataclass(frozen=True)
+class Transmission:
+    """``onset`` in s, ``spool_radius`` in m, and ``remarks`` in words on where both come from."""
+
+    onset: float
+    spool_radius: float
+    remarks: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -75,12 +89,14 @@ class LabRun:
         gait: that was played; None if the folder does not tell.
         initial_length: L0 that the lengths count from, m.
         checksums: SHA-256 of the files that it was made from, by name.
+        transmission: onset and spool radius as they were given or found.
     """
 
     run: Run
     gait: Gait | None
     initial_length: float
     checksums: Mapping[str, str]
+    transmission: Transmission
 
 
 def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
@@ -99,17 +115,71 @@ def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
     if not tables:
         raise LabError(f"{folder} holds none of {', '.join(FILES)}")
     gait = read_gait(folder)
-    length = _initial_length(tables.get("camera.csv"), settings)
+    transmission = _transmission(tables.get("servo.csv"), gait, settings)
+    length = _initial_length(tables.get("camera.csv"), settings, transmission.onset)
     run = Run(
         origin=settings.epoch,
-        commanded=_commanded(tables.get("servo.csv"), length, settings),
+        commanded=_commanded(tables.get("servo.csv"), length, settings, transmission.spool_radius),
         measured=_measured(tables.get("camera.csv"), length, settings),
         tracker=_tracker(tables.get("camera.csv"), settings),
         power=_power(tables.get("power.csv"), settings),
-        gait_state=_gait_states(gait, max(t["time_s"][-1] for t in tables.values()), settings),
+        gait_state=_gait_states(
+            gait, max(t["time_s"][-1] for t in tables.values()), settings, transmission.onset
+        ),
     )
     checksums = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in tables}
-    return LabRun(run, gait, length, checksums)
+    return LabRun(run, gait, length, checksums, transmission)
+
+
+def _transmission(table: Table | None, gait: Gait | None, settings: LabSettings) -> Transmission:
+    """What was given, checked against the servo's log, or what the log says; else what a lab usually has."""
+    remarks = []
+    found_onset = _onset_of(table, gait) if table is not None else None
+    onset = settings.onset
+    if onset is None:
+        onset = USUAL_ONSET if found_onset is None else found_onset
+        source = "assumed" if found_onset is None else "where the servo's goal begins to move"
+        remarks.append(f"gait from {onset:.2f} s on, {source}")
+    found = _spool_of(table, gait) if table is not None and gait is not None else None
+    radius = settings.spool_radius
+    if radius is None:
+        radius = USUAL_SPOOL if found is None else found
+        source = "assumed" if found is None else "with which the servo's goals play the stroke"
+        remarks.append(f"spool radius {1e3 * radius:.2f} mm, {source}")
+    elif found is not None and abs(radius / found - 1.0) > SPOOL_TOLERANCE:
+        remarks.append(
+            f"spool radius {1e3 * radius:.2f} mm as given, but the servo's goals play the stroke of the gait with "
+            f"{1e3 * found:.2f} mm: one of them is wrong, and K is off by as much"
+        )
+    return Transmission(onset, radius, tuple(remarks))
+
+
+def _onset_of(table: Table, gait: Gait | None) -> float | None:
+    """When the goal begins to move, s; None if it never does. A gait begins as a parabola, which is followed back."""
+    moved = np.abs(table["goal_ticks"] - table["goal_ticks"][0])
+    rows = np.flatnonzero(moved > 0.5)[:FEWEST_MOVED]
+    if rows.size < FEWEST_MOVED:
+        return None
+    if gait is None:
+        return float(table["time_s"][rows[0]])
+    share = np.minimum(moved[rows] / np.nanmax(moved), 1.0)
+    since = np.arccos(1.0 - 2.0 * share) / (2.0 * math.pi * gait.frequency)
+    return float(np.median(table["time_s"][rows] - since))
+
+
+def _spool_of(table: Table, gait: Gait) -> float | None:
+    """The radius in m with which goals play a stroke; a tenth of a millimetre if their rounding allows one."""
+    ticks = float(np.ptp(table["goal_ticks"][np.isfinite(table["goal_ticks"])]))
+    time = table["time_s"]
+    enough = time.size >= FEWEST_MOVED and ticks >= FEWEST_TICKS
+    if not enough or time[-1] - time[0] < gait.period:
+        return None
+    low, found, high = (
+        gait.stroke / (2.0 * math.pi * (ticks + rounding) / TICKS_PER_TURN)
+        for rounding in (1.0, 0.0, -1.0)
+    )
+    whole = round(found, 4)
+    return whole if low <= whole <= high else found
 
 
 Table = Mapping[str, NDArray[np.float64]]
@@ -199,11 +269,11 @@ def read_gait(folder: Path) -> Gait | None:
         raise LabError(f"{path} is not a list of gaits by run: {error}") from None
 
 
-def _initial_length(camera: Table | None, settings: LabSettings) -> float:
+def _initial_length(camera: Table | None, settings: LabSettings, onset: float) -> float:
     if settings.initial_length is not None:
         return settings.initial_length
     if camera is not None:
-        at_rest = camera["time_s"] < settings.onset
+        at_rest = camera["time_s"] < onset
         lengths = (camera["x2_m"] - camera["x1_m"])[at_rest]
         seen = lengths[np.isfinite(lengths)]
         if len(seen):
@@ -216,11 +286,13 @@ def _stamp(table: Table, settings: LabSettings) -> Stamps:
     return nanoseconds + settings.epoch
 
 
-def _commanded(table: Table | None, initial_length: float, settings: LabSettings) -> LengthSamples:
+def _commanded(
+    table: Table | None, initial_length: float, settings: LabSettings, radius: float
+) -> LengthSamples:
     if table is None:
         return LengthSamples()
     turns = table["goal_ticks"] / TICKS_PER_TURN
-    change = -turns * 2.0 * math.pi * settings.spool_radius
+    change = -turns * 2.0 * math.pi * radius
     present = np.isfinite(change)
     stamp = _stamp(table, settings)
     return LengthSamples(stamp[present], initial_length + change[present], change[present])
@@ -252,17 +324,17 @@ def _power(table: Table | None, settings: LabSettings) -> PowerSamples:
     return PowerSamples(_stamp(table, settings), status.astype(np.int64), voltage, current, power)
 
 
-def _gait_states(gait: Gait | None, end: float, settings: LabSettings) -> GaitStates:
+def _gait_states(gait: Gait | None, end: float, settings: LabSettings, onset: float) -> GaitStates:
     """At rest from the start, then a message at each cycle's start, as the driver publishes them."""
     if gait is None:
         return GaitStates()
-    cycles = max(math.ceil((end - settings.onset) * gait.frequency), 0)
-    begins = settings.onset + np.arange(cycles) / gait.frequency
+    cycles = max(math.ceil((end - onset) * gait.frequency), 0)
+    begins = onset + np.arange(cycles) / gait.frequency
     times = np.concatenate([[0.0], begins])
     stamp: Stamps = np.rint(times * 1e9).astype(np.int64) + settings.epoch
     count = len(times)
     cycle = np.arange(count)
-    onset = settings.epoch + round(settings.onset * 1e9)
+    onset_ns = settings.epoch + round(onset * 1e9)
     return GaitStates(
         stamp=stamp,
         state=np.where(cycle == 0, RESTING, RUNNING),
@@ -270,7 +342,7 @@ def _gait_states(gait: Gait | None, end: float, settings: LabSettings) -> GaitSt
         frequency=np.full(count, gait.frequency),
         direction=np.full(count, gait.direction),
         margin=np.full(count, gait.margin),
-        onset=np.where(cycle == 0, 0, onset),
+        onset=np.where(cycle == 0, 0, onset_ns),
         cycle=cycle,
         cycles=np.full(count, cycles),
     )

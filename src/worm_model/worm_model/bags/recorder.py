@@ -73,11 +73,6 @@ class BagRecorder:
         self._files.describe()
         sync_directory(directory.parent)
 
-    @property
-    def bytes_written(self) -> int:
-        """Size of the bag's files so far, without the open chunk."""
-        return self._files.size
-
     def add_topic(self, topic: Topic) -> None:
         """Make a topic known; it is in the bag even if no message of it comes."""
         self._files.add_topic(topic)

@@ -67,11 +67,6 @@ class RecordingSession:
             self.start()
 
     @property
-    def is_recording(self) -> bool:
-        """Whether messages that are offered are kept."""
-        return (self._current is not None or bool(self.options.ring_s)) and not self.is_paused
-
-    @property
     def error(self) -> Exception | None:
         """What ended the writing of a bag before its time."""
         return next((t.error for t in self._threads if t.error is not None), None)

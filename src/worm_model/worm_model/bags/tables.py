@@ -76,11 +76,11 @@ def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[Table], dict[str,
             if name in failed:
                 continue
             try:
-                found = _fields(messages)
+                read = _fields(messages)
             except BagError as error:
                 failed[name] = error
                 continue
-            for path, new in found.items():
+            for path, new in read.items():
                 known = fields[name].get(path)
                 fields[name][path] = new.joined(known or new)
     tables = [_table(bag.topics[name], fields[name]) for name in fields if name not in failed]
@@ -103,12 +103,12 @@ def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, Rows
     for block in bag.blocks(by_topic):
         for name, messages in block.by_topic():
             table = by_topic[name]
-            found: dict[str, list[Any]] = {}
+            columns_read: dict[str, list[Any]] = {}
             for path, here in _fields(messages).items():
                 width = MOST_ELEMENTS + 1 if path in table.lists else here.width
-                found.update(here.columns(path, width))
+                columns_read.update(here.columns(path, width))
             missing = [None] * len(messages)
-            yield table, {n: found.get(n, missing) for n in (*table.kinds, *table.lists)}
+            yield table, {n: columns_read.get(n, missing) for n in (*table.kinds, *table.lists)}
 
 
 def _fields(messages: Messages) -> dict[str, _Field]:
@@ -116,16 +116,16 @@ def _fields(messages: Messages) -> dict[str, _Field]:
     builder = ColumnBuilder()
     builder.add(messages)
     columns = builder.columns()
-    found = {LOG_TIME: _Field("int64", None, messages.log_time.tolist())}
+    fields_read = {LOG_TIME: _Field("int64", None, messages.log_time.tolist())}
     for path, values in columns.numbers.items():
         stem = path.removesuffix(SECONDS).removesuffix(NANOSECONDS)
         if stem + SECONDS in columns.numbers and stem + NANOSECONDS in columns.numbers:
-            found[f"{stem}_ns"] = _Field("int64", None, _nanoseconds(columns, stem))
+            fields_read[f"{stem}_ns"] = _Field("int64", None, _nanoseconds(columns, stem))
         else:
-            found[path] = _number_field(values)
+            fields_read[path] = _number_field(values)
     for path, texts in columns.texts.items():
-        found[path] = _Field(TEXT, None, list(texts))
-    return found
+        fields_read[path] = _Field(TEXT, None, list(texts))
+    return fields_read
 
 
 def _nanoseconds(columns: Columns, stem: str) -> list[Any]:

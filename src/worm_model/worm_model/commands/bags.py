@@ -98,7 +98,7 @@ def _info(options: argparse.Namespace) -> None:
     from worm_model.bags.opening import open_bag
 
     with open_bag(options.bag, notifier("bags info")) as bag:
-        content = {
+        content: dict[str, Any] = {
             "bag": str(bag.path),
             "start_ns": bag.start,
             "duration_s": (bag.end - bag.start) * 1e-9,

@@ -64,6 +64,19 @@ class Parser(argparse.ArgumentParser):
             help="parameter file (YAML); default: the paper's values",
         )
 
+    def add_transmission(self) -> None:
+        """Adds --onset and --spool-radius of a lab's logs, which are found where they are not given."""
+        self.add_number(
+            "--onset",
+            "S",
+            "start of the gait in a lab's logs in s; default: as the servo's log shows it",
+        )
+        self.add_number(
+            "--spool-radius",
+            "M",
+            "of the cable servo in a lab's logs in m; default: that with which its goals play the gait's stroke",
+        )
+
     def add_definitions(self) -> None:
         """Adds --definitions."""
         self.add_argument(
@@ -158,19 +171,20 @@ def print_result(options: argparse.Namespace, content: dict[str, Any], text: str
 
 def print_json(content: Any) -> None:
     """Prints one JSON object; what is not a finite number becomes null, as JSON knows no NaN."""
-    json.dump(_finite(content), sys.stdout, allow_nan=False)
+    json.dump(finite(content), sys.stdout, allow_nan=False)
     sys.stdout.write("\n")
 
 
-def _finite(content: Any) -> Any:
+def finite(content: Any) -> Any:
+    """A result as JSON can have it: what is not a finite number becomes None."""
     if isinstance(content, dict):
-        return {key: _finite(value) for key, value in content.items()}
+        return {key: finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
-        return [_finite(value) for value in content]
+        return [finite(value) for value in content]
     if hasattr(content, "item") and getattr(content, "ndim", 0) == 0:
         content = content.item()  # a numpy scalar
     if hasattr(content, "tolist"):
-        return _finite(content.tolist())
+        return finite(content.tolist())
     if isinstance(content, float) and not math.isfinite(content):
         return None
     return content

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from worm_model.commands.command_line import (
     InputError,
@@ -15,8 +16,11 @@ from worm_model.commands.command_line import (
 )
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import Parameters, load_parameters
-from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
-from worm_model.simulation.simulator import GaitResult, evaluate_gait
+
+if TYPE_CHECKING:
+    from worm_model.simulation.simulator import GaitResult
+
+# The simulator is imported where it is used: its compiler takes most of a start, which --help does not need.
 
 
 def gait_json(result: GaitResult) -> dict[str, float]:
@@ -73,6 +77,8 @@ def _parser() -> Parser:
 def _evaluate_table(options: argparse.Namespace, parameters: Parameters) -> None:
     if options.output is None:
         raise InputError("--gaits needs --output, the file that the results go to")
+    from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
+
     output = new_file(options.output)
     overrides, table = evaluate_table(read_gaits(options.gaits), parameters, ProgressLine("gaits"))
     write_table(output, table, overrides, parameters)
@@ -91,6 +97,8 @@ def _evaluate(options: argparse.Namespace) -> None:
     if options.stroke is None or options.frequency is None:
         raise InputError("give --stroke and --frequency, or --gaits IN.csv --output OUT.csv")
     gait = Gait(options.stroke, options.frequency, options.direction, options.margin)
+    from worm_model.simulation.simulator import evaluate_gait
+
     result = evaluate_gait(gait, parameters)
     print_result(options, gait_json(result), describe(result))
 

@@ -7,6 +7,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from worm_model.bags.lab_logs import LabSettings
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -21,7 +22,8 @@ from worm_model.identification.identification_report import (
     parameter_table,
     write_report,
 )
-from worm_model.identification.inputs import Inputs, read_inputs, read_recordings
+from worm_model.identification.inputs import EPOCH, Inputs, read_inputs, read_recordings
+from worm_model.identification.literal import literal
 from worm_model.identification.reference_values import (
     ReferenceValues,
     reference_by_file,
@@ -29,7 +31,13 @@ from worm_model.identification.reference_values import (
 )
 from worm_model.identification.results import parameter_file, summary
 from worm_model.identification.stages import Identification, identify
-from worm_model.parameters import ParameterFile, load_parameter_file, write_parameter_file
+from worm_model.parameters import (
+    PAPER,
+    UNITS,
+    ParameterFile,
+    load_parameter_file,
+    write_parameter_file,
+)
 
 SIDES = {"positive": 1, "negative": -1}
 
@@ -70,19 +78,26 @@ def _parser() -> Parser:
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="of the bootstrap (default 0)"
     )
+    parser.add_argument(
+        "--literal",
+        action="store_true",
+        help="the paper's procedure instead, to compare with: its costs as printed, no nuisances, no intervals",
+    )
+    parser.add_transmission()
     parser.add_definitions()
     parser.add_json()
     parser.add_parameters()
     return parser
 
 
-class _Reporter:
+class StageProgress:
     """One progress line for each stage."""
 
     def __init__(self) -> None:
         self._stage, self._line = "", ProgressLine("")
 
     def __call__(self, stage: str, done: float) -> None:
+        """Shows how far a stage is, from 0 to 1."""
         if stage != self._stage:
             self._stage, self._line = stage, ProgressLine(stage)
         self._line(done)
@@ -96,6 +111,33 @@ def _reference(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
     if inputs.folder is not None:
         return reference_by_folder(inputs.folder)
     return reference_by_file(ParameterFile(), "the paper")
+
+
+def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -> None:
+    """The paper's procedure; see `worm_model.identification.literal`."""
+    if options.report or options.validation:
+        raise InputError(
+            "--literal has no report and no validation: leave --report and --validation out"
+        )
+    reference = _reference(options, inputs)
+    found = literal(inputs, reference.parameters, StageProgress())
+    if output is not None:
+        provenance = {"made_by": "worm_model identify --literal", "given": reference.source}
+        write_parameter_file(output, ParameterFile(found.parameters, {}, provenance))
+    unknown = {"low": None, "high": None, "identifiable": True}
+    values = found.parameters.as_dict()
+    content = {
+        "parameters": {key: {"value": value, **unknown} for key, value in values.items()},
+        "costs": dict(found.costs),
+    }
+    lines = [
+        f"{key:22} {value:12.6g} {UNITS[key]:6}  (paper: {getattr(PAPER, key):g})"
+        for key, value in values.items()
+    ]
+    lines += [f"{name:22} {cost:12.6g}" for name, cost in found.costs.items()]
+    for remark in inputs.remarks:
+        sys.stderr.write(f"{remark}\n")
+    print_result(options, content, "\n".join(lines))
 
 
 def _describe(result: Identification, advice: Advice) -> str:
@@ -113,14 +155,20 @@ def _run(options: argparse.Namespace) -> None:
     report = new_file(options.report) if options.report else None
     if options.seed < 0:
         raise InputError("--seed must not be negative")
-    reporter = _Reporter()
-    inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions)
+    if (options.spool_radius or 1.0) <= 0:
+        raise InputError("--spool-radius must be positive")
+    reporter = StageProgress()
+    logs = LabSettings(EPOCH, onset=options.onset, spool_radius=options.spool_radius)
+    inputs = read_inputs(options.runs, options.bellows, options.fin, options.definitions, logs)
+    if options.literal:
+        _literal(options, inputs, output)
+        return
     result = identify(
         inputs,
         _reference(options, inputs),
         options.seed,
         SIDES.get(options.fin_engages, 0),
-        read_recordings(options.validation, options.definitions),
+        read_recordings(options.validation, options.definitions, logs),
         reporter,
     )
     advice = advise(result)

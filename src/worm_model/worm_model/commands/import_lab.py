@@ -15,12 +15,14 @@ from worm_model.commands.command_line import (
     InputError,
     Parser,
     new_file,
+    notifier,
     number,
     print_result,
     run_command,
 )
 from worm_model.parameters import Parameters, load_parameters
 
+_notify = notifier("import_lab")
 EPOCH_S = 1767225600  # 2026-01-01 00:00 UTC: the logs carry no date, and a stamp of 0 means "unknown" in ROS
 
 _LARGEST_SPOOL = 0.2  # m
@@ -36,18 +38,18 @@ def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str
     """
     lab = read_lab_run(folder, settings)
     with BagWriter(output) as writer:
-        writer.add_metadata("worm_run", _manifest(folder, lab, settings))
+        writer.add_metadata("worm_run", _manifest(folder, lab))
         if lab.gait is not None:
             writer.add_metadata("worm_gait", _gait(lab, settings))
         write_run(writer, lab.run, namespace)
     return lab
 
 
-def _manifest(folder: Path, lab: LabRun, settings: LabSettings) -> dict[str, str]:
+def _manifest(folder: Path, lab: LabRun) -> dict[str, str]:
     return {
         "imported_from": folder.resolve().name,
         "initial_length": repr(lab.initial_length),
-        "spool_radius": repr(settings.spool_radius),
+        "spool_radius": repr(lab.transmission.spool_radius),
         **{f"sha256.{name}": checksum for name, checksum in lab.checksums.items()},
     }
 
@@ -60,7 +62,7 @@ def _gait(lab: LabRun, settings: LabSettings) -> dict[str, str]:
         "frequency": repr(gait.frequency),
         "direction": str(gait.direction),
         "margin": repr(gait.margin),
-        "onset_ns": str(settings.epoch + round(settings.onset * 1e9)),
+        "onset_ns": str(settings.epoch + round(lab.transmission.onset * 1e9)),
     }
 
 
@@ -74,8 +76,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--output", required=True, metavar="BAG", help="the bag, which must not exist"
     )
-    parser.add_number("--onset", "S", "start of the gait in s", 2.0)
-    parser.add_number("--spool-radius", "M", "of the cable servo in m", 0.012)
+    parser.add_transmission()
     parser.add_number("--initial-length", "M", "in m; default: what the camera sees at rest")
     parser.add_argument(
         "--epoch",
@@ -94,7 +95,8 @@ def _run(options: argparse.Namespace) -> None:
     parameters = load_parameters(options.parameters) if options.parameters else Parameters()
     if options.epoch < 0:
         raise InputError("--epoch must not be negative")
-    _check_length("--spool-radius", options.spool_radius, _LARGEST_SPOOL)
+    if options.spool_radius is not None:
+        _check_length("--spool-radius", options.spool_radius, _LARGEST_SPOOL)
     if options.initial_length is not None:
         _check_length("--initial-length", options.initial_length, _LONGEST_BODY)
     settings = LabSettings(
@@ -106,6 +108,8 @@ def _run(options: argparse.Namespace) -> None:
     )
     output = new_file(options.output)
     lab = import_lab(options.folder, output, settings, options.namespace)
+    for remark in lab.transmission.remarks:
+        _notify(remark)
     positions = [lab.run.tracker.rear_position, lab.run.tracker.front_position]
     counts = {
         "commanded": len(lab.run.commanded.stamp),

@@ -7,7 +7,7 @@ import argparse
 
 import numpy as np
 
-from worm_model.analysis.phase_map import PhaseMap, compute_phase_map, phase_map_figure
+from worm_model.analysis.groove_phases import PhaseMap, compute_phase_map, phase_map_figure
 from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import (
     InputError,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -36,34 +36,72 @@ from worm_model.parameters import Parameters, load_parameters
 from worm_model.run import Run, Stamps
 from worm_model.simulation import warm_up
 from worm_model.twin.offline_replay import Replay, Series, replay_run
-from worm_model.twin.records import RESIDUAL_ROW, Event, LengthSource, ResidualRecord
+from worm_model.twin.records import NANOSECONDS, RESIDUAL_ROW, Event, LengthSource, ResidualRecord
+from worm_model.twin.samples import Kind
 
 INPUTS = ("gait_state", "body_length/commanded", "body_length/measured", "tracker", "power")
 #: columns that say how a residual's health came about; its message has it in words
 NOT_PUBLISHED = frozenset(RESIDUAL_ROW.names or ()) - {
     *(field.name for field in fields(ResidualRecord) if field.name != "stamp_ns")
 }
+#: of a run, by `Kind`
+SERIES = ("gait_state", "commanded", "measured", "tracker", "power")
+LONGEST_DELAY_NS = NANOSECONDS  # of a message on its way to the recorder
 _notify = notifier("replay")
 
 
-def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str) -> None:
+def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str, shift_ns: int = 0) -> None:
     """Write a bag with the original's messages and the twin's beside them; the same replay gives the same bytes.
 
     What a live twin had published into the original bag is left out: the twin's topics are this replay's.
+    ``shift_ns`` is by how much the bag's log time is ahead of its stamps: the twin's lie where the originals do.
 
     Raises:
         BagError: the output exists or cannot be written.
     """
     live = {find_topic(bag.topics.values(), name, namespace) for name in TWIN_TOPICS}
     kept = [topic.name for topic in bag.topics.values() if topic not in live]
-    write_beside(bag, output, kept, [_messages(name, replay, namespace) for name in TWIN_TOPICS])
+    found = [_messages(name, replay, namespace, shift_ns) for name in TWIN_TOPICS]
+    write_beside(bag, output, kept, found)
 
 
-def _messages(name: str, replay: Replay, namespace: str) -> list[Message]:
-    """Messages of one of the twin's topics; their stamp is taken for the time of reception."""
+def received(bag: Bag, namespace: str, run: Run) -> dict[int, Stamps]:
+    """When the samples of a run were received (ns), by their kind; without kinds of which it leaves messages out."""
+    topics = [find_topic(bag.topics.values(), name, namespace) for name in INPUTS]
+    names = {topic.name: Kind(k) for k, topic in enumerate(topics) if topic is not None}
+    found: dict[int, list[Stamps]] = {kind: [] for kind in names.values()}
+    for block in bag.blocks(names):
+        for name, messages in block.by_topic():
+            found[names[name]].append(messages.log_time.astype(np.int64))
+    times = {kind: np.concatenate(parts) for kind, parts in found.items() if parts}
+    samples = _by_kind(run)
+    return {kind: t for kind, t in times.items() if len(t) == len(samples[kind].stamp)}
+
+
+def shift_of(run: Run, times: Mapping[int, Stamps]) -> int:
+    """By how much log time is ahead of the stamps, ns; 0 for less than a second, which is delay."""
+    samples = _by_kind(run)
+    ahead = [times[kind] - samples[kind].stamp for kind in times if kind != Kind.GAIT]
+    shift = int(np.median(np.concatenate(ahead))) if ahead else 0
+    return shift if abs(shift) > LONGEST_DELAY_NS else 0
+
+
+def _by_kind(run: Run) -> dict[int, Any]:
+    """The run's samples of the twin's inputs."""
+    return dict(zip(Kind, (getattr(run, name) for name in SERIES), strict=True))
+
+
+def _messages(name: str, replay: Replay, namespace: str, shift_ns: int) -> list[Message]:
+    """Messages of one of the twin's topics; their stamp, shifted, is taken for the time of reception."""
     topic = topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
     stamp, numbers, texts = twin_columns(name, replay)
-    return stamped_messages(topic, stamp, numbers, texts)
+    messages = stamped_messages(topic, stamp, numbers, texts)
+    if not shift_ns:
+        return messages
+    return [
+        m._replace(log_time=m.log_time + shift_ns, publish_time=m.publish_time + shift_ns)
+        for m in messages
+    ]
 
 
 def twin_columns(
@@ -218,11 +256,13 @@ def _replay(options: argparse.Namespace) -> None:
 def _follow(
     run: Run, parameters: Parameters, bag: Bag, output: Path | None, namespace: str
 ) -> Replay:
-    replay = replay_run(run, parameters)
+    times = received(bag, namespace, run)
+    replay = replay_run(run, parameters, received=times)
     for notice in replay.notices:
         _notify(notice.text)
     if output is not None:
-        write_replay(bag, output, replay, namespace or namespace_of(bag))
+        where = namespace or namespace_of(bag)
+        write_replay(bag, output, replay, where, shift_of(run, times))
     return replay
 
 

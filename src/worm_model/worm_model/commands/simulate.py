@@ -7,10 +7,8 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from worm_model.analysis.simulated_run import SimulatedRun, simulated_run
 from worm_model.commands.command_line import (
     InputError,
     Parser,
@@ -21,8 +19,11 @@ from worm_model.commands.command_line import (
 from worm_model.commands.evaluate_gait import describe, gait_json
 from worm_model.gait import Gait
 from worm_model.parameters import load_parameters
-from worm_model.simulation.simulator import AVERAGED, CYCLES, evaluate_gait
 
+if TYPE_CHECKING:
+    from worm_model.analysis.simulated_run import SimulatedRun
+
+CYCLES = 5  # the paper's protocol
 MOST_SAMPLES = 10_000_000
 MOST_CYCLES = 1000
 FIGURES = (".png", ".pdf", ".svg")
@@ -51,6 +52,8 @@ def _parser() -> Parser:
 
 
 def _write_table(run: SimulatedRun, path: Path) -> None:
+    import numpy as np
+
     columns = run.table()
     with path.open("x", encoding="utf-8") as file:
         rows = np.column_stack(list(columns.values()))
@@ -102,6 +105,9 @@ def _run(options: argparse.Namespace) -> None:
     output = new_file(options.output)
     write = _writer_of(output)
     parameters = load_parameters(options.parameters)
+    from worm_model.analysis.simulated_run import simulated_run
+    from worm_model.simulation.simulator import AVERAGED, evaluate_gait
+
     run = simulated_run(gait, parameters, options.cycles, options.rate)
     figures = evaluate_gait(gait, parameters, options.cycles, min(AVERAGED, options.cycles))
     write(run, output)

@@ -63,9 +63,9 @@ class FinFit:
 def _force(values: Array, x: Array) -> Array:
     """Force of (clearance, stiffness below, stiffness above, centre)."""
     clearance, below, above, centre = values
-    stretch = x - centre
-    return below * np.minimum(stretch + 0.5 * clearance, 0.0) + above * np.maximum(
-        stretch - 0.5 * clearance, 0.0
+    deflection = x - centre
+    return below * np.minimum(deflection + 0.5 * clearance, 0.0) + above * np.maximum(
+        deflection - 0.5 * clearance, 0.0
     )
 
 

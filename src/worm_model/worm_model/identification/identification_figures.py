@@ -10,7 +10,9 @@ from matplotlib.figure import Figure
 
 from worm_model.analysis.plot_style import (
     COMMANDED,
+    COMMANDED_INPUT,
     EFFECTIVE,
+    EFFECTIVE_INPUT,
     GREY,
     MEASURED,
     MM,
@@ -134,8 +136,8 @@ def _length(run: Run, prediction: RunPrediction, slack: float) -> Figure:
             Curve("predicted", recording.camera_time, prediction.length_change, PREDICTED),
         ],
         [
-            Curve("commanded u_cmd", time, command, COMMANDED),
-            Curve("effective u_eff", time, effective_command(command, slack), EFFECTIVE),
+            Curve(COMMANDED_INPUT, time, command, COMMANDED),
+            Curve(EFFECTIVE_INPUT, time, effective_command(command, slack), EFFECTIVE),
         ],
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 RUN_FILE = "camera.csv"  # by which a run of a lab is known
 BELLOWS_FILE, FIN_FILE = "bellows.csv", "fin.csv"
 EPOCH = 10**9  # ns; logs of a lab carry no date, and a stamp of 0 means "unknown"
+LOGS = LabSettings(epoch=EPOCH)
 TOPICS = (
     "body_length/commanded",
     "body_length/cable",
@@ -66,13 +67,14 @@ def read_inputs(
     bellows_file: Path | None = None,
     fin_file: Path | None = None,
     definitions: Path | None = None,
+    logs: LabSettings = LOGS,
 ) -> Inputs:
     """Bags, and a lab's folders or runs of them; one lab's own bench tests are used unless others are named.
 
-    ``definitions`` of messages are as `open_bag` takes them. Raises `IdentificationError`, or
-    `worm_model.bags.bag_errors.BagError`, if something cannot be read.
+    ``definitions`` of messages are as `open_bag` takes them, ``logs`` holds what a lab's logs do not say. Raises
+    `IdentificationError`, or `worm_model.bags.bag_errors.BagError`, if something cannot be read.
     """
-    recordings = tuple(read_recordings(paths, definitions))
+    recordings = tuple(read_recordings(paths, definitions, logs))
     _check_names(recordings)
     labs = sorted({_lab_of(path) for path in paths if is_lab_folder(path)})
     folder = labs[0] if len(labs) == 1 else None
@@ -84,16 +86,34 @@ def read_inputs(
         read_bench_test(bellows_file, bellows.COLUMNS) if bellows_file else None,
         read_bench_test(fin_file, fin.COLUMNS) if fin_file else None,
         folder,
-        (SEVERAL_LABS.format(", ".join(lab.name for lab in labs)),) if len(labs) > 1 else (),
+        (
+            *([SEVERAL_LABS.format(", ".join(lab.name for lab in labs))] if len(labs) > 1 else []),
+            *_told(recordings),
+        ),
     )
 
 
-def read_recordings(paths: Sequence[Path], definitions: Path | None = None) -> list[Recording]:
+def _told(recordings: Sequence[Recording]) -> list[str]:
+    """The remarks of recordings, each once, behind the names that it is of."""
+    names: dict[str, list[str]] = {}
+    for recording in recordings:
+        for remark in recording.remarks:
+            names.setdefault(remark, []).append(recording.name)
+    every = len(recordings)
+    return [
+        f"{'all runs' if len(of) == every > 1 else ', '.join(of)}: {remark}"
+        for remark, of in names.items()
+    ]
+
+
+def read_recordings(
+    paths: Sequence[Path], definitions: Path | None = None, logs: LabSettings = LOGS
+) -> list[Recording]:
     """The runs in bags and in a lab's folders, each of which may hold several, in the order of their names there."""
     found = []
     for path in paths:
         if is_lab_folder(path):
-            found += [read_lab_recording(run) for run in run_folders(path)]
+            found += [read_lab_recording(run, logs) for run in run_folders(path)]
         else:
             found.append(read_recording(path, definitions))
     return found
@@ -130,17 +150,18 @@ def read_recording(path: Path, definitions: Path | None = None) -> Recording:
     return recording_of(run, path.resolve().name, checksums, date)
 
 
-def read_lab_recording(folder: Path) -> Recording:
+def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:
     """The run in a lab's folder."""
     try:
-        lab = read_lab_run(folder, LabSettings(epoch=EPOCH))
+        lab = read_lab_run(folder, logs)
     except LabError as error:
         raise IdentificationError(str(error)) from None
     if lab.gait is None:
         raise IdentificationError(
             f"{folder}: no runs.json tells the gait; add one with stroke_m and frequency_Hz of each run"
         )
-    return recording_of(lab.run, folder.resolve().name, lab.checksums)
+    recording = recording_of(lab.run, folder.resolve().name, lab.checksums)
+    return replace(recording, remarks=(*lab.transmission.remarks, *recording.remarks))
 
 
 def read_bench_test(path: Path, columns: tuple[str, str]) -> BenchTest:

@@ -39,7 +39,8 @@ class Recording:
     ``camera_time``, ``x1``, ``x2`` (n,): m, NaN where a marker is hidden, x1 counted from its rest.
     ``command_time``, ``command`` (m,): s and m, u_cmd from the onset on, first (0, 0).
     ``cable_time``, ``cable`` (k,): s and m, what the servo encoder says, empty where it was not recorded.
-    ``power_time``, ``power`` (p,): s and W. ``sources``: SHA-256 by file. ``date``: UTC of the first stamp.
+    ``power_time``, ``power`` (p,): s and W, empty where it was not recorded. ``sources``: SHA-256 by file. ``date``:
+    UTC of the first stamp. ``remarks``: what was found, left out or assumed, in words.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Recording:
     cable: Array = field(default_factory=lambda: np.empty(0))
     sources: Mapping[str, str] = field(default_factory=dict)
     date: str = ""
+    remarks: tuple[str, ...] = ()
 
     @property
     def length(self) -> Array:
@@ -71,27 +73,17 @@ class Recording:
         """The last moment, in s, that camera and command both cover."""
         return float(min(self.camera_time[-1], self.command_time[-1]))
 
-    def with_cable_as_command(self) -> Recording:
-        """The same run, the encoder's cable length in the place of the command.
-
-        Raises `IdentificationError` if the encoder was not recorded.
-        """
-        if not self.cable.size:
-            raise IdentificationError(
-                f"{self.name}: no body_length/cable: the encoder was not recorded"
-            )
-        return replace(self, command_time=self.cable_time, command=self.cable)
-
 
 def recording_of(
     run: Run, name: str, sources: Mapping[str, str] | None = None, date: str = ""
 ) -> Recording:
-    """The recording of a run that holds one gait.
+    """The recording of a run's first gait.
 
-    Raises `IdentificationError` if a topic is missing or too short, or if it does not hold one gait from rest.
+    Those after it are left out, with a remark: their fins start bent, and nothing tells how far. Raises
+    `IdentificationError` if a topic but power is missing or too short, or if it does not hold a gait from rest.
     """
     _check_topics(run, name)
-    gait, onset = _gait(run.gait_state, name)
+    gait, onset, remarks = _gait(run.gait_state, name)
     first, last = _span(run.gait_state, onset)
 
     def within(stamp: Stamps) -> NDArray[np.bool_]:
@@ -117,6 +109,7 @@ def recording_of(
         cable=run.cable.length_change[turned],
         sources=dict(sources or {}),
         date=date,
+        remarks=remarks,
     )
     _check_sizes(recording)
     return _counted_from_rest(_from_onset(recording))
@@ -126,7 +119,6 @@ def _check_topics(run: Run, name: str) -> None:
     topics = {
         "tracker": run.tracker.stamp,
         "body_length/commanded": run.commanded.stamp,
-        "power": run.power.stamp,
         "gait_state": run.gait_state.stamp,
     }
     for topic, stamp in topics.items():
@@ -138,7 +130,6 @@ def _check_sizes(recording: Recording) -> None:
     sizes = {
         "tracker": recording.camera_time.size,
         "body_length/commanded": recording.command_time.size,
-        "power": recording.power_time.size,
     }
     for topic, size in sizes.items():
         if size < FEWEST_SAMPLES:
@@ -148,15 +139,20 @@ def _check_sizes(recording: Recording) -> None:
             )
 
 
-def _gait(states: GaitStates, name: str) -> tuple[Gait, int]:
-    """The one gait that was played, and its onset (ns since the epoch)."""
+def _gait(states: GaitStates, name: str) -> tuple[Gait, int, tuple[str, ...]]:
+    """The first gait that was played, its onset (ns since the epoch), and which others were left out."""
     runs = states.rows_of_runs()
-    if len(runs) != 1:
-        what = f"{len(runs)} gaits" if runs else "no gait"
-        raise IdentificationError(f"{name}: holds {what}; give one run a recording, from rest")
+    if not runs:
+        raise IdentificationError(f"{name}: holds no gait; give one run a recording, from rest")
+    later = [int(rows[0]) for rows in runs[1:]]
+    remarks = tuple(
+        f"gait {number} ({1e3 * states.stroke[at]:g} mm, {states.frequency[at]:g} Hz) is left out: it starts from fins "
+        "that the gait before it left bent"
+        for number, at in enumerate(later, 2)
+    )
     row = int(runs[0][0])
     gait = Gait(float(states.stroke[row]), float(states.frequency[row]), int(states.direction[row]))
-    return gait, int(states.onset[row])
+    return gait, int(states.onset[row]), remarks
 
 
 def _span(states: GaitStates, onset: int) -> tuple[int, int]:
@@ -164,7 +160,8 @@ def _span(states: GaitStates, onset: int) -> tuple[int, int]:
     rests = states.stamp[(states.state == RESTING) & (states.stamp <= onset)]
     first = int(rests[-1]) if rests.size else onset - LONGEST_REST
     over = ~np.isin(states.state, (RUNNING, STOPPING)) & (states.stamp > onset)
-    ends = states.stamp[over]
+    following = [states.stamp[rows[:1]] for rows in states.rows_of_runs()[1:]]
+    ends = np.sort(np.concatenate([states.stamp[over], *following]))
     return first, int(ends[0]) if ends.size else np.iinfo(np.int64).max
 
 

@@ -233,7 +233,7 @@ def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> Fin
 def _locomotion_estimates(
     locomotion: LocomotionResult, estimates: Mapping[str, Estimate], fin: FinFit | None
 ) -> dict[str, Estimate]:
-    """Without a fin test x1 tells but the ratio of η to the fins' stiffness. The pitch is told better than given."""
+    """Without a fin test x1 gives only the ratio of η to the fins' stiffness. The pitch is narrower than measured."""
     friction, threshold = locomotion.viscous_friction, locomotion.switching_threshold
     note = NOT_OF_PAPER.format(locomotion.as_printed[0])
     dry = [replace(estimate, note=estimate.note or note) for estimate in locomotion.dry_friction]

@@ -157,7 +157,10 @@ class _Recording:
 
     def to_rest(self, ended: Callable[[], bool]) -> bool:
         """In the place of ``ended``: whether told to stop, and the driver has let go of the robot."""
-        return ended() and (self._impatient or not self._node.awaits_rest)
+        if not ended():
+            return False
+        self.take()  # the driver may have said something since the last look
+        return self._impatient or not self._node.awaits_rest
 
     def run(self, ended: Callable[[], bool], duration: float) -> None:
         """Take messages until told to stop, the time is over or the disk fails."""

@@ -39,7 +39,7 @@ from worm_model.twin.twin import Output, Twin
 from worm_model.twin.twin_status import Level, report
 from worm_msgs.msg import BodyLength, TwinEvent, TwinResiduals, TwinState
 from worm_msgs.node_command import declare, run_node
-from worm_msgs.ros_process import Ending, spare_pauses
+from worm_msgs.ros_process import Ending, ending_at_once, spare_pauses
 from worm_msgs.srv import PredictGait
 
 POLL_S = 0.02
@@ -245,7 +245,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(ended: Ending) -> None:
-    warm_up.main()  # nothing may compile between two samples
+    with ending_at_once():
+        warm_up.main()  # nothing may compile between two samples
     node = TwinNode()
     spare_pauses()
     node.get_logger().info("twin ready")

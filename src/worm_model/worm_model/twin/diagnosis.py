@@ -1,52 +1,86 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What explains what was seen in a cycle: judged once at each cycle's end, from the sums that the core kept of it.
+"""What explains what was seen: decided once at each cycle's end, from the sums that the core kept of it.
 
-With a tracker the mean position residual over the cycle's last ``WINDOW`` is compared with whole grooves; the robot
-is back at its length there. From power alone see `worm_model.twin.hypotheses`. If cycle after cycle gains another
-number of grooves than it should, the groove phase is wrong, which decides that number: L0 is moved to the nearest
-value with which the simulator predicts what was seen.
+`worm_model.twin.causes` weighs the causes; here it is decided what is told, and how the twin follows it. Where a
+tracker saw the cycle's end, it settles by how many grooves the robot is off; timing and power tell which fin it was.
+Something is told once no sound robot explains it (``SOUND_AT_MOST``): the cause, where one has a probability of
+``SURE``; else, if another cycle has not told them apart, the causes among which it cannot be decided.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
-from worm_model.simulation.simulator import SimulationError, evaluate_gait
-from worm_model.twin.core.memory import (
-    MEASURED_POWER_SUM,
-    PHASES,
-    POSITION_COUNT,
-    POSITION_SUM,
-    POWER_COUNT,
+from worm_model.twin.causes import (
+    CABLE,
+    FRICTION_DOWN,
+    FRICTION_UP,
+    GAIN,
+    GAINED,
+    GROOVES,
+    LENGTH,
+    MISS,
+    MISSED_FRONT,
+    MISSED_REAR,
+    OFFSET,
+    SCALE,
+    Candidate,
+    Told,
+    weigh_causes,
 )
-from worm_model.twin.hypotheses import PowerScores, close_cycle, hypotheses
+from worm_model.twin.core.memory import LENGTH_COUNT, POSITION
+from worm_model.twin.cycle_data import STEP_M, CycleData, Step, cycle_data
+from worm_model.twin.signatures import (
+    BINS,
+    FAULTS,
+    OFFSET_W,
+    SLIP_M,
+    Signatures,
+    signatures,
+)
+from worm_model.twin.signatures import SCALE as USUAL_SCALE
 
-WINDOW = 0.15  # of a cycle
-TOLERANCE = 0.3  # of a pitch
-FEWEST = 3  # samples that make a mean
-REMEMBERED = 8  # cycles
-CYCLES = 2  # running that gain another number of grooves speak of L0
-STEP_M = 0.0005  # in which L0 is looked for
+Array = NDArray[np.float64]
+
+MISSED, AMBIGUOUS, GAP = "missed_groove", "ambiguous", "gap"
+CAMERA, ROBOT, NOTHING = "camera_moved", "robot_moved", ""
+
+REMEMBERED = 6  # cycles
+SOUND_AT_MOST, SURE = 0.05, 0.9  # probabilities
+MOVED = 0.002  # probability in a cycle that somebody moves the robot, or the camera
+MOST_GROOVES = 8  # by which somebody moves the robot
+WHOLE_M = 0.0008  # scatter of a step by whole grooves
+CAMERA_M = 0.03  # usual step of a camera that was moved
+LENGTHS = 2  # cycles at least that L0 is told from
+TIMING = 0.06  # of a cycle, scatter of when a fin lets go
+ANY_TIME = 0.05  # share of misses that keep to no time
+MORE = 0.02  # that a fin which misses a groove misses the next one, too, in the same cycle
+SWIFT = {"camera": 0.97, "robot": 0.2, "fin": 0.05}  # probability that a step takes no time
+SLIGHT_M = 0.005  # a step below this is told once it has lasted for another cycle
 
 
 @dataclass(frozen=True)
 class CycleSeen:
     """A cycle that is over: its number from 1 on, and its sums (PHASES, SUMS).
 
-    ``parameters`` hold the run's L0; ``length_seen`` whether an instrument gave it; ``blind_s`` how long nothing told
-    of the length; ``joined`` whether the twin came to the run in this cycle.
+    ``noise`` (CHANNELS,) is that of a sample, in the channel's unit; ``parameters`` hold the run's L0;
+    ``length_seen`` whether an instrument gave it; ``blind_s`` how long nothing told of the length; ``joined`` whether
+    the twin came to the run in this cycle.
     """
 
     number: int
     sums: NDArray[np.float64]
     gait: Gait
     parameters: Parameters
+    noise: NDArray[np.float64]
     length_seen: bool = False
     blind_s: float = 0.0
     joined: bool = False
@@ -73,110 +107,385 @@ class Finding:
 
 @dataclass(frozen=True)
 class History:
-    """What is remembered of the cycles of a run; ``gained`` grooves more than predicted along the gait's direction."""
+    """What is remembered of a run: its last cycles, what was told, and what waits for another cycle.
 
-    gained: tuple[int, ...] = ()
-    power: PowerScores = field(default_factory=PowerScores)
+    ``unplaced``: nothing has told where the robot stands (the twin came late, L0 was another); ``blind_s``: nothing was
+    known of the robot for so long, and no tracker has told since; ``slight``: a small step was seen that may be none;
+    ``doubt``: causes could not be told apart, ``doubted``: that was told. Counts of grooves by the tracker
+    (``missed``, ``extra``) and by power alone.
+    """
+
+    cycles: tuple[CycleData, ...] = ()
+    told: tuple[Told, ...] = ()
+    unplaced: bool = False
+    blind_s: float = 0.0
+    slight: bool = False
+    doubt: bool = False
+    doubted: bool = False
     missed: int = 0
     extra: int = 0
+    missed_by_power: int = 0
 
 
 def judge_cycle(history: History, seen: CycleSeen) -> tuple[History, list[Finding]]:
     """(history, findings) once a cycle is over."""
-    history, findings = _judge_grooves(history, seen)
-    pair = hypotheses(seen.gait, seen.parameters)
-    if pair.telling:
-        sums = seen.sums
-        power, found = close_cycle(
-            history.power, seen.number, sums[:, MEASURED_POWER_SUM], sums[:, POWER_COUNT], pair
-        )
-        history = replace(history, power=power)
-        findings += [
-            Finding(
-                "missed_groove",
-                f"cycle {cycle}: its power is that of a missed groove (probability {100 * p:.0f} %)",
-                cycle,
-                p,
-            )
-            for cycle, p in found
-        ]
-    return history, findings
-
-
-def _judge_grooves(history: History, seen: CycleSeen) -> tuple[History, list[Finding]]:
-    """Whole grooves by which the tracker sees the robot off."""
-    last = seen.sums[round((1.0 - WINDOW) * PHASES) :]
-    count = last[:, POSITION_COUNT].sum()
-    if count < FEWEST:
-        return history, []
-    mean = float(last[:, POSITION_SUM].sum() / count)
-    if seen.joined:
-        text = f"cycle {seen.number}: the twin came to it late and takes the tracker's word for where the robot stands"
-        return history, [Finding("", text, seen.number, shift=mean, explains_position=True)]
-    pitch, direction = seen.parameters.pitch, seen.gait.direction
-    grooves = round(mean / pitch)
-    if abs(mean - grooves * pitch) > TOLERANCE * pitch:
-        return history, []
-    gained = grooves * direction
-    history = replace(history, gained=(*history.gained, gained)[-REMEMBERED:])
-    if grooves == 0:
-        return history, []
-    count_text = "a groove" if abs(grooves) == 1 else f"{abs(grooves)} grooves"
-    off = f"(position {1e3 * mean:+.1f} mm off)"
-    if seen.blind_s > 0.0:
-        text = (
-            f"cycle {seen.number}: unknown for {seen.blind_s:.1f} s, after which the robot is {count_text} "
-            f"{'further' if gained > 0 else 'behind'} {off}; the twin's anchors were moved there"
-        )
-        history = replace(history, gained=())
-        return history, [_moved("gap", text, seen.number, grooves)]
-    verb = "gained" if gained > 0 else "missed"
-    text = f"cycle {seen.number}: the robot {verb} {count_text} {off}; the twin's anchors were moved there"
-    code = "gained_groove" if gained > 0 else "missed_groove"
+    driven = bool(np.mean(seen.sums[:, LENGTH_COUNT] > 0) > 0.25)
+    # L0 as measured differs from run to run by less than matters here.
+    length = round(seen.parameters.initial_length, 4)
+    signs = signatures(seen.gait, seen.parameters.replace(initial_length=length), driven=driven)
+    data = cycle_data(
+        seen.number,
+        seen.sums,
+        seen.noise,
+        signs.power,
+        seen.parameters.pitch,
+        fresh=not history.cycles,
+    )
     history = replace(
         history,
-        missed=history.missed + max(-gained, 0),
-        extra=history.extra + max(gained, 0),
+        unplaced=history.unplaced or seen.joined,
+        blind_s=history.blind_s + seen.blind_s,
     )
-    findings = [_moved(code, text, seen.number, grooves)]
-    length = _length_told(history, seen)
-    if length is not None:
-        before = seen.parameters.initial_length
-        text = (
-            f"{CYCLES} cycles running gained {gained:+d} grooves more than predicted: L0 is taken as "
-            f"{1e3 * length:.1f} mm instead of {1e3 * before:.1f} mm"
+    history, data, findings = _place(history, seen, data)
+    if seen.joined:
+        return history, findings  # nobody knows how it began
+    step = data.step
+    if step is not None and not step.is_none:
+        data = replace(data, gained=_whole(step.size, seen) * seen.gait.direction)
+    history = replace(history, cycles=(*history.cycles, data)[-REMEMBERED:])
+    weighed = _weigh(history, seen, signs)
+    history, found = _length(history, seen, weighed)
+    if found is not None:
+        return history, [*findings, found]
+    if step is None or step.is_none:
+        history = replace(history, slight=False)
+    else:
+        history, found = _settle(history, seen, step, weighed, signs)
+        findings += [found] if found is not None else []
+        weighed = _weigh(history, seen, signs)
+    history, others = _judge(history, seen, weighed)
+    return history, findings + others
+
+
+def _weigh(history: History, seen: CycleSeen, signs: Signatures) -> list[Candidate]:
+    return weigh_causes(history.cycles, history.told, signs, length_seen=seen.length_seen)
+
+
+# --- where the robot stands, after the twin came late or knew nothing for a time --------------------------
+
+
+def _place(
+    history: History, seen: CycleSeen, data: CycleData
+) -> tuple[History, CycleData, list[Finding]]:
+    """Takes the tracker's word for where the robot stands, where nothing else could tell."""
+    if data.step is None or not (history.unplaced or history.blind_s):
+        return history, data, []
+    size, variance = data.step.size, data.variance.copy()
+    variance[POSITION] = np.inf
+    data = replace(data, step=Step(0.0), variance=variance)
+    # A cycle that the twin came to in the middle does not end where whole ones do.
+    unknown = replace(history, unplaced=seen.joined, blind_s=0.0)
+    if history.unplaced:
+        if not seen.joined and abs(size) <= STEP_M:
+            return unknown, data, []
+        text = f"cycle {seen.number}: the twin takes the tracker's word for where the robot stands"
+        return unknown, data, [Finding("", text, seen.number, shift=size, explains_position=True)]
+    grooves = _whole(size, seen)
+    if not grooves:
+        return unknown, data, []
+    where = _further(grooves * seen.gait.direction)
+    text = (
+        f"cycle {seen.number}: unknown for {history.blind_s:.1f} s, after which the robot is {where} than "
+        f"predicted ({_off(size)}); the twin's anchors were moved there"
+    )
+    return unknown, data, [_moved(GAP, text, seen.number, math.nan, grooves)]
+
+
+def _whole(size: float, seen: CycleSeen) -> int:
+    """Grooves that a step (m) along +x is, 0 if it is not whole ones."""
+    grooves = round(size / seen.parameters.pitch)
+    return grooves if abs(size - grooves * seen.parameters.pitch) <= 4.0 * WHOLE_M else 0
+
+
+# --- a step that the tracker saw ------------------------------------------------------------------------
+
+
+def _settle(
+    history: History,
+    seen: CycleSeen,
+    step: Step,
+    weighed: Sequence[Candidate],
+    signs: Signatures,
+) -> tuple[History, Finding | None]:
+    """What made the position's step: a fin, somebody who moved the robot, or the camera."""
+    shares = _shares_of_step(seen, step, weighed, signs)
+    best = max(shares, key=lambda code: shares[code])
+    if best == NOTHING:
+        return replace(history, slight=False), None
+    if best == CAMERA and abs(step.size) < SLIGHT_M and not history.slight:
+        return replace(history, slight=True), None
+    history = replace(history, slight=False)
+    number, grooves = seen.number, _whole(step.size, seen)
+    gained = grooves * seen.gait.direction
+    fins = shares[MISSED_REAR] + shares[MISSED_FRONT] + shares[MISSED]
+    name = "gained" if gained > 0 else "missed"
+    off = f"({_off(step.size)} since {step.phase * seen.gait.period:.1f} s after the cycle's begin)"
+    follows = "; the twin's anchors were moved there"
+    if shares[GAINED] >= SURE or fins >= SURE:
+        by = {MISSED_REAR: " with the rear fin", MISSED_FRONT: " with the front fin"}
+        best = best if shares[best] >= SURE else MISSED
+        text = f"cycle {number}: the robot {name} {_count(gained)}{by.get(best, '')} {off}{follows}"
+        history = replace(
+            history,
+            told=(*history.told, Told(name, number))[-REMEMBERED:],
+            missed=history.missed + max(-gained, 0),
+            extra=history.extra + max(gained, 0),
         )
-        findings.append(Finding("initial_length", text, seen.number, initial_length=length))
-        history = replace(history, gained=(), power=PowerScores())
-    return history, findings
+        return history, _moved(best, text, number, shares.get(best, fins), grooves)
+    history = replace(history, told=(*history.told, Told("", number))[-REMEMBERED:])
+    probability = shares[best]
+    if probability < SURE:
+        named = {
+            ROBOT: "a robot that was moved",
+            CAMERA: "a camera that was moved",
+            GAINED: f"{_count(gained)} gained",
+        }
+        likely = {code: share for code, share in shares.items() if code in named and share > 0.05}
+        if fins > 0.05:
+            likely[MISSED], named[MISSED] = fins, f"{_count(gained)} missed"
+        text = f"cycle {number}: cannot tell between {_listed(likely, named)} {off}"
+        best, probability = AMBIGUOUS, max(likely.values())
+    elif best == ROBOT:
+        way = "along" if gained > 0 else "against"
+        text = f"cycle {number}: the robot was moved by {_count(gained)} {way} its gait {off}"
+    else:
+        text = (
+            f"cycle {number}: the camera was moved: its positions are {1e3 * step.size:+.1f} mm off, no whole "
+            "grooves; the twin's zero follows"
+        )
+    if grooves and best != CAMERA:
+        return history, _moved(best, text + follows, number, probability, grooves)
+    return history, Finding(
+        best, text, number, probability, shift=step.size, explains_position=True
+    )
 
 
-def _moved(code: str, text: str, cycle: int, grooves: int) -> Finding:
-    return Finding(code, text, cycle, grooves=grooves, explains_position=True)
+def _shares_of_step(
+    seen: CycleSeen, step: Step, weighed: Sequence[Candidate], signs: Signatures
+) -> dict[str, float]:
+    """Probability of each code that explains a step."""
+    pitch, grooves = seen.parameters.pitch, _whole(step.size, seen)
+    gained = grooves * seen.gait.direction
+    shares = dict.fromkeys((MISSED_REAR, MISSED_FRONT, MISSED, GAINED, ROBOT), 0.0)
+    swift = {who: p if step.swift else 1.0 - p for who, p in SWIFT.items()}
+    shares[CAMERA] = MOVED * _normal(step.size, CAMERA_M) * swift["camera"]
+    shares[NOTHING] = _normal(step.size, WHOLE_M)
+    if grooves:
+        whole = _normal(step.size - grooves * pitch, WHOLE_M)
+        shares[ROBOT] = MOVED / (2 * MOST_GROOVES) * whole * swift["robot"]
+        missed = gained < 0
+        chance = whole * swift["fin"] * 2.0 * (MISS * MORE ** (-gained - 1) if missed else GAIN)
+        changes = signs.missed if missed else signs.gained
+        if (missed and -gained <= max(signs.grooves, 1)) or gained == 1:
+            shares[MISSED if missed else GAINED] = ANY_TIME * chance
+            for fin, change in changes.items():
+                code = GROOVES[fin] if missed else GAINED
+                timely = _normal(step.phase - _lets_go(change[1, POSITION], pitch), TIMING)
+                evidence = _evidence(weighed, code, fin, seen.number)
+                shares[code] += (1.0 - ANY_TIME) / len(changes) * chance * timely * evidence
+    total = sum(shares.values())
+    return {code: share / total for code, share in shares.items()}
 
 
-def _length_told(history: History, seen: CycleSeen) -> float | None:
-    """L0 in m if the last cycles tell of another one, and no instrument saw it."""
-    last = history.gained[-CYCLES:]
-    if seen.length_seen or len(last) < CYCLES or not last[0] or len(set(last)) > 1:
-        return None
-    return length_for(seen.gait, seen.parameters, last[0])
+def _lets_go(position: Array, pitch: float) -> float:
+    """Phase at which a fin that missed a groove has lost half of it."""
+    return float(np.argmax(np.abs(position) > 0.5 * pitch)) / BINS
 
 
-def length_for(gait: Gait, parameters: Parameters, gained: int) -> float | None:
-    """L0 in m nearest to the present one, within half a pitch, that gains ``gained`` more a cycle, or None."""
-    nominal = replace(gait, margin=0.0)
-    try:
-        wanted = _grooves(nominal, parameters) + gained
-        reach = np.arange(STEP_M, 0.5 * parameters.pitch, STEP_M).tolist()
-        candidates = (parameters.initial_length + s * step for step in reach for s in (1, -1))
-        for length in candidates:
-            if _grooves(nominal, parameters.replace(initial_length=length)) == wanted:
-                return float(length)
-    except SimulationError:
-        pass
-    return None
+def _evidence(weighed: Sequence[Candidate], code: str, fin: str, number: int) -> float:
+    """By how much power speaks for a fin's miss or gain in a cycle."""
+    wanted = (code, fin, number, 1)
+    found = [c for c in weighed if (c.code, c.name, c.cycle, c.cycles) == wanted]
+    return found[0].weight / math.exp(found[0].log_prior) if found else 1.0
 
 
-def _grooves(gait: Gait, parameters: Parameters) -> int:
-    return round(evaluate_gait(gait, parameters).grooves_per_cycle)
+def _normal(value: float, spread: float) -> float:
+    return math.exp(-0.5 * (value / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi))
+
+
+# --- L0 ---------------------------------------------------------------------------------------------------
+
+
+def _length(
+    history: History, seen: CycleSeen, weighed: Sequence[Candidate]
+) -> tuple[History, Finding | None]:
+    """L0 if all cycles since the beginning speak for another one, and against misses."""
+    lengths = [c for c in weighed if c.code == LENGTH]
+    share = sum(c.weight for c in lengths) / (1.0 + sum(c.weight for c in weighed))
+    settled = sum(cycle.step is not None for cycle in history.cycles)
+    if share < 1.0 - SOUND_AT_MOST or settled < LENGTHS:
+        return history, None
+    best = max(lengths, key=lambda c: c.weight)
+    before = seen.parameters.initial_length
+    text = (
+        f"cycle {seen.number}: L0 is taken as {1e3 * (before + best.error):.1f} mm instead of {1e3 * before:.1f} mm, "
+        "as positions and power have it since the run began"
+    )
+    finding = Finding(LENGTH, text, seen.number, share, initial_length=before + best.error)
+    anew = History(
+        unplaced=True,
+        missed=history.missed,
+        extra=history.extra,
+        missed_by_power=history.missed_by_power,
+    )
+    return anew, replace(finding, explains_position=True)
+
+
+# --- what else ------------------------------------------------------------------------------------------
+
+
+def _judge(
+    history: History, seen: CycleSeen, weighed: Sequence[Candidate]
+) -> tuple[History, list[Finding]]:
+    """What no sound robot would show, beside steps that the tracker saw."""
+    total = 1.0 + sum(c.weight for c in weighed)
+    if 1.0 / total > SOUND_AT_MOST:
+        return replace(history, doubt=False), []
+    found = []
+    for cycle in history.cycles:
+        if cycle.watched:
+            continue  # the tracker settles that
+        shares = {
+            code: _share(
+                (c for c in weighed if c.cycles and c.code == code and _covers(c, cycle.number)),
+                total,
+            )
+            for code in (MISSED_REAR, MISSED_FRONT, GAINED)
+        }
+        missed = shares[MISSED_REAR] + shares[MISSED_FRONT]
+        best = max(shares, key=lambda code: shares[code])
+        if max(missed, shares[GAINED]) >= SURE:
+            best, share = (best, shares[best]) if shares[best] >= SURE else (MISSED, missed)
+            found.append(Finding(best, _by_power(best, cycle.number, share), cycle.number, share))
+    told = [Told("gained" if f.code == GAINED else "missed", f.cycle) for f in found]
+    lasting = _by_code([c for c in weighed if not c.cycles and c.code != LENGTH])
+    for group in lasting.values():
+        share, best_one = _share(group, total), max(group, key=lambda c: c.weight)
+        if share >= SURE:
+            if not _known(history.told, best_one, {c.name for c in group}):
+                found.append(_lasts(best_one, _code(best_one), share))
+            told += [Told(c, best_one.cycle, best_one.phase) for c in {c.name for c in group}]
+    if told:
+        missed = sum(f.code in (MISSED, MISSED_REAR, MISSED_FRONT) for f in found)
+        history = replace(
+            history,
+            told=(*history.told, *told)[-REMEMBERED:],
+            missed_by_power=history.missed_by_power + missed,
+            doubt=False,
+            doubted=False,
+        )
+        return history, found
+    if not history.doubt or history.doubted:
+        return replace(history, doubt=True), []
+    return replace(history, doubted=True), _doubt(seen, weighed, total)
+
+
+def _covers(candidate: Candidate, number: int) -> bool:
+    """Whether a candidate is a fin's in a cycle."""
+    return candidate.cycle <= number < candidate.cycle + candidate.cycles
+
+
+def _known(told: Iterable[Told], found: Candidate, names: set[str]) -> bool:
+    """Whether the same was told already; its beginning may now be known better."""
+    return any(t.name in names and abs(t.cycle - found.cycle) <= 1 for t in told)
+
+
+def _by_code(candidates: Iterable[Candidate]) -> Mapping[str, list[Candidate]]:
+    groups = defaultdict(list)
+    for candidate in candidates:
+        groups[_code(candidate)].append(candidate)
+    return groups
+
+
+def _code(candidate: Candidate) -> str:
+    """The code, which for friction depends on the size."""
+    return FRICTION_DOWN if candidate.code == FRICTION_UP and candidate.size < 0 else candidate.code
+
+
+def _share(candidates: Iterable[Candidate], total: float) -> float:
+    return sum(c.weight for c in candidates) / total
+
+
+def _lasts(candidate: Candidate, code: str, share: float) -> Finding:
+    since = f"since cycle {candidate.cycle}: {_size(candidate)} (probability {100 * share:.0f} %)"
+    return Finding(code, since, candidate.cycle, share)
+
+
+def _size(candidate: Candidate) -> str:
+    """What a lasting cause says, with its size and twice the deviation."""
+    unit, scale, text = {
+        "gain": ("%", 100.0 * FAULTS["gain"], "the gain of the body's answer changed by {}"),
+        "slip": ("mm", 1e3 * SLIP_M, "the body is longer under the same command by {}"),
+        "viscous_friction": ("%", 100.0 * FAULTS["viscous_friction"], "friction changed by {}"),
+        "scale": ("%", 100.0 * USUAL_SCALE, "the scale of the power changed by {}"),
+        "offset": ("W", OFFSET_W, "the power's zero changed by {}"),
+    }[candidate.name]
+    value = f"{scale * candidate.size:+.1f} ± {2.0 * scale * candidate.deviation:.1f} {unit}"
+    return text.format(value) + CAUSES[candidate.code]
+
+
+#: what to think of, by code
+CAUSES = {
+    CABLE: ": a cable that slips, is slack or stretched",
+    FRICTION_UP: "",
+    SCALE: ": supply or shunt",
+    OFFSET: ": power sensor, or something else that draws from the supply",
+}
+NAMED = {
+    MISSED_REAR: "a groove missed by the rear fin",
+    MISSED_FRONT: "a groove missed by the front fin",
+    GAINED: "a groove gained",
+    CABLE: "a cable that slips, is slack or stretched",
+    FRICTION_UP: "more friction",
+    FRICTION_DOWN: "less friction",
+    SCALE: "another scale of the power",
+    OFFSET: "another zero of the power",
+    LENGTH: "another L0",
+}
+
+
+def _by_power(code: str, number: int, share: float) -> str:
+    what = {GAINED: "a groove gained", MISSED: "a missed groove"}.get(code, NAMED.get(code, ""))
+    return f"cycle {number}: its power is that of {what} (probability {100 * share:.0f} %)"
+
+
+def _doubt(seen: CycleSeen, weighed: Sequence[Candidate], total: float) -> list[Finding]:
+    shares = {code: _share(group, total) for code, group in _by_code(weighed).items()}
+    likely = {code: share for code, share in shares.items() if share > 0.05}
+    if len(likely) < 2:
+        return []
+    text = f"cycle {seen.number}: cannot tell between {_listed(likely, NAMED)}"
+    return [Finding(AMBIGUOUS, text, seen.number, max(likely.values(), default=math.nan))]
+
+
+def _listed(shares: Mapping[str, float], named: Mapping[str, str]) -> str:
+    ordered = sorted(shares, key=lambda code: -shares[code])
+    return " and ".join(f"{named[code]} ({100 * shares[code]:.0f} %)" for code in ordered)
+
+
+def _count(gained: int) -> str:
+    return "a groove" if abs(gained) == 1 else f"{abs(gained)} grooves"
+
+
+def _further(gained: int) -> str:
+    return f"{_count(gained)} {'further' if gained > 0 else 'behind'}".replace(
+        " behind", " less far"
+    )
+
+
+def _off(size: float) -> str:
+    return f"position {1e3 * size:+.1f} mm off"
+
+
+def _moved(code: str, text: str, cycle: int, probability: float, grooves: int) -> Finding:
+    return Finding(code, text, cycle, probability, grooves=grooves, explains_position=True)

@@ -14,7 +14,7 @@ from worm_model.parameters import Parameters
 from worm_model.run import Run
 from worm_model.twin.health_words import residual_message
 from worm_model.twin.records import Event, Health
-from worm_model.twin.samples import rows_of_run
+from worm_model.twin.samples import Received, rows_of_run
 from worm_model.twin.twin import Twin
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 
@@ -52,11 +52,16 @@ class Replay:
         return tuple(texts)
 
 
-def replay_run(run: Run, parameters: Parameters, settings: TwinSettings = DEFAULTS) -> Replay:
-    """Let the twin follow a recording."""
+def replay_run(
+    run: Run,
+    parameters: Parameters,
+    settings: TwinSettings = DEFAULTS,
+    received: Received | None = None,
+) -> Replay:
+    """Let the twin follow a recording; ``received`` as `rows_of_run` takes it."""
     twin = Twin(parameters, settings)
     state = twin.start()
-    rows = rows_of_run(run, round(settings.jump_back_s * 1e9))
+    rows = rows_of_run(run, round(settings.jump_back_s * 1e9), received)
     output = twin.advance(state, rows, to_the_end=True)
     return Replay(
         states=_columns(output.states),

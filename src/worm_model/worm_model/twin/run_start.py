@@ -5,7 +5,8 @@ At the onset all samples before it have been taken. x1 is where the tracker saw 
 ``rest_s``, L0 the mean measured length of that span (else that of the run before, else the parameter). The first run
 starts with each module on its groove. After a run the fins stay where they are: the modules stand off their grooves
 by up to some millimetres, which another start would get wrong for the whole next run. While the cable rests the
-body takes its initial length again, and fins that are turned for the other direction find the nearest grooves.
+body takes its initial length again, and fins that are turned for the other direction find the nearest grooves. If it
+is seen shorter by what the slack costs, the transmission's slack is still taken up: L0 stays, and ΔL starts there.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from worm_model.twin.twin_settings import TwinSettings
 PLAYING = (Activity.RUNNING, Activity.STOPPING)
 LATE_NS = 20_000_000  # an onset heard of later than this is worth a word
 PLAUSIBLE_M = 0.02  # between a measured length at rest and the parameter's
+TAKEN_UP = 0.35  # of what the slack costs, by which a body whose slack is taken up may be off
 FEWEST = 5  # samples that make a mean
 GUARD_NS = (
     100_000_000  # before the onset, as its stamp and the instruments' come from different clocks
@@ -99,14 +101,14 @@ def begin_run(
     the length that the gait would have by then.
     """
     m = memory.record[0]
-    text = _stand(memory, word, parameters, settings)
+    text, taken_up = _stand(memory, word, parameters, settings)
     start = max(word.onset_ns, int(m["taken_ns"]))
     late = start - word.onset_ns
     m["run"], m["start_ns"], m["end_ns"] = word.run, word.onset_ns, 0
     m["has_gait"] = word.gait is not None
     if word.gait is not None:
         m["stroke"], m["frequency"] = word.gait.stroke, word.gait.frequency
-    m["engaged"], m["command_ns"], m["command"], m["answer"] = 1, start, 0.0, 0.0
+    m["engaged"], m["command_ns"], m["command"], m["answer"] = 1, start, 0.0, taken_up
     if late > 0 and word.gait is not None:
         m["command"], m["answer"] = _joined(word.gait, late / NANOSECONDS, parameters)
     m["moved"], m["blind_s"], m["warning"], m["warned_until"] = 0, 0.0, 0, 0
@@ -122,12 +124,17 @@ def begin_run(
     return start, text
 
 
-def _stand(memory: Memory, word: Word, parameters: Parameters, settings: TwinSettings) -> str:
-    """Sets L0, pose and origin from all that is known of the robot at rest before a run; what to tell."""
+def _stand(
+    memory: Memory, word: Word, parameters: Parameters, settings: TwinSettings
+) -> tuple[str, float]:
+    """Sets L0, pose and origin from all that is known of the robot at rest before a run; (what to tell, ΔL in m)."""
     m = memory.record[0]
     length, position = _at_rest(memory, word.onset_ns, settings)
     direction = FORWARD if word.gait is None else word.gait.direction
     before = parameters.replace(initial_length=float(m["initial_length"]))
+    taken_up = _taken_up(m, before, length)
+    if taken_up:
+        length = math.nan  # that is not L0
     if abs(length - parameters.initial_length) <= PLAUSIBLE_M:  # False for NaN
         initial_length, source = length, "as measured at rest"
         seen, fitted = True, False
@@ -138,7 +145,11 @@ def _stand(memory: Memory, word: Word, parameters: Parameters, settings: TwinSet
         initial_length, source = parameters.initial_length, "from the parameters"
         seen, fitted = False, False
     text = f"a run begins, L0 = {1e3 * initial_length:.2f} mm ({source})"
-    place = _left_behind(m, before, initial_length, direction)
+    if taken_up:
+        text += (
+            f"; the slack is still taken up, which makes the body {-1e3 * taken_up:.1f} mm shorter"
+        )
+    place = _left_behind(m, before, initial_length + taken_up, direction)
     if place is not None and math.isfinite(position):
         if place.agrees_with(position, parameters.pitch):
             place = Place(place.x1, place.front_groove, position - place.x1)
@@ -152,7 +163,16 @@ def _stand(memory: Memory, word: Word, parameters: Parameters, settings: TwinSet
     m["direction"], m["origin"] = direction, place.anchor
     m["origin_known"] = m["origin_known"] or math.isfinite(position)
     m["pose_x1"], m["pose_front"] = place.x1, place.front_groove
-    return text
+    return text, taken_up
+
+
+def _taken_up(m: Any, before: Parameters, length: float) -> float:
+    """ΔL (m) of a body seen at rest at a length (m) after another run, if its slack is still taken up, else 0."""
+    shorter = before.gain * before.slack
+    change = length - before.initial_length
+    if m["start_ns"] and abs(change + shorter) < min(TAKEN_UP * shorter, PLAUSIBLE_M):
+        return change
+    return 0.0
 
 
 def _at_rest(memory: Memory, onset_ns: int, settings: TwinSettings) -> tuple[float, float]:

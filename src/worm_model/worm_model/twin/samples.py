@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -13,6 +14,8 @@ from numpy.typing import NDArray
 from worm_model.run import Run
 
 Rows = NDArray[np.void]
+#: when samples were received, ns, by their `Kind`
+Received = Mapping[int, NDArray[np.int64]]
 
 
 class Kind(enum.IntEnum):
@@ -48,11 +51,12 @@ def sample_rows(kind: Kind, stamp: NDArray[np.int64], *values: NDArray[Any]) -> 
     return rows
 
 
-def rows_of_run(run: Run, jump_back_ns: int) -> Rows:
+def rows_of_run(run: Run, jump_back_ns: int, received: Received | None = None) -> Rows:
     """All samples that the twin takes, in the order in which they came, as far as stamps tell that.
 
     Each topic keeps its own order. Topics are interleaved by stamp; where one goes back by more than
-    ``jump_back_ns`` the clock has jumped, and all after that comes after all before.
+    ``jump_back_ns`` the clock has jumped, and all after that comes after all before. A topic too rare to jump itself
+    (the driver's words) has jumped with the others by when it was ``received`` (ns, by `Kind`), where that is known.
     """
     states = run.gait_state
     gaits = sample_rows(
@@ -70,8 +74,30 @@ def rows_of_run(run: Run, jump_back_ns: int) -> Rows:
     ]
     rows = np.concatenate(topics)
     keys = [_arrival(topic["stamp"], jump_back_ns) for topic in topics]
+    if received is not None:
+        _jump_together(
+            keys,
+            [received.get(kind, topic["stamp"]) for kind, topic in zip(Kind, topics, strict=True)],
+        )
     jumps, reached = (np.concatenate(part) for part in zip(*keys, strict=True))
     return rows[np.lexsort((reached, jumps))]
+
+
+def _jump_together(
+    keys: list[tuple[NDArray[np.int64], NDArray[np.int64]]], received: list[NDArray[np.int64]]
+) -> None:
+    """Lets topics that saw no jump of the clock themselves jump when the first of the others did."""
+    most = max((int(jumps[-1]) for jumps, _ in keys if len(jumps)), default=0)
+    for count in range(1, most + 1):
+        began = [
+            int(times[np.argmax(jumps >= count)])
+            for (jumps, _), times in zip(keys, received, strict=True)
+            if len(jumps) and jumps[-1] >= count
+        ]
+        for k, times in enumerate(received):
+            jumps, reached = keys[k]
+            if len(jumps) and jumps[-1] < count:
+                keys[k] = np.where(times >= min(began), count, jumps), reached
 
 
 def _arrival(

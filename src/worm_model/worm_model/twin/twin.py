@@ -257,6 +257,7 @@ class _Call:
             state.memory.sums,
             gait,
             parameters,
+            np.sqrt(m["noise_square"]),
             bool(m["length_seen"]),
             float(m["blind_s"]),
             number == state.joined_cycle,
@@ -285,7 +286,7 @@ class _Call:
                 stamp, severity, finding.text, finding.code, finding.cycle, run, finding.probability
             )
         )
-        if finding.code in ("missed_groove", "gained_groove"):
+        if finding.code:
             number = max(self.state.warnings, default=0) + 1
             self.state.warnings = {
                 **dict(list(self.state.warnings.items())[-7:]),

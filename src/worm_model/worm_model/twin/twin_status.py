@@ -61,7 +61,7 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
         ("run", "running" if state.is_running else "none"),
         ("initial length (m)", f"{state.initial_length:.5f}"),
         ("grooves missed", str(state.history.missed)),
-        ("grooves missed by power", str(state.history.power.missed)),
+        ("grooves missed by power", str(state.history.missed_by_power)),
         ("grooves gained", str(state.history.extra)),
     ]
     values += [(f"samples {name}", str(count)) for name, count in state.counts.items()]

@@ -4,23 +4,29 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from worm_model.commands.command_line import (
     FAILED,
     InputError,
     Parser,
+    finite,
     notifier,
     print_result,
     run_command,
 )
+from worm_model.commands.identify import StageProgress
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.commands.search_options import shown_progress
+from worm_optimizer.nodes.operator_node import OperatorError
 from worm_optimizer.operation.bring_up import (
+    CYCLES,
     FAILURES,
     Narrator,
     work_folder,
@@ -28,20 +34,43 @@ from worm_optimizer.operation.bring_up import (
 from worm_optimizer.operation.campaign_plan import (
     PROMISES,
     Plan,
+    beside_nominal,
     is_promised,
     make_plan,
     write_promises,
 )
-from worm_optimizer.operation.campaign_runs import run_gaits
+from worm_optimizer.operation.campaign_runs import Confirm, Robot, put_aside, run_gaits
+from worm_optimizer.operation.identification_runs import (
+    PARAMETERS,
+    REPORT,
+    RUNS,
+    SUMMARY,
+    Bench,
+    identification_orders,
+    identify_robot,
+    record_identification,
+    virtual_bench,
+)
 from worm_optimizer.operation.processes import termination_as_interrupt
-from worm_optimizer.report.agreement import agreement_json, describe
+from worm_optimizer.operation.spread import (
+    Spread,
+    run_names,
+    spread,
+    spread_json,
+    spread_table,
+)
+from worm_optimizer.operation.spread_figure import draw_spread
+from worm_optimizer.orders import Order
+from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
 from worm_optimizer.report.identification_parts import add_identification, identification_of
-from worm_optimizer.report.page import Report, build_report
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
+from worm_optimizer.report.report_page import Report, build_report
 from worm_optimizer.search.cache import Cache, default_directory
 from worm_optimizer.search.search_settings import Settings
 
+_GAITS = 3  # of a campaign without repeats and nominal gaits: nothing spreads
+SPREAD_FIGURE = "spread.png"
 _MODES = ("virtual", "robot")
 
 
@@ -76,6 +105,25 @@ def _parser() -> Parser:
     )
     parser.add_number("--margin", "M", "robustness margin in m; default: at the cliff")
     parser.add_direction()
+    add(
+        "--repeats",
+        type=int,
+        default=1,
+        metavar="N",
+        help="run each gait so many times, and tell how the repeats spread (default: 1)",
+    )
+    add(
+        "--with-nominal",
+        action="store_true",
+        help="also run the gaits that are best without a margin, beside the robust ones",
+    )
+    add(
+        "--identify",
+        action="store_true",
+        help="first run the gaits that identify a robot, each past five ridges, write its parameters and report, and "
+        "validate with the front of these parameters, nominal beside robust; on a real robot it asks before each "
+        "run; --bellows and --fin are its bench tests",
+    )
     add_identification(parser)
     parser.add_json()
     parser.add_parameters()
@@ -83,29 +131,101 @@ def _parser() -> Parser:
 
 
 def _campaign(options: argparse.Namespace) -> int:
-    content = load_parameter_file(options.parameters)
-    identification = identification_of(options)
+    load_parameter_file(options.parameters)
+    if options.repeats < 1:
+        raise InputError(f"--repeats {options.repeats}: give 1 or more")
+    if options.identify and options.identification:
+        raise InputError("--identify makes the identification: leave --identification out")
+    identification = None if options.identify else identification_of(options)
     robot = robot_of(options, options.mode)
     folder = _folder(options)
     say = Narrator("campaign")
-    settings, cache = Settings(margin=options.margin), Cache.at(default_directory())
-    shown = shown_progress("front")
-    plan = make_plan(content, settings, options.direction, cache, shown)
-    _promise(plan, folder, options)
+    found: dict[str, Any] = {}
     try:
         with termination_as_interrupt(), work_folder("campaign") as work:
-            gaits = {name: prediction.gait for name, prediction in plan.gaits.items()}
-            run_gaits(robot.in_folder(work), gaits, folder, work / "logs", say)
+            robot = robot.in_folder(work)
+            if options.identify:
+                found = _identify(options, robot, folder, work, say)
+                options.parameters = str(folder / PARAMETERS)
+                robot = robot.with_parameters(options.parameters)
+                options.identification = [folder / PARAMETERS, folder / REPORT]
+                identification = identification_of(options)
+            plan = _plan(options)
+            _promise(plan, folder)
+            names = run_names(tuple(plan.gaits), options.repeats)
+            orders = {run: Order(plan.gaits[name].gait, CYCLES) for run, name in names.items()}
+            (work / "logs" / "validation").mkdir()
+            run_gaits(robot, orders, folder, work / "logs" / "validation", say, _confirm(options))
     except FAILURES as error:
         print(f"campaign: {error}\ncampaign: go on with --resume {folder}", file=sys.stderr)  # noqa: T201
         return FAILED
     say("comparing")
-    bags = [folder / name for name in plan.gaits]
+    bags = [folder / run for run in names]
     recorded = read_recorded_gaits(bags, options.parameters, notifier("campaign"))
     title = f"Validation campaign ({options.mode} robot)"
     report = Report(title, recorded, plan.optimisation, identification=identification)
-    _print(options, recorded, folder, build_report(report, folder / "report"))
+    spreads = [
+        spread(
+            name, promise, [r for run, r in zip(names, recorded, strict=True) if names[run] == name]
+        )
+        for name, promise in plan.gaits.items()
+    ]
+    page = build_report(report, folder / "report")
+    if len(recorded) > _GAITS:
+        draw_spread(folder / SPREAD_FIGURE, spreads)
+    _print(options, recorded, spreads, folder, page, found)
     return 0
+
+
+def _plan(options: argparse.Namespace) -> Plan:
+    """The gaits, from the cache or searched."""
+    content = load_parameter_file(options.parameters)
+    settings, cache = Settings(margin=options.margin), Cache.at(default_directory())
+    plan = make_plan(content, settings, options.direction, cache, shown_progress("front"))
+    if options.with_nominal or options.identify:
+        plan = beside_nominal(plan, content, settings, options.direction)
+    return plan
+
+
+def _identify(
+    options: argparse.Namespace, robot: Robot, folder: Path, work: Path, say: Narrator
+) -> dict[str, Any]:
+    """Runs, identifies and writes what is not there yet; returns what `identify` prints."""
+    known = load_parameter_file(options.parameters)
+    folder.mkdir(parents=True, exist_ok=True)
+    orders = identification_orders(options.direction, known.parameters.pitch)
+    (work / "logs" / "identification").mkdir()
+    logs = work / "logs" / "identification"
+    bags = record_identification(robot, orders, folder, logs, say, _confirm(options))
+    found = folder / SUMMARY
+    if not found.exists():
+        for left in (folder / REPORT, folder / PARAMETERS):  # of one that was broken off
+            put_aside(left, say)
+        say("identifying")
+        source = options.parameters or "the paper"
+        bench = Bench(options.bellows, options.fin)
+        if options.mode == "virtual" and bench == Bench(None, None):
+            bench = virtual_bench(robot, folder, work / "logs")
+        result = identify_robot(bags, bench, (known, source), folder, StageProgress())
+        found.write_text(json.dumps(finite(result)), encoding="utf-8")
+    content: dict[str, Any] = json.loads(found.read_text(encoding="utf-8"))
+    return content | {"parameter_file": str(folder / PARAMETERS), "bags": [str(b) for b in bags]}
+
+
+def _confirm(options: argparse.Namespace) -> Confirm:
+    """Asks before each run of a real robot that is identified; a virtual one needs no hand."""
+    if not options.identify or options.mode != "robot":
+        return lambda _: None
+
+    def ask(text: str) -> None:
+        sys.stderr.write(f"{text}\nPut the robot where it has room; Enter runs it, Ctrl-C ends: ")
+        sys.stderr.flush()
+        if not sys.stdin.readline():
+            raise OperatorError(
+                "nobody answers on standard input: a real robot moves only when asked to"
+            )
+
+    return ask
 
 
 def _folder(options: argparse.Namespace) -> Path:
@@ -114,7 +234,7 @@ def _folder(options: argparse.Namespace) -> Path:
         if options.output is not None:
             raise InputError("--resume names the folder: leave --output out")
         resumed: Path = options.resume.resolve()
-        if not (resumed / PROMISES).is_file():
+        if not ((resumed / PROMISES).is_file() or (options.identify and (resumed / RUNS).is_dir())):
             raise InputError(f"{resumed}: no campaign was begun there ({PROMISES} is missing)")
         if (resumed / "report").exists():
             raise InputError(f"{resumed}: this campaign is complete, its report is there")
@@ -128,10 +248,10 @@ def _folder(options: argparse.Namespace) -> Path:
     return folder
 
 
-def _promise(plan: Plan, folder: Path, options: argparse.Namespace) -> None:
+def _promise(plan: Plan, folder: Path) -> None:
     """Writes the promises of a new campaign down; those of one that goes on must be the same."""
-    if options.resume is None:
-        folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / PROMISES).exists():
         write_promises(plan, folder)
     elif not is_promised(plan, folder):
         raise InputError(
@@ -140,7 +260,30 @@ def _promise(plan: Plan, folder: Path, options: argparse.Namespace) -> None:
 
 
 def _print(
-    options: argparse.Namespace, gaits: Sequence[RecordedGait], folder: Path, page: Path
+    options: argparse.Namespace,
+    gaits: Sequence[RecordedGait],
+    spreads: Sequence[Spread],
+    folder: Path,
+    page: Path,
+    found: dict[str, Any],
 ) -> None:
-    content = {"folder": str(folder), "page": str(page), **agreement_json(gaits)}
-    print_result(options, content, f"{describe(gaits)}\n\nrecordings  {folder}\nreport      {page}")
+    judged = agreement_json(gaits)
+    content = {"folder": str(folder), "page": str(page), **judged, "spread": spread_json(spreads)}
+    content["gaits"] = [
+        {
+            "name": row["name"],
+            "measured": _values(row["measured"]),
+            "expected": _values(row["expected"]),
+            "nominal": {key: getattr(gait.expected.nominal, key) for key in QUANTITIES},
+            "agrees": row["agrees"],
+        }
+        for row, gait in zip(judged["runs"], gaits, strict=True)
+    ]
+    text = f"{describe(gaits)}\n\n{spread_table(spreads)}"
+    if found:
+        text += f"\n\nparameters  {found['parameter_file']}"
+    print_result(options, content | found, f"{text}\n\nrecordings  {folder}\nreport      {page}")
+
+
+def _values(bands: dict[str, Any]) -> dict[str, float]:
+    return {quantity: band["value"] for quantity, band in bands.items()}

@@ -14,6 +14,8 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
+from worm_model.analysis.plot_style import save_figure
+from worm_model.analysis.run_curves import plot_run
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.commands.command_line import (
@@ -32,10 +34,8 @@ from worm_optimizer.operation.bring_up import (
     installed_system_file,
     work_folder,
 )
-from worm_optimizer.operation.demo_comparison import Comparison, compare
-from worm_optimizer.operation.demo_figure import draw_run
+from worm_optimizer.operation.demo_comparison import Comparison, compare, comparison_table
 from worm_optimizer.operation.demo_run import drive
-from worm_optimizer.operation.demo_table import comparison_table
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.robustness.prediction import Prediction
 
@@ -117,7 +117,7 @@ def _look_back(
     replay = replay_run(run, parameters)
     comparison = compare(run, replay, prediction, parameters)
     figure = bag.with_suffix(".png")
-    draw_run(figure, _title(prediction), run, replay, comparison.window, parameters)
+    save_figure(plot_run(run, replay, parameters, _title(prediction)), figure)
     return comparison, figure
 
 

@@ -132,6 +132,8 @@ def _operate(options: argparse.Namespace) -> int:
     if options.timeout <= 0.0:
         raise InputError(f"--timeout {options.timeout:g}: give a positive time in s")
     action: Action = options.action
+    if action is _run:
+        _ends(options, _own_gait(options) or Gait(0.05, 0.1))  # refused before anybody is asked
     try:
         with operator(namespace, lambda: None, f"operate_{os.getpid()}") as node:
             node.wait_for_driver(options.timeout)
@@ -208,12 +210,8 @@ def _fault(node: OperatorNode, options: argparse.Namespace) -> int:
 
 
 def _run(node: OperatorNode, options: argparse.Namespace) -> int:
-    own = _own_gait(options)
-    ends = {"grooves": options.grooves, "distance": options.distance}
-    cycles = options.cycles or (0 if any(ends.values()) else CYCLES)
-    Order(own or Gait(0.05, 0.1), cycles, **ends)  # refused before anything is asked for
     say = Narrator("operate")
-    order = Order(own or _requested(node, options, say), cycles, **ends)
+    order = _ends(options, _own_gait(options) or _requested(node, options, say))
     bag = None if options.record is None else new_bag(options.record)
     say(f"running {order}")
     recorder = (
@@ -239,6 +237,12 @@ def _own_gait(options: argparse.Namespace) -> Gait | None:
             "--stroke and --frequency make the gait: leave --objective, --speed, --power out"
         )
     return Gait(options.stroke, options.frequency, options.direction, options.margin)
+
+
+def _ends(options: argparse.Namespace, gait: Gait) -> Order:
+    """A gait with the ends that are asked for, five cycles without any. Raises `InputError`."""
+    default = 0 if options.grooves or options.distance else CYCLES
+    return Order(gait, options.cycles or default, options.grooves, options.distance)
 
 
 def _requested(node: OperatorNode, options: argparse.Namespace, say: Narrator) -> Gait:
@@ -283,6 +287,8 @@ def _progress(say: Narrator) -> Callable[[RunProgress], None]:
 
 
 def _result_words(result: RunResult, bag: Path | None) -> str:
+    if not result.cycles_completed:
+        return result.message
     rows: list[tuple[str, Any]] = [
         ("cycles", result.cycles_completed),
         ("distance", f"{1e3 * result.distance:.1f} mm, {result.grooves:.1f} grooves"),

@@ -17,8 +17,8 @@ from worm_optimizer.commands.search_options import shown_progress
 from worm_optimizer.report.agreement import agreement_json, describe, title_of
 from worm_optimizer.report.identification_parts import add_identification, identification_of
 from worm_optimizer.report.optimisation import optimise, why_no_front
-from worm_optimizer.report.page import Report, build_report
 from worm_optimizer.report.recordings import bags_of, newest_recording, read_recorded_gaits
+from worm_optimizer.report.report_page import Report, build_report
 from worm_optimizer.search.cache import Cache, default_directory
 
 _BAGS = Path("bags")

@@ -25,8 +25,8 @@ try:
     from worm_optimizer.study.engine import LostError
     from worm_optimizer.study.fleet import read_fleet
     from worm_optimizer.study.fleet_page import write_fleet_page
-    from worm_optimizer.study.page import write_page
-    from worm_optimizer.study.run import Counts, Estimate, estimate, run_study
+    from worm_optimizer.study.study_page import write_page
+    from worm_optimizer.study.study_run import Counts, Estimate, estimate, run_study
 except ModuleNotFoundError as error:  # the optional set, which a robot goes without
     notifier("study")(
         f"{error.name} is not installed: start it as ./worm study, or "

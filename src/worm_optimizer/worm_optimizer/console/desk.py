@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from worm_model.errors import InputError
 from worm_optimizer.nodes.operator_node import OperatorNode
-from worm_optimizer.nodes.telemetry import Telemetry
+from worm_optimizer.nodes.robot_telemetry import Telemetry
 from worm_optimizer.operation.bring_up import FAILURES, Say
 from worm_optimizer.snapshot import Snapshot
 

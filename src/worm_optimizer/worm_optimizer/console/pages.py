@@ -15,7 +15,7 @@ from starlette.background import BackgroundTask
 from worm_model.errors import InputError
 from worm_optimizer.console.access import Access
 from worm_optimizer.console.act_page import ActPage
-from worm_optimizer.console.guard import COOKIE
+from worm_optimizer.console.entrance import COOKIE
 from worm_optimizer.console.hub import Hub
 from worm_optimizer.console.live_page import LivePage
 from worm_optimizer.console.recordings_page import RecordingsPage

@@ -6,7 +6,7 @@ from __future__ import annotations
 from nicegui import app, ui
 
 from worm_optimizer.console.access import Access
-from worm_optimizer.console.guard import Guard
+from worm_optimizer.console.entrance import Guard
 from worm_optimizer.console.hub import Hub
 from worm_optimizer.console.pages import build
 

@@ -13,7 +13,7 @@ from typing import Any
 from worm_model.bags.bag import METADATA_FILE
 from worm_model.errors import InputError
 from worm_optimizer.operation.processes import executable_command
-from worm_optimizer.report.page import PAGE
+from worm_optimizer.report.report_page import PAGE
 
 REPORT = "_report"  # ends the name of a report's folder
 

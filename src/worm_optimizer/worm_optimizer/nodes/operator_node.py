@@ -86,11 +86,7 @@ class OperatorError(RuntimeError):
 
 
 class UnreachableError(OperatorError):
-    """No gait of the front is what was asked for; ``nearest`` is the nearest one that is there."""
-
-    def __init__(self, message: str, nearest: Prediction) -> None:
-        super().__init__(message)
-        self.nearest = nearest
+    """No gait of the front is what was asked for; the message tells the nearest one that is there."""
 
 
 class GaitFailedError(OperatorError):
@@ -378,7 +374,7 @@ class OperatorNode(Node):
             if response.success:
                 return _prediction_of(response.prediction)
             if response.status == RequestGait.Response.UNREACHABLE:
-                raise UnreachableError(response.message, _prediction_of(response.prediction))
+                raise UnreachableError(response.message)
             waits = response.status == RequestGait.Response.COMPUTING
             if not waits or time.monotonic() > deadline:
                 raise OperatorError(f"the optimizer has no gait: {response.message}")

@@ -107,7 +107,7 @@ def optimize_result(front: RobustFront) -> OptimizeGaits.Result:
         margin=front.margin,
         hypervolume_share=front.hypervolume_share,
         missed_branches=list(front.missed_branches),
-        served=front.source,
+        source=front.source,
         front=[prediction_message(gait) for gait in front.predictions],
         **three,
     )

@@ -34,9 +34,16 @@ from worm_optimizer.search.front import (
     load_current,
     store_current,
 )
-from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus, answer, request_of
+from worm_optimizer.search.gait_request import (
+    GaitAnswer,
+    GaitRequest,
+    RequestStatus,
+    answer,
+    request_of,
+)
 from worm_optimizer.search.margin import PriceOfRobustness
 from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.resting_phase import SAME_LENGTH, resting_answer
 from worm_optimizer.search.worker import FrontJob, Job, Outcome, ScanJob, Ticket, WorkQueue
 
 _POLL_PERIOD = 0.02  # s, how late feedback may be; a request waits for no poll
@@ -158,11 +165,17 @@ class OptimizerNode(Node):
     ) -> RequestGait.Response:
         try:
             asked = request_of(request.objective, request.speed, request.power)
+            gait = self._answer(asked, request.direction, request.initial_length)
         except OptimizerError as error:
-            invalid = GaitAnswer(RequestStatus.INVALID, str(error))
-            return optimizer_messages.fill_response(response, invalid)
-        gait = answer(self._fronts, self._absences, request.direction, asked)
+            gait = GaitAnswer(RequestStatus.INVALID, str(error))
         return optimizer_messages.fill_response(response, gait)
+
+    def _answer(self, asked: GaitRequest, direction: int, initial_length: float) -> GaitAnswer:
+        """From the front, or for a robot that rests with another initial length (m) than the parameters'."""
+        front, known = self._fronts.get(direction), self._content.parameters.initial_length
+        if front is None or not initial_length or abs(initial_length - known) < SAME_LENGTH:
+            return answer(self._fronts, self._absences, direction, asked)
+        return resting_answer(front, self._content, self._settings, asked, initial_length)
 
     # --- actions --------------------------------------------------------------------------------
 

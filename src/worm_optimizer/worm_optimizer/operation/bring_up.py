@@ -30,6 +30,9 @@ READY_TIMEOUT_S = 120.0  # of a node on a busy computer
 CYCLES = 5
 RECORDER = "recorder"  # name of the node in system.yaml
 BUSY = 1.5  # load average per processor from where it may be the cause of a failure
+_TO_REST = (
+    "--to-rest"  # a recorder of all nodes ends when the robot is let go, that of a run with the run
+)
 FAILURES = (ProcessError, OperatorError, RecordingError)
 
 Say = Callable[[str], None]
@@ -180,7 +183,9 @@ def recording(
     It hears every topic before anything happens, and its bag is whole afterwards. Raises `ProcessError` or
     `OperatorError`.
     """
-    start_node(group, replace(recorder, name=name), node.get_namespace().strip("/"), name)
+    words = tuple(word for word in recorder.arguments if word != _TO_REST)
+    own = replace(recorder, name=name, arguments=words)
+    start_node(group, own, node.get_namespace().strip("/"), name)
     node.wait_for_recorder(name)
     yield
     group.end(name)

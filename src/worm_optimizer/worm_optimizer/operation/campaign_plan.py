@@ -5,14 +5,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from worm_model.parameters import ParameterFile
+from worm_optimizer.operation.spread import NOMINAL
 from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.cache import Cache
-from worm_optimizer.search.front import Report, load_front, make_front, scanned_price
+from worm_optimizer.search.front import Report, load_front, make_front, nominal_gaits, scanned_price
 from worm_optimizer.search.gait_request import three_gaits
 from worm_optimizer.search.search_settings import Settings
 
@@ -39,6 +40,17 @@ def make_plan(
     if front is None:
         front = make_front(content, settings, direction, cache, report)
     return Plan(three_gaits(front.predictions), Optimisation(front, price))
+
+
+def beside_nominal(plan: Plan, content: ParameterFile, settings: Settings, direction: int) -> Plan:
+    """The plan, and after each gait the one that is best without any margin."""
+    nominal = nominal_gaits(content, settings, direction)
+    gaits = {
+        each: gait
+        for name, robust in plan.gaits.items()
+        for each, gait in ((name, robust), (NOMINAL + name, nominal[name]))
+    }
+    return replace(plan, gaits=gaits)
 
 
 def write_promises(plan: Plan, folder: Path) -> Path:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,9 +11,7 @@ from worm_model.analysis.run_metrics import RecordingError, last_played_gait
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
-from worm_model.gait import Gait
 from worm_optimizer.operation.bring_up import (
-    CYCLES,
     RECORDER,
     Say,
     Session,
@@ -22,6 +20,8 @@ from worm_optimizer.operation.bring_up import (
 )
 from worm_optimizer.operation.system import System, SystemFile
 from worm_optimizer.orders import Order
+
+Confirm = Callable[[str], None]
 
 _UNUSED = {"optimizer", RECORDER}  # the front is known; each gait has a recorder of its own
 _AFTERWARDS_S = 2.0  # of rest that end a recording; the slack of a resting cable comes back in it
@@ -48,19 +48,31 @@ class Robot:
         """The same, its sockets in a folder, unless a setting says where."""
         return replace(self, settings={"directory": str(folder), **self.settings})
 
+    def with_parameters(self, file: str) -> Robot:
+        """The same, with another parameter file."""
+        return replace(self, settings={**self.settings, "parameter_file": file})
+
     def recording_system(self, bag: Path) -> System:
         """The same robot as a system that has a recorder, for one bag."""
         return self.file.system(self.mode, **{**self.settings, "bag": str(bag)})
 
 
-def run_gaits(robot: Robot, gaits: Mapping[str, Gait], folder: Path, logs: Path, say: Say) -> None:
-    """Runs five cycles of each gait and records it as ``folder/NAME``; then the robot is at rest and released.
+def run_gaits(
+    robot: Robot,
+    orders: Mapping[str, Order],
+    folder: Path,
+    logs: Path,
+    say: Say,
+    confirm: Confirm = lambda _: None,
+) -> None:
+    """Runs each gait and records it as ``folder/NAME``; then the robot is at rest and released.
 
+    ``confirm`` gets a line on each before it moves, and may raise.
     A gait that is recorded already is not run again, and what a failure left of a recording is put aside.
     No process is left, whatever happens. Raises `ProcessError` or `OperatorError` with the stage that failed.
     """
-    missing = {name: gait for name, gait in gaits.items() if not is_recorded(folder / name)}
-    for name in gaits:
+    missing = {name: order for name, order in orders.items() if not is_recorded(folder / name)}
+    for name in orders:
         if name not in missing:
             say(f"{name}: recorded already")
     if not missing:
@@ -68,9 +80,10 @@ def run_gaits(robot: Robot, gaits: Mapping[str, Gait], folder: Path, logs: Path,
     with session(robot.system(), logs, say) as running:
         running.node.wait_for_publisher(_TRACKER, _NO_TRACKER)
         running.activate()
-        for name, gait in missing.items():
+        for name, order in missing.items():
+            confirm(f"{name}: {order}")
             put_aside(folder / name, say)
-            _record_gait(running, robot.recording_system(folder / name), name, gait)
+            _record_gait(running, robot.recording_system(folder / name), name, order)
         running.release()
 
 
@@ -100,11 +113,8 @@ def put_aside(bag: Path, say: Say) -> None:
     say(f"{bag.name}: an unfinished recording is kept as {aside.name}")
 
 
-def _record_gait(running: Session, system: System, name: str, gait: Gait) -> None:
-    running.say(
-        f"{name}: stroke {1e3 * gait.stroke:.1f} mm, frequency {gait.frequency:.3f} Hz, "
-        f"{CYCLES} cycles in {CYCLES / gait.frequency:.0f} s"
-    )
+def _record_gait(running: Session, system: System, name: str, order: Order) -> None:
+    running.say(f"{name}: {order}")
     with recording(running.group, running.node, system.node(RECORDER), f"{RECORDER}_{name}"):
-        running.run_gait(Order(gait, CYCLES))
+        running.run_gait(order)
         running.node.rest(_AFTERWARDS_S)

@@ -3,5 +3,5 @@
 
 `recordings` reads bags into the gaits that were played, `recorded_gait` judges one, `expectation` predicts it with
 intervals, `events` lists what happened, `agreement` compares; `optimisation` and `identification_parts` get the other
-sections' content, `run_figures` and `front_plots` draw, `page` fills the template.
+sections' content, `run_figures` and `front_plots` draw, `report_page` fills the template.
 """

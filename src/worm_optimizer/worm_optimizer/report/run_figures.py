@@ -78,7 +78,10 @@ def draw_cycles(gait: RecordedGait) -> Figure:
     measured, twin = ([getattr(c, f) for c in cycles] for f in ("measured_grooves", "grooves"))
     panels[0].bar(number - 0.2, measured, 0.4, color=BLUE, label="measured")
     panels[0].bar(number + 0.2, twin, 0.4, color=VERMILION, hatch="//", label="twin")
+    bars, names = panels[0].get_legend_handles_labels()
+    figure.legend(bars, names, loc="outside upper left", ncols=2, fontsize="small", frameon=False)
     finish(panels[0], "grooves gained (1)")
+    panels[0].get_legend().remove()  # it is wider than the panel
     for axes, name, scale, label in (
         (panels[1], "x1_rmse", MM, "x1 residual (mm rms)"),
         (panels[2], "length_rmse", MM, "length residual (mm rms)"),
@@ -114,19 +117,19 @@ RUN_FIGURES: Mapping[str, tuple[Callable[[RecordedGait], Figure], str]] = {
 
 
 def draw_overlay(gaits: Sequence[RecordedGait]) -> Figure:
-    """All gaits over each other: how far and at what energy, measured and (dashed) as the model has them."""
+    """All gaits over each other: how far and at what energy, measured (broad) and as the model has them (thin)."""
     advances, energies = [], []
     for number, gait in enumerate(gaits):
         onset, style = gait.played.onset, run_style(number)
-        dashed = {**style, "linestyle": "--", "linewidth": 1.0}
+        broad = {**style, "linewidth": 4.0, "alpha": 0.4}
         positions, _ = position_curves(gait.run, gait.replay, onset)
         measured, _ = energy_curves(gait.run, gait.replay, onset)
         time, model = _model_of(gait)
         x1, direction = positions[0], gait.gait.direction
-        advances.append(Curve(title_of(gait.name), x1.time, direction * x1.values, style))
-        advances.append(Curve("", time, direction * model.x1, dashed))
-        energies.append(Curve("", measured[0].time, measured[0].values, style))
-        energies.append(Curve("", time, model.energy, dashed))
+        advances.append(Curve(title_of(gait.name), x1.time, direction * x1.values, broad))
+        advances.append(Curve("", time, direction * model.x1, style))
+        energies.append(Curve("", measured[0].time, measured[0].values, broad))
+        energies.append(Curve("", time, model.energy, style))
     longest = max(_duration(gait) for gait in gaits)
     return comparison_figure(Frame(-_BEFORE, longest + _BEFORE), advances, energies)
 

@@ -52,10 +52,10 @@ def half_widths(content: ParameterFile) -> dict[str, tuple[float, float]]:
 
     What differs from run to run is added to either.
     """
-    return {key: _reach(content, key, width) for key, width in DEFAULT_HALF_WIDTHS.items()}
+    return {key: reach_of(content, key, width) for key, width in DEFAULT_HALF_WIDTHS.items()}
 
 
-def _reach(content: ParameterFile, key: str, width: float) -> tuple[float, float]:
+def reach_of(content: ParameterFile, key: str, width: float) -> tuple[float, float]:
     """95 % reach of one value, ``width`` relative to it without an interval."""
     value = content.parameters.as_dict()[key]
     low, high = content.intervals.get(key, (value * (1.0 - width), value * (1.0 + width)))
@@ -65,7 +65,7 @@ def _reach(content: ParameterFile, key: str, width: float) -> tuple[float, float
 
 def description(content: ParameterFile) -> str:
     """Where the uncertainty of a parameter file comes from, in words."""
-    reach = max(_reach(content, "initial_length", 0.0))
+    reach = max(reach_of(content, "initial_length", 0.0))
     phase = f"; φ known to ±{1e3 * reach:.2f} mm in the next run" if reach > 0.0 else ""
     return _parameters_described(content) + phase
 
@@ -91,7 +91,7 @@ def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
     otherwise pass for a phase. Deviations are normal, with a width of its own on either side.
     """
     overrides = _draws(content, samples, seed)
-    below, above = _reach(content, "initial_length", 0.0)
+    below, above = reach_of(content, "initial_length", 0.0)
     deviate = _deviates(samples, seed, stream=1) / _NORMAL_95
     trim = np.where(deviate > 0.0, deviate * above, deviate * below)
     phase = groove_phase(content.parameters) + trim

@@ -5,6 +5,9 @@ Nothing is ever looked up by date or path: a new parameter file or setting, or a
 code that computes, is another name, so an outdated result is never found. Files are written beside and
 moved into place, so that none is half there after a crash, and one that is broken all the same counts
 as absent.
+
+The results of the paper's parameters and the default settings come with the package, under the same names: where the
+code has changed since, they are not found, and computed as any other (`worm_optimizer.search.shipped`).
 """
 
 from __future__ import annotations
@@ -40,6 +43,7 @@ _SOURCES: Mapping[Path, tuple[str, ...]] = {
     ),
     Path(__file__).parents[1]: ("search/*.py", "robustness/*.py"),
 }
+SHIPPED = Path(__file__).parents[1] / "config" / "fronts"  # what comes with the package
 _PART = ".part"  # ends the name of a file that is being written
 _ABANDONED = 3600.0  # s after which a file that was never moved into place is nobody's any more
 
@@ -124,8 +128,9 @@ class Cache:
 
     def load(self, name: str, parse: Callable[[Any], T]) -> T | None:
         """The stored result as ``parse`` makes it of plain values; None if there is none that can be read."""
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            return parse(json.loads(self._path(name).read_text(encoding="utf-8")))
+        for place in (self, Cache(SHIPPED)):
+            with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+                return parse(json.loads(place._path(name).read_text(encoding="utf-8")))
         return None
 
     def store(self, name: str, content: Any) -> None:

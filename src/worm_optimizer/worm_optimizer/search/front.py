@@ -110,7 +110,8 @@ def scanned_price(
 
 def is_symmetric(parameters: Parameters) -> bool:
     """Whether either direction is the exact mirror image of the other: it is with equal modules."""
-    return parameters.rear_mass == parameters.front_mass
+    p = parameters
+    return (p.rear_mass, p.rear_dry_friction) == (p.front_mass, p.front_dry_friction)
 
 
 def both_ways(front: RobustFront, parameters: Parameters) -> tuple[RobustFront, ...]:

@@ -114,7 +114,7 @@ def _refusal(answer: str | BaseException, mine: str) -> str:
 
 
 @dataclass
-class _Desk:
+class _Dispatcher:
     """What has been handed out, and to whom it may go; a piece is kept until its result is back."""
 
     client: Client
@@ -173,8 +173,8 @@ def spread(
     worker that it is given to; else what the function raises.
     """
     crew = _Crew(client, say)
-    desk = _Desk(client, crew, function, enumerate(pieces))
-    told = False
+    dispatcher = _Dispatcher(client, crew, function, enumerate(pieces))
+    idle_said = False
     try:
         while True:
             if client.status != "running":
@@ -183,18 +183,18 @@ def spread(
             if crew.refused and not crew.able:
                 address, why = next(iter(crew.refused.items()))
                 raise ClusterError(f"no worker can be used: worker {address}: {why}")
-            if not crew.able and not told:
+            if not crew.able and not idle_said:
                 there = (
                     f"{len(crew.silent)} have not answered yet" if crew.silent else "none is there"
                 )
                 say(f"waiting for workers, {there} (Ctrl-C ends this; what is finished stays)")
-            told = not crew.able
-            desk.fill()
-            if crew.able and not desk.kept:
+            idle_said = not crew.able
+            dispatcher.fill()
+            if crew.able and not dispatcher.kept:
                 return
-            yield from desk.results()
+            yield from dispatcher.results()
     finally:
-        desk.clear()
+        dispatcher.clear()
 
 
 def _finished(futures: list[Future]) -> list[Future]:

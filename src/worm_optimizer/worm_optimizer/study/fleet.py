@@ -28,7 +28,7 @@ from worm_model.parameters import load_parameter_file
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.study.engine import LostError, Say, connected, cores, spread
-from worm_optimizer.study.run import Counts
+from worm_optimizer.study.study_run import Counts
 from worm_optimizer.study.version import identity
 
 READ, FAILED = "read", "failed"
@@ -69,12 +69,12 @@ def bags_below(folder: Path) -> list[Path]:
     }
     # what was recovered from a bag stands beside it, and reading the bag itself is enough
     copies = {bag.with_name(f"{bag.name}{_RECOVERED}") for bag in closed | loose}
-    found = (closed | loose) - copies
-    if not found:
+    bags = (closed | loose) - copies
+    if not bags:
         raise InputError(
             f"{folder}: holds no bag (a folder with metadata.yaml, or a file *.mcap, *.db3)"
         )
-    return sorted(found)
+    return sorted(bags)
 
 
 def bag_rows(path: str, name: str, parameters: str) -> list[Row]:
@@ -182,9 +182,9 @@ def read_fleet(
         table = pa.Table.from_pylist(rows, SCHEMA).replace_schema_metadata(
             {_IDENTITY: whole.encode()}
         )
-        draft = parts / "table"
-        parquet.write_table(table, draft)
-        draft.rename(output)
+        part = parts / "table"
+        parquet.write_table(table, part)
+        part.rename(output)
         shutil.rmtree(parts)
     return _known(output, whole)
 
@@ -200,9 +200,9 @@ def _read(
     done = bags - len(pieces)
     try:
         for place, rows in spread(client, bag_rows, pieces, say):
-            draft = files[place].with_suffix(".part")
-            draft.write_text(json.dumps(rows), encoding="utf-8")
-            draft.rename(files[place])
+            part = files[place].with_suffix(".part")
+            part.write_text(json.dumps(rows), encoding="utf-8")
+            part.rename(files[place])
             done += 1
             progress(done / bags)
     except UnseenError as error:

@@ -16,7 +16,7 @@ from worm_model.identification.drift_figure import draw_health
 from worm_model.identification.estimate import Estimate
 from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_optimizer.study.fleet import FAILED, Row
-from worm_optimizer.study.page import Image, Table, encoded, render
+from worm_optimizer.study.study_page import Image, Table, encoded, render
 from worm_optimizer.study.study_plots import compared_figure, png
 
 

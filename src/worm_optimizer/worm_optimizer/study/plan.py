@@ -371,15 +371,19 @@ def _fixed(content: Any) -> tuple[dict[str, float], bool]:
 
 
 def _files(
-    given: Mapping[str, Any], folder: Path, parameters: str
+    content_of: Mapping[str, Any], folder: Path, parameters: str
 ) -> tuple[tuple[str, ParameterFile], ...]:
-    names = given.get("parameter_files")
-    if sum(map(bool, (names, given.get("parameters"), parameters))) > 1:
+    names = content_of.get("parameter_files")
+    if sum(map(bool, (names, content_of.get("parameters"), parameters))) > 1:
         raise StudyError(
             "parameters: the robot is given twice; keep one of parameters, parameter_files, --parameters"
         )
     if names is None:
-        path = str(folder / str(given["parameters"])) if given.get("parameters") else parameters
+        path = (
+            str(folder / str(content_of["parameters"]))
+            if content_of.get("parameters")
+            else parameters
+        )
         return ((Path(path).name if path else "the paper", load_parameter_file(path)),)
     if not isinstance(names, list) or not names:
         raise StudyError("parameter_files: expected a list of files")
@@ -468,9 +472,9 @@ def _scan(content: Any) -> ScanSettings:
     )
 
 
-def _block_points(given: Any, study: Study) -> int:
+def _block_points(value: Any, study: Study) -> int:
     """Points of a block: enough that handing it on costs little, and a bar that moves."""
-    if given is not None:
-        return _whole("block_points", given, 1, MOST_POINTS)
+    if value is not None:
+        return _whole("block_points", value, 1, MOST_POINTS)
     by_time = math.ceil(_BLOCK_SECONDS / (_SECONDS_PER_GAIT * max(study.gaits_per_point, 1.0)))
     return max(1, min(by_time, math.ceil(study.size / _FEWEST_BLOCKS)))

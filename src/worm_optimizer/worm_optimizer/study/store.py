@@ -133,12 +133,12 @@ def _make(path: Path, study: Study) -> None:
     """Lays out an empty store beside and moves it into place, so that none is half there."""
     if not path.parent.is_dir():
         raise StoreError(f"{path}: its folder {path.parent} does not exist; make it first")
-    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         dataset = _template(study)
         encoding = {name: _encoding(study, dataset[name]) for name in dataset.variables}
         dataset.to_zarr(
-            draft,
+            part,
             mode="w-",
             zarr_format=_FORMAT,
             consolidated=True,
@@ -146,9 +146,9 @@ def _make(path: Path, study: Study) -> None:
             encoding=encoding,
         )
         with contextlib.suppress(OSError):  # another client was faster: its store is used
-            draft.rename(path)
+            part.rename(path)
     finally:
-        shutil.rmtree(draft, ignore_errors=True)
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def _encoding(study: Study, array: xarray.DataArray) -> dict[str, Any]:

@@ -16,13 +16,13 @@ _OTHERS = ("worm_model", "worm_optimizer", "xarray", "zarr", "distributed")
 
 def versions() -> dict[str, str]:
     """Versions of this process's Python and packages, by name."""
-    found = {"python": platform.python_version()}
+    versions = {"python": platform.python_version()}
     for name in (*_NUMERIC, *_OTHERS):
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:  # run from a checkout
-            found[name] = "not installed"
-    return found
+            versions[name] = "not installed"
+    return versions
 
 
 def code_hash() -> str:

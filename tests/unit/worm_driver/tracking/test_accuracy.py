@@ -43,7 +43,7 @@ def test_a_run_of_five_ridges_is_seen_to_a_tenth_of_a_millimetre(settings, yaw, 
     rig = looking_at(replace(settings, yaw=yaw, pitch_angle=pitch), (0.2, -0.02, 0.0))
     done = film(rig, np.arange(0.0, 12.5, 1.0 / 6.0))  # every fifth image of 30 a second
     seen = np.isfinite(done.errors)
-    assert seen.mean() > 0.97, {s.reason for s in done.sightings}
+    assert seen.mean() > 0.97, {s.reason for s in done.samples}
     errors = done.errors[seen.all(axis=1)]
     assert np.sqrt((errors**2).mean(axis=0)).max() < RMS
     assert np.abs(errors).max() < WORST
@@ -60,5 +60,5 @@ def test_a_late_stamp_is_taken_back_by_the_delay():
         motion=lambda stamp: crawling(stamp - 0.02),
         setup=setup_of(SETTINGS, delay=0.02),
     )
-    for sighting in late.sightings:
-        assert (sighting.rear, sighting.front) == pytest.approx(crawling(sighting.time), abs=WORST)
+    for sample in late.samples:
+        assert (sample.rear, sample.front) == pytest.approx(crawling(sample.time), abs=WORST)

@@ -19,7 +19,7 @@ from worm_driver.virtual_robot.servo.measurement import (
     OVERHEATING_ERROR,
     OVERLOAD_ERROR,
 )
-from worm_driver.virtual_robot.servo.memory import RegisterError
+from worm_driver.virtual_robot.servo.register_memory import RegisterError
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.wire.packet import ALERT, Error
 

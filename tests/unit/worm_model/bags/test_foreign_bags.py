@@ -21,7 +21,7 @@ from worm_model.bags.message_types import parse_types
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_run
-from worm_model.commands import export, recover
+from worm_model.commands import export, recover, replay
 from worm_model.run import Run
 
 RUN = simulated_run(cycles=1)
@@ -132,6 +132,20 @@ def test_a_recording_merged_with_itself_counts_once_which_is_told(
     assert len(told) == 5
 
 
+def test_the_twin_follows_it_as_if_it_were_there_once(
+    tmp_path: Path, recorded: list[Message], monkeypatch, capsys
+):
+    errors = []
+    for name, times in (("once", 1), ("twice", 2)):
+        path = by_mcap(tmp_path / f"{name}.mcap", [m for m in recorded for _ in range(times)])
+        output = ["--output", str(tmp_path / f"{name}_out")]
+        monkeypatch.setattr("sys.argv", ["replay", str(path), "--json", *output])
+        assert replay.main() == 0
+        found = json.loads(capsys.readouterr().out)
+        errors.append({k: v for k, v in found.items() if k.endswith("_rmse")})
+    assert errors[0] == errors[1]
+
+
 def test_samples_of_one_stamp_that_differ_all_count(tmp_path: Path):
     """A lab's clock may tick more rarely than its sensor."""
     stamp = RUN.power.stamp // 10**8 * 10**8
@@ -229,6 +243,7 @@ def test_any_name_of_a_topic_becomes_that_of_a_file(
     assert export.main() == 0
     assert {p.name for p in tmp_path.iterdir()} == {"a.mcap", "out"}
     tables = {p.name: p.read_text().splitlines() for p in (tmp_path / "out").iterdir()}
+    tables.pop("run.csv")  # of the robot's topics
     assert len(tables) == 6
     assert all(file.isprintable() and not file.startswith(".csv") for file in tables)
     assert [f"{recorded[0].log_time},5"] in [lines[1:] for lines in tables.values()]

@@ -14,6 +14,7 @@ from worm_model.bags.lab_logs import LabError, LabSettings, read_lab_run
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.commands import import_lab
+from worm_model.gait import Gait
 from worm_model.run import POWER_VALID, RUNNING
 
 EPOCH = 1_767_225_600 * 10**9
@@ -184,3 +185,48 @@ def test_every_run_of_the_campaign_is_imported(
     assert (run.gait_state.onset[-1] - moved) * 1e-9 == pytest.approx(0.0, abs=0.3)
     assert 0.293 < np.median(run.measured.length[:50]) < 0.298
     shutil.rmtree(tmp_path / "bag")
+
+
+def played(folder: Path, radius: float, onset: float) -> Path:
+    """The servo's log of the gait with a spool and an onset, two cycles of it."""
+    gait = Gait(0.07, 0.5)
+    time = np.arange(0.0, onset + 2 * gait.period, 0.02)
+    command = np.array([gait.command(max(t - onset, 0.0)) for t in time])
+    ticks = np.rint(-command / (2 * math.pi * radius) * 4096)
+    np.savetxt(
+        folder / "servo.csv",
+        np.column_stack([time, ticks]),
+        header="time_s,goal_ticks",
+        comments="",
+        delimiter=",",
+    )
+    return folder
+
+
+@pytest.mark.parametrize(("radius", "onset"), [(0.012, 2.0), (0.0125, 1.37), (0.025, 3.0)])
+def test_spool_and_onset_are_found_and_told(folder: Path, radius: float, onset: float):
+    found = read_lab_run(played(folder, radius, onset), SETTINGS).transmission
+    assert found.spool_radius == pytest.approx(radius, rel=1e-12)  # a tenth of a millimetre
+    assert found.onset == pytest.approx(onset, abs=0.01)
+    assert [text.split(",")[1] for text in found.remarks] == [
+        " where the servo's goal begins to move",
+        " with which the servo's goals play the stroke",
+    ]
+
+
+def test_a_given_spool_that_contradicts_the_stroke_is_told(folder: Path):
+    given = LabSettings(epoch=EPOCH, onset=2.0, spool_radius=1.02 * 0.012)
+    found = read_lab_run(played(folder, 0.012, 2.0), given).transmission
+    assert found.spool_radius == given.spool_radius
+    (remark,) = found.remarks
+    assert "12.24 mm as given" in remark
+    assert "with 12.00 mm" in remark
+    right = LabSettings(epoch=EPOCH, onset=2.0, spool_radius=0.012)
+    assert read_lab_run(folder, right).transmission.remarks == ()
+
+
+def test_what_no_log_tells_is_assumed_and_told(folder: Path):
+    (folder / "servo.csv").unlink()
+    found = read_lab_run(folder, SETTINGS).transmission
+    assert (found.onset, found.spool_radius) == (2.0, 0.012)
+    assert all("assumed" in text for text in found.remarks)

@@ -33,7 +33,6 @@ def recording(**instruments):
     [
         ("tracker", TrackerSamples(), "tracker"),
         ("commanded", LengthSamples(), "body_length/commanded"),
-        ("power", PowerSamples(), "power"),
         ("gait_state", GaitStates(), "gait_state"),
     ],
 )
@@ -42,7 +41,13 @@ def test_a_run_without_a_needed_topic_is_refused_by_its_name(field, nothing, top
         recording_of(run(**{field: nothing}), "r")
 
 
-def test_a_run_of_two_gaits_is_refused():
+def test_a_run_without_power_is_used_for_all_else():
+    found = recording_of(run(power=PowerSamples()), "r")
+    assert found.power_time.size == 0
+    assert not np.isfinite(idle_power_of(found).value)
+
+
+def test_of_two_gaits_the_first_counts_and_the_other_is_named():
     states = run().gait_state
     twice = replace(
         states,
@@ -50,12 +55,15 @@ def test_a_run_of_two_gaits_is_refused():
             name: np.concatenate([getattr(states, name)] * 2)
             for name in ("state", "stroke", "frequency", "direction", "margin", "cycle", "cycles")
         },
-        stamp=np.concatenate([states.stamp, states.stamp + 10**9]),
-        onset=np.concatenate([states.onset, states.onset + 10**9 * (states.onset > 0)]),
+        stamp=np.concatenate([states.stamp, states.stamp + 4 * 10**9]),
+        onset=np.concatenate([states.onset, states.onset + 4 * 10**9 * (states.onset > 0)]),
     )
     assert list(twice.state) == [RESTING, RUNNING] * 2
-    with pytest.raises(IdentificationError, match="2 gaits"):
-        recording_of(run(gait_state=twice), "r")
+    found = recording_of(run(gait_state=twice), "r")
+    assert found.end <= 4.0
+    (remark,) = found.remarks
+    assert remark.startswith("gait 2 (")
+    assert "left out" in remark
 
 
 def test_an_onset_that_is_told_anew_with_each_cycle_is_one_run():

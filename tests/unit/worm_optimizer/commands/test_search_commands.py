@@ -45,7 +45,7 @@ def test_optimize_prints_the_contracts_keys(run):
     assert "optimizing" in err
     assert {"front", "hypervolume_share", "missed_branches"} <= set(told)
     assert 0.5 < told["hypervolume_share"] < 0.995  # so small a search falls short
-    assert told["served"] == "map"
+    assert told["source"] == "map"
     gaits = [*told["front"], told["min_power"], told["cruise"], told["max_speed"]]
     assert all(set(gait) >= GAIT_KEYS for gait in gaits)
     assert told["min_power"]["power"] == min(gait["power"] for gait in told["front"])

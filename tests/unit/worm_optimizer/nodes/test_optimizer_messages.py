@@ -132,7 +132,7 @@ def test_the_result_of_an_optimisation():
     front = dataclasses.replace(made_up_front(-1), missed_branches=(1,), source="map")
     message = optimize_result(front)
     assert message.success
-    assert (message.margin, message.served) == (0.0034, "map")
+    assert (message.margin, message.source) == (0.0034, "map")
     assert list(message.missed_branches) == [1]
     assert [gait.speed for gait in message.front] == [0.002, 0.005, 0.008]
     assert message.min_power.power == 1.4

@@ -19,6 +19,7 @@ from worm_optimizer.operation.campaign_runs import (
     run_gaits,
 )
 from worm_optimizer.operation.system import load_system_file
+from worm_optimizer.orders import Order
 from worm_optimizer.search.cache import Cache
 from worm_optimizer.search.gait_map import MapSettings
 from worm_optimizer.search.nsga2 import SearchSettings
@@ -145,8 +146,8 @@ def test_what_is_recorded_is_not_run_again(bag, tmp_path: Path):
     """No node is started: there is none that could be."""
     nothing = dataclasses.replace(FILE, nodes={})
     told: list[str] = []
-    gaits = {"cruise": GAIT}
-    run_gaits(Robot(nothing, "virtual", {}), gaits, bag.parent, tmp_path / "no_logs", told.append)
+    orders = {"cruise": Order(GAIT, 5)}
+    run_gaits(Robot(nothing, "virtual", {}), orders, bag.parent, tmp_path / "no_logs", told.append)
     assert told == ["cruise: recorded already"]
 
 

@@ -1,27 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the demo shows of its run: a table and a figure."""
+"""The table that the demo shows of its run."""
 
 import math
-from pathlib import Path
 
 import pytest
-from recorded_run import simulated_run
 
-from worm_model.analysis.run_metrics import Performance, RecordingError, last_played_gait
-from worm_model.parameters import PAPER
-from worm_model.run import Run
-from worm_model.twin.offline_replay import replay_run
-from worm_optimizer.operation.demo_figure import draw_run
-from worm_optimizer.operation.demo_table import comparison_table, relative_difference
-
-
-def test_the_figure_of_a_run_is_written(tmp_path: Path):
-    run = simulated_run(3)
-    window = last_played_gait(run.gait_state).cycle_window(1, 3)
-    draw_run(tmp_path / "run.png", "a run", run, replay_run(run, PAPER), window, PAPER)
-    assert (tmp_path / "run.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(RecordingError, match="no gait"):
-        draw_run(tmp_path / "none.png", "none", Run(), replay_run(run, PAPER), window, PAPER)
+from worm_model.analysis.run_metrics import Performance
+from worm_optimizer.operation.demo_comparison import comparison_table, relative_difference
 
 
 def test_the_table_shows_differences_to_the_measurement():

@@ -30,13 +30,13 @@ from worm_optimizer.report.agreement import agreements, describe, headline, orde
 from worm_optimizer.report.expectation import Band, expect
 from worm_optimizer.report.identification_parts import IdentificationParts
 from worm_optimizer.report.optimisation import optimise, why_no_front
-from worm_optimizer.report.page import Report, build_report
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import (
     bags_of,
     newest_recording,
     read_recorded_gaits,
 )
+from worm_optimizer.report.report_page import Report, build_report
 from worm_optimizer.report.run_figures import ridges_passed_at
 from worm_optimizer.search.cache import Cache
 from worm_optimizer.search.gait_map import MapSettings

@@ -16,8 +16,8 @@ from study_cases import SMALL, contents
 
 from worm_optimizer.study.engine import ClusterError, LostError, connected, spread
 from worm_optimizer.study.plan import parse_study
-from worm_optimizer.study.run import run_study
 from worm_optimizer.study.store import held
+from worm_optimizer.study.study_run import run_study
 
 ROOT = Path(__file__).resolve().parents[4]
 STUDY = parse_study(SMALL, Path())

@@ -139,8 +139,6 @@ _COMMON = (
 
 # Goals that a servo in the Bus Watchdog's error state does not take.
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
-# What a change of the operating mode sets back.
-GAINS = tuple(row.name for row in _COMMON if row.name.endswith("_gain"))
 
 
 def _current_registers(limit: int) -> tuple[Register, ...]:

@@ -12,8 +12,8 @@ from worm_driver.virtual_robot.servo.control_table import (
     VELOCITY_MODE,
     ServoModel,
 )
-from worm_driver.virtual_robot.servo.memory import RegisterMemory
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorCommand
+from worm_driver.virtual_robot.servo.register_memory import RegisterMemory
 
 REVERSE_DRIVE = 0x01
 TIME_BASED_PROFILE = 0x04

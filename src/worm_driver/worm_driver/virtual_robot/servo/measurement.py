@@ -8,8 +8,8 @@ from worm_driver.virtual_robot.servo import motor
 from worm_driver.virtual_robot.servo.control_table import ServoModel
 from worm_driver.virtual_robot.servo.drive import FULL_PWM, SPEED_UNIT, direction_of
 from worm_driver.virtual_robot.servo.encoder import Encoder
-from worm_driver.virtual_robot.servo.memory import RegisterMemory
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorCommand, MotorState
+from worm_driver.virtual_robot.servo.register_memory import RegisterMemory
 
 INPUT_VOLTAGE_ERROR = 1 << 0
 OVERHEATING_ERROR = 1 << 2

@@ -26,8 +26,8 @@ from worm_driver.virtual_robot.servo.measurement import (
     torque_registers,
     voltage_raw,
 )
-from worm_driver.virtual_robot.servo.memory import RegisterError, RegisterMemory
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN, MotorState
+from worm_driver.virtual_robot.servo.register_memory import RegisterError, RegisterMemory
 from worm_driver.virtual_robot.wire.packet import ALERT, Error
 
 _WATCHDOG_UNIT = 0.020  # s

@@ -19,7 +19,6 @@ class I2cLine:
         self._chip = chip
         self._address = address
         self._board = board
-        self._pointer = 0
 
     def transact(self, request: Request, time: float) -> Answer:
         """Carries a transaction out at a time (s)."""
@@ -27,15 +26,11 @@ class I2cLine:
             return Answer(errno.ETIMEDOUT, delay=hang.value)
         if request.address != self._address or self._board.take(faults.I2C_NACK, time):
             return Answer(errno.EREMOTEIO)
-        if request.operation in (frames.READ, frames.WRITE):
-            self._pointer = request.register
         if request.operation == frames.WRITE:
             # The chip takes a register's two bytes, most significant first, and no other number.
             if len(request.data) == 2:
-                self._chip.write(self._pointer, int.from_bytes(request.data, "big"))
+                self._chip.write(request.register, int.from_bytes(request.data, "big"))
             return Answer(0)
-        if request.operation == frames.PROBE:
-            return Answer(0)
-        value = self._chip.read(self._pointer).to_bytes(2, "big")
+        value = self._chip.read(request.register).to_bytes(2, "big")
         padded = value + bytes([_RELEASED]) * max(request.length - 2, 0)
         return Answer(0, padded[: request.length])

@@ -14,8 +14,6 @@ _ANSWER = struct.Struct("<HB")
 
 READ = 0  # write the register pointer, then read `length` bytes
 WRITE = 1  # write the register pointer and the data
-READ_PLAIN = 2  # read `length` bytes from where the pointer stands
-PROBE = 3  # address only
 
 
 @dataclass(frozen=True)

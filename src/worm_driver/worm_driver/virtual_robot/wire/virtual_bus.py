@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from random import Random
 
 from worm_driver.virtual_robot.servo.control_table import BAUD_RATES
-from worm_driver.virtual_robot.servo.memory import RegisterError
+from worm_driver.virtual_robot.servo.register_memory import RegisterError
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire.faults import FaultBoard

@@ -79,11 +79,11 @@ class Page:
     @staticmethod
     def make(path: Path, epoch_ns: int) -> "Page":
         """A new page at time 0, whole from the moment on at which it is there."""
-        draft = path.with_suffix(".draft")
-        draft.write_bytes(bytes(_PAGE_SIZE))
-        page = Page(draft)
+        unfinished = path.with_suffix(".unfinished")
+        unfinished.write_bytes(bytes(_PAGE_SIZE))
+        page = Page(unfinished)
         page._epoch[0] = epoch_ns
-        draft.rename(path)
+        unfinished.rename(path)
         return page
 
     @property

@@ -8,14 +8,12 @@ its low byte, and a device that does not acknowledge is OSError(EREMOTEIO).
 import errno
 import os
 import socket
-from collections.abc import Sequence
 from types import TracebackType
 
 from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
 
 _TIMEOUT = 60.0  # s; a bus that hangs is the robot's to tell, in its own time: here only a robot that hangs ends it
-_LONGEST_BLOCK = 32
 
 
 class SocketSMBus:
@@ -67,32 +65,6 @@ class SocketSMBus:
         self._socket = None
         self._buffer = b""
 
-    def write_quick(self, i2c_addr: int, force: bool | None = None) -> None:  # noqa: ARG002, FBT001
-        """Addresses a device and nothing else."""
-        self._transact(Request(frames.PROBE, i2c_addr))
-
-    def read_byte(self, i2c_addr: int, force: bool | None = None) -> int:  # noqa: ARG002, FBT001
-        """One byte from where the device's register pointer stands."""
-        return self._transact(Request(frames.READ_PLAIN, i2c_addr, length=1))[0]
-
-    def write_byte(self, i2c_addr: int, value: int, force: bool | None = None) -> None:  # noqa: ARG002, FBT001
-        """One byte, which most devices take for a register pointer."""
-        self._transact(Request(frames.WRITE, i2c_addr, value))
-
-    def read_byte_data(self, i2c_addr: int, register: int, force: bool | None = None) -> int:  # noqa: ARG002, FBT001
-        """The first byte of a register."""
-        return self._transact(Request(frames.READ, i2c_addr, register, 1))[0]
-
-    def write_byte_data(
-        self,
-        i2c_addr: int,
-        register: int,
-        value: int,
-        force: bool | None = None,  # noqa: ARG002, FBT001
-    ) -> None:
-        """One byte to a register."""
-        self._transact(Request(frames.WRITE, i2c_addr, register, data=bytes([value])))
-
     def read_word_data(self, i2c_addr: int, register: int, force: bool | None = None) -> int:  # noqa: ARG002, FBT001
         """Two bytes of a register, the first one taken for the low byte."""
         return int.from_bytes(self._transact(Request(frames.READ, i2c_addr, register, 2)), "little")
@@ -107,28 +79,6 @@ class SocketSMBus:
         """Two bytes to a register, the low byte first."""
         data = value.to_bytes(2, "little")
         self._transact(Request(frames.WRITE, i2c_addr, register, data=data))
-
-    def read_i2c_block_data(
-        self,
-        i2c_addr: int,
-        register: int,
-        length: int,
-        force: bool | None = None,  # noqa: ARG002, FBT001
-    ) -> list[int]:
-        """Bytes of a register in the order of the wire, 32 at most."""
-        _check_block(length)
-        return list(self._transact(Request(frames.READ, i2c_addr, register, length)))
-
-    def write_i2c_block_data(
-        self,
-        i2c_addr: int,
-        register: int,
-        data: Sequence[int],
-        force: bool | None = None,  # noqa: ARG002, FBT001
-    ) -> None:
-        """Bytes to a register in the order of the wire, 32 at most."""
-        _check_block(len(data))
-        self._transact(Request(frames.WRITE, i2c_addr, register, data=bytes(data)))
 
     def _transact(self, request: Request) -> bytes:
         if self._socket is None:
@@ -154,8 +104,3 @@ class SocketSMBus:
             if not received:
                 raise ConnectionResetError
             self._buffer += received
-
-
-def _check_block(length: int) -> None:
-    if length > _LONGEST_BLOCK:
-        raise ValueError(f"a block holds {_LONGEST_BLOCK} bytes at most, not {length}")

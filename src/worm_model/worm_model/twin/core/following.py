@@ -7,8 +7,9 @@ Samples are taken in the order of their stamps, each ``delay_s`` plus the look-a
 - the **length that drives** does: measured lengths joined by straight lines, or, between two of them that are more
   than ``measured_stale_s`` apart, the answer to the command; which of them is known by looking ahead;
 - the **motion** follows, exactly; no derivative of a measured length enters it;
-- **power** needs the length's rate (eq:Fc, eq:power_model): of measured lengths the slope of a parabola through those
-  within ± ``smoothing_s``, else, exact, that of the answer; energy is the trapezoid sum of power;
+- **power** needs the length's rate (eq:Fc, eq:power_model): that of the answer, exact; where measured lengths drive,
+  with the slope of a parabola through their differences from the answer within ± ``smoothing_s``, so that what is
+  smoothed is small; what their noise adds to a product of rates is taken off; energy is power's trapezoid sum;
 - what an instrument says is **compared** (`judge`).
 
 Where no length is known ahead, the motion waits, and what instruments say then is compared with nothing.
@@ -45,6 +46,7 @@ from worm_model.simulation.kernel.mode import Constants, Motion, region_of
 from worm_model.simulation.kernel.whole_run import IDLE_POWER, POWER_FACTOR, step
 from worm_model.twin.core.intake import COMMAND, GAIT, JUMPED_BACK, LENGTH, POSITION, QUIET, admit
 from worm_model.twin.core.judging import judge
+from worm_model.twin.core.memory import LENGTH as LENGTH_CHANNEL
 from worm_model.twin.core.memory import NANOSECONDS, Memory, Rows, Rules
 
 SECOND = 1e-9  # of a nanosecond
@@ -80,21 +82,49 @@ def _line(value: float, slope: float) -> Coefficients:
 
 
 @entry
-def _slope(memory: Memory, stamp: int, rules: Rules) -> float:
-    """Slope in m/s at a stamp of the parabola through the measured lengths about it.
+def _answers_ahead(memory: Memory, until: int, a: Actuator) -> None:
+    """Notes at the measured lengths up to a stamp what the answer to the command will be there."""
+    m, rows = memory.record[0], memory.rows
+    when, command, answer = m.command_ns, m.command, m.answer
+    k = m.place + 1
+    for j in range(m.place + 1, m.filled):
+        if rows[j].stamp > until or begins(rows, j):
+            break
+        if rows[j].kind != COMMAND or rows[j].stamp <= when:
+            continue
+        while k < j:
+            if rows[k].kind == LENGTH and rows[k].stamp > when:
+                share = (rows[k].stamp - when) / (rows[j].stamp - when)
+                there = command + share * (rows[j].a - command)
+                rows[k].c = respond(answer, command, there, (rows[k].stamp - when) * SECOND, a)
+            k += 1
+        answer = respond(answer, command, rows[j].a, (rows[j].stamp - when) * SECOND, a)
+        when, command = rows[j].stamp, rows[j].a
+    while k < m.filled and rows[k].stamp <= until:
+        rows[k].c = math.nan if rows[k].kind == LENGTH else rows[k].c
+        k += 1
 
-    Where the motion began counts as one of them. NaN if they are too few, or none is on one side: a parabola does
-    not extrapolate.
+
+@entry
+def _slope(memory: Memory, stamp: int, rules: Rules, a: Actuator) -> tuple[float, float]:
+    """(slope in m/s at a stamp of the parabola through the measured lengths about it, its variance for a noise of 1 m).
+
+    Of their differences from the answer to the command where that is known at all of them, plus its rate. Where the
+    motion began counts as one of them. NaN if they are too few, or none is on one side: a parabola does not
+    extrapolate.
     """
     m, rows = memory.record[0], memory.rows
     half = rules.smoothing
+    with_answer = m.engaged and m.answered
+    if with_answer:
+        _answers_ahead(memory, stamp + round(half * NANOSECONDS) + 1, a)
     window = round(half * NANOSECONDS) + 1
     k = m.place
     while k > 0 and rows[k - 1].stamp >= max(stamp - window, m.track_ns):
         k -= 1
     n, earlier, later = 0, 0, 0
     s1, s2, s3, s4, y0, y1, y2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    at_start = m.track_ns >= stamp - window
+    at_start = m.track_ns >= stamp - window and not with_answer
     while at_start or (
         k < m.filled and rows[k].stamp <= stamp + window and not (k > m.place and begins(rows, k))
     ):
@@ -102,9 +132,10 @@ def _slope(memory: Memory, stamp: int, rules: Rules) -> float:
             when, change = m.track_ns, m.track_change
         else:
             when, change = rows[k].stamp, rows[k].a - m.initial_length
-        if at_start or (rows[k].kind == LENGTH and when > m.track_ns):
+        known = at_start or not with_answer or not math.isnan(rows[k].c)
+        if known and (at_start or (rows[k].kind == LENGTH and when > m.track_ns)):
             t = (when - stamp) * SECOND / half
-            y = change - m.length_change
+            y = change - (rows[k].c if with_answer else m.length_change)
             n += 1
             earlier += 1 if when <= stamp else 0
             later += 1 if when >= stamp else 0
@@ -118,13 +149,16 @@ def _slope(memory: Memory, stamp: int, rules: Rules) -> float:
         k += 0 if at_start else 1
         at_start = False
     if n < FEWEST_LENGTHS or earlier == 0 or later == 0:
-        return math.nan
+        return math.nan, 0.0
     # Cramer's rule for the slope of the normal equations [n s1 s2; s1 s2 s3; s2 s3 s4].
     determinant = n * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
     if abs(determinant) < 1e-9 * n * n * n:
-        return math.nan
+        return math.nan, 0.0
     slope = n * (y1 * s4 - s3 * y2) - y0 * (s1 * s4 - s2 * s3) + s2 * (s1 * y2 - y1 * s2)
-    return slope / determinant / half
+    rate = slope / determinant / half
+    if with_answer:
+        rate += (effective(m.command, a) - m.answer) / a.time_constant
+    return rate, (n * s4 - s2 * s2) / determinant / (half * half)
 
 
 @entry
@@ -222,15 +256,17 @@ def _spend(
 ) -> float:
     """Power at a stamp that the motion has come to, with the energy up to it; returns the length's rate in m/s."""
     m, sample = memory.record[0], memory.sample[0]
-    rate = math.nan if m.on_estimate else _slope(memory, stamp, rules)
+    rate, variance = math.nan, 0.0
+    if not m.on_estimate:
+        rate, variance = _slope(memory, stamp, rules, a)
+        variance *= m.noise_square[LENGTH_CHANNEL]
     if math.isnan(rate):
         # Where measured lengths begin or end to drive, the line from one to the other length is no motion of the body.
-        known = m.engaged and (m.on_estimate or m.answered)
         rate = sample[LENGTH_RATE]
-        if known:
-            rate = (effective(m.command, a) - m.answer) / a.time_constant
+        if m.on_estimate or m.answered:
+            rate = (effective(m.command, a) - m.answer) / a.time_constant if m.engaged else 0.0
     force = sample[FORCE] - drag_of(c) * (rate - sample[LENGTH_RATE])
-    power = p[IDLE_POWER] + p[POWER_FACTOR] * max(-force * rate, 0.0)
+    power = p[IDLE_POWER] + p[POWER_FACTOR] * max(-force * rate - drag_of(c) * variance, 0.0)
     before = m.power if stamp > m.track_ns else power
     m.energy += 0.5 * (before + power) * (stamp - m.power_ns) * SECOND
     m.power_ns, m.power = stamp, power
@@ -278,6 +314,8 @@ def _follow_command(memory: Memory, next_command: int, a: Actuator) -> None:
     """The answer at the sample that is taken; `answered` says whether it came there."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     m.answered = 1
+    if row.kind == LENGTH:
+        row.c = math.nan
     if row.kind == COMMAND:
         if not m.command_ns:
             m.command_ns = row.stamp
@@ -286,6 +324,8 @@ def _follow_command(memory: Memory, next_command: int, a: Actuator) -> None:
         after = memory.rows[next_command]
         share = (row.stamp - m.command_ns) / (after.stamp - m.command_ns)
         _answer(memory, row.stamp, m.command + share * (after.a - m.command), a)
+        if row.kind == LENGTH:
+            row.c = m.answer
     else:
         m.answered = 0
 

@@ -20,7 +20,6 @@ from worm_model.twin.core.memory import (
     CHANNELS,
     LENGTH,
     LENGTH_SUM,
-    MEASURED_POWER_SUM,
     NANOSECONDS,
     PHASES,
     POSITION,
@@ -37,15 +36,16 @@ SILENT_S = 5.0
 SUSPECT_FROM = 2.0
 FAULTY_FROM = 4.0
 RECOVERY = 0.75
+NOISE_SAMPLES = 500  # over which noise is averaged
 TOP_SPEED = 0.15  # m/s; no gait of the paper's box is faster
 UNKNOWN, HEALTHY, SUSPECT, FAULTY = range(4)  # as in `worm_model.twin.records.Health`
 
 
 @entry
 def observe(memory: Memory, channel: int, stamp: int, residual: float, scale: float) -> None:
-    """A residual of a channel, and its usual size."""
+    """A residual of a channel, and its usual size, to which its noise adds."""
     m = memory.record[0]
-    square = (residual / scale) ** 2
+    square = residual**2 / (scale**2 + m.noise_square[channel])
     before = m.channel_ns[channel]
     if before > 0:
         share = math.exp(-max(stamp - before, 0) * 1e-9 / MEMORY_S)
@@ -53,6 +53,20 @@ def observe(memory: Memory, channel: int, stamp: int, residual: float, scale: fl
     else:
         square = min(square, 1.0)  # one sample is no history
     m.channel_ns[channel], m.channel_square[channel] = max(stamp, before), square
+
+
+@entry
+def _listen(memory: Memory, channel: int, residual: float) -> None:
+    """Follows the noise of a channel: second differences of its residuals, in which what lasts vanishes."""
+    m = memory.record[0]
+    last, before = m.noise_last[channel], m.noise_before[channel]
+    count = m.noise_count[channel]
+    if count >= 2:
+        share = 1.0 / min(count - 1, NOISE_SAMPLES)
+        square = (residual - 2.0 * last + before) ** 2 / 6.0
+        m.noise_square[channel] += share * (square - m.noise_square[channel])
+    m.noise_before[channel], m.noise_last[channel] = last, residual
+    m.noise_count[channel] = count + 1
 
 
 @entry
@@ -118,16 +132,16 @@ def _record(
 
 
 @entry
-def _sum_up(memory: Memory, stamp: int, column: int, residual: float) -> int:
-    """Adds a residual to the running cycle; returns the row of its phase, −1 where there is no cycle."""
+def _sum_up(memory: Memory, stamp: int, column: int, residual: float) -> None:
+    """Adds a residual to the running cycle, if there is one, and to what is known of the noise."""
     m = memory.record[0]
     if not m.cycle_end_ns or stamp < m.start_ns:
-        return -1
+        return
     phase = (stamp - m.start_ns) * 1e-9 * m.frequency - (m.cycle - 1)
     k = min(max(int(phase * PHASES), 0), PHASES - 1)
+    _listen(memory, column // 2, residual)
     memory.sums[k, column] += residual
     memory.sums[k, column + 1] += 1.0
-    return k
 
 
 @entry
@@ -179,9 +193,7 @@ def _judge_power(memory: Memory, stamp: int, power: float, rules: Rules, out: Ro
     # No window resolves the step of the length rate at the onset.
     if (stamp - m.start_ns) * 1e-9 > 4.0 * rules.smoothing:
         observe(memory, POWER, stamp, residual, rules.power_scale)
-    k = _sum_up(memory, stamp, POWER_SUM, residual)
-    if k >= 0:
-        memory.sums[k, MEASURED_POWER_SUM] += power
+        _sum_up(memory, stamp, POWER_SUM, residual)
     _record(memory, stamp, POWER, residual, m.instrument_energy - m.energy, rules, out)
 
 

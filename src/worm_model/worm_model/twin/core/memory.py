@@ -24,7 +24,7 @@ PHASES = 200  # of a cycle, in which its samples are summed up
 TAKEN, DUPLICATE, LATE, AHEAD, NOT_A_NUMBER, CROWDED = range(6)
 VERDICTS = ("taken", "duplicate", "late", "ahead", "not a number", "crowded")
 
-# Columns of the sums of a cycle: what was measured minus predicted, and how often; measured power apart.
+# Columns of the sums of a cycle: what was measured minus predicted, and how often.
 (
     POSITION_SUM,
     POSITION_COUNT,
@@ -32,9 +32,8 @@ VERDICTS = ("taken", "duplicate", "late", "ahead", "not a number", "crowded")
     LENGTH_COUNT,
     POWER_SUM,
     POWER_COUNT,
-    MEASURED_POWER_SUM,
-) = range(7)
-SUMS = 7
+) = range(6)
+SUMS = 6
 
 _WHOLE = """
     present old_in_a_row ahead filled place taken_ns activity
@@ -64,6 +63,10 @@ MEMORY = np.dtype(
         ("channel_ns", np.int64, (CHANNELS,)),
         ("channel_level", np.int64, (CHANNELS,)),
         ("channel_square", np.float64, (CHANNELS,)),
+        ("noise_count", np.int64, (CHANNELS,)),
+        ("noise_square", np.float64, (CHANNELS,)),
+        ("noise_last", np.float64, (CHANNELS,)),
+        ("noise_before", np.float64, (CHANNELS,)),
     ]
 )
 LENGTH_ROW = np.dtype(
@@ -78,9 +81,9 @@ class Memory(NamedTuple):
     of which those from ``place`` on are not taken yet, ``taken_ns``); the answer to the command (``command`` u_cmd in
     m at ``command_ns``, ``answer`` ΔL in m); the motion at ``motion_ns`` in the frame of the run's first rear groove;
     the run (``origin``: the tracker's position of that groove in m, ``moved``: grooves by which the robot is found
-    further along +x than the motion alone would have it); the residuals by channel (mean square in usual sizes); the
-    tracker's last accepted position and the first refused one. Stamps in ns, 0: none.
-    ``ledger`` and ``sample`` are the kernel's.
+    further along +x than the motion alone would have it); the residuals by channel (mean square in usual sizes; that of
+    their noise in the channel's unit); the tracker's last accepted position and the first refused one. Stamps in ns,
+    0: none. ``ledger`` and ``sample`` are the kernel's.
     """
 
     record: NDArray[np.void]

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from worm_optimizer.console.access import Access
-from worm_optimizer.console.guard import Guard
+from worm_optimizer.console.entrance import Guard
 
 HOST = "robot:8080"
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recorded_run import EPOCH, simulated_run, write_bag
 
-from worm_driver.virtual_robot.offline_run import rehearse, sinusoid
+from worm_driver.virtual_robot.offline_run import run_offline, sinusoid
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_model.commands import health as health_command
 from worm_model.gait import Gait
@@ -47,7 +47,7 @@ def robot_run(seed: int, recording: int, gain: float = 1.0) -> Run:
     """A recording of the virtual robot, an hour after the one before; ``gain`` multiplies its K."""
     settings = replace(load_settings(), seed=seed, recording=recording)
     settings = replace(settings, body=replace(settings.body, gain=settings.body.gain * gain))
-    seen = rehearse(settings, sinusoid(GAIT.stroke, GAIT.frequency), CYCLES / GAIT.frequency)
+    seen = run_offline(settings, sinusoid(GAIT.stroke, GAIT.frequency), CYCLES / GAIT.frequency)
     start = EPOCH + recording * HOUR
 
     def stamp(time):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin's forecast, scene, hypotheses and rest pose."""
+"""The twin's forecast, scene and rest pose."""
 
 import math
 from dataclasses import replace
@@ -11,20 +11,7 @@ from twin_samples import CommandedLength, GaitSample, TrackerSample, follow, row
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import simulate
-from worm_model.twin.core.memory import PHASES
 from worm_model.twin.forecast import ForecastError, forecast
-from worm_model.twin.hypotheses import (
-    BIAS,
-    BIAS_SPREAD,
-    EFFECT,
-    MISS,
-    MISS_AGAIN,
-    NOISE_W,
-    PowerScores,
-    close_cycle,
-    hypotheses,
-    miss_probabilities,
-)
 from worm_model.twin.records import Activity, LengthSource, StateRecord
 from worm_model.twin.scene import FREE, HOLDING, YIELDING, Sighting, engagement, scene
 from worm_model.twin.twin import Twin
@@ -128,61 +115,6 @@ def test_fins_are_coloured_by_what_they_do():
     assert engagement(-0.005, PAPER, 1) is HOLDING
     assert engagement(0.005, PAPER, 1) is YIELDING
     assert engagement(0.005, PAPER, REVERSE) is HOLDING
-
-
-def cycles_of_power(waves: list) -> list[int]:
-    """Cycles that are told to be misses by their power, one wave a cycle."""
-    pair = hypotheses(GAIT, PAPER)
-    scores, told = PowerScores(), []
-    for number, wave in enumerate(waves, start=1):
-        scores, found = close_cycle(scores, number, np.array(wave), np.ones(PHASES), pair)
-        told += [cycle for cycle, _ in found]
-    return told
-
-
-def test_power_tells_a_missed_groove_against_a_model_that_is_off():
-    pair = hypotheses(GAIT, PAPER)
-    assert pair.grooves == 2
-    assert pair.telling
-    usual = 1.1 * np.array(pair.expected) + 0.2
-    missed = usual + np.array(pair.difference)
-    assert cycles_of_power([usual] * 6) == []
-    assert cycles_of_power([usual] * 4 + [missed] + [usual] * 2) == [5]
-    assert cycles_of_power([usual] * 20 + [missed] + [usual] * 20) == [21]
-
-
-@pytest.mark.parametrize("cycle", [2, 3, 4, 5])
-@pytest.mark.parametrize("bias", [0.0, 0.5, 0.9])
-def test_power_tells_a_missed_groove_in_any_cycle_of_five_but_the_first(cycle, bias):
-    pair = hypotheses(GAIT, PAPER)
-    difference = np.array(pair.difference)
-    waves = [np.array(pair.expected) + bias * difference for _ in range(5)]
-    assert cycles_of_power(waves) == []
-    waves[cycle - 1] += difference
-    assert cycles_of_power(waves) == [cycle]
-
-
-def test_the_probability_of_a_miss_is_that_of_bayes_rule():
-    """Drawn from the model itself: of the cycles with a probability p, a share p are misses."""
-    draw = np.random.default_rng(1)
-    said, true = [], []
-    for _ in range(4000):
-        missed = [draw.random() < MISS]
-        for _ in range(3):
-            missed.append(draw.random() < (MISS_AGAIN if missed[-1] else MISS))
-        noise = draw.normal(0.0, NOISE_W / 0.15, 4)
-        scores = draw.normal(BIAS, BIAS_SPREAD) + EFFECT * np.array(missed) + noise
-        said += miss_probabilities(scores.tolist(), 0.15)
-        true += missed
-    said, true = np.array(said), np.array(true)
-    for low, high in ((0.0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.0)):
-        some = (said >= low) & (said < high)
-        assert true[some].mean() == pytest.approx(said[some].mean(), abs=0.06)
-
-
-def test_power_says_where_it_cannot_tell():
-    assert not hypotheses(Gait(0.02, 0.1), PAPER).telling  # stands still
-    assert not hypotheses(Gait(0.055, 0.1), PAPER).telling
 
 
 def test_the_tracker_gives_the_length_where_nothing_else_does():

@@ -79,12 +79,17 @@ def test_each_status_of_a_sample_has_its_number(status):
     ],
 )
 def test_each_phase_has_its_state(phase, state):
-    assert ros_messages.gait_state(snapshot(PlayerState(phase=phase)), CLOCKS).state == state
+    assert (
+        ros_messages.gait_state(
+            snapshot(PlayerState(phase=phase)), CLOCKS, emergency_stop=False
+        ).state
+        == state
+    )
 
 
 def test_the_state_tells_gait_cycle_and_onset():
     player = PlayerState(phase=Phase.RUNNING, run=RUN)
-    message = ros_messages.gait_state(snapshot(player), CLOCKS)
+    message = ros_messages.gait_state(snapshot(player), CLOCKS, emergency_stop=False)
     assert (message.gait.stroke, message.run, message.cycle, message.cycles) == (
         0.07,
         RUN.number,
@@ -92,7 +97,9 @@ def test_the_state_tells_gait_cycle_and_onset():
         5,
     )
     assert message.onset.sec == 1_700_000_002
-    inactive = ros_messages.gait_state(snapshot(PlayerState(), active=False), CLOCKS)
+    inactive = ros_messages.gait_state(
+        snapshot(PlayerState(), active=False), CLOCKS, emergency_stop=False
+    )
     assert (inactive.state, inactive.run, inactive.gait.stroke) == (GaitState.INACTIVE, 0, 0.0)
 
 

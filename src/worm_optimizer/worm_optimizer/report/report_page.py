@@ -91,7 +91,12 @@ def build_report(report: Report, folder: Path) -> Path:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"mm": _millimetres, "title_of": title_of, "percent": percent}
+    environment.filters |= {
+        "mm": _millimetres,
+        "title_of": title_of,
+        "percent": percent,
+        "symbol": _symbol,
+    }
     content = {
         "report": report,
         "headline": headline(report.gaits) if report.gaits else "",
@@ -158,8 +163,8 @@ def _overlay(gaits: Sequence[RecordedGait], pictures: _Pictures) -> Picture | No
     if len(gaits) < 2:
         return None
     caption = (
-        "Advance of the rear module along each gait's direction, and accumulated energy: measured (full) and as the "
-        "model has them from the command alone (dashed)."
+        "Advance of the rear module along each gait's direction, and accumulated energy: measured (broad) and as the "
+        "model has them from the command alone (thin)."
     )
     return pictures.save("runs", draw_overlay(gaits), caption)
 
@@ -237,6 +242,12 @@ def _parameter_rows(parts: IdentificationParts) -> Iterator[tuple[str, ...]]:
 
 def _picture(png: bytes, caption: str) -> Picture:
     return Picture(base64.b64encode(png).decode(), caption)
+
+
+def _symbol(text: str) -> Markup:
+    """A symbol such as ``p_sw`` with its index set low."""
+    base, _, index = text.partition("_")
+    return Markup("{}<sub>{}</sub>").format(base, index) if index else Markup(base)
 
 
 def _millimetres(value: float, decimals: int = 2) -> str:

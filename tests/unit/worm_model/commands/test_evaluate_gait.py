@@ -3,6 +3,7 @@
 
 import csv
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -155,3 +156,14 @@ def test_phase_map_refuses_nonsense(run, tmp_path: Path) -> None:
     assert run(phase_map.main, "--points", "1")[0] == 2
     assert run(phase_map.main, "--lowest", "0.05", "--highest", "0.04")[0] == 2
     assert run(phase_map.main, "--frequency", "-1", "--points", "4")[0] == 2
+
+
+def test_help_does_not_wait_for_the_compiler() -> None:
+    code = (
+        "import sys, worm_model.commands.evaluate_gait, worm_model.commands.simulate\n"
+        "import worm_model.commands.bags\n"
+        "sys.exit(bool({'numba', 'numpy', 'matplotlib', 'rosbags'} & set(sys.modules)))"
+    )
+    source = Path(__file__).resolve().parents[3] / "src/worm_model"
+    path = {"PYTHONPATH": str(source), "PATH": "/usr/bin:/bin"}
+    assert subprocess.run([sys.executable, "-c", code], env=path).returncode == 0

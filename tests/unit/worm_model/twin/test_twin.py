@@ -22,8 +22,6 @@ from twin_samples import (
 from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait, simulate
-from worm_model.twin.core.memory import PHASES
-from worm_model.twin.hypotheses import hypotheses
 from worm_model.twin.records import Activity, Health, LengthSource
 from worm_model.twin.twin import Twin
 from worm_model.twin.twin_settings import TwinSettings
@@ -281,14 +279,14 @@ def test_one_stream_alone_does_not_move_the_clock_ahead():
     assert repr(spoilt) == repr(run(clean))
 
 
-def slipped(samples: list, time: float, offset: float) -> list:
-    """The robot further along by an offset (m) from a time on."""
-    return [
-        replace(s, rear_position=s.rear_position + offset, front_position=s.front_position + offset)
-        if isinstance(s, TrackerSample) and s.stamp_ns >= at(time)
-        else s
-        for s in samples
-    ]
+def slipped(samples: list, time: float, offset: float, lasts: float = 1.0) -> list:
+    """The robot further along by an offset (m), from a time on within some seconds."""
+
+    def moved(s: TrackerSample) -> TrackerSample:
+        by = offset * min(max((s.stamp_ns - at(time)) * 1e-9 / lasts, 0.0), 1.0)
+        return replace(s, rear_position=s.rear_position + by, front_position=s.front_position + by)
+
+    return [moved(s) if isinstance(s, TrackerSample) else s for s in samples]
 
 
 @pytest.mark.parametrize(("grooves", "word"), [(-1, "missed"), (1, "gained")])
@@ -347,24 +345,6 @@ def test_a_miss_in_the_last_cycle_is_reported_by_a_tracker_that_goes_with_it():
     assert "cycle 3: the robot missed a groove" in texts(output)
 
 
-@pytest.mark.parametrize(("missed", "with_camera"), [(2, False), (5, False), (5, True)])
-def test_power_alone_reports_a_miss_in_a_run_of_five_cycles(missed, with_camera):
-    gait = Gait(0.08, 0.2)
-    pair = hypotheses(gait, PAPER)
-    powers = [PowerSample(at(k / 100 - 2.0), PAPER.idle_power) for k in range(1, 200)]
-    for k in range(2500):
-        phase, cycle = (k + 0.5) / 500 % 1.0, k // 500 + 1
-        row = int(phase * PHASES)
-        power = pair.expected[row] + (pair.difference[row] if cycle == missed else 0.0)
-        powers.append(PowerSample(at((k + 0.5) / 100), power))
-    powers += [PowerSample(at(25.005 + k / 100), PAPER.idle_power) for k in range(200)]
-    seen = [s for s in observed(gait, 25.0) if isinstance(s, MeasuredLength)]
-    samples = commands(gait, 25.0) + powers + (seen if with_camera else [])
-    output = run(with_end(samples, gait, 25.0))
-    (text,) = [n.text for n in output.notices if "cycle" in n.text]
-    assert text.startswith(f"cycle {missed}: its power is that of a missed groove")
-
-
 def test_what_comes_after_the_run_is_no_cycle():
     seen = slipped(observed(GAIT, 40.0), 22.0, -PAPER.pitch)
     output = run(with_end(commands(GAIT, 15.0) + seen, GAIT, 15.0))
@@ -391,7 +371,7 @@ def test_a_tracker_that_jumps_for_a_moment_is_not_believed():
 
 
 def test_a_tracker_that_was_moved_gets_a_new_zero():
-    seen = slipped(observed(GAIT, 6.0), 3.0, 0.2)
+    seen = slipped(observed(GAIT, 6.0), 3.0, 0.2, lasts=1e-3)
     output = run(in_order(announcements(GAIT), commands(GAIT, 6.0), seen))
     assert "its zero was moved" in texts(output)
     after = [r.rear_position for r in output.residuals if r.stamp_ns > at(4.0)]
@@ -472,7 +452,7 @@ def test_settings_out_of_range_are_refused():
         TwinSettings(measured_stale_s=0)
 
 
-def ten_hours(gait: Gait, hours: int) -> Iterator[list]:
+def hours_of_it(gait: Gait, hours: int) -> Iterator[list]:
     """Hour by hour: commands and power at 1 Hz, a camera at 30 Hz for a cycle; a groove is missed in it."""
     steady = simulate(gait, cycles=10)
     per_cycle = float(np.diff(steady.at([180.0, 200.0]).x1)[0])
@@ -486,7 +466,7 @@ def ten_hours(gait: Gait, hours: int) -> Iterator[list]:
         length, x1 = np.empty_like(looks), np.empty_like(looks)
         length[order], x1[order] = seen.length, seen.x1
         x1 += (cycle - 9.0) * per_cycle
-        misses = hour + (looks > begins + 1.6 * gait.period)
+        misses = hour + np.clip((looks - begins) / gait.period - 1.6, 0.0, 0.2) / 0.2
         x1 -= misses * PAPER.pitch
         yield in_order(
             [CommandedLength(at(t), gait.command(t)) for t in times],
@@ -496,20 +476,20 @@ def ten_hours(gait: Gait, hours: int) -> Iterator[list]:
         )
 
 
-def test_ten_hours_with_misses_need_no_more_memory_and_lose_no_accuracy():
-    gait, hours = Gait(0.07, 0.05), 10
+def test_hours_with_misses_need_no_more_memory_and_lose_no_accuracy():
+    gait, hours = Gait(0.07, 0.05), 3
     twin = Twin(settings=TwinSettings(pause_s=1.5, delay_s=0.5, measured_stale_s=1.1))
     state = twin.start()
     follow(announcements(gait), twin, state=state, end=False)
     size, last, residuals = sum(part.nbytes for part in state.memory), None, []
-    for samples in ten_hours(gait, hours):
+    for samples in hours_of_it(gait, hours):
         output = follow(samples, twin, state=state, end=False)
         last = output.states[-1]
         positions = [r.rear_position for r in output.residuals if math.isfinite(r.rear_position)]
         residuals.append(np.abs(positions[: len(positions) // 3]))
         assert sum(part.nbytes for part in state.memory) == size
-        assert len(state.history.gained) <= 8
-        assert len(state.history.power.scores) <= 8
+        assert len(state.history.cycles) <= 8
+        assert len(state.history.told) <= 8
         assert len(state.warnings) <= 8
     assert state.history.missed == hours
     assert min(len(found) for found in residuals) > 150

@@ -29,7 +29,7 @@ _COUPLED = {
     "spool_radius_m": "Of the spool only speed and force of the servos are considered, not winding or inertia.",
 }
 _ALWAYS = (
-    "Every figure is the model's, for the groove phase of the point; a robot that starts elsewhere in a groove gains "
+    "Every number is the model's, for the groove phase of the point; a robot that starts elsewhere in a groove gains "
     "other grooves.",
     "Designs that differ by less than the parameters' own uncertainty (success_probability) are not told apart by it.",
 )

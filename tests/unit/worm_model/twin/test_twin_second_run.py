@@ -32,10 +32,13 @@ def at(time: float) -> int:
 
 
 @lru_cache
-def session(second: Gait) -> list:
-    """Two runs with a rest between them, from the onset of the first: what driver and camera tell."""
+def session(second: Gait, release_s: float = 0.5) -> list:
+    """Two runs with a rest between them, from the onset of the first: what driver and camera tell.
+
+    The transmission gives its slack back when the cable has rested for ``release_s``.
+    """
     body = BodyParameters(**{f.name: getattr(PAPER, f.name) for f in dataclasses.fields(PAPER)})
-    effects = PlantEffects(0.0, 0.0, 0.0, 1e-4, 0.5)
+    effects = PlantEffects(0.0, 0.0, 0.0, 1e-4, release_s)
     grooves = make_grooves(body, effects, 0)
     plant = Plant(body, effects, grooves, grooves, STEP_S)
     state = plant.at_rest()
@@ -123,3 +126,17 @@ def test_a_robot_that_was_moved_by_hand_starts_in_its_grooves():
     assert any("the robot was moved since the last run" in n.text for n in output.notices)
     start = [s for s in output.states if s.energy == 0.0][-1]
     assert start.rear_position == pytest.approx(start.rear_anchor, abs=1e-9)
+
+
+@pytest.mark.parametrize("second", [FIRST, Gait(0.08, 0.2)])
+def test_slack_that_is_still_taken_up_is_not_another_l0(second):
+    samples = session(second, release_s=100.0)
+    again = at(CYCLES * FIRST.period + PAUSE_S)
+    _, output = positions(samples)
+    assert any("the slack is still taken up" in n.text for n in output.notices)
+    later = [s for s in output.states if s.stamp_ns > again]
+    off = [s.initial_length - PAPER.initial_length for s in later]
+    assert max(np.abs(off)) < 1e-4
+    rows = [r for r in output.residuals if r.stamp_ns > again + 1_000_000_000]
+    assert max(abs(r.length) for r in rows if math.isfinite(r.length)) < 1.5e-3
+    assert max(abs(r.rear_position) for r in rows if math.isfinite(r.rear_position)) < 1.5e-3

@@ -13,7 +13,7 @@ from worm_model.parameters import PAPER
 from worm_model.twin.records import Activity, Health
 from worm_model.twin.watch_view import CLEAR, LEVELS, Trend, View, render
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 ANSI = re.compile(r"\033\[\d+m")
 VIEW = View(
     activity=Activity.RUNNING,

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command ``bench_tests``: bellows and fin of the virtual robot on a test bench, as CSV files for ``identify``."""
+
+import argparse
+import csv
+from collections.abc import Iterable
+from pathlib import Path
+from random import Random
+
+from worm_driver.commands.driver_command import Parser, run_command
+from worm_driver.virtual_robot.plant import BodyParameters
+from worm_driver.virtual_robot.virtual_robot import body_of
+from worm_driver.virtual_robot.virtual_settings import load_settings
+
+#: N, of the force sensor in the bellows and in the fin test
+_NOISE = 0.35, 0.12
+#: m, points of the two tests
+_COMPRESSION = [0.002 * k for k in range(36)]
+_DISPLACEMENT = [0.00025 * (k - 48) for k in range(97)]
+
+Rows = Iterable[tuple[float, float]]
+
+
+def bellows_test(body: BodyParameters, random: Random) -> Rows:
+    """Compression (m) and force (N), with the sensor's noise."""
+    for x in _COMPRESSION:
+        yield x, body.bellows_stiffness * x + random.gauss(0.0, _NOISE[0])
+
+
+def fin_test(body: BodyParameters, random: Random) -> Rows:
+    """Displacement (m) of a fin from its anchor and force (N); it engages towards negative displacements."""
+    half = 0.5 * body.clearance
+    for x in _DISPLACEMENT:
+        force = body.engaged_stiffness * min(x + half, 0.0)
+        force += body.disengaged_stiffness * max(x - half, 0.0)
+        yield x, force + random.gauss(0.0, _NOISE[1])
+
+
+def _write(path: Path, column: str, rows: Rows) -> None:
+    with path.open("x", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow((column, "force_N"))
+        writer.writerows((f"{x:.6f}", f"{force:.4f}") for x, force in rows)
+
+
+def _run(options: argparse.Namespace) -> None:
+    settings = load_settings(options.parameters)
+    if options.seed is not None:
+        settings = settings.with_seed(options.seed)
+    body = body_of(settings)
+    options.folder.mkdir(parents=True, exist_ok=True)
+    random = Random(f"{settings.seed} bench")
+    _write(options.folder / "bellows.csv", "compression_m", bellows_test(body, random))
+    _write(options.folder / "fin.csv", "displacement_m", fin_test(body, random))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point of the executable bench_tests."""
+    parser = Parser(
+        prog="bench_tests",
+        description="Puts bellows and fin of the virtual robot on a test bench: bellows.csv and fin.csv for identify.",
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="gets the two files")
+    parser.add_argument("--parameters", type=Path, metavar="FILE", help="as virtual_robot has it")
+    parser.add_argument("--seed", type=int, metavar="N", help="as virtual_robot has it")
+    return run_command(parser, _run, arguments)

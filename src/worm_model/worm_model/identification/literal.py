@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's own procedure, to compare with: J_loc, J_act and J_E exactly as printed, least squares, no nuisances.
+
+All instruments share one clock, L0 is what the camera sees at rest, the pitch is as given, grooves are alike, there is
+no dry friction, every sample counts the same, and nothing tells how far to trust the result. J_loc jumps where a groove
+is gained or lost, so it is searched over a grid first; the paper does not say how it was minimised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, minimize
+
+from worm_model.identification.actuation_fit import START, predicted_length_change
+from worm_model.identification.bellows import fit_bellows
+from worm_model.identification.fin import fit_fin
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.idle import SAMPLES
+from worm_model.identification.inputs import Inputs
+from worm_model.identification.locomotion import (
+    MOST_THRESHOLD,
+    RIDGES,
+    SEARCHED_FRICTION,
+    least_threshold,
+)
+from worm_model.identification.observed_run import Recording
+from worm_model.parameters import Parameters
+from worm_model.simulation.quadrature import accumulated
+from worm_model.simulation.simulator import Locomotion, SimulationError
+from worm_model.simulation.smoothing import smooth
+
+Array = NDArray[np.float64]
+
+THRESHOLD_STEP = 2.5e-4  # m, of the grid
+REFINED = 3  # best points of the grid from which a simplex starts
+LOST = 1.0  # m², cost of a run whose anchors switch without end
+
+
+@dataclass(frozen=True)
+class Literal:
+    """The ``parameters`` found, and the least ``costs``: J_loc and J_act in m², J_E in J²."""
+
+    parameters: Parameters
+    costs: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class _Traverse:
+    """A run over five ridges: ``time`` (n,) s, ``x1`` and ``change`` (n,) m where both markers were seen, ``L0`` m."""
+
+    recording: Recording
+    time: Array
+    x1: Array
+    change: Array
+    initial_length: float
+
+
+def literal(
+    inputs: Inputs, known: Parameters, progress: Callable[[str, float], None] = lambda *_: None
+) -> Literal:
+    """The parameters by the paper's costs; those of the bench tests and ``known`` ones are as given.
+
+    Raises `IdentificationError` if no run shows power.
+    """
+    p = _with_bench(inputs, known.replace(rear_dry_friction=0.0, front_dry_friction=0.0))
+    runs = [_traverse(recording, p.pitch) for recording in inputs.recordings]
+    p = p.replace(initial_length=float(np.mean([run.initial_length for run in runs])))
+    (friction, threshold), j_loc = _locomotion(runs, p, lambda done: progress("J_loc", done))
+    p = p.replace(viscous_friction=friction, switching_threshold=threshold)
+    (slack, gain, time_constant), j_act = _actuation(runs)
+    p = p.replace(slack=slack, gain=gain, time_constant=time_constant)
+    powered = [run for run in runs if run.recording.power_time.size >= SAMPLES]
+    if not powered:
+        raise IdentificationError("no run has power samples: J_E needs them")
+    idle = float(np.mean([run.recording.power[:SAMPLES].mean() for run in powered]))
+    (damping, factor), j_e = _energy(powered, p)
+    progress("J_E", 1.0)
+    p = p.replace(idle_power=idle, bellows_damping=damping, power_factor=factor)
+    return Literal(p, {"J_loc": j_loc, "J_act": j_act, "J_E": j_e})
+
+
+def _with_bench(inputs: Inputs, p: Parameters) -> Parameters:
+    if inputs.bellows is not None:
+        p = p.replace(
+            bellows_stiffness=fit_bellows(inputs.bellows.x, inputs.bellows.y).stiffness.value
+        )
+    if inputs.fin is not None:
+        fin = fit_fin(inputs.fin.x, inputs.fin.y, 0)
+        p = p.replace(
+            clearance=fin.clearance.value,
+            engaged_stiffness=fin.engaged_stiffness.value,
+            disengaged_stiffness=fin.disengaged_stiffness.value,
+        )
+    return p
+
+
+def _traverse(recording: Recording, pitch: float) -> _Traverse:
+    seen = np.isfinite(recording.length)
+    length = float(np.mean(recording.length[recording.at_rest]))
+    advance = recording.gait.direction * recording.x1
+    arrived = np.flatnonzero(seen & (advance >= RIDGES * pitch))
+    end = recording.camera_time[arrived[0]] if arrived.size else recording.end
+    kept = seen & (recording.camera_time > 0.0) & (recording.camera_time <= end)
+    return _Traverse(
+        recording,
+        recording.camera_time[kept],
+        recording.x1[kept],
+        recording.length[kept] - length,
+        length,
+    )
+
+
+def _model(run: _Traverse, p: Parameters) -> Locomotion:
+    return Locomotion(p.replace(initial_length=run.initial_length), run.recording.gait.direction)
+
+
+def _locomotion(
+    runs: Sequence[_Traverse], p: Parameters, progress: Callable[[float], None]
+) -> tuple[Array, float]:
+    """(η, p_sw) and J_loc (eq:locomotion_identification_cost)."""
+    samples = sum(run.time.size for run in runs)
+
+    def cost(values: Array) -> float:
+        friction, threshold = max(values[0], 1.0), max(values[1], least_threshold(p))
+        tried = p.replace(viscous_friction=friction, switching_threshold=threshold)
+        total = 0.0
+        for run in runs:
+            model = _model(run, tried)
+            try:
+                _, motions = model.follow(model.start(), run.time, run.change)
+            except SimulationError:
+                return LOST
+            total += float(np.sum((run.x1 - motions.x1) ** 2))
+        return total / samples
+
+    thresholds = np.arange(least_threshold(p), MOST_THRESHOLD * p.pitch, THRESHOLD_STEP)
+    grid = []
+    for row, friction in enumerate(SEARCHED_FRICTION, 1):
+        points = (np.array([friction, threshold]) for threshold in thresholds)
+        grid += [(cost(point), *point) for point in points]
+        progress(row / SEARCHED_FRICTION.size)
+    found = [
+        minimize(
+            cost,
+            point,
+            method="Nelder-Mead",
+            options={
+                "initial_simplex": [
+                    point,
+                    point * [1.1, 1.0],
+                    point + [0.0, 0.5 * THRESHOLD_STEP],
+                ],
+                "xatol": 1e-6,
+                "fatol": 1e-14,
+            },
+        )
+        for point in (np.array(best[1:]) for best in sorted(grid)[:REFINED])
+    ]
+    best = min(found, key=lambda solution: solution.fun)
+    return best.x, float(best.fun)
+
+
+def _actuation(runs: Sequence[_Traverse]) -> tuple[Array, float]:
+    """(δ_s, K, τ) and J_act (eq:actuation_identification_cost)."""
+
+    def residuals(values: Array) -> Array:
+        return np.concatenate(
+            [run.change - predicted_length_change(run.recording, values, run.time) for run in runs]
+        )
+
+    found = least_squares(
+        residuals, START, x_scale=[1e-3, 0.1, 0.1], bounds=([0.0, 0.01, 1e-3], [0.1, 10.0, 10.0])
+    )
+    return found.x, float(np.mean(found.fun**2))
+
+
+def _energy(runs: Sequence[_Traverse], p: Parameters) -> tuple[Array, float]:
+    """(c_b, α_P) and J_E (eq:energy_identification_cost), each run with its own idle power."""
+    tables = [_power_table(run, p.replace(bellows_damping=0.0)) for run in runs]
+
+    def residuals(values: Array) -> Array:
+        damping, factor = values
+        parts = []
+        for time, rate, force, power, idle in tables:
+            predicted = idle + factor * np.maximum(-(force - damping * rate) * rate, 0.0)
+            left = accumulated(time, power) - accumulated(time, predicted)
+            parts.append(left / np.sqrt(left.size * len(tables)))
+        return np.concatenate(parts)
+
+    start = [p.bellows_damping, p.power_factor]
+    found = least_squares(residuals, start, x_scale=[100.0, 1.0], bounds=([0.0, 0.01], np.inf))
+    return found.x, float(np.sum(found.fun**2))
+
+
+def _power_table(run: _Traverse, p: Parameters) -> tuple[Array, Array, Array, Array, float]:
+    """At the power samples over five ridges: time, L̇ of the smoothed length, F_c without damping, power; idle power."""
+    recording = run.recording
+    length = smooth(np.concatenate([[0.0], run.time]), np.concatenate([[0.0], run.change]))
+    known = np.isfinite(length.value) & np.isfinite(length.rate)
+    length = type(length)(length.time[known], length.value[known], length.rate[known])
+    first, last = length.time[0], length.time[-1]
+    inside = (recording.power_time >= first) & (recording.power_time <= last)
+    time = recording.power_time[inside]
+    model = _model(run, p)
+    breaks, coefficients = length.cubic()
+    start = model.start(float(first), float(length.value[0]))
+    _, motions = model.follow_polynomial(start, breaks, coefficients, time)
+    idle = float(recording.power[:SAMPLES].mean())
+    return time, motions.length_rate, motions.cable_force, recording.power[inside], idle

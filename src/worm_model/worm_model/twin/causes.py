@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The causes that can explain the last cycles of a run, weighed together: the one inference of the twin.
+
+Data are the binned residuals of all cycles remembered. A sound robot is one whose parameters are not quite the twin's
+(the same in every cycle) and whose cycles differ a little. Against it stand: a change that lasts, from some moment
+on, of any size; a groove that a fin missed or gained, in one cycle or several running, where no tracker settled
+that; another length at rest since the beginning. Each explains all instruments at once, or is worth less.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.twin.core.memory import CHANNELS, POWER
+from worm_model.twin.cycle_data import POWER_SHARE, SCATTER, CycleData
+from worm_model.twin.inference import weigh
+from worm_model.twin.signatures import BINS, L0_STEP_M, Signatures
+
+Array = NDArray[np.float64]
+
+# Codes of TwinEvent.
+MISSED_REAR, MISSED_FRONT, GAINED = "missed_groove_rear", "missed_groove_front", "gained_groove"
+CABLE, SCALE, OFFSET, LENGTH = "cable_slip", "power_scale", "power_offset", "initial_length"
+FRICTION_UP, FRICTION_DOWN = "friction_up", "friction_down"
+LASTING = {
+    "gain": (CABLE, CABLE),
+    "slip": (CABLE, CABLE),
+    "viscous_friction": (FRICTION_UP, FRICTION_DOWN),
+    "scale": (SCALE, SCALE),
+    "offset": (OFFSET, OFFSET),
+}
+GROOVES = {"rear": MISSED_REAR, "front": MISSED_FRONT}
+
+CHANGE = 0.004  # probability that a change of one kind begins in a cycle
+MISS, AGAIN, GAIN = 0.02, 0.3, 0.005  # that a fin misses, misses again, gains a groove
+WRONG_LENGTH, LENGTH_SPREAD_M = 0.01, 0.003  # that L0 is wrong, and by how much
+RIGHT = 0.95  # that a cycle gains what it should
+ONSETS = (0.0, 0.25, 0.5, 0.75)  # phases of a cycle at which a change may begin
+BROAD = 4.0  # usual sizes that a change which was told may still have
+SHIFT = 1.0  # scatters by which all of a cycle is off
+THRESHOLDS = 0.5  # sound changes by which the grooves' thresholds differ from cycle to cycle
+
+
+@dataclass(frozen=True)
+class Told:
+    """What was told already, and is taken into account from then on; ``name`` as in the signatures, "" for a push."""
+
+    name: str
+    cycle: int
+    phase: float = 0.0
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A cause since a cycle (and a phase of it), over a number of cycles, 0 for ever; ``fact`` if its size is known.
+
+    After it was weighed: ``weight``, its probability over that of a sound robot; ``size`` in usual ones, and deviation.
+    """
+
+    code: str
+    name: str
+    cycle: int
+    log_prior: float
+    phase: float = 0.0
+    cycles: int = 0
+    fact: bool = False
+    error: float = 0.0
+    weight: float = 0.0
+    size: float = 0.0
+    deviation: float = 0.0
+
+
+def weigh_causes(
+    cycles: Sequence[CycleData], told: Sequence[Told], signs: Signatures, *, length_seen: bool
+) -> list[Candidate]:
+    """All candidates for the cycles remembered, weighed; a sound robot has the weight 1."""
+    data = _Data(cycles, told, signs)
+    found = [*_lasting(cycles, signs), *_grooves(cycles, told, signs)]
+    directions = [data.direction(candidate) for candidate in found]
+    tracked = any(cycle.step is not None for cycle in cycles)
+    if tracked and not length_seen:  # power alone cannot exclude a miss
+        for candidate, direction in _lengths(cycles, signs):
+            found.append(candidate)
+            directions.append(direction)
+    if not found:
+        return []
+    causes = np.array(directions).reshape(len(found), -1)
+    known = np.array([candidate.fact for candidate in found])
+    some = data.weight > 0.0
+    weighed = weigh(
+        data.seen[some], data.weight[some], data.nuisances[some], causes[:, some], known
+    )
+    logs = np.array([c.log_prior for c in found]) + weighed.evidence
+    return [
+        replace(c, weight=w, size=s, deviation=d)
+        for c, w, s, d in zip(
+            found,
+            np.exp(np.minimum(logs, 300.0)).tolist(),
+            weighed.size.tolist(),
+            weighed.deviation.tolist(),
+            strict=True,
+        )
+    ]
+
+
+class _Data:
+    """The cycles as one vector, its weights, and what even a sound robot shows."""
+
+    def __init__(
+        self, cycles: Sequence[CycleData], told: Sequence[Told], signs: Signatures
+    ) -> None:
+        self.signs, self.numbers = signs, [cycle.number for cycle in cycles]
+        values = np.array([cycle.values for cycle in cycles])
+        variance = np.array([cycle.variance for cycle in cycles])
+        for event in told:
+            if not event.name and event.cycle in self.numbers:
+                variance[self.numbers.index(event.cycle), POWER] = np.inf
+        variance *= _excess(values, variance)[None, :, None]
+        self.seen = values.ravel()
+        self.weight = 1.0 / variance.ravel()
+        self.nuisances = np.column_stack(
+            [*self._of_the_run(), *self._of_a_cycle(), *self._told(told)]
+        )
+
+    def direction(self, candidate: Candidate) -> Array:
+        """What a candidate does, flat."""
+        if not candidate.cycles:
+            return self._from(self.signs.lasting[candidate.name], candidate.cycle, candidate.phase)
+        direction = sum(
+            self._groove(candidate.name, candidate.code == GAINED, candidate.cycle + k)
+            for k in range(candidate.cycles)
+        )
+        return np.asarray(direction)
+
+    def _every(self, change: Array) -> Array:
+        return np.tile(change.ravel(), len(self.numbers))
+
+    def _of_the_run(self) -> Iterator[Array]:
+        for change in self.signs.sound.values():
+            yield self._every(change)
+        scatter = np.tile(np.array(SCATTER)[:, None], BINS)
+        scatter[POWER] += POWER_SHARE * self.signs.power
+        for k, size in enumerate(scatter.ravel().tolist()):
+            change = np.zeros(CHANNELS * BINS)
+            change[k] = size
+            yield self._every(change)
+
+    def _of_a_cycle(self) -> Iterator[Array]:
+        for number in self.numbers:
+            for channel, size in enumerate(SCATTER):
+                change = np.zeros((CHANNELS, BINS))
+                change[channel] = SHIFT * size
+                yield self._in(number, change)
+            yield self._in(number, THRESHOLDS * self.signs.sound["switching_threshold"])
+
+    def _told(self, told: Sequence[Told]) -> Iterator[Array]:
+        for event in told:
+            if event.name in self.signs.lasting:
+                yield BROAD * self._from(self.signs.lasting[event.name], event.cycle, event.phase)
+            elif event.name == "missed":
+                for fin in self.signs.missed:
+                    yield self._groove(fin, gained=False, number=event.cycle)
+            elif event.name == "gained":
+                for fin in self.signs.gained:
+                    yield self._groove(fin, gained=True, number=event.cycle)
+
+    def _in(self, number: int, change: Array) -> Array:
+        whole = np.zeros((len(self.numbers), CHANNELS, BINS))
+        if number in self.numbers:
+            whole[self.numbers.index(number)] = change
+        return whole.ravel()
+
+    def _from(self, change: Array, number: int, phase: float) -> Array:
+        whole = np.zeros((len(self.numbers), CHANNELS, BINS))
+        after = np.array(self.numbers) > number
+        whole[after] = change
+        if number in self.numbers:
+            first = round(phase * BINS)
+            whole[self.numbers.index(number), :, first:] = change[:, first:]
+        return whole.ravel()
+
+    def _groove(self, fin: str, gained: bool, number: int) -> Array:  # noqa: FBT001
+        before, after = (self.signs.gained if gained else self.signs.missed)[fin]
+        return self._in(number - 1, before) + self._in(number, after)
+
+
+def _excess(values: Array, variance: Array) -> Array:
+    """By how much the cycles of a run differ more than they should, by channel, at least 1.
+
+    The lower median of what follows upon another: a change in the run is not taken for scatter.
+    """
+    found = np.ones(CHANNELS)
+    for channel in range(CHANNELS):
+        ratios = []
+        for k in range(1, len(values)):
+            expected = variance[k - 1, channel] + variance[k, channel]
+            both = np.isfinite(expected)
+            if both.any():
+                difference = (values[k] - values[k - 1])[channel]
+                ratios.append(float(np.mean(difference[both] ** 2 / expected[both])))
+        if len(ratios) > 1:
+            found[channel] = max(1.0, sorted(ratios)[(len(ratios) - 1) // 2])
+    return found
+
+
+def _lasting(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[Candidate]:
+    prior = math.log(CHANGE / len(ONSETS))
+    for name, change in signs.lasting.items():
+        if change.any():
+            for cycle in cycles:
+                for phase in ONSETS:
+                    yield Candidate(LASTING[name][0], name, cycle.number, prior, phase)
+
+
+def _grooves(
+    cycles: Sequence[CycleData], told: Sequence[Told], signs: Signatures
+) -> Iterator[Candidate]:
+    """Grooves that a fin missed or gained in cycles running whose grooves nothing has settled."""
+    settled = {cycle.number for cycle in cycles if cycle.step is not None and not cycle.gained}
+    settled |= {event.cycle for event in told if event.name in ("missed", "gained")}
+    last = cycles[-1].number
+    kinds = [(GROOVES[fin], fin, MISS) for fin in signs.missed]
+    kinds += [(GAINED, fin, 2.0 * GAIN / len(signs.gained)) for fin in signs.gained]
+    for code, fin, chance in kinds:
+        for first in range(cycles[0].number, last + 2):
+            for count in range(1, last + 3 - first):
+                if first + count - 1 in settled:
+                    break
+                prior = math.log(chance) + (count - 1) * math.log(AGAIN)
+                yield Candidate(code, fin, first, prior, cycles=count, fact=True)
+
+
+def _lengths(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[tuple[Candidate, Array]]:
+    errors = np.array([length.error for length in signs.lengths])
+    density = np.exp(-0.5 * (errors / LENGTH_SPREAD_M) ** 2)
+    density *= WRONG_LENGTH / max(float(density.sum()), L0_STEP_M)
+    for length, chance in zip(signs.lengths, density.tolist(), strict=True):
+        prior = math.log(chance)
+        before = 0
+        for cycle in cycles:
+            if cycle.step is None:
+                continue
+            usual = RIGHT if cycle.gained == 0 else (AGAIN if before else 2.0 * MISS)
+            prior += math.log(RIGHT if cycle.gained == length.gained else 1.0 - RIGHT)
+            prior -= math.log(usual)
+            before = cycle.gained
+        candidate = Candidate(LENGTH, "", cycles[0].number, prior, fact=True, error=length.error)
+        yield candidate, np.tile(length.change.ravel(), len(cycles))

@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each cause does to what the instruments see: one simulator, with one thing changed, minus itself as it is.
+
+All are changes of the residuals over a cycle of the steady gait, in `BINS` bins of `CHANNELS` channels (rear position
+in m, measured length in m, power in W). A change of a parameter is scaled to the size that is usual for it. A groove
+that is missed or gained is a switch of one fin that comes never, or once too often: until the other fin switches, the
+threshold is out of reach, or lower.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.gait import Gait
+from worm_model.parameters import Parameters
+from worm_model.simulation.actuation import length_change_of_command
+from worm_model.simulation.simulator import Locomotion, SimulationError, simulate
+from worm_model.twin.core.memory import CHANNELS, LENGTH, PHASES, POSITION, POWER
+
+Array = NDArray[np.float64]
+
+BINS = 25  # of a cycle
+SETTLED = 5  # cycles after which a gait repeats itself
+CYCLES = SETTLED + 3
+NEVER_M = 1.0  # beyond its threshold no fin comes
+EARLIER_M = (0.002, 0.005, 0.008, 0.012)  # by which a fin switches too early
+SMALL = 0.2  # of a usual change, where the model is taken as linear
+L0_STEP_M, L0_REACH = 0.0005, 0.5  # the lengths at rest that are tried, and how far, in pitches
+
+#: relative change that a fault may bring about, by parameter
+FAULTS = {"gain": 0.05, "viscous_friction": 0.5}
+SLIP_M, SCALE, OFFSET_W = (
+    0.005,
+    0.1,
+    0.6,
+)  # usual slip of a cable, change of the power's scale and of its zero
+#: by how much a sound robot's parameters are off those that the twin was given, relative
+SOUND = {
+    "gain": 0.01,
+    "slack": 0.03,
+    "time_constant": 0.03,
+    "viscous_friction": 0.05,
+    "switching_threshold": 0.02,
+    "clearance": 0.02,
+    "engaged_stiffness": 0.03,
+    "disengaged_stiffness": 0.03,
+    "bellows_stiffness": 0.02,
+    "bellows_damping": 0.02,
+    "idle_power": 0.03,
+    "power_factor": 0.02,
+}
+SOUND_L0_M = 0.0004
+
+
+@dataclass(frozen=True)
+class AnotherLength:
+    """What a wrong L0 looks like: ``error`` in m, grooves ``gained`` a cycle more, change (CHANNELS, BINS)."""
+
+    error: float
+    gained: int
+    change: Array
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """Of a gait and a robot; every change is (CHANNELS, BINS).
+
+    ``grooves`` gained a cycle; ``power`` (BINS,) in W as predicted; ``lasting`` the causes that stay, at their usual
+    size; ``missed`` and ``gained`` by fin (and how early it came), of shape (2, CHANNELS, BINS): the cycle before and
+    that in which x1 falls behind, or gets ahead; ``sound`` what robots differ in that are as they should be, by
+    parameter; ``lengths`` other lengths at rest.
+    """
+
+    grooves: int
+    power: Array
+    lasting: Mapping[str, Array]
+    missed: Mapping[str, Array]
+    gained: Mapping[str, Array]
+    sound: Mapping[str, Array]
+    lengths: tuple[AnotherLength, ...]
+
+
+def binned(values: Array) -> Array:
+    """Means of phases (…, PHASES) over bins (…, BINS)."""
+    shape = (*values.shape[:-1], BINS, PHASES // BINS)
+    means: Array = values.reshape(shape).mean(axis=-1)
+    return means
+
+
+@lru_cache(maxsize=32)
+def signatures(gait: Gait, parameters: Parameters, *, driven: bool) -> Signatures:
+    """Of a gait as played, without margin; ``driven`` says that a measured length drives the twin.
+
+    Then the answer to the command shows in the length alone, else in all but that. A tenth of a second the first time.
+    """
+    gait = replace(gait, margin=0.0)
+    model = _Model(gait, parameters, driven)
+    return Signatures(
+        grooves=model.grooves,
+        power=model.seen[POWER],
+        lasting=_lasting(model),
+        missed=_switches(model, {"": NEVER_M}, -1),
+        gained=_switches(model, {f" {1e3 * early:g} mm early": -early for early in EARLIER_M}, 1),
+        sound=_sound(model),
+        lengths=tuple(_lengths(model)),
+    )
+
+
+class _Model:
+    """The robot as the twin believes it to be, in the steady cycle, and what changes with its parameters."""
+
+    def __init__(self, gait: Gait, parameters: Parameters, driven: bool) -> None:  # noqa: FBT001
+        self.gait, self.parameters, self.driven = gait, parameters, driven
+        phases = (np.arange(PHASES) + 0.5) / PHASES
+        self.times = ((np.arange(CYCLES)[:, None] + phases) * gait.period).ravel()
+        self.commands = np.array([gait.command(time) for time in self.times.tolist()])
+        self.length = self._length(parameters, self.commands)
+        try:
+            self.seen, self.grooves = self._cycle(parameters, self.commands, 0.0)
+        except SimulationError:  # no steady gait: nothing can be told
+            self.seen, self.grooves = np.zeros((CHANNELS, BINS)), 0
+
+    def _length(self, parameters: Parameters, commands: Array) -> Array:
+        return length_change_of_command(
+            np.append(0.0, self.times), np.append(0.0, commands), parameters, at=self.times
+        )
+
+    def _cycle(self, parameters: Parameters, commands: Array, error: float) -> tuple[Array, int]:
+        """(the steady cycle (CHANNELS, BINS), grooves gained in it); ``error`` (m) is that of a measured L0."""
+        length = self._length(parameters, commands)
+        moves = self.length if self.driven else length
+        robot = Locomotion(parameters, self.gait.direction)
+        motions = robot.follow(robot.start(), self.times, moves)[1]
+        place = SETTLED * PHASES
+        x1 = motions.x1 - motions.rear_groove[place - 1] * parameters.pitch
+        channels = np.zeros((CHANNELS, BINS))
+        for channel, values in ((POSITION, x1), (LENGTH, length + error), (POWER, motions.power)):
+            channels[channel] = binned(values[place : place + PHASES])
+        if not self.driven:
+            channels[LENGTH] = 0.0
+        gained = motions.rear_groove[place + PHASES - 1] - motions.rear_groove[place - 1]
+        return channels, self.gait.direction * int(gained)
+
+    def change(self, parameters: Parameters, commands: Array | None = None) -> tuple[Array, int]:
+        """(what another robot shows minus this one, grooves that it gains more)."""
+        try:
+            seen, grooves = self._cycle(
+                parameters, self.commands if commands is None else commands, 0.0
+            )
+        except SimulationError:
+            return np.zeros((CHANNELS, BINS)), 0
+        return seen - self.seen, grooves - self.grooves
+
+    def relative(self, key: str, size: float) -> Array:
+        """The change with a parameter at a relative size, by a small step that leaves the number of grooves."""
+        value = getattr(self.parameters, key)
+        for step in (SMALL, -SMALL, 0.2 * SMALL, -0.2 * SMALL):
+            change, grooves = self.change(
+                self.parameters.replace(**{key: value * (1.0 + step * size)})
+            )
+            if grooves == 0:
+                return change / step
+        return np.zeros((CHANNELS, BINS))
+
+
+def _lasting(model: _Model) -> dict[str, Array]:
+    """By name, at the size that is usual for it."""
+    found = {key: model.relative(key, size) for key, size in FAULTS.items()}
+    found["slip"] = np.zeros((CHANNELS, BINS))
+    for step in (SMALL, 0.2 * SMALL):
+        slipped = np.minimum(model.commands + step * SLIP_M, 0.0)
+        change, grooves = model.change(model.parameters, slipped)
+        if grooves == 0:
+            found["slip"] = change / step
+            break
+    scale, offset = np.zeros((2, CHANNELS, BINS))
+    scale[POWER], offset[POWER] = SCALE * model.seen[POWER], OFFSET_W
+    return found | {"scale": scale, "offset": offset}
+
+
+def _sound(model: _Model) -> dict[str, Array]:
+    relative = SOUND | {"initial_length": SOUND_L0_M / model.parameters.initial_length}
+    return {key: model.relative(key, size) for key, size in relative.items()}
+
+
+def _lengths(model: _Model) -> list[AnotherLength]:
+    p = model.parameters
+    count = int(L0_REACH * p.pitch / L0_STEP_M)
+    found = []
+    for k in (k for k in range(-count, count + 1) if k):
+        error = k * L0_STEP_M
+        change, gained = model.change(p.replace(initial_length=p.initial_length + error))
+        found.append(AnotherLength(error, gained, change))
+    return found
+
+
+# --- a switch that comes never, or once too often ----------------------------------------------------
+
+
+def _switches(model: _Model, margins: Mapping[str, float], grooves: int) -> dict[str, Array]:
+    """What a fin's last switch of a cycle looks like at another threshold, by fin, where that gains so many grooves."""
+    found = {
+        f"{name}{how}": _switched(model, fin, margin, grooves)
+        for name, fin in (("rear", 1), ("front", 2))
+        for how, margin in margins.items()
+    }
+    return {name: change for name, change in found.items() if change is not None}
+
+
+def _switched(model: _Model, fin: int, margin: float, grooves: int) -> Array | None:
+    gait, parameters = model.gait, model.parameters
+    window = _window(gait, parameters, fin)
+    if window is None or model.grooves < 1:
+        return None
+    begins, ends = window
+    try:
+        usual = _follow(model, (0.0, 0.0), 0.0)
+        if margin < 0.0:  # one more switch after the last one, and no other
+            begins += 1e-3
+            ends = _first_change(model, fin, usual, _follow(model, (begins, ends), margin), ends)
+        other = _follow(model, (begins, ends), margin)
+    except SimulationError:
+        return None
+    pitch = parameters.pitch
+    x1, power = other.x1 - usual.x1, other.power - usual.power
+    ends_at = gait.direction * np.round(x1.reshape(CYCLES, PHASES)[:, -1] / pitch).astype(int)
+    behind = np.flatnonzero(ends_at == grooves)
+    if not behind.size or ends_at[-1] != grooves:
+        return None
+    place = (int(behind[0]) - 1) * PHASES
+    change = np.zeros((2, CHANNELS, BINS))
+    for channel, values in ((POSITION, x1), (POWER, power)):
+        change[:, channel] = binned(values[place : place + 2 * PHASES].reshape(2, PHASES))
+    return change
+
+
+def _window(gait: Gait, parameters: Parameters, fin: int) -> tuple[float, float] | None:
+    """From the last switch of a fin in its part of a steady cycle to the next one of the other, s."""
+    try:
+        events = simulate(gait, parameters, CYCLES).events()
+    except SimulationError:
+        return None
+    events = [e for e in events if e.switched and e.direction == gait.direction]
+    mine = [e.time for e in events if e.fin == fin]
+    others = [e.time for e in events if e.fin != fin]
+    first = next((time for time in mine if time > SETTLED * gait.period), None)
+    if first is None:
+        return None
+    after = next((time for time in others if time > first), None)
+    if after is None:
+        return None
+    last = max(time for time in mine if time < after)
+    return last - 1e-6, after - 1e-6
+
+
+@dataclass(frozen=True)
+class _Followed:
+    """What a robot did at the model's times: x1, power, grooves of (rear, front)."""
+
+    x1: Array
+    power: Array
+    grooves: tuple[Array, Array]
+
+
+def _first_change(
+    model: _Model, fin: int, usual: _Followed, other: _Followed, default: float
+) -> float:
+    """When a fin's groove first is another one than usual, s."""
+    differs = np.flatnonzero(other.grooves[fin - 1] != usual.grooves[fin - 1])
+    return float(model.times[differs[0]]) if differs.size else default
+
+
+def _follow(model: _Model, window: tuple[float, float], margin: float) -> _Followed:
+    """Motion and power at the model's times, another margin applying in a window."""
+    times, length = model.times, model.length
+    state = Locomotion(model.parameters, model.gait.direction).start()
+    parts = []
+    for until, used in ((window[0], 0.0), (window[1], margin), (times[-1], 0.0)):
+        if until <= state.time:
+            continue
+        inside = times[(times > state.time) & (times <= until)]
+        asked = np.append(inside, until) if inside.size == 0 or inside[-1] < until else inside
+        robot = Locomotion(model.parameters, model.gait.direction, used)
+        state, m = robot.follow(state, asked, np.interp(asked, times, length))
+        row = np.array([m.x1, m.power, m.rear_groove, m.front_groove])
+        parts.append(row[:, : inside.size])
+    x1, power, rear, front = np.concatenate(parts, axis=1)
+    return _Followed(x1, power, (rear, front))

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: which parameters decide a gait's speed and power, and the cliff."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+
+from worm_model.analysis.plot_style import save_figure
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    figure_file,
+    print_result,
+    run_command,
+)
+from worm_model.gait import Gait
+from worm_model.parameters import SYMBOLS, UNITS, load_parameter_file
+from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
+from worm_optimizer.study.sensitivity_figure import sensitivity_figure
+
+MOST_SAMPLES = 1 << 16
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="sensitivity",
+        description="What decides speed, power and the cliff: Sobol indices over the uncertainty of the parameters, "
+        "that of the parameter file's intervals, else the stated defaults.",
+    )
+    parser.add_number("--stroke", "M", "contraction stroke in m", required=True)
+    parser.add_number("--frequency", "HZ", "frequency in Hz", required=True)
+    parser.add_direction()
+    parser.add_argument(
+        "--samples", type=int, default=1024, metavar="N", help="a power of two (default 1024)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of the samples (default 0)"
+    )
+    parser.add_figure()
+    parser.add_json()
+    parser.add_parameters()
+    return parser
+
+
+def sensitivity_json(content: Sensitivity) -> dict[str, Any]:
+    """Indices by figure and parameter, with 95 % bounds."""
+    found: dict[str, Any] = {"parameters": list(content.parameters)}
+    for name, indices in content.indices.items():
+        found[name] = {
+            "mean": indices.mean,
+            "deviation": indices.deviation,
+            "indices": {
+                key: {
+                    "first": indices.first[k],
+                    "first_bounds": indices.first_bounds[:, k],
+                    "total": indices.total[k],
+                    "total_bounds": indices.total_bounds[:, k],
+                }
+                for k, key in enumerate(content.parameters)
+            },
+        }
+    return {**found, "evaluations": content.evaluations}
+
+
+def describe(content: Sensitivity) -> str:
+    """The most telling parameters of each figure."""
+    shown = {"speed": (1e3, "mm/s"), "power": (1.0, "W"), "cliff_margin": (1e3, "mm")}
+    lines = []
+    for name, indices in content.indices.items():
+        scale, unit = shown[name]
+        lines.append(
+            f"{name}: {scale * indices.mean:.3f} ± {scale * indices.deviation:.3f} {unit} (standard deviation)"
+        )
+        if np.all(np.isnan(indices.total)):
+            lines.append("  does not vary")
+            continue
+        for k in np.argsort(-indices.total)[:6]:
+            key = content.parameters[k]
+            below, above = content.reach[key]
+            lines.append(
+                f"  {key:22} {SYMBOLS[key]:6} alone {indices.first[k]:6.1%}, with others {indices.total[k]:6.1%}"
+                f"   (95 %: -{below:.3g}, +{above:.3g} {UNITS[key]})"
+            )
+    return "\n".join(lines)
+
+
+def _run(options: argparse.Namespace) -> None:
+    if not 2 <= options.samples <= MOST_SAMPLES or options.samples & (options.samples - 1):
+        raise InputError(f"--samples {options.samples}: give a power of two, 2 to {MOST_SAMPLES}")
+    if options.seed < 0:
+        raise InputError("--seed must not be negative")
+    gait = Gait(options.stroke, options.frequency, options.direction)
+    content = load_parameter_file(options.parameters)
+    figure = figure_file(options)
+    found = sensitivity(gait, content, options.samples, options.seed)
+    if figure is not None:
+        save_figure(sensitivity_figure(found), figure)
+    print_result(options, sensitivity_json(found), describe(found))
+
+
+def main() -> int:
+    """Entry point of the executable sensitivity."""
+    return run_command(_parser(), _run)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the repeats of a gait spread, and whether each gained the grooves that were promised of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from worm_optimizer.report.agreement import QUANTITIES, title_of
+from worm_optimizer.report.recorded_gait import RecordedGait
+from worm_optimizer.robustness.prediction import Prediction
+
+NOMINAL = "nominal_"  # begins the name of a gait that was designed without a margin
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Of one gait: ``promised`` grooves per cycle; ``kept`` of ``repeats`` gained them in every averaged cycle.
+
+    ``means`` and ``deviations`` (NaN of a single repeat) are by quantity, in SI units; ``speeds`` (m/s) of each.
+    """
+
+    name: str
+    repeats: int
+    promised: int
+    kept: int
+    means: Mapping[str, float]
+    deviations: Mapping[str, float]
+    speeds: tuple[float, ...]
+    promised_speed: float
+
+
+def run_names(gaits: Sequence[str], repeats: int) -> dict[str, str]:
+    """Name of each run, in the order of the runs, and of its gait: the repeats of one gait do not follow each other."""
+    if repeats == 1:
+        return {name: name for name in gaits}
+    return {f"{name}_{k}": name for k in range(1, repeats + 1) for name in gaits}
+
+
+def spread(name: str, promise: Prediction, runs: Sequence[RecordedGait]) -> Spread:
+    """Of the repeats of one gait."""
+    pitch = runs[0].content.parameters.pitch
+    promised = round(promise.grooves_per_cycle)
+    values = {
+        quantity: np.array([getattr(run.measured, quantity).value for run in runs])
+        for quantity in QUANTITIES
+    }
+    poorest = [run.measured.speed.low / (pitch * run.gait.frequency) for run in runs]
+    return Spread(
+        name=name,
+        repeats=len(runs),
+        promised=promised,
+        kept=sum(grooves > promised - 0.5 for grooves in poorest),
+        means={quantity: float(np.mean(found)) for quantity, found in values.items()},
+        deviations={
+            quantity: float(np.std(found, ddof=1)) if len(runs) > 1 else math.nan
+            for quantity, found in values.items()
+        },
+        speeds=tuple(values["speed"].tolist()),
+        promised_speed=promise.speed,
+    )
+
+
+def spread_table(spreads: Sequence[Spread]) -> str:
+    """For a terminal: kept promises, then mean and standard deviation of each quantity."""
+    heads = "".join(f"{quantity.title:>22}" for quantity in QUANTITIES.values())
+    lines = [f"{'gait':<24}{'promise kept':>18}{heads}"]
+    for row in spreads:
+        kept = f"{row.kept} of {row.repeats} ({row.promised} a cycle)"
+        cells = "".join(
+            f"{quantity.text(row.means[key]) + ' ± ' + quantity.text(row.deviations[key]):>22}"
+            for key, quantity in QUANTITIES.items()
+        )
+        lines.append(f"{words_of(row.name):<24}{kept:>18}{cells}")
+    return "\n".join(lines)
+
+
+def words_of(name: str) -> str:
+    """A gait's name in words."""
+    plain = name.removeprefix(NOMINAL)
+    return title_of(plain) if plain == name else f"{title_of(plain)}, nominal"
+
+
+def spread_json(spreads: Sequence[Spread]) -> list[dict[str, Any]]:
+    """As the machine-readable output has it."""
+    return [asdict(row) for row in spreads]

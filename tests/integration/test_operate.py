@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command operate on a driver and a virtual robot; its death, its silence, and the emergency stop."""
+
+import json
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+from harness import LATCHED, NAMESPACE, TIMEOUT_S, Probe, Processes
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from std_msgs.msg import Bool
+
+from worm_msgs.action import RunGait
+from worm_msgs.msg import Gait, GaitState
+from worm_optimizer.commands import operate
+from worm_optimizer.operation.processes import Process
+
+LONG = ("--stroke", "0.03", "--frequency", "0.4", "--cycles", "200")
+
+
+@pytest.fixture(autouse=True)
+def _state_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+class Lab:
+    """A virtual robot, its driver, and somebody who operates it by commands."""
+
+    def __init__(self, processes: Processes, probe: Probe, folder: Path) -> None:
+        self.processes, self.probe, self.folder = processes, probe, folder
+        robot = processes.start_node("worm_driver", "virtual_robot", "--directory", str(folder))
+        robot.wait_for_line("^ready: ", TIMEOUT_S)
+        self.start_driver("driver")
+        self.states = probe.collect(GaitState, "gait_state", LATCHED)
+        self._commands = 0
+
+    def start_driver(self, name: str) -> Process:
+        ros = ["--ros-args", "-r", f"__ns:={NAMESPACE}", "-p", "home_at_start:=true"]
+        ros += ["-p", f"port:={self.folder / 'servo_bus'}"]
+        ros += ["-p", f"i2c_bus:={self.folder / 'i2c.sock'}"]
+        return self.processes.start_executable("worm_driver", "driver_node", *ros, name=name)
+
+    def begin(self, *words: str) -> Process:
+        self._commands += 1
+        words = (*words, "--timeout", f"{TIMEOUT_S:g}")
+        return self.processes.start_executable(
+            "worm_optimizer", "operate", *words, name=f"operate_{self._commands}"
+        )
+
+    def operate(self, *words: str, status: int = 0) -> str:
+        process = self.begin(*words)
+        assert process.wait(4 * TIMEOUT_S) == status, process.output()
+        return process.last_line()
+
+    def wait_for(self, state: int, words: str = "") -> GaitState:
+        def there() -> GaitState | None:
+            last = self.states[-1] if self.states else None
+            return last if last and last.state == state and words in last.message else None
+
+        found: GaitState = self.probe.wait_for(there, f"state {state} {words}", 2 * TIMEOUT_S)
+        return found
+
+    def run(self, *words: str) -> Process:
+        """A run that has begun to move."""
+        process = self.begin("run", *(words or LONG), "--json")
+        self.wait_for(GaitState.RUNNING)
+        return process
+
+
+@pytest.fixture
+def lab(processes: Processes, probe: Probe, tmp_path: Path) -> Lab:
+    lab = Lab(processes, probe, tmp_path / "robot")
+    lab.operate("activate")
+    return lab
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_robot_whose_operator_is_killed_or_cut_off_comes_to_rest(lab: Lab, end: signal.Signals):
+    run = lab.run()
+    run.signal(end)
+    lab.wait_for(GaitState.STOPPING, "its owner was not heard for 3 s")
+    lab.wait_for(GaitState.IDLE)
+    run.kill()
+
+
+def test_ctrl_c_stops_at_the_next_rest_and_another_one_at_once(lab: Lab):
+    run = lab.run()
+    run.interrupt()
+    assert run.wait(2 * TIMEOUT_S) == 1
+    result = json.loads(next(line for line in run.output().splitlines() if line[:1] == "{"))
+    assert "cancelled, at rest after" in result["message"]
+    lab.wait_for(GaitState.IDLE)
+    run = lab.run("--stroke", "0.05", "--frequency", "0.02", "--cycles", "9")
+    run.interrupt()
+    run.wait_for_line("Ctrl-C again holds at once", TIMEOUT_S)
+    run.interrupt()
+    assert run.wait(TIMEOUT_S) == 1
+    assert "the service stop was called" in lab.wait_for(GaitState.IDLE).message
+
+
+def test_a_run_ends_when_it_has_gained_its_grooves_and_one_in_vain_is_ended(lab: Lab):
+    gait = ("--stroke", "0.0754", "--frequency", "0.3")
+    result = json.loads(lab.operate("run", *gait, "--grooves", "3", "--json"))
+    assert result["success"]
+    assert result["cycles_completed"] == 2
+    assert 3 <= result["grooves"] < 5
+    result = json.loads(lab.operate("run", *gait, "--distance", "0.03", "--json"))
+    assert 0.03 <= result["distance"] < 0.08
+    in_vain = lab.operate(
+        *("run", "--stroke", "0.02", "--frequency", "0.4", "--grooves", "3"), status=1
+    )
+    assert "gains no groove with this gait" in in_vain
+
+
+def test_the_emergency_stop_holds_and_refuses_every_start_also_of_the_next_driver(lab: Lab):
+    run = lab.run()
+    button = lab.probe.node.create_publisher(Bool, "emergency_stop", 1)
+    lab.probe.wait_for(button.get_subscription_count, "driver that listens")
+    button.publish(Bool(data=True))
+    held = lab.wait_for(GaitState.IDLE, "the emergency stop is on")
+    assert held.emergency_stop
+    assert run.wait(TIMEOUT_S) == 1
+    goal = RunGait.Goal(gait=Gait(stroke=0.03, frequency=0.4, direction=1), cycles=1)
+    sent = lab.probe.send_goal(RunGait, "run_gait", goal)
+    refused = lab.probe.result(sent.get_result_async(), "refusal").result
+    assert "the emergency stop is on" in refused.message
+
+    lab.processes.processes["driver"].kill()
+    lab.start_driver("second_driver")
+    assert "the emergency stop is on" in lab.operate("activate", status=1)
+    assert json.loads(lab.operate("state", "--json"))["emergency_stop"]
+    lab.operate("emergency_stop", "off")
+    lab.operate("activate")
+    assert lab.operate("run", *LONG[:4], "--cycles", "1", "--json")
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+    assert lab.probe.call(ChangeState, "driver/change_state", request).success
+
+
+def test_what_is_heard_and_done_without_a_run(lab: Lab):
+    state = json.loads(lab.operate("state", "--json"))
+    assert (state["lifecycle"], state["state"], state["homed"]) == ("active", "IDLE", True)
+    assert state["power"] > 0.0
+    assert abs(state["rear_position"]) < 0.01
+    assert "homing needs the torque off" in lab.operate("home", status=1)
+    assert "outside" in lab.operate("run", *LONG[2:], "--stroke", "0.5", status=1)
+    lab.operate("deactivate")
+    lab.operate("home")
+    assert "shaft" in lab.operate("fault", "stalled", "--target", "1", "--delay", "100")
+    assert "no fault" in lab.operate("fault", "nonsense", status=1)
+    assert "the torque is off" in lab.operate("run", *LONG, status=1)
+
+
+def test_without_a_driver_it_says_so(processes: Processes):
+    asked = processes.start_executable("worm_optimizer", "operate", "state", "--timeout", "1")
+    assert asked.wait(TIMEOUT_S) == 1
+    assert "no driver is heard in /worm within 1 s" in asked.last_line()
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (("run", "--stroke", "0.05"), "give --stroke and --frequency"),
+        (("run", "--stroke", "-1", "--frequency", "0.2"), "stroke"),
+        (("run", *LONG[:4], "--objective", "cruise"), "leave --objective"),
+        (("run", "--cycles", "-3"), "cycles: -3"),
+        (("dance",), "invalid choice"),
+    ],
+)
+def test_bad_input_is_one_line(
+    words: tuple[str, ...],
+    complaint: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+):
+    monkeypatch.setattr(sys, "argv", ["operate", *words])
+    try:
+        status = operate.main()
+    except SystemExit as end:  # of argparse
+        status = end.code
+    assert status == 2
+    assert complaint in capsys.readouterr().err.splitlines()[-1]

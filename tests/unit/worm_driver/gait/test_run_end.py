@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When a run has reached what it was asked for."""
+
+import math
+
+import pytest
+
+from worm_driver.errors import LimitError
+from worm_driver.gait import gait_player
+from worm_driver.gait.gait_limits import Gait, GaitLimits
+from worm_driver.gait.gait_metrics import RunRecord
+from worm_driver.gait.gait_player import Phase, PlayerState, Run
+from worm_driver.gait.run_end import RunEnd, is_in_vain, is_late, unseen_cycle
+
+PITCH, ONSET = 0.0173, 10.0
+GAIT = Gait(0.07, 0.2)
+LIMITS = GaitLimits(0.09, 0.4, 0.12)
+RUN = Run(1, GAIT, 1000, 1000, rest_start=8.0, onset=ONSET)
+
+
+def seen(cycles: float, per_cycle: float = PITCH, direction: int = 1) -> RunRecord:
+    """The tracker at 30 Hz up to so many cycles; the robot gains evenly, and bends its fins by 4 mm."""
+    record = RunRecord()
+    for sample in range(-10, math.floor(cycles / GAIT.frequency * 30) + 1):
+        gone = max(0.0, sample / 30 * GAIT.frequency)
+        bent = 0.004 * min(1.0, 10.0 * gone)
+        record.positions.append((ONSET + sample / 30, direction * (gone * per_cycle + bent)))
+    return record
+
+
+@pytest.mark.parametrize("end", [RunEnd(grooves=3), RunEnd(distance=3 * PITCH), RunEnd(9, 3)])
+def test_it_is_reached_at_the_end_of_the_cycle_that_gains_the_last_groove(end):
+    assert not end.is_reached(RUN, seen(1.97), PITCH)
+    assert end.is_reached(RUN, seen(2.999), PITCH)
+    assert not end.is_reached(RUN, seen(3.4), PITCH), "in the middle of a cycle nothing is judged"
+
+
+def test_what_the_fins_bend_is_no_groove():
+    """The displacement of the first cycle is 0.73 of a pitch where no groove was gained."""
+    record = seen(0.99, per_cycle=0.73 * PITCH - 0.004)
+    assert not RunEnd(grooves=1).is_reached(RUN, record, PITCH)
+
+
+def test_a_reverse_gait_gains_backwards():
+    run = Run(1, Gait(0.07, 0.2, -1), 9, 9, onset=ONSET)
+    assert RunEnd(grooves=2).is_reached(run, seen(2.0 - 1e-3, direction=-1), PITCH)
+    assert not RunEnd(grooves=2).is_reached(run, seen(2.0 - 1e-3), PITCH)
+
+
+def test_cycles_bound_a_run_and_without_them_the_limits_do():
+    assert RunEnd(cycles=7, grooves=3).most_cycles(GAIT, LIMITS) == 7
+    assert RunEnd(grooves=3).most_cycles(GAIT, LIMITS) == 1000
+    assert RunEnd(distance=1.0).most_cycles(Gait(0.07, 0.02), LIMITS) == 144
+    with pytest.raises(LimitError, match="needs an end"):
+        RunEnd().most_cycles(GAIT, LIMITS)
+    for distance in (math.nan, -1.0, math.inf):
+        with pytest.raises(LimitError, match="distance must be a length"):
+            RunEnd(distance=distance).most_cycles(GAIT, LIMITS)
+
+
+def test_a_cycle_whose_end_the_tracker_missed_is_named_once_its_word_is_late():
+    assert unseen_cycle(RUN, judged=1, now=ONSET + 5.0 + 5.2) == 0
+    assert unseen_cycle(RUN, judged=1, now=ONSET + 5.0 + 5.6) == 2
+    assert unseen_cycle(RUN, judged=2, now=ONSET + 5.0 + 5.6) == 0
+    assert not is_late(RUN, RunRecord())
+
+
+def test_three_cycles_without_a_groove_are_in_vain():
+    assert not is_in_vain(RUN, seen(2.99, 0.0), PITCH)
+    assert is_in_vain(RUN, seen(3.99, 0.0), PITCH)
+    assert not is_in_vain(RUN, seen(3.99), PITCH)
+
+
+def test_a_run_that_is_finished_ends_as_completed_with_its_cycle():
+    state = PlayerState(phase=Phase.RUNNING, run=RUN)
+    run = gait_player.finish(state, ONSET + 12.0).run
+    assert (run.cycles, run.stop_cycle) == (3, 3)
+    resting = PlayerState(phase=Phase.RESTING, run=Run(1, GAIT, 5, 5))
+    assert gait_player.finish(resting, 0.0) == resting

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the twin makes of robots with something wrong, which are integrated by nothing of worm_model."""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from faulty_robots import ONSET, Fault, Robots, run_robots
+
+from worm_model.gait import Gait
+from worm_model.parameters import PAPER
+from worm_model.twin.inference import weigh
+from worm_model.twin.records import Event
+from worm_model.twin.twin import Twin
+
+GAIT = Gait(0.08, 0.2)
+FAULTS = (
+    Fault(),
+    Fault("rear", 1, 3),
+    Fault("front", 1, 3),
+    Fault("gained", 1, 3),
+    Fault("gain", -0.02, 3, 0.3),
+    Fault("slip", 0.003, 2, 0.6),
+    Fault("friction", 1.0, 3),
+    Fault("scale", 0.08, 2),
+    Fault("scale", -0.08, 2),
+    Fault("offset", 0.6, 3, 0.3),
+    Fault("robot", 3, 3, 0.3),
+    Fault("camera", 0.008, 3, 0.3),
+    Fault("rear", 2, 3),
+    Fault("front", 2, 3),
+)
+CODES = {
+    "rear": "missed_groove_rear",
+    "front": "missed_groove_front",
+    "gained": "gained_groove",
+    "gain": "cable_slip",
+    "slip": "cable_slip",
+    "friction": "friction_up",
+    "scale": "power_scale",
+    "offset": "power_offset",
+    "robot": "robot_moved",
+    "camera": "camera_moved",
+}
+
+
+@lru_cache
+def robots() -> Robots:
+    """One robot for each fault, all of the same gait."""
+    return run_robots(GAIT, FAULTS, seed=5)
+
+
+def told(fault: Fault, **instruments: bool) -> list[Event]:
+    """What the twin finds."""
+    rows = robots().rows(FAULTS.index(fault), **instruments)
+    twin = Twin()
+    events = twin.advance(twin.start(), rows, to_the_end=True).events
+    return [event for event in events if event.code]
+
+
+def cycles_late(event: Event, fault: Fault) -> float:
+    return (event.stamp_ns - ONSET) * 1e-9 / GAIT.period - fault.cycle
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f"{f.kind} {f.size:g}")
+def test_with_a_tracker_each_cause_is_named_within_two_cycles_and_no_other(fault: Fault):
+    found = told(fault, tracker=True)
+    assert (
+        [event.code for event in found]
+        == [CODES[fault.kind]] * (int(fault.size) if fault.kind in ("rear", "front") else 1)
+        if fault.kind != "sound"
+        else not found
+    )
+    if found:
+        assert cycles_late(found[0], fault) < 1.1
+        assert found[0].cycle in (fault.cycle, fault.cycle + (fault.phase > 0.5))
+        assert found[0].probability > 0.9
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [f for f in FAULTS if f.kind in ("sound", "rear", "front", "slip", "offset", "camera")],
+    ids=lambda f: f"{f.kind} {f.size:g}",
+)
+def test_power_alone_names_the_fin_the_slipped_cable_and_the_sensor(fault: Fault):
+    found = told(fault, tracker=False)
+    if fault.kind in ("sound", "camera"):
+        assert not found
+    else:
+        assert {event.code for event in found} == {CODES[fault.kind]}
+
+
+@pytest.mark.parametrize("fault", [f for f in FAULTS if f.kind in ("gain", "scale", "friction")])
+def test_what_power_alone_cannot_tell_is_not_called_a_missed_groove(fault: Fault):
+    assert not any("groove" in event.code for event in told(fault, tracker=False))
+
+
+@pytest.mark.parametrize("fault", [f for f in FAULTS if f.size == 2])
+def test_two_misses_running_do_not_move_l0_though_the_front_marker_is_hidden(fault: Fault):
+    found = told(fault, tracker=True, front_marker=False)
+    assert [event.cycle for event in found] == [3, 4]
+    assert all(event.code.startswith("missed_groove") for event in found)
+
+
+def test_the_time_of_a_step_is_told():
+    (event,) = told(Fault("camera", 0.008, 3, 0.3), tracker=True)
+    assert event.code == "camera_moved"
+    assert event.text.startswith("cycle 3: the camera was moved")
+
+
+def test_the_bayes_factor_is_that_of_the_integral():
+    """Against a sum over the size of the cause and that of a nuisance."""
+    draw = np.random.default_rng(0)
+    seen, cause, nuisance = draw.normal(size=(3, 6))
+    weight = 1.0 / draw.uniform(0.5, 2.0, 6)
+    grid = np.linspace(-8.0, 8.0, 1601)
+    normal = np.exp(-0.5 * grid**2) / math.sqrt(2 * math.pi) * (grid[1] - grid[0])
+
+    def likelihood(size: float) -> float:
+        rest = seen - size * cause - grid[:, None] * nuisance
+        return float(normal @ np.exp(-0.5 * rest**2 @ weight))
+
+    none = likelihood(0.0)
+    integral = sum(p * likelihood(s) for p, s in zip(normal, grid, strict=True))
+    found = weigh(
+        seen, weight, nuisance[:, None], np.array([cause, cause]), np.array([False, True])
+    )
+    assert found.evidence[0] == pytest.approx(math.log(integral / none), abs=1e-6)
+    assert found.evidence[1] == pytest.approx(math.log(likelihood(1.0) / none), abs=1e-6)
+
+
+def test_a_wrong_l0_is_told_from_misses_by_one_marker():
+    """The twin believes in 295.2 mm; 293 mm gain another number of grooves and bend the way of x1."""
+    truth = PAPER.replace(initial_length=0.293)
+    one = run_robots(Gait(0.07, 0.2), [Fault()], seed=6, truth=truth)
+    rows = one.rows(0, tracker=True, front_marker=False)
+    twin = Twin()
+    state = twin.start()
+    events = twin.advance(state, rows, to_the_end=True).events
+    codes = [event.code for event in events if event.code]
+    assert codes[-1] == "initial_length"
+    assert codes.count("initial_length") == 1
+    assert len(codes) <= 2  # one cycle cannot tell it from a groove gained
+    assert state.initial_length == pytest.approx(0.293, abs=1.5e-3)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shares of the variance, against what a closed form gives."""
+
+import json
+
+import numpy as np
+import pytest
+
+from worm_model.gait import Gait
+from worm_model.parameters import PAPER, ParameterFile
+from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.commands import sensitivity as command
+from worm_optimizer.study.sensitivity import sensitivity
+
+GAIT = Gait(0.0755, 0.15)
+EXACT = {key: (value, value) for key, value in PAPER.as_dict().items()}
+
+
+def of(**half_widths):
+    own = {k: (getattr(PAPER, k) - w, getattr(PAPER, k) + w) for k, w in half_widths.items()}
+    return sensitivity(GAIT, ParameterFile(PAPER, {**EXACT, **own}), 512, 1)
+
+
+def test_power_is_idle_power_and_a_factor_times_work():
+    found = of(idle_power=0.05, power_factor=0.06)
+    work = (evaluate_gait(GAIT).power - PAPER.idle_power) / PAPER.power_factor
+    variances = np.array([0.05**2, (0.06 * work) ** 2])
+    shares = dict(zip(("idle_power", "power_factor"), variances / variances.sum(), strict=True))
+    power = found.indices["power"]
+    for k, key in enumerate(found.parameters):
+        assert power.first[k] == pytest.approx(shares[key], abs=0.06)
+        assert power.total[k] == pytest.approx(shares[key], abs=0.06)
+    assert power.mean == pytest.approx(evaluate_gait(GAIT).power, rel=0.01)
+    assert power.deviation == pytest.approx(np.sqrt(variances.sum()) / 1.96, rel=0.1)
+
+
+def test_what_does_not_vary_has_no_indices():
+    found = of(idle_power=0.05)
+    assert np.all(np.isnan(found.indices["speed"].total))
+    assert found.indices["speed"].deviation == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_speed_of_a_branch_is_decided_by_the_pitch():
+    found = of(pitch=5e-5, idle_power=0.05)
+    speed = dict(zip(found.parameters, found.indices["speed"].total, strict=True))
+    assert speed["pitch"] == pytest.approx(1.0, abs=0.1)
+    assert speed["idle_power"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_command(monkeypatch, capsys, tmp_path):
+    def run(*words):
+        monkeypatch.setattr("sys.argv", ["sensitivity", *words])
+        return command.main(), *capsys.readouterr()
+
+    gait = ("--stroke", "0.0755", "--frequency", "0.15", "--samples")
+    figure = tmp_path / "sensitivity.svg"
+    status, told, _ = run(*gait, "16", "--json", "--figure", str(figure))
+    content = json.loads(told)
+    assert status == 0
+    assert set(content["power"]["indices"]) == set(content["parameters"])
+    assert figure.stat().st_size > 1000
+    assert run(*gait, "10")[0] == 2
+    assert "power of two" in run(*gait, "10")[2]

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What may be asked of a robot, and how it is told."""
+
+import math
+
+import pytest
+
+from worm_model.errors import InputError
+from worm_model.gait import Gait
+from worm_optimizer.orders import Order, RunProgress
+
+GAIT = Gait(0.07, 0.2, -1)
+
+
+@pytest.mark.parametrize(
+    ("ends", "complaint"),
+    [
+        ({}, "needs an end"),
+        ({"cycles": -1}, "cycles: -1"),
+        ({"cycles": 1001}, "between 1 and 1000"),
+        ({"grooves": -2}, "grooves: -2"),
+        ({"distance": math.nan}, "no positive length"),
+        ({"distance": -0.1}, "no positive length"),
+    ],
+)
+def test_an_impossible_end_is_refused(ends, complaint):
+    with pytest.raises(InputError, match=complaint):
+        Order(GAIT, **ends)
+
+
+def test_an_order_says_what_will_happen():
+    text = str(Order(GAIT, cycles=9, distance=0.5))
+    assert text == "stroke 70.0 mm, frequency 0.200 Hz, reverse, 9 cycles or 500 mm"
+
+
+def test_progress_leaves_out_what_nobody_measures():
+    nan = math.nan
+    assert str(RunProgress(0, -1.0, nan, nan, 0.8)) == "resting"
+    assert str(RunProgress(2, 3.0, nan, nan, 2.5)) == "cycle 2, 2.50 W"
+    assert str(RunProgress(2, 3.0, 1.96, 0.034, nan)) == "cycle 2, +34.0 mm, +2.0 grooves"
