@@ -11,7 +11,7 @@ import socket
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 from worm_model.commands.command_line import FAILED, InputError, Parser, run_command
@@ -99,7 +99,8 @@ def _console(options: argparse.Namespace) -> int:
     address = f"http://{_named(options.listen)}:{options.port}/"
     token = f"?token={secret}" if secret and not options.password_file else ""
     say(f"{address}{token} (Ctrl-C ends it)")
-    serve(hub, Access(secret, time.monotonic), options.listen, options.port)
+    with suppress(KeyboardInterrupt):  # the way to end it
+        serve(hub, Access(secret, time.monotonic), options.listen, options.port)
     return FAILED if desk.failure else 0
 
 

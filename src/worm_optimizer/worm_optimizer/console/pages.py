@@ -114,10 +114,14 @@ class ConsolePage:
             self._hand = ui.button("Hand over", on_click=self._hand_over).props(
                 "color=amber text-color=black"
             )
-            self._word = ui.label().classes("grow").props("role=status")
+            self._word = (
+                ui.label()
+                .classes("order-first w-full sm:order-none sm:w-auto sm:grow")
+                .props("role=status")
+            )
             ui.button("STOP", on_click=self._stop).props(
                 'id=stop aria-label="Stop" color=red-10'
-            ).classes("stop")
+            ).classes("stop ml-auto")
 
     # --- control -----------------------------------------------------------------------------
 

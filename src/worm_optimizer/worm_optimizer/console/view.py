@@ -8,9 +8,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from worm_model.twin.records import Activity, LengthSource
+from worm_model.twin.records import Activity, LengthSource, StateRecord
 from worm_model.twin.watch_view import STALE_S
-from worm_optimizer.snapshot import Snapshot
+from worm_optimizer.snapshot import DriverWord, Snapshot
 
 SOURCES: Mapping[str, str] = {  # topics, by who is silent when they are
     "body_length/commanded": "driver",
@@ -21,6 +21,7 @@ SOURCES: Mapping[str, str] = {  # topics, by who is silent when they are
 }
 REMEMBERED_S = 60.0
 SAMPLE_S = 0.2  # between two samples of what is remembered
+_AT_REST = 5e-3  # m from the initial length
 MOVING = (Activity.RESTING, Activity.RUNNING, Activity.STOPPING)
 
 
@@ -113,6 +114,12 @@ def sample(snapshot: Snapshot, now: float) -> Sample:
     )
 
 
+def _whole(driver: DriverWord, twin: StateRecord, cycle: int) -> bool:
+    """Whether a run has ended with a cycle's end, not within it."""
+    at_rest = abs(twin.length - twin.initial_length) < _AT_REST
+    return driver.state is Activity.IDLE and cycle == driver.cycles and at_rest
+
+
 class History:
     """A minute back, and the grooves that each cycle of the present run gained; ``clock`` tells the time in s."""
 
@@ -135,6 +142,6 @@ class History:
             return
         if cycle[0] != self._cycle[0]:
             self.grooves = []
-        elif self._cycle[1]:
+        elif self._cycle[1] and (moving or _whole(driver, twin, self._cycle[1])):
             self.grooves.append((twin.rear_groove - self._from) * driver.direction)
         self._cycle, self._from = cycle, twin.rear_groove

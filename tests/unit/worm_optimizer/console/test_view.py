@@ -100,7 +100,7 @@ def test_the_grooves_of_each_cycle_are_counted_along_the_gait(direction: int):
     history = History(lambda: NOW)
 
     def moment(run: int, cycle: int, groove: int, state: Activity = Activity.RUNNING) -> None:
-        driver = replace(IDLE, state=state, run=run, cycle=cycle, direction=direction)
+        driver = replace(IDLE, state=state, run=run, cycle=cycle, cycles=3, direction=direction)
         twin = replace(TWIN, rear_groove=direction * groove)
         history.add(Snapshot(driver=driver, twin=twin, heard=HEARD))
 
@@ -110,4 +110,6 @@ def test_the_grooves_of_each_cycle_are_counted_along_the_gait(direction: int):
     assert history.grooves == [2, 1, 2]
     moment(2, 1, 5)
     moment(2, 2, 6)
+    assert history.grooves == [1]
+    moment(2, 2, 6, Activity.IDLE)  # stopped within the cycle
     assert history.grooves == [1]
