@@ -124,7 +124,10 @@ async def _answer(
     rows = [
         ("content-type", "text/html; charset=utf-8"),
         ("cache-control", "no-store"),
-        ("referrer-policy", "no-referrer"),
+        (
+            "referrer-policy",
+            "same-origin",
+        ),  # with no-referrer, browsers hide the origin of the form
         ("x-frame-options", "DENY"),
         *(headers or []),
     ]
