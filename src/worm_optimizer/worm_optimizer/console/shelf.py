@@ -31,14 +31,14 @@ class Shelf:
         """The bag of a name; raises `InputError` unless it is one below the folder."""
         path = self._below(name)
         if not (path / METADATA_FILE).is_file():
-            raise InputError(f"{name}: no bag in {self.folder}")
+            raise InputError(f"{name}: no such bag")
         return path
 
     def report(self, name: str) -> Path:
         """The page of a report; raises `InputError` unless there is one below the folder."""
         path = self._below(name)
         if not (path.name.endswith(REPORT) and (path / PAGE).is_file()):
-            raise InputError(f"{name}: no report in {self.folder}")
+            raise InputError(f"{name}: no such report")
         return path / PAGE
 
     def _below(self, name: str) -> Path:
@@ -47,7 +47,7 @@ class Shelf:
         except (OSError, ValueError):
             path = self.folder
         if self.folder not in path.parents:
-            raise InputError(f"{name}: not in {self.folder}")
+            raise InputError(f"{name}: not in the bags folder")
         return path
 
     async def rows(self) -> list[Row]:
