@@ -15,6 +15,7 @@ from worm_model.errors import InputError
 from worm_optimizer.operation.processes import executable_command
 from worm_optimizer.report.report_page import PAGE
 
+_LONGEST = 200  # characters of a name that a file system takes in any case
 REPORT = "_report"  # ends the name of a report's folder
 
 Row = dict[str, Any]
@@ -43,7 +44,7 @@ class Shelf:
 
     def _below(self, name: str) -> Path:
         try:
-            path = (self.folder / name).resolve()
+            path = (self.folder / name[:_LONGEST]).resolve()
         except (OSError, ValueError):
             path = self.folder
         if self.folder not in path.parents:
