@@ -19,7 +19,7 @@ BLOCK_LINE = re.compile(
 INLINE = re.compile(r"`((?:\./worm|ros2 (?:run|launch)) [^`\n]+)`")
 # Subcommands that are executables, and of which package.
 SHORTCUTS = dict.fromkeys(
-    ("start", "operate", "demo", "report", "campaign", "study"), "worm_optimizer"
+    ("start", "operate", "demo", "report", "campaign", "study", "console"), "worm_optimizer"
 )
 SHORTCUTS["watch"] = "worm_model"
 

@@ -16,11 +16,13 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "start = worm_optimizer.commands.start:main",
     "operate = worm_optimizer.commands.operate:main",
     "campaign = worm_optimizer.commands.campaign:main",
+    "console = worm_optimizer.commands.console:main",
     "study = worm_optimizer.commands.study:main",
     "sensitivity = worm_optimizer.commands.sensitivity:main",
 ]
 # What pip brings for a worker of a study, which needs no ROS; requirements*.txt pin the versions.
 NEEDED = ["worm_model", "numpy", "scipy", "PyYAML", "matplotlib", "pymoo", "jinja2", "markdown2"]
+CONSOLE = ["nicegui"]
 STUDY = ["dask", "distributed", "xarray", "zarr"]
 
 setup(
@@ -33,7 +35,11 @@ setup(
     packages=find_packages(),
     package_data={NAME: ["config/*", "config/fronts/*", "report/*.jinja", "study/*.jinja"]},
     install_requires=NEEDED,
-    extras_require={"study": STUDY, "test": ["pytest"]},  # colcon test takes pytest for it
+    extras_require={
+        "study": STUDY,
+        "console": CONSOLE,
+        "test": ["pytest"],
+    },  # colcon test takes pytest for it
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

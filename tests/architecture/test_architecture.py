@@ -59,6 +59,9 @@ CONFINED = {
     "pandas": ["worm_model/analysis/run_table.py"],
     "dask": ["worm_optimizer/study/store.py"],
     "distributed": ["worm_optimizer/study/engine.py", "worm_optimizer/study/study_run.py"],
+    "nicegui": ["worm_optimizer/console/*page*.py", "worm_optimizer/console/server.py"],
+    "fastapi": ["worm_optimizer/console/pages.py"],
+    "starlette": ["worm_optimizer/console/pages.py"],
     "xarray": ["worm_optimizer/study/store.py", "worm_optimizer/study/summary.py"],
     "zarr": ["worm_optimizer/study/store.py"],
     "numcodecs": ["worm_optimizer/study/store.py"],
@@ -85,6 +88,7 @@ SEAMS = {
         "report": {"search", "robustness"},
         "nodes": {"search", "robustness"},
         "operation": {"search", "robustness", "report", "nodes"},
+        "console": {"search", "robustness", "report", "nodes", "operation"},
     },
 }
 SEAMLESS = {"worm_model/simulation/warm_up.py"}

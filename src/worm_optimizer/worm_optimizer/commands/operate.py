@@ -8,8 +8,8 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -32,17 +32,13 @@ from worm_optimizer.nodes.operator_node import (
 from worm_optimizer.operation.bring_up import (
     CYCLES,
     FAILURES,
-    RECORDER,
     Narrator,
-    installed_system_file,
-    recording,
-    work_folder,
 )
 from worm_optimizer.operation.demo_run import now_and_then
-from worm_optimizer.operation.processes import ProcessGroup, counted_interrupts
+from worm_optimizer.operation.processes import counted_interrupts
+from worm_optimizer.operation.recorded_run import new_bag, recorded
 from worm_optimizer.orders import Order, RobotState, RunProgress, RunResult
 
-_AFTERWARDS_S = 2.0  # of rest that end a recording
 _TOLD_S = 2.0  # between two lines of progress
 
 Action = Callable[[OperatorNode, argparse.Namespace], int]
@@ -216,12 +212,13 @@ def _fault(node: OperatorNode, options: argparse.Namespace) -> int:
 def _run(node: OperatorNode, options: argparse.Namespace) -> int:
     say = Narrator("operate")
     order = _ends(options, _own_gait(options) or _requested(node, options, say))
-    bag = _new_bag(options)
+    bag = None if options.record is None else new_bag(options.record)
     say(f"running {order}")
-    with _recorded(node, options, bag):
+    recorder = (
+        nullcontext() if bag is None else recorded(node, bag, options.parameters, str(os.getpid()))
+    )
+    with recorder:
         result = _attended(node, order, say)
-        if bag is not None:
-            node.rest(_AFTERWARDS_S)
     content = {**asdict(result), "bag": None if bag is None else str(bag)}
     print_result(options, content, _result_words(result, bag))
     if not result.success:
@@ -259,42 +256,6 @@ def _requested(node: OperatorNode, options: argparse.Namespace, say: Narrator) -
     phase = 1e3 * found.groove_phase
     say(f"{1e3 * found.nominal_speed:.2f} mm/s expected at a groove phase of {phase:+.1f} mm")
     return found.gait
-
-
-def _new_bag(options: argparse.Namespace) -> Path | None:
-    """A bag that is not there yet, in the folder of --record. Raises `InputError`."""
-    if options.record is None:
-        return None
-    folder: Path = options.record.resolve()
-    if (folder / "metadata.yaml").exists():
-        raise InputError(f"--record {folder}: this is a bag; give the folder that holds the bags")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--record {folder}: {error.strerror}") from None
-    bag = folder / time.strftime("run_%Y_%m_%d-%H_%M_%S")
-    if bag.exists():
-        raise InputError(f"{bag}: exists already; try again in a second")
-    return bag
-
-
-@contextmanager
-def _recorded(node: OperatorNode, options: argparse.Namespace, bag: Path | None) -> Iterator[None]:
-    """A recorder beside the graph's own, where a bag is wanted."""
-    if bag is None:
-        yield
-        return
-    parameters = str(Path(options.parameters).resolve()) if options.parameters else ""
-    system = installed_system_file().system(
-        "robot", options.namespace.strip("/"), bag=str(bag), parameter_file=parameters
-    )
-    name = f"{RECORDER}_{os.getpid()}"
-    with (
-        work_folder("operate") as work,
-        ProcessGroup(work / "logs") as group,
-        recording(group, node, system.node(RECORDER), name),
-    ):
-        yield
 
 
 def _attended(node: OperatorNode, order: Order, say: Narrator) -> RunResult:

@@ -319,6 +319,10 @@ class OperatorNode(Node):
         """Hold the robot where it is, at once; returns what was done. Raises `OperatorError`."""
         return self._trigger("stop")
 
+    def prepare_stop(self) -> None:
+        """Have the service that stops discovered before it is needed."""
+        self._client(Trigger, "stop")
+
     def emergency_stop(self, on: bool) -> None:  # noqa: FBT001 (the topic's own value)
         """Hold at once and refuse every start, or permit starts again; waits until the driver says so.
 
@@ -455,12 +459,15 @@ class OperatorNode(Node):
             return self._call(kind, name, request)
 
     def _call(self, kind: Any, name: str, request: Any) -> Any:
-        if name not in self._named_clients:  # one for good: a new one would be discovered anew
-            self._named_clients[name] = self.create_client(kind, name)
-        client = self._named_clients[name]
+        client = self._client(kind, name)
         if not self.wait(client.service_is_ready, DISCOVERY_TIMEOUT_S):
             raise OperatorError(f"no service {name}")
         return self._result(client.call_async(request), name, CALL_TIMEOUT_S)
+
+    def _client(self, kind: Any, name: str) -> Client:
+        if name not in self._named_clients:  # one for good: a new one would be discovered anew
+            self._named_clients[name] = self.create_client(kind, name)
+        return self._named_clients[name]
 
     def _result(self, future: Future, name: str, timeout_s: float) -> Any:
         if not self.wait(future.done, timeout_s):

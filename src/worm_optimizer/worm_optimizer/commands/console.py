@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line: the console, which shows the robot in a browser and has it do what `operate` does."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import secrets
+import socket
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
+
+from worm_model.commands.command_line import FAILED, InputError, Parser, run_command
+from worm_model.parameters import load_parameters
+from worm_optimizer.commands.robot_options import add_robot, robot_of
+from worm_optimizer.nodes.operator_node import OperatorNode, operator
+from worm_optimizer.operation.bring_up import Narrator, Say, session
+from worm_optimizer.operation.system import RESTARTS, System
+
+PORT = 8080
+
+
+def main() -> int:
+    """Entry point of the executable console."""
+    return run_command(_parser(), _console)
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="console",
+        description="The robot in a browser: live view, gaits, recordings. Serves a node graph that runs "
+        "(./worm start), or brings one up with --virtual. Only this computer reaches the page, unless --listen says "
+        "otherwise.",
+    )
+    parser.add_argument(
+        "--virtual", action="store_true", help="bring a virtual robot's whole graph up, too"
+    )
+    parser.add_argument("--namespace", default="worm", help="of the robot (default: worm)")
+    parser.add_argument(
+        "--listen",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="of this computer on a network, 0.0.0.0 for all; a token is then needed, and printed",
+    )
+    parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}")
+    parser.add_argument(
+        "--password-file",
+        type=Path,
+        metavar="FILE",
+        help="whose first line one signs in with, instead of a token",
+    )
+    parser.add_argument(
+        "--bags",
+        type=Path,
+        default=Path("bags"),
+        metavar="FOLDER",
+        help="of the recordings (default: bags)",
+    )
+    add_robot(parser)
+    parser.add_parameters()
+    return parser
+
+
+def _console(options: argparse.Namespace) -> int:
+    if importlib.util.find_spec("nicegui") is None:
+        raise InputError(
+            "the console needs NiceGUI: pip install -r requirements-console.txt, or use ./worm console"
+        )
+    from worm_optimizer.console.access import Access
+    from worm_optimizer.console.control import Control
+    from worm_optimizer.console.desk import Desk, Word
+    from worm_optimizer.console.hub import Hub, new_words
+    from worm_optimizer.console.server import serve
+    from worm_optimizer.console.shelf import Shelf
+
+    parameters = load_parameters(options.parameters)
+    secret = _secret(options)
+    _refuse_taken_port(options.listen, options.port)
+    say = Narrator("console")
+    words = new_words()
+
+    def tell(word: Word) -> None:
+        words.append(word)
+        say(word.text)
+
+    namespace = "/" + options.namespace.strip("/")
+    name = f"console_{os.getpid()}"
+    desk = Desk(
+        _robot_opener(options, namespace, name),
+        lambda: operator(namespace, _nothing, f"{name}_stop"),
+        tell,
+    )
+    control = Control(time.monotonic)
+    hub = Hub(desk, control, Shelf(options.bags), parameters, options.parameters, words)
+    address = f"http://{_named(options.listen)}:{options.port}/"
+    token = f"?token={secret}" if secret and not options.password_file else ""
+    say(f"{address}{token} (Ctrl-C ends it)")
+    with suppress(KeyboardInterrupt):  # the way to end it
+        serve(hub, Access(secret, time.monotonic), options.listen, options.port)
+    return FAILED if desk.failure else 0
+
+
+def _robot_opener(
+    options: argparse.Namespace, namespace: str, name: str
+) -> Callable[[Say], AbstractContextManager[OperatorNode]]:
+    """Opens the operator of a graph that runs, or of one that is brought up first."""
+    robot = robot_of(options, "virtual" if options.virtual else "robot")
+    system = robot.file.system(robot.mode, namespace.strip("/"), **robot.settings)
+
+    @contextmanager
+    def opened(say: Say) -> Iterator[OperatorNode]:
+        if options.virtual:
+            with _graph(system, say) as node:
+                yield node
+        else:
+            with operator(namespace, _nothing, name) as node:
+                yield node
+
+    return opened
+
+
+@contextmanager
+def _graph(system: System, say: Say) -> Iterator[OperatorNode]:
+    logs = Path(tempfile.mkdtemp(prefix="worm_console_"))
+    say(f"the logs of all nodes go to {logs}")
+    with session(system, logs, say, RESTARTS) as running:
+        running.node.configure()
+        say("ready")
+        yield running.node
+
+
+def _nothing() -> None:
+    """Looks after no processes."""
+
+
+def _secret(options: argparse.Namespace) -> str:
+    """What one signs in with; nothing where only this computer reaches the pages. Raises `InputError`."""
+    from worm_optimizer.console.access import is_local
+
+    if options.password_file is None:
+        return "" if is_local(options.listen) else secrets.token_urlsafe(24)
+    try:
+        password = options.password_file.read_text(encoding="utf-8").splitlines()[:1]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"--password-file {options.password_file}: {error}") from None
+    if not password or len(password[0]) < 8:
+        raise InputError(
+            f"--password-file {options.password_file}: its first line is to have 8 characters or more"
+        )
+    return str(password[0])
+
+
+def _named(host: str) -> str:
+    """A host as it stands in an address; this computer's name where it listens everywhere."""
+    if host in ("0.0.0.0", "::"):
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host
+
+
+def _refuse_taken_port(host: str, port: int) -> None:
+    """Raises `InputError` where nobody could listen."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        with socket.socket(family, socket.SOCK_STREAM) as tried:
+            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            tried.bind((host, port))
+    except (OSError, OverflowError) as error:
+        raise InputError(f"--listen {host} --port {port}: {error}") from None

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all pages share: one desk, one snapshot a frame, one minute of history, one holder of control."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from dataclasses import dataclass, field
+
+from worm_model.parameters import Parameters
+from worm_model.twin.records import LengthSource
+from worm_optimizer.console.control import Control
+from worm_optimizer.console.desk import Desk, Word
+from worm_optimizer.console.shelf import Shelf
+from worm_optimizer.console.view import History, live
+from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.snapshot import Snapshot
+
+_FRESH_S = 0.02  # for which a snapshot serves all pages
+_WORDS = 50
+
+
+@dataclass
+class Hub:
+    """Used by the pages' thread alone, but for ``words``, to which the desk's threads append.
+
+    ``parameter_file`` is empty for the paper's values; ``fronts`` are the gaits of each direction that were read.
+    """
+
+    desk: Desk
+    control: Control
+    shelf: Shelf
+    parameters: Parameters
+    parameter_file: str
+    words: deque[Word]
+    fronts: dict[int, list[Prediction]] = field(default_factory=dict)
+    history: History = field(default_factory=lambda: History(time.monotonic))
+    _taken: tuple[float, Snapshot] = (-math.inf, Snapshot())
+
+    def snapshot(self) -> Snapshot:
+        """What is known now."""
+        now = time.monotonic()
+        if now - self._taken[0] > _FRESH_S:
+            self._taken = (now, self.desk.snapshot())
+        return self._taken[1]
+
+    def remember(self) -> None:
+        """Add this moment to the history; see `History.add`."""
+        self.history.add(self.snapshot())
+
+    def wanted(self) -> bool:
+        """Whether what runs is still wanted: nobody has pressed STOP, and the page that holds control lives."""
+        return self.control.held and not self.desk.stopped
+
+    def numbers(self, now: float) -> dict[str, str]:
+        """The table of the live page; a dash for what is silent."""
+        snapshot = self.snapshot()
+        lengths = {
+            f"{source.name.lower()} length": _millimetres(snapshot.lengths.get(source, math.nan))
+            if live(snapshot, f"body_length/{source.name.lower()}", now)
+            else "–"
+            for source in LengthSource
+        }
+        twin = snapshot.twin if live(snapshot, "twin/state", now) else None
+        residuals = snapshot.residuals if live(snapshot, "twin/residuals", now) else None
+        nan = math.nan
+        return {
+            **lengths,
+            "measured power": _watts(snapshot.power if live(snapshot, "power", now) else nan),
+            "predicted power": _watts(nan if twin is None else twin.power),
+            "residual of x1": _millimetres(nan if residuals is None else residuals.rear_position),
+            "residual of length": _millimetres(nan if residuals is None else residuals.length),
+            "residual of power": _watts(nan if residuals is None else residuals.power),
+            "groove phase": _millimetres(nan if twin is None else twin.groove_phase),
+            "grooves per cycle": ", ".join(map(str, self.history.grooves[-8:])) or "–",
+        }
+
+
+def new_words() -> deque[Word]:
+    """What is told, the newest last."""
+    return deque(maxlen=_WORDS)
+
+
+def _millimetres(value: float) -> str:
+    return f"{1e3 * value:.1f} mm" if math.isfinite(value) else "–"
+
+
+def _watts(value: float) -> str:
+    return f"{value:.2f} W" if math.isfinite(value) else "–"

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot in its pipe as SVG, to scale: the shapes of the twin's scene from the side."""
+
+from __future__ import annotations
+
+from worm_model.gait import FORWARD
+from worm_model.parameters import Parameters
+from worm_model.twin.records import StateRecord
+from worm_model.twin.scene import PIPE_RADIUS, Kind, Shape, Sighting, scene
+
+BEFORE, BEHIND = 0.12, 0.12  # m of pipe shown before and behind the robot
+_WALL = 0.006  # m
+_VIEW_STEP = 0.05  # m by which the view moves on, so that the pipe rests while the robot moves
+_NAMES = {"twin": "ghost", "robot": "robot", "pipe": "pipe", "rear": "fins", "front": "fins"}
+
+
+def picture(
+    twin: StateRecord | None, robot: Sighting, parameters: Parameters, direction: int = FORWARD
+) -> str:
+    """An SVG element, its user unit 1 mm; without a twin, the empty pipe and a word.
+
+    ``direction`` is that of the gait, on which it depends which fins hold.
+    """
+    if twin is None:
+        return _svg(0.0, 0.5, _words(0.25, "no twin is heard"), "The empty pipe")
+    middle = 0.5 * (twin.rear_position + twin.front_position)
+    left = round(middle / _VIEW_STEP) * _VIEW_STEP - 0.5 * parameters.initial_length - BEHIND
+    width = parameters.initial_length + BEHIND + BEFORE
+    shapes = scene(twin, robot, parameters, direction)
+    shown = "".join(_drawn(shape) for shape in shapes)
+    words = (
+        f"Twin from {1e3 * twin.rear_position:.0f} to {1e3 * twin.front_position:.0f} mm, "
+        f"robot {'seen' if robot.seen_at(twin.stamp_ns) else 'not seen by the tracker'}"
+    )
+    return _svg(left, width, shown, words)
+
+
+def _svg(left: float, width: float, content: str, words: str) -> str:
+    half = 1e3 * (PIPE_RADIUS + 2.0 * _WALL)
+    walls = "".join(
+        _rect("pipe", left, side * (PIPE_RADIUS + 0.5 * _WALL), width, _WALL)
+        for side in (-1.0, 1.0)
+    )
+    return (
+        f'<svg class="worm" role="img" aria-label="{words}" xmlns="http://www.w3.org/2000/svg" '
+        f'viewBox="{1e3 * left:.1f} {-half:.1f} {1e3 * width:.1f} {2.0 * half + 14.0:.1f}">'
+        f"{content}{walls}{_scale_bar(left, half)}</svg>"
+    )
+
+
+def _drawn(shape: Shape) -> str:
+    """A shape as rectangles; its colour stands for what it does, its class for what it is."""
+    kind = _NAMES[shape.name.split()[0]]
+    x, _, z = shape.position
+    if shape.kind is Kind.BOXES:
+        size = (shape.size[0], 2.0 * _WALL)
+        return "".join(_box(kind, x + dx, z + dz, size) for dx, _, dz in shape.points)
+    if shape.kind is Kind.CYLINDER:
+        return _box(f"{kind} bellows", x, z, (shape.size[2], shape.size[0]))
+    if kind == "fins":
+        red, green, blue, _ = shape.colour
+        colour = f"rgb({255 * red:.0f},{255 * green:.0f},{255 * blue:.0f})"
+        return _box(kind, x, z, (max(shape.size[0], 0.006), shape.size[2]), colour)
+    return _box(kind, x, z, (shape.size[0], shape.size[2]))
+
+
+def _box(kind: str, x: float, z: float, size: tuple[float, float], colour: str = "") -> str:
+    return _rect(kind, x - 0.5 * size[0], z, *size, colour)
+
+
+def _rect(kind: str, left: float, z: float, width: float, height: float, colour: str = "") -> str:
+    fill = f' style="fill:{colour}"' if colour else ""
+    return (
+        f'<rect class="{kind}" x="{1e3 * left:.1f}" y="{1e3 * (-z - 0.5 * height):.1f}" '
+        f'width="{1e3 * width:.1f}" height="{1e3 * height:.1f}"{fill}/>'
+    )
+
+
+def _scale_bar(left: float, half: float) -> str:
+    at, y = 1e3 * left + 8.0, half + 4.0
+    return (
+        f'<path class="scale" d="M{at:.1f} {y:.1f}h100"/>'
+        f'<text class="scale" x="{at + 104:.1f}" y="{y + 3.0:.1f}">100 mm</text>'
+    )
+
+
+def _words(x: float, text: str) -> str:
+    return f'<text class="none" x="{1e3 * x:.0f}" y="4" text-anchor="middle">{text}</text>'

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a person does from a page, as acts of the desk: the same calls that `operate` makes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+
+from worm_optimizer.nodes.operator_node import OperatorError, OperatorNode, UnreachableError
+from worm_optimizer.operation.recorded_run import new_bag, recorded
+from worm_optimizer.orders import Order, Progress
+from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search.gait_request import GaitRequest, Objective
+
+_NEXT = 1.0 + 1e-6  # times a gait's speed: what the next one of the front exceeds
+_MOST_GAITS = 200
+
+_numbers: Iterator[int] = count(1)  # of recorders
+
+
+def home(node: OperatorNode) -> str:
+    """Take the present length as the initial one."""
+    return node.home()
+
+
+def activate(node: OperatorNode) -> str:
+    """Turn the torque on."""
+    node.activate()
+    return "the driver is active, its torque is on"
+
+
+def deactivate(node: OperatorNode) -> str:
+    """Bring the robot to rest and turn the torque off."""
+    node.deactivate()
+    return "the robot is at rest, its torque is off"
+
+
+def emergency_stop_off(node: OperatorNode) -> str:
+    """Permit starts again."""
+    node.emergency_stop(on=False)
+    return "the emergency stop is off: starts are permitted again"
+
+
+def read_front(
+    node: OperatorNode, direction: int, initial_length: float, say: Callable[[str], None]
+) -> list[Prediction]:
+    """All gaits that the optimizer answers with, by rising speed, each asked for by the speed of the one before it.
+
+    ``initial_length`` in m, 0: that of the parameters. Raises `OperatorError`.
+    """
+
+    def request(objective: Objective, value: float = 0.0) -> Prediction:
+        return node.request_gait(GaitRequest(objective, value), say, direction, initial_length)
+
+    gaits = [request(Objective.MIN_POWER)]
+    fastest = request(Objective.MAX_SPEED)
+    while gaits[-1].speed < fastest.speed and len(gaits) < _MOST_GAITS:
+        try:
+            gaits.append(request(Objective.MIN_POWER_AT_SPEED, gaits[-1].speed * _NEXT))
+        except UnreachableError:
+            break
+    return gaits
+
+
+def run(
+    node: OperatorNode,
+    order: Order,
+    folder: Path,
+    parameters: str,
+    wanted: Callable[[], bool],
+    progress: Progress,
+) -> str:
+    """Run a gait and record it into a new bag in a folder; what came of it, in words.
+
+    Without ``wanted`` its heartbeat ends, and the robot comes to rest. Raises `OperatorError` or `InputError`.
+    """
+    bag = new_bag(folder)
+    with recorded(node, bag, parameters, f"console_{os.getpid()}_{next(_numbers)}"):
+        if not wanted():
+            raise OperatorError("not begun: stopped before")
+        going = node.begin(order, wanted)
+        try:
+            node.follow(going, progress)
+            result = going.result
+        finally:
+            going.close()
+    words = f"{result.message}; recorded in {bag.name}"
+    if not result.success:
+        raise OperatorError(words)
+    return words

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a page shows of a robot: what is live and what silent, words, and what may be pressed and why not."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from worm_model.twin.records import Activity, LengthSource, StateRecord
+from worm_model.twin.watch_view import STALE_S
+from worm_optimizer.snapshot import DriverWord, Snapshot
+
+SOURCES: Mapping[str, str] = {  # topics, by who is silent when they are
+    "body_length/commanded": "driver",
+    "body_length/cable": "cable",
+    "power": "power",
+    "tracker": "tracker",
+    "twin/state": "twin",
+}
+REMEMBERED_S = 60.0
+SAMPLE_S = 0.2  # between two samples of what is remembered
+_AT_REST = 5e-3  # m from the initial length
+MOVING = (Activity.RESTING, Activity.RUNNING, Activity.STOPPING)
+
+
+def live(snapshot: Snapshot, topic: str, now: float) -> bool:
+    """Whether a topic was heard within `STALE_S`."""
+    at = snapshot.heard.get(topic)
+    return at is not None and now - at <= STALE_S
+
+
+def silences(snapshot: Snapshot, now: float) -> list[str]:
+    """Who has fallen silent, or was never heard, in words."""
+    found = []
+    for topic, name in SOURCES.items():
+        at = snapshot.heard.get(topic)
+        if at is None:
+            found.append(f"{name}: not heard")
+        elif now - at > STALE_S:
+            found.append(f"{name}: silent for {now - at:.0f} s")
+    return found
+
+
+def state_words(snapshot: Snapshot, now: float) -> str:
+    """What the driver does, in a few words."""
+    driver = snapshot.driver
+    if driver is None:
+        return "no driver heard"
+    words = driver.state.name.lower()
+    if not live(snapshot, "body_length/commanded", now) and driver.state is not Activity.INACTIVE:
+        words += ", now silent"
+    if driver.state in MOVING and driver.cycle:
+        words += f", cycle {driver.cycle} of {driver.cycles}" if driver.cycles else ""
+    return f"emergency stop, {words}" if driver.emergency_stop else words
+
+
+def obstacles(snapshot: Snapshot, *, busy: str, controls: bool) -> dict[str, str]:
+    """Why each action cannot be pressed now, empty where it can be.
+
+    ``busy`` says what is being done, empty: nothing; ``controls`` whether the page holds control.
+    """
+    driver = snapshot.driver
+    common = ""
+    if not controls:
+        common = "this page does not hold control: Take control"
+    elif busy:
+        common = f"wait: {busy}"
+    elif driver is None:
+        common = "no driver is heard"
+    if common or driver is None:
+        return dict.fromkeys(("Home", "Activate", "Deactivate", "Run"), common)
+    off = driver.state is Activity.INACTIVE
+    moving = "the robot moves" if driver.state in MOVING else ""
+    blocked = "the emergency stop is on" if driver.emergency_stop else ""
+    return {
+        "Home": moving or ("" if off else "its torque is on: Deactivate first"),
+        "Activate": blocked or ("" if off else "its torque is on already"),
+        "Deactivate": "its torque is off already" if off else "",
+        "Run": blocked or moving or ("its torque is off: Activate first" if off else ""),
+    }
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What is remembered of a moment: lengths in m, powers in W, NaN what is silent."""
+
+    time: float
+    commanded: float
+    cable: float
+    measured: float
+    estimated: float
+    power: float
+    predicted: float
+
+
+def sample(snapshot: Snapshot, now: float) -> Sample:
+    """The numbers of now, NaN where their topic is silent."""
+
+    def length(source: LengthSource, topic: str) -> float:
+        heard = live(snapshot, f"body_length/{topic}", now)
+        return snapshot.lengths.get(source, math.nan) if heard else math.nan
+
+    twin = snapshot.twin if live(snapshot, "twin/state", now) else None
+    return Sample(
+        time=now,
+        commanded=length(LengthSource.COMMANDED, "commanded"),
+        cable=length(LengthSource.CABLE, "cable"),
+        measured=length(LengthSource.MEASURED, "measured"),
+        estimated=length(LengthSource.ESTIMATED, "estimated"),
+        power=snapshot.power if live(snapshot, "power", now) else math.nan,
+        predicted=math.nan if twin is None else twin.power,
+    )
+
+
+def _whole(driver: DriverWord, twin: StateRecord, cycle: int) -> bool:
+    """Whether a run has ended with a cycle's end, not within it."""
+    at_rest = abs(twin.length - twin.initial_length) < _AT_REST
+    return driver.state is Activity.IDLE and cycle == driver.cycles and at_rest
+
+
+class History:
+    """A minute back, and the grooves that each cycle of the present run gained; ``clock`` tells the time in s."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self.samples: deque[Sample] = deque(maxlen=round(REMEMBERED_S / SAMPLE_S))
+        self.grooves: list[int] = []
+        self._cycle: tuple[int, int] = (0, 0)  # run and cycle
+        self._from = 0  # groove of the rear anchor at its start
+
+    def add(self, snapshot: Snapshot) -> None:
+        """Remember a moment; to be called every `SAMPLE_S`."""
+        self.samples.append(sample(snapshot, self._clock()))
+        driver, twin = snapshot.driver, snapshot.twin
+        if driver is None or twin is None:
+            return
+        moving = driver.state in MOVING and driver.cycle > 0
+        cycle = (driver.run, driver.cycle if moving else 0)
+        if cycle == self._cycle:
+            return
+        if cycle[0] != self._cycle[0]:
+            self.grooves = []
+        elif self._cycle[1] and (moving or _whole(driver, twin, self._cycle[1])):
+            self.grooves.append((twin.rear_groove - self._from) * driver.direction)
+        self._cycle, self._from = cycle, twin.rear_groove

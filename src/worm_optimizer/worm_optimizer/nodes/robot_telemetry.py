@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One subscription to everything that is shown of a robot, for as many as look on."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from worm_model.nodes.twin_messages import nanoseconds
+from worm_model.twin.records import Activity, Health, LengthSource, StateRecord
+from worm_model.twin.scene import Sighting
+from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
+from worm_optimizer.snapshot import DriverWord, Residuals, Snapshot
+
+_NEWEST = QoSProfile(depth=1)
+_SIGHTINGS = (
+    200  # 2 s at 100 Hz: the twin is behind by its delay, and is shown beside what was seen then
+)
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_LENGTHS = {
+    LengthSource.COMMANDED: "body_length/commanded",
+    LengthSource.CABLE: "body_length/cable",
+    LengthSource.ESTIMATED: "body_length/estimated",
+    LengthSource.MEASURED: "body_length/measured",
+}
+_TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
+    "gait_state": (GaitState, _LATCHED),
+    "power": (Power, _NEWEST),
+    "tracker": (Tracker, _NEWEST),
+    "twin/state": (TwinState, _NEWEST),
+    "twin/residuals": (TwinResiduals, _NEWEST),
+    **dict.fromkeys(_LENGTHS.values(), (BodyLength, _NEWEST)),
+}
+
+
+class Telemetry:
+    """Keeps the newest message of every topic; ``snapshot`` may be called from another thread than the node's."""
+
+    def __init__(self, node: Node) -> None:
+        self._heard: dict[str, tuple[float, Any]] = {}
+        self._sightings: deque[Any] = deque(maxlen=_SIGHTINGS)
+        for topic, (kind, qos) in _TOPICS.items():
+            node.create_subscription(kind, topic, self._keep(topic), qos)
+
+    def _keep(self, topic: str) -> Any:
+        def keep(message: Any) -> None:
+            self._heard[topic] = (time.monotonic(), message)
+            if topic == "tracker":
+                self._sightings.append(message)
+
+        return keep
+
+    def snapshot(self) -> Snapshot:
+        """What is known now, heard by the monotonic clock; the robot as it was seen at the twin's stamp."""
+        heard = dict(self._heard)
+        newest = {topic: message for topic, (_, message) in heard.items()}
+        power = newest.get("power")
+        return Snapshot(
+            driver=_driver_of(newest.get("gait_state")),
+            twin=_twin_of(newest.get("twin/state")),
+            residuals=_residuals_of(newest.get("twin/residuals")),
+            robot=_robot_at(newest.get("twin/state"), list(self._sightings)),
+            lengths={s: newest[topic].length for s, topic in _LENGTHS.items() if topic in newest},
+            power=power.power if power is not None else math.nan,
+            heard={topic: at for topic, (at, _) in heard.items()},
+        )
+
+
+def _driver_of(message: Any) -> DriverWord | None:
+    if message is None:
+        return None
+    told = ("homed", "emergency_stop", "run", "cycle", "cycles", "message")
+    gait = {name: getattr(message.gait, name) for name in ("stroke", "frequency", "direction")}
+    return DriverWord(
+        state=Activity(message.state), **{name: getattr(message, name) for name in told}, **gait
+    )
+
+
+def _twin_of(message: Any) -> StateRecord | None:
+    if message is None:
+        return None
+    names = [row.name for row in dataclasses.fields(StateRecord) if row.name != "stamp_ns"]
+    values = {name: getattr(message, name) for name in names}
+    values["length_source"] = LengthSource(message.length_source)
+    return StateRecord(stamp_ns=nanoseconds(message.header.stamp), **values)
+
+
+def _residuals_of(message: Any) -> Residuals | None:
+    if message is None:
+        return None
+    values = {row.name: getattr(message, row.name) for row in dataclasses.fields(Residuals)}
+    return Residuals(**{**values, "health": Health(message.health)})
+
+
+def _robot_at(twin: Any, sightings: list[Any]) -> Sighting:
+    """What the tracker said about the stamp of a message of the twin, its newest word without one."""
+    seen = [
+        Sighting(message.rear_position, message.front_position, nanoseconds(message.header.stamp))
+        for message in (sightings if twin is not None else sightings[-1:])
+    ]
+    if twin is None or not seen:
+        return seen[-1] if seen else Sighting()
+    stamp = nanoseconds(twin.header.stamp)
+    return min(seen, key=lambda sighting: abs(sighting.stamp_ns - stamp))

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run with a recorder beside the graph's own, into a new bag in a folder of bags."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from worm_model.errors import InputError
+from worm_optimizer.nodes.operator_node import OperatorNode
+from worm_optimizer.operation.bring_up import (
+    RECORDER,
+    installed_system_file,
+    recording,
+    work_folder,
+)
+from worm_optimizer.operation.processes import ProcessGroup
+
+AFTERWARDS_S = 2.0  # of rest that end a recording
+
+
+def new_bag(folder: Path) -> Path:
+    """A bag that is not there yet in a folder, which is made. Raises `InputError`."""
+    folder = folder.resolve()
+    if (folder / "metadata.yaml").exists():
+        raise InputError(f"{folder}: this is a bag; give the folder that holds the bags")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror}") from None
+    bag = folder / time.strftime("run_%Y_%m_%d-%H_%M_%S")
+    if bag.exists():
+        raise InputError(f"{bag}: exists already; try again in a second")
+    return bag
+
+
+@contextmanager
+def recorded(node: OperatorNode, bag: Path, parameter_file: str, name: str) -> Iterator[None]:
+    """A recorder of a name of its own, until the context and some rest have ended; see `recording`."""
+    system = installed_system_file().system(
+        "robot",
+        node.get_namespace().strip("/"),
+        bag=str(bag),
+        parameter_file=str(Path(parameter_file).resolve()) if parameter_file else "",
+    )
+    with (
+        work_folder("record") as work,
+        ProcessGroup(work / "logs") as group,
+        recording(group, node, system.node(RECORDER), f"{RECORDER}_{name}"),
+    ):
+        yield
+        node.rest(AFTERWARDS_S)

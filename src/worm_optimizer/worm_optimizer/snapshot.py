@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was last heard of a robot and its twin, as values that know no ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from worm_model.twin.records import Activity, Health, LengthSource, StateRecord
+from worm_model.twin.scene import Sighting
+
+
+@dataclass(frozen=True)
+class DriverWord:
+    """The driver's last GaitState; ``stroke`` in m, 0: no gait; ``frequency`` in Hz; ``run`` 0 before the first."""
+
+    state: Activity
+    homed: bool
+    emergency_stop: bool
+    run: int
+    cycle: int
+    cycles: int
+    stroke: float
+    frequency: float
+    direction: int
+    message: str
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Measured minus predicted in m, m and W, each with the scale that is usual for it; NaN without a measurement."""
+
+    rear_position: float
+    rear_position_scale: float
+    length: float
+    length_scale: float
+    power: float
+    power_scale: float
+    health: Health
+    message: str
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The newest of everything; None or NaN what has not come yet.
+
+    ``lengths`` in m by their source, ``power`` in W as measured. ``heard`` says when each topic was heard last (s, on
+    the clock that the reader uses, too); topics that never were are missing in it.
+    """
+
+    driver: DriverWord | None = None
+    twin: StateRecord | None = None
+    residuals: Residuals | None = None
+    robot: Sighting = field(default_factory=Sighting)
+    lengths: Mapping[LengthSource, float] = field(default_factory=dict)
+    power: float = math.nan
+    heard: Mapping[str, float] = field(default_factory=dict)

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The console in a real browser, with the virtual robot's whole graph behind it."""
+
+import os
+import re
+import shutil
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from harness import Processes
+
+from worm_optimizer.operation.processes import executable_command
+
+NEEDED = "needs pip install -r requirements-console.txt -r requirements-dev.txt"
+pytest.importorskip("nicegui", reason=NEEDED)
+sync_api = pytest.importorskip("playwright.sync_api", reason=NEEDED)
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: apt install chromium"),
+    pytest.mark.timeout(600),
+]
+ARGUMENTS = (
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run "
+    "--disable-background-networking --disable-component-update --disable-sync"
+).split()
+TIMEOUT_S = (
+    240.0  # a kernel that is not compiled and a front that is not kept yet, on a busy machine
+)
+PASSWORD = "dirty hands"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator["sync_api.Browser"]:
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(browser: "sync_api.Browser") -> Iterator["sync_api.Page"]:
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    context.set_default_timeout(1e3 * TIMEOUT_S)
+    page = context.new_page()
+    sync_api.expect.set_options(timeout=1e3 * TIMEOUT_S)
+    yield page
+    context.close()
+
+
+def free_port() -> int:
+    with socket.socket() as tried:
+        tried.bind(("127.0.0.1", 0))
+        return tried.getsockname()[1]
+
+
+class Console:
+    """The command as a process."""
+
+    def __init__(self, processes: Processes, folder: Path, *arguments: str) -> None:
+        self.bags = folder / "bags"
+        port = free_port()
+        self.address = f"http://127.0.0.1:{port}/"
+        words = ["--port", str(port), "--bags", str(self.bags), *arguments]
+        command = executable_command("worm_optimizer", "console")
+        command = [
+            "env",
+            "-u",
+            "PYTEST_CURRENT_TEST",
+            *command,
+            *words,
+        ]  # else NiceGUI tests itself
+        self.process = processes.start("console", command)
+        self.process.wait_for_line(re.escape(self.address), TIMEOUT_S)
+
+    def open(self, page: "sync_api.Page") -> None:
+        """As a person does who is impatient: the server may not listen yet."""
+        for _ in range(100):
+            try:
+                page.goto(self.address)
+                break
+            except sync_api.Error:
+                assert self.process.exit_code is None, self.process.output()
+                page.wait_for_timeout(200)
+        page.get_by_role("tab", name="Act").click()
+
+
+@pytest.fixture
+def console(processes: Processes, tmp_path: Path) -> Console:
+    return Console(processes, tmp_path, "--virtual", "--set", f"directory={tmp_path / 'robot'}")
+
+
+def press(page: "sync_api.Page", name: str) -> None:
+    page.get_by_role("button", name=name, exact=True).click()
+
+
+def state(page: "sync_api.Page") -> "sync_api.Locator":
+    return page.get_by_role("banner").get_by_role("status")
+
+
+def word(page: "sync_api.Page") -> "sync_api.Locator":
+    return page.get_by_role("contentinfo").get_by_role("status")
+
+
+def choose_a_gait(page: "sync_api.Page") -> None:
+    """From a robot that lies there to one that can be run."""
+    expect = sync_api.expect
+    expect(page.get_by_role("button", name="Home")).to_be_disabled()
+    press(page, "Take control")
+    press(page, "Activate")
+    expect(state(page)).to_have_text("idle")
+    expect(page.get_by_role("button", name="Run", exact=True)).to_be_disabled()
+    page.get_by_role("button", name="Read front").click()
+    points = page.locator('.front svg path[fill="#0072B2"]')
+    expect(points.first).to_be_visible()
+    points.last.click()  # the others lie partly below their neighbours
+    expect(page.get_by_role("button", name="Run", exact=True)).to_be_enabled()
+
+
+def test_a_gait_is_run_stopped_found_and_reported(page: "sync_api.Page", console: Console):
+    expect = sync_api.expect
+    console.open(page)
+    choose_a_gait(page)
+    press(page, "Run")
+    expect(word(page)).to_contain_text("cycle 2")
+    page.get_by_role("tab", name="Live").click()
+    expect(page.get_by_role("img", name=re.compile("robot seen"))).to_be_visible()
+    page.keyboard.press("Space")
+    expect(state(page)).to_have_text("idle")
+    expect(word(page)).to_contain_text("recorded in run_")
+    page.get_by_role("tab", name="Recordings").click()
+    row = page.get_by_role("row", name=re.compile("run_"))
+    row.get_by_role("checkbox").click()
+    page.get_by_role("button", name="Open report").click()
+    report = page.frame_locator('iframe[title="Report"]')
+    expect(report.get_by_role("heading").first).to_contain_text("Worm robot")
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Download").click()
+    assert download.value.suggested_filename == f"{next(console.bags.glob('run_*[0-9]')).name}.zip"
+    page.get_by_role("textbox", name="Search").fill("no such run")
+    expect(row).to_have_count(0)
+    console.process.interrupt()
+    assert console.process.wait(TIMEOUT_S) == 0
+
+
+def test_closing_the_page_during_a_run_stops_it(
+    page: "sync_api.Page", browser: "sync_api.Browser", console: Console
+):
+    expect = sync_api.expect
+    console.open(page)
+    choose_a_gait(page)
+    other = browser.new_page()
+    console.open(other)
+    expect(other.get_by_role("button", name="Ask for control")).to_be_visible()
+    press(page, "Run")
+    expect(state(other)).to_contain_text("running")
+    expect(other.get_by_role("button", name="Stop", exact=True)).to_be_enabled()
+    page.close()
+    expect(state(other)).to_have_text("idle")
+    expect(word(other)).to_contain_text("not heard")
+    expect(other.get_by_role("button", name="Take control")).to_be_visible()
+    other.close()
+
+
+def test_a_wrong_password_is_refused(page: "sync_api.Page", processes: Processes, tmp_path: Path):
+    expect = sync_api.expect
+    password = tmp_path / "password"
+    password.write_text(f"{PASSWORD}\n")
+    console = Console(processes, tmp_path, "--password-file", str(password))
+    for _ in range(100):
+        try:
+            page.goto(console.address)
+            break
+        except sync_api.Error:
+            page.wait_for_timeout(200)
+    secret = page.get_by_label("Token or password")
+    secret.fill("clean hands")
+    press(page, "Sign in")
+    expect(page.get_by_role("alert")).to_contain_text("Wrong token or password")
+    assert page.goto(f"{console.address}bags/x").url.endswith("/login")
+    secret.fill(PASSWORD)
+    press(page, "Sign in")
+    expect(state(page)).to_have_text("no driver heard")
+    expect(page.get_by_role("button", name="Stop", exact=True)).to_be_enabled()
+    assert page.goto(f"{console.address}bags/..%2f..%2fpassword").status == 404
+    assert os.fspath(console.bags) not in page.goto(f"{console.address}reports/none").text()

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who is let in: by where a request comes from, by a secret, and for how long."""
+
+import pytest
+
+from worm_optimizer.console.access import SESSION_S, Access, is_local, same_origin
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.mark.parametrize(
+    ("origin", "same"),
+    [
+        (None, True),
+        ("http://robot:8080", True),
+        ("http://robot:8081", False),
+        ("http://evil.example", False),
+        ("http://robot:8080.evil.example", False),
+        ("null", False),
+        ("", False),
+    ],
+)
+def test_only_pages_of_the_console_are_of_its_origin(origin: str | None, same: bool):
+    headers = {"host": "robot:8080"} | ({} if origin is None else {"origin": origin})
+    assert same_origin(headers) is same
+
+
+@pytest.mark.parametrize("host", ["localhost:8080", "127.0.0.1:8080", "[::1]:8080", "localhost"])
+def test_without_a_secret_this_computer_is_let_in(host: str, clock: Clock):
+    assert Access("", clock).admits({"host": host, "origin": f"http://{host}"}, "")
+
+
+@pytest.mark.parametrize("host", ["evil.example:8080", "", "127.0.0.1.evil.example", "192.168.0.4"])
+def test_without_a_secret_another_name_of_this_computer_is_not(host: str, clock: Clock):
+    """Else a name that somebody else's server resolves to 127.0.0.1 is a page of ours (DNS rebinding)."""
+    assert not Access("", clock).admits({"host": host}, "")
+
+
+def test_with_a_secret_only_sessions_are_let_in(clock: Clock):
+    access = Access("right", clock)
+    assert not access.admits({"host": "robot"}, "")
+    assert not access.admits({"host": "robot"}, "invented")
+    assert access.sign_in("wrong") == ""
+    session = access.sign_in("right")
+    assert access.admits({"host": "robot"}, session)
+    assert not access.admits({"host": "robot", "origin": "http://evil.example"}, session)
+
+
+def test_sessions_end(clock: Clock):
+    access = Access("right", clock)
+    first, second = access.sign_in("right"), access.sign_in("right")
+    access.sign_out(first)
+    assert not access.is_open(first)
+    clock.now = SESSION_S - 1.0
+    assert access.is_open(second)
+    clock.now = SESSION_S
+    assert not access.is_open(second)
+
+
+def test_guessing_is_slow(clock: Clock):
+    access = Access("right", clock)
+    for _ in range(10):
+        access.sign_in("wrong")
+    assert access.sign_in("right") == ""
+    clock.now += 61.0
+    assert access.sign_in("right")
+
+
+def test_what_is_local():
+    assert is_local("127.0.0.1")
+    assert not is_local("0.0.0.0")

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the guard answers itself and what it hands on, as ASGI messages."""
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from worm_optimizer.console.access import Access
+from worm_optimizer.console.entrance import Guard
+
+HOST = "robot:8080"
+
+
+class Site:
+    """The pages behind a guard, which note what reaches them."""
+
+    def __init__(self, secret: str) -> None:
+        self.reached: list[str] = []
+        self.guard = Guard(self._pages, Access(secret, lambda: 0.0))
+
+    async def _pages(self, scope: Any, receive: Any, send: Any) -> None:
+        self.reached.append(scope["path"])
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    def ask(
+        self,
+        path: str,
+        *,
+        kind: str = "http",
+        method: str = "GET",
+        query: str = "",
+        body: str = "",
+        **headers: str,
+    ) -> list[dict[str, Any]]:
+        """What is sent back."""
+        sent: list[dict[str, Any]] = []
+        given = {"host": HOST, **headers}
+        scope = {
+            "type": kind,
+            "path": path,
+            "method": method,
+            "query_string": query.encode(),
+            "headers": [(name.encode(), value.encode()) for name, value in given.items()],
+        }
+
+        async def receive() -> dict[str, Any]:
+            return {"type": "http.request", "body": body.encode()}
+
+        async def send(message: Any) -> None:
+            sent.append(message)
+
+        asyncio.run(self.guard(scope, receive, send))
+        return sent
+
+
+def header(sent: list[dict[str, Any]], name: str) -> str:
+    return dict(sent[0]["headers"])[name.encode()].decode()
+
+
+@pytest.fixture
+def site() -> Site:
+    return Site("right")
+
+
+def test_strangers_are_sent_to_sign_in(site: Site):
+    sent = site.ask("/")
+    assert sent[0]["status"] == 303
+    assert header(sent, "location") == "/login"
+    assert site.ask("/login")[0]["status"] == 200
+    assert site.reached == []
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"path": "/", "query": "token=wrong"},
+        {"path": "/login", "method": "POST", "body": "token=wrong"},
+        {"path": "/login", "method": "POST", "body": ""},
+        {"path": "/login", "method": "POST", "body": "token=right&x=" + 5000 * "x"},
+    ],
+)
+def test_a_wrong_token_is_refused(site: Site, request_: dict[str, str]):
+    sent = site.ask(**request_)
+    assert sent[0]["status"] == 403
+    assert b"Wrong token" in sent[1]["body"]
+    assert site.reached == []
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"path": "/", "query": "token=right"},
+        {"path": "/login", "method": "POST", "body": "token=right"},
+    ],
+)
+def test_the_right_one_opens_a_session_that_scripts_and_other_sites_cannot_use(
+    site: Site, request_: dict[str, str]
+):
+    sent = site.ask(**request_)
+    assert (sent[0]["status"], header(sent, "location")) == (303, "/")
+    cookie = header(sent, "set-cookie")
+    assert "HttpOnly" in cookie
+    assert "SameSite=Strict" in cookie
+    session = cookie.split(";")[0]
+    assert site.ask("/", cookie=session)[0]["status"] == 200
+    site.ask("/logout", cookie=session)
+    assert site.ask("/", cookie=session)[0]["status"] == 303
+
+
+@pytest.mark.parametrize("secret", ["", "right"])
+def test_a_socket_from_another_site_is_closed(secret: str):
+    site = Site(secret)
+    sent = site.ask("/_nicegui_ws/", kind="websocket", host="localhost", origin="http://evil")
+    assert [message["type"] for message in sent] == ["websocket.close"]
+    assert site.reached == []
+
+
+def test_a_request_from_another_site_is_refused():
+    site = Site("")
+    assert site.ask("/", host="localhost", origin="http://evil")[0]["status"] == 403
+    assert site.ask("/", host="evil")[0]["status"] == 403
+    assert site.reached == []
+
+
+def test_pages_cannot_be_framed_by_other_sites():
+    site = Site("")
+    sent = site.ask("/", host="localhost")
+    assert header(sent, "content-security-policy") == "frame-ancestors 'self'"
+
+
+def test_a_broken_cookie_is_none(site: Site):
+    assert site.ask("/", cookie="worm_console")[0]["status"] == 303
