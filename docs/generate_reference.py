@@ -13,6 +13,7 @@ from typing import Any
 import pdoc
 import pdoc.doc
 import pdoc.render
+from numpy.typing import ArrayLike
 
 PAGE = Path(__file__).with_name("api.md")
 MODULE = re.compile(r"`(worm_\w+(?:\.\w+)+)`")
@@ -35,6 +36,8 @@ def shortened(text: str) -> str:
 
 def _shortening(written: Callable[..., str]) -> Callable[..., str]:
     def write(annotation: Any, *more: Any, **named: Any) -> str:
+        if annotation == ArrayLike:
+            return "ArrayLike"
         return shortened(written(annotation, *more, **named))
 
     return write
@@ -47,6 +50,8 @@ def main(folder: Path) -> None:
     pdoc.render.configure(docformat="google", footer_text=NOTE)
     modules = public_modules(PAGE.read_text(encoding="utf-8"))
     pdoc.pdoc(*modules, output_directory=folder)
+    for page in folder.rglob("*.html"):  # the values of aliases are written as they are
+        page.write_text(shortened(page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -36,7 +36,8 @@ def recorded_session(cycles: tuple[int, int] = (4, 5)) -> tuple[Run, Run]:
 
 def _positions(command: np.ndarray) -> np.ndarray:
     """x1 and x2 (n, 2) m of a robot with the paper's parameters and alike grooves."""
-    body = BodyParameters(**{f.name: getattr(PAPER, f.name) for f in dataclasses.fields(PAPER)})
+    names = (field.name for field in dataclasses.fields(BodyParameters))
+    body = BodyParameters(**{name: getattr(PAPER, name) for name in names})
     effects = PlantEffects(0.0, 0.0, 0.0, 1e-4, 0.5)
     grooves = make_grooves(body, effects, 0)
     plant = Plant(body, effects, grooves, grooves, STEP_S)

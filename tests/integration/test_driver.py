@@ -486,7 +486,7 @@ def test_a_run_that_a_new_limit_does_not_allow_ends_at_rest(driver, commander):
     goal = commander.send(stroke=0.05, frequency=0.2, cycles=60)
     commander.wait_for_state(GaitState.RUNNING, "running gait")
     assert commander.set_parameter("limits.max_stroke_m", 0.02).successful
-    assert "cancelled" in commander.result(goal).result.message
+    assert "ended by a new limit" in commander.result(goal).result.message
     assert "ends at its next point of rest" in driver.output()
 
 

@@ -23,7 +23,11 @@ COMMON_SERVICES = re.compile(
 LONG_GAIT = RunGait.Goal(
     gait=Gait(stroke=0.07, frequency=0.4, direction=Gait.FORWARD, margin=0.0), cycles=60
 )
-BYSTANDERS = ("recorder", "twin", "optimizer")
+BYSTANDERS = ("twin", "optimizer")
+OF_OPERATORS = (
+    "heartbeat",
+    "emergency_stop",
+)  # published by who asks for gaits, and here nobody does
 
 
 @pytest.fixture
@@ -49,6 +53,12 @@ def test_each_node_ends_on_ctrl_c_and_the_driver_stops_the_servos(worm, probe):
         probe.wait_for(lambda cycle=cycle: states[-1].cycle > cycle, f"cycle without {name}")
         assert states[-1].state == GaitState.RUNNING
 
+    worm.processes.processes["recorder"].interrupt()  # it goes on to the rest, see --to-rest
+    cycle = states[-1].cycle
+    probe.wait_for(lambda: states[-1].cycle > cycle, "cycle with a recorder that was asked to end")
+    assert worm.processes.processes["recorder"].exit_code is None
+    assert worm.interrupt("recorder") == 0
+
     assert worm.interrupt("driver") == 0
     assert worm.torques() == dict.fromkeys(SERVOS, 0)
     assert worm.interrupt("virtual_robot") == 0
@@ -68,7 +78,7 @@ def test_topics_services_and_actions_are_those_of_the_documentation(worm, probe)
         heard = {n: k for n, k in topics.items() if node.count_publishers(n) and "/_" not in n}
         return {n: k for n, k in heard.items() if not n.endswith("/transition_event")}
 
-    absent = ("/", "camera/")  # what is not the namespace's own, and there is no camera here
+    absent = ("/", "camera/", *OF_OPERATORS)  # what is not the namespace's own, and no camera
     topics = {name: row for name, row in rows_of("Topics").items() if not name.startswith(absent)}
     probe.wait_for(lambda: set(published()) >= set(topics), "all topics")
     assert {n: k.replace("/msg", "") for n, k in published().items()} == {

@@ -201,9 +201,10 @@ class PlayNode(Node):
 
         Both sides of a connection learn of it at different times, and discovery tells of subscribers one by one.
         """
+        publishers = [self._clock_publisher, *self._publishers_by_topic.values()]
         counts = {
-            topic: (publisher.get_subscription_count(), self.count_subscribers(topic))
-            for topic, publisher in self._publishers_by_topic.items()
+            p.topic_name: (p.get_subscription_count(), self.count_subscribers(p.topic_name))
+            for p in publishers
         }
         if counts != self._subscribers:
             self._subscribers, self._changed = counts, wall

@@ -498,6 +498,7 @@ def test_a_bag_of_an_older_layout_is_read_by_the_definitions_that_are_given(
         write_beside(bag, tmp_path / "none2", ["/worm/power"], [])
 
     arguments = ["--output", str(tmp_path / "tables"), "--definitions", str(old_definitions)]
+    arguments += ["--topic", "/worm/power"]
     monkeypatch.setattr("sys.argv", ["export", str(old_bag), *arguments])
     assert export.main() == 0
     table = (tmp_path / "tables" / "worm__power.csv").read_text().splitlines()

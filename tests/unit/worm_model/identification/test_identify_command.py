@@ -103,7 +103,7 @@ def test_the_report_has_a_figure_of_everything(outcome):
     pictures = sorted(path.name for path in (report / "figures").glob("*.png"))
     assert len(pictures) == 3 + 3 * 4
     assert all(f"figures/{name}" in text for name in pictures)
-    assert all(symbol in text for symbol in ("p_sw", "α_P", "What next", "Dry friction"))
+    assert all(symbol in text for symbol in ("p_sw", "α_P", "What next", "D1", "D2"))
 
 
 def test_nothing_is_written_before_all_is_known(shared, tmp_path, monkeypatch, capsys):
@@ -224,7 +224,10 @@ def test_runs_of_one_lab_use_what_lies_beside_them(shared):
     assert inputs.folder == campaign.resolve()
     assert inputs.bellows is not None
     assert inputs.fin is not None
-    assert inputs.remarks == ()
+    assert inputs.remarks == (
+        "all runs: gait from 2.00 s on, where the servo's goal begins to move",
+        "all runs: spool radius 12.00 mm, with which the servo's goals play the stroke",
+    )
     assert read_inputs(paths[:1]).folder == campaign.resolve()
 
 
