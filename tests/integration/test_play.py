@@ -121,8 +121,11 @@ def test_who_comes_late_gets_the_last_state_of_what_is_latched(
 ):
     """Paused behind the last state: a hundred seconds of silence would follow, of which one state is heard."""
     clocks = probe.collect(Clock, "/clock")
-    processes.start_executable("worm_model", "play", str(bag), "--rate", "0.5", "--start", "6")
+    half = ("--rate", "0.5", "--start", "6", "--paused")
+    processes.start_executable("worm_model", "play", str(bag), *half)
     start = int(RUN.origin) + 6 * 10**9
+    probe.wait_for(lambda: clocks, "a clock that stands")
+    assert probe.call(Trigger, "/player/resume", Trigger.Request()).success
     probe.wait_for(lambda: any(clock(m) > start for m in clocks), "the start")
     assert probe.call(Trigger, "/player/pause", Trigger.Request()).success
     states = probe.collect(GaitState, "gait_state", LATCHED)
