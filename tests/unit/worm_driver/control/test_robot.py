@@ -49,12 +49,12 @@ def test_opening_leaves_the_torque_off(rig):
 
 
 def test_servos_are_known_by_the_model_that_they_answer(rig):
-    assert [servo.model.name for servo in rig.robot.servos] == [
+    assert [servo.model.name for servo in rig.robot.actuators.servos] == [
         "XM430-W350-T",
         "XL430-W250-T",
         "XL430-W250-T",
     ]
-    assert rig.robot.servos[0].firmware == 48
+    assert rig.robot.actuators.servos[0].firmware == 48
 
 
 def test_a_missing_servo_is_named():
@@ -382,7 +382,7 @@ def test_a_cable_servo_that_restarted_is_not_moved_before_it_is_homed():
     rig.robot.release()
     with pytest.raises(HomingError, match="turn count"):
         rig.robot.activate(rig.clock.now)
-    assert not rig.robot.homed
+    assert not rig.robot.actuators.homed
     assert rig.cable.memory["torque_enable"] == 0
     rig.robot.home()
     rig.robot.activate(rig.clock.now)
@@ -397,17 +397,17 @@ def test_a_restart_while_inactive_is_noticed_by_the_activation(rig):
 
 def test_a_restart_between_two_drivers_is_noticed():
     rig = Rig(settings(home_at_start=False))
-    assert not rig.robot.homed
+    assert not rig.robot.actuators.homed
     rig.robot.home()
-    assert rig.restarted_driver().robot.homed
+    assert rig.restarted_driver().robot.actuators.homed
     restart_cable_servo(rig)
-    assert not rig.restarted_driver().robot.homed
+    assert not rig.restarted_driver().robot.actuators.homed
 
 
 def test_another_operating_mode_has_folded_the_turns():
     rig = Rig()
     rig.bus.write(CABLE, COMMON["operating_mode"], 3)
-    assert not rig.restarted_driver(settings(home_at_start=False)).robot.homed
+    assert not rig.restarted_driver(settings(home_at_start=False)).robot.actuators.homed
     assert rig.bus.read(CABLE, COMMON["operating_mode"]) == 4
 
 
