@@ -7,7 +7,7 @@
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from worm_driver.control import supervision
 from worm_driver.control.driver_settings import DriverSettings
@@ -107,6 +107,7 @@ class Robot:
                 f"{contraction * 1e3:.1f} mm: it would spring back if it were let go; activate to take it over, "
                 "then deactivate to bring it to rest"
             )
+            self.player = PlayerState(message=self.left_on)
             return
         for servo in self.cables:
             servos.prepare_cable(self.bus, servo, servos.own_limit(servo, self.settings.limits))
@@ -188,13 +189,13 @@ class Robot:
             )
         try:
             with self.bus.patient():
-                self._enable_all()
+                held = self._enable_all()
         except Exception:
             self.release()
             raise
         self._reader.forget_suspects()
         run = self.player.run
-        self.player = PlayerState(since=now, length_change=cable, run=run)
+        self.player = PlayerState(since=now, length_change=held, run=run)
         self._counts, self._away_at, self.active = Counts(), -math.inf, True
         self._last_step = self._clock()
         self.unreleased, self.left_on = [], ""
@@ -434,7 +435,8 @@ class Robot:
                 return f"the turn count of servo {servo.number} jumped by {new.ticks - old.ticks} ticks"
         return None
 
-    def _enable_all(self) -> None:
+    def _enable_all(self) -> float:
+        """Returns where the cable is held then (m): a body that springs back has moved on meanwhile."""
         fastest = self.settings.max_cable_speed
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
             limit = servos.own_limit(servo, self.settings.limits)
@@ -442,8 +444,7 @@ class Robot:
             servos.limit_motion(self.bus, servo, speed, self.settings.watchdog, limit)
         for servo in self.fins:
             servos.limit_motion(self.bus, servo, self.settings.fin_speed, self.settings.watchdog)
-        for servo in self.servos:
-            servos.enable(self.bus, servo)
+        return self._mean_change([servos.enable(self.bus, servo) for servo in self.servos])
 
     def _here(self) -> float:
         """Where the cable is, or was asked to be when that is not known (m)."""
@@ -455,10 +456,11 @@ class Robot:
         cables = states[: len(self.cables)]
         if not self.homed or any(state is SILENT for state in cables):
             return math.nan
-        changes = [
-            spool.length_change(state.ticks)
-            for spool, state in zip(self.settings.spools, cables, strict=True)
-        ]
+        return self._mean_change([state.ticks for state in cables])
+
+    def _mean_change(self, ticks: Sequence[int]) -> float:
+        """Mean change of length (m) of cables whose servos stand at these ticks; those of the fins may follow."""
+        changes = [s.length_change(at) for s, at in zip(self.settings.spools, ticks, strict=False)]
         return math.fsum(changes) / len(changes)
 
     def _fins_set(self) -> bool:
