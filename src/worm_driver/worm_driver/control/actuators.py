@@ -2,6 +2,7 @@
 """The servos of a robot with their spools and fins: checked, set up and moved, and what their states mean."""
 
 import math
+from collections.abc import Sequence
 
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.telemetry import SILENT, ServoState
@@ -131,8 +132,11 @@ class Actuators:
 
     # --- torque --------------------------------------------------------------------------------
 
-    def enable(self) -> None:
-        """Gives every servo its torque where it stands, with its bus watchdog armed. Raises DriverError."""
+    def enable(self) -> float:
+        """Gives every servo its torque where it stands, with its bus watchdog armed. Raises DriverError.
+
+        Returns where the cable is held then (ΔL, m): a body that springs back has moved on meanwhile.
+        """
         settings = self.settings
         with self._bus.patient():
             for spool, servo in zip(settings.spools, self.cables, strict=True):
@@ -141,8 +145,7 @@ class Actuators:
                 servos.limit_motion(self._bus, servo, speed, settings.watchdog, limit)
             for servo in self.fins:
                 servos.limit_motion(self._bus, servo, settings.fin_speed, settings.watchdog)
-            for servo in self.servos:
-                servos.enable(self._bus, servo)
+            return self._mean_change([servos.enable(self._bus, servo) for servo in self.servos])
 
     def release(self) -> list[str]:
         """Takes the torque off, by all means; returns what failed on the way, in words.
@@ -181,10 +184,11 @@ class Actuators:
         cables = states[: len(self.cables)]
         if not self.homed or any(state is SILENT for state in cables):
             return math.nan
-        changes = [
-            spool.length_change(state.ticks)
-            for spool, state in zip(self.settings.spools, cables, strict=True)
-        ]
+        return self._mean_change([state.ticks for state in cables])
+
+    def _mean_change(self, ticks: Sequence[int]) -> float:
+        """Mean change of length (m) of cables whose servos stand at these ticks; those of the fins may follow."""
+        changes = [s.length_change(at) for s, at in zip(self.settings.spools, ticks, strict=False)]
         return math.fsum(changes) / len(changes)
 
     def fins_set(self, states: tuple[ServoState, ...], direction: int) -> bool:

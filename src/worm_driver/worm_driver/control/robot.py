@@ -60,13 +60,13 @@ class Robot:
         why_not_start: Callable[[], str] = lambda: "",
     ):
         self.bus = bus
-        self.player = PlayerState()
         self.active = False
         self._why_not_start = why_not_start
         self._tracker_ready = tracker_ready
         self._valid_power_samples = valid_power_samples
         self._idle_from = 0
         self.actuators = Actuators(settings, bus)
+        self.player = PlayerState(message=self.actuators.left_on)
         self._reader = StateReader(bus, self.actuators.servos)
         self._watch = FaultWatch(self.actuators, self._reader, clock, load)
         self._states: tuple[ServoState, ...] = (SILENT,) * len(self.actuators.servos)
@@ -115,13 +115,13 @@ class Robot:
                 "robot to its initial length by hand, then call the service home"
             )
         try:
-            self.actuators.enable()
+            held = self.actuators.enable()
         except Exception:
             self.release()
             raise
         self._reader.forget_suspects()
         run = self.player.run
-        self.player = PlayerState(since=now, length_change=cable, run=run)
+        self.player = PlayerState(since=now, length_change=held, run=run)
         self._watch.begin()
         self.actuators.unreleased, self.actuators.left_on = [], ""
         self.active = True

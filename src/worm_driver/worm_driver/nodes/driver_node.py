@@ -314,22 +314,18 @@ class DriverNode(LifecycleNode):
 
     def _publish_diagnostics(self) -> None:
         hardware, latest = self._hardware, self._telemetry.latest
+        if hardware is not None:
+            hardware.loop.check()
         if hardware is None or latest is None:
             reports = [offline_report(self._failure)]
         else:
             reports = hardware.report(latest)
-            self._check_loop(hardware)
         reports.append(network_report(str(self._reach), is_local=self._reach.is_local))
         self._diagnostics.publish(
             driver_messages.diagnostics(
                 reports, self._stamps.now(), self.get_namespace().strip("/")
             )
         )
-
-    def _check_loop(self, hardware: Hardware) -> None:
-        if not hardware.loop.alive:
-            failure = hardware.loop.failure
-            raise DriverError(f"the servo bus thread has ended: {failure!r}") from failure
 
 
 def main(args: list[str] | None = None) -> int:

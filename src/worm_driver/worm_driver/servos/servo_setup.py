@@ -276,14 +276,15 @@ def limit_motion(
         bus.write(number, servo["goal_pwm"], min(most, to_raw(servo["goal_pwm"], limit)))
 
 
-def enable(bus: ServoBus, servo: Servo) -> None:
-    """Torque on, holding the present position, after limit_motion has armed the bus watchdog. Raises BusError.
+def enable(bus: ServoBus, servo: Servo) -> int:
+    """Torque on, after limit_motion has armed the bus watchdog; returns where (ticks) it holds. Raises BusError.
 
     As short as can be: the servos that are enabled already wait for their first goal.
     """
     position = bus.read(servo.number, servo["present_position"])
     bus.write(servo.number, servo["goal_position"], position)
     bus.write(servo.number, servo["torque_enable"], 1)
+    return position
 
 
 def disable(bus: ServoBus, servo: Servo) -> None:

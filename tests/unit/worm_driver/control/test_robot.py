@@ -434,6 +434,36 @@ def test_a_home_survives_a_restart_of_the_driver_in_the_middle_of_a_stroke():
     assert again.snapshots[-1].cable == pytest.approx(length, abs=5e-3)
 
 
+def test_a_robot_that_was_left_contracted_with_its_torque_on_says_so_until_it_is_taken_over():
+    rig = moving()
+    again = rig.restarted_driver(settings(home_at_start=False))
+    assert "the torque is on" in again.run(0.02).player.message
+    assert again.cable.memory["torque_enable"] == 1
+    again.robot.activate(again.clock.now)
+    assert again.run(0.02).player.message == ""
+
+
+def test_a_body_that_springs_back_is_held_where_it_has_come_to_by_then():
+    rig = moving()
+    rig.robot.release()
+    rig.run(0.05)
+    send = rig.wire.write
+
+    def send_with_trouble(packet: bytes) -> int:
+        """The last servo to be set up is slow to answer: servo 1 has told where it is, and has no torque yet."""
+        if rig.wire.write is send_with_trouble and (packet[4], packet[7]) == (12, 3):
+            rig.wire.write = send
+            rig.inject("no_answer", target=12, count=4)
+        return send(packet)
+
+    rig.wire.write = send_with_trouble
+    rig.robot.activate(rig.clock.now)
+    held = rig.cable.motor.position
+    rig.positions.clear()
+    rig.run(0.3)
+    assert max(abs(position - held) for _, position in rig.positions) < 5  # 0.2 mm
+
+
 def test_homing_sets_the_position_to_zero_where_the_cable_is(rig):
     assert rig.snapshots == []
     assert rig.cable.motor.position == pytest.approx(rig.home_ticks, abs=1)
