@@ -277,13 +277,21 @@ def limit_motion(
 
 
 def enable(bus: ServoBus, servo: Servo) -> int:
-    """Torque on, after limit_motion has armed the bus watchdog; returns where (ticks) it holds. Raises BusError.
+    """Torque on, after limit_motion has armed the bus watchdog; returns where (ticks) it holds.
 
     As short as can be: the servos that are enabled already wait for their first goal.
+
+    Raises:
+        BusError: it does not answer, or refuses.
+        ConfigurationError: it restarted meanwhile, and has its torque without the limits; to be disabled.
     """
     position = bus.read(servo.number, servo["present_position"])
     bus.write(servo.number, servo["goal_position"], position)
     bus.write(servo.number, servo["torque_enable"], 1)
+    if not bus.read(servo.number, servo["bus_watchdog"]):
+        raise ConfigurationError(
+            f"servo {servo.number} restarted while it was set up: check its supply and its cable, then activate again"
+        )
     return position
 
 

@@ -4,6 +4,7 @@
 import itertools
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -37,6 +38,20 @@ def moving() -> Rig:
     rig = Rig()
     rig.run_into_motion()
     return rig
+
+
+def before_write(rig: Rig, servo: int, register: str, deed: Callable[[], None]) -> None:
+    """Does something before a register of a servo is written for the first time from now on."""
+    send, row = rig.wire.write, COMMON[register]
+
+    def write(packet: bytes) -> int:
+        address = int.from_bytes(packet[8:10], "little")
+        if (packet[4], packet[7], address) == (servo, 3, row.address) and rig.wire.write is write:
+            rig.wire.write = send
+            deed()
+        return send(packet)
+
+    rig.wire.write = write
 
 
 # --- configure, activate, release -----------------------------------------------------------------
@@ -395,6 +410,18 @@ def test_a_restart_while_inactive_is_noticed_by_the_activation(rig):
         rig.robot.activate(rig.clock.now)
 
 
+def test_a_servo_that_restarts_while_it_is_enabled_gets_no_torque_without_its_watchdog(rig):
+    rig.run(0.1)
+    before_write(
+        rig, CABLE, "torque_enable", lambda: rig.inject("vanished", target=CABLE, duration=0.02)
+    )
+    with pytest.raises(ConfigurationError, match="servo 1 restarted while it was set up"):
+        rig.robot.activate(rig.clock.now)
+    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+    with pytest.raises(HomingError):
+        rig.robot.activate(rig.clock.now)
+
+
 def test_a_restart_between_two_drivers_is_noticed():
     rig = Rig(settings(home_at_start=False))
     assert not rig.robot.actuators.homed
@@ -447,16 +474,8 @@ def test_a_body_that_springs_back_is_held_where_it_has_come_to_by_then():
     rig = moving()
     rig.robot.release()
     rig.run(0.05)
-    send = rig.wire.write
-
-    def send_with_trouble(packet: bytes) -> int:
-        """The last servo to be set up is slow to answer: servo 1 has told where it is, and has no torque yet."""
-        if rig.wire.write is send_with_trouble and (packet[4], packet[7]) == (12, 3):
-            rig.wire.write = send
-            rig.inject("no_answer", target=12, count=4)
-        return send(packet)
-
-    rig.wire.write = send_with_trouble
+    # when servo 1 has told where it is, and has no torque yet
+    before_write(rig, 12, "bus_watchdog", lambda: rig.inject("no_answer", target=12, count=4))
     rig.robot.activate(rig.clock.now)
     held = rig.cable.motor.position
     rig.positions.clear()
