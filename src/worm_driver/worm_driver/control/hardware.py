@@ -68,12 +68,13 @@ class Hardware:
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
         self._power: PowerLoop | None = None
         with contextlib.ExitStack() as opened:
-            # Before the servos: whoever takes part in a virtual robot's time may wait by that alone.
+            # First, as its lock keeps a second driver from the sensor, too, which has none and would be reset.
+            self._bus = ServoBus.open(settings.port, settings.baud_rate)
+            opened.callback(self._bus.close)
+            # Before the clock: whoever takes part in a virtual robot's time may wait by that alone.
             sensor = _open_sensor(settings.power)
             if sensor is not None:
                 opened.callback(sensor.device.close)
-            self._bus = ServoBus.open(settings.port, settings.baud_rate)
-            opened.callback(self._bus.close)
             self.clock = clock_of(settings.port, SERIAL)
             opened.callback(self.clock.close)
             self._bus.port.go_by(self.clock)

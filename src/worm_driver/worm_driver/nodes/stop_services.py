@@ -17,6 +17,8 @@ from worm_msgs.msg import Heartbeat
 
 #: no request is dropped, however many wait: whoever calls stop gets an answer
 _EVERY_CALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+#: what is said once is not lost, even where the publisher has found the driver, but not yet the driver the publisher
+_ONCE = QoSProfile(depth=10)
 #: matches every publisher, also one that promises nothing
 _ANYBODY = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -48,6 +50,7 @@ class StopServices:
         side.create_subscription(Heartbeat, "heartbeat", on_heartbeat, 100)
         # Also what was said before this driver began, which may be a stop but takes none back; from anybody.
         side.create_subscription(Bool, "emergency_stop", self._on_kept_emergency, _LATCHED)
+        side.create_subscription(Bool, "emergency_stop", self._on_emergency, _ONCE)
         side.create_subscription(Bool, "emergency_stop", self._on_emergency, _ANYBODY)
         self._side.start()
 
