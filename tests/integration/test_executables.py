@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What holds for every executable that is a node: how it is loaded, and what it does with what it has no use for."""
+"""What holds for every executable with ROS: how it is loaded, and what a node does with what it has no use for."""
 
 import signal
 from pathlib import Path
@@ -22,10 +22,19 @@ NODES = {
 }
 
 
-def imports(process: Process) -> bool:
-    """Whether a process has begun to load rclpy."""
+COMMANDS = {
+    "demo": [],
+    "start": ["--virtual"],
+    "operate": ["state"],
+    "campaign": ["--help"],
+    "console": ["--help"],
+}
+
+
+def loads(process: Process, library: str) -> bool:
+    """Whether a process has begun to load a library."""
     try:
-        return "rclpy" in Path(f"/proc/{process.pid}/maps").read_text()
+        return library in Path(f"/proc/{process.pid}/maps").read_text()
     except OSError:
         return False
 
@@ -47,9 +56,18 @@ def test_ctrl_c_while_it_loads_is_no_traceback(
     process = processes.start_executable(
         NODES[executable], executable, *arguments.get(executable, [])
     )
-    assert wait_for(lambda: imports(process), TIMEOUT_S)
+    assert wait_for(lambda: loads(process, "rclpy"), TIMEOUT_S)
     process.signal(signal.SIGINT)
     assert process.wait(TIMEOUT_S) in (0, -signal.SIGINT)
+    assert "Traceback" not in process.output()
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_ctrl_c_while_a_command_loads_is_no_traceback(processes: Processes, command: str):
+    process = processes.start_executable("worm_optimizer", command, *COMMANDS[command])
+    assert wait_for(lambda: loads(process, "numpy"), TIMEOUT_S)
+    process.signal(signal.SIGINT)
+    assert process.wait(TIMEOUT_S) == -signal.SIGINT
     assert "Traceback" not in process.output()
 
 

@@ -3,11 +3,13 @@
 
 import os
 import re
+import runpy
 import shutil
 import signal
 from pathlib import Path
 
 import pytest
+from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import LATCHED
 from lifecycle_msgs.msg import State, Transition
@@ -15,6 +17,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
+from worm_driver.nodes.virtual_camera_node import FRAME
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_msgs.action import RunGait
@@ -220,6 +223,23 @@ def test_what_cannot_work_is_said_without_a_traceback(launched, words, said):
     # Of our processes, whose lines have their name before them: launch_ros itself may leave one of a thread that
     # waits for the driver's service when all ends.
     assert not re.search(r"^\[\w+-\d+\].*Traceback", launch.output(), re.MULTILINE)
+
+
+def test_the_frame_of_a_cameras_images_hangs_on_its_pose():
+    """What view.launch.py starts, without starting it: RViz and tf2 are no wheels."""
+    from launch import LaunchContext
+    from launch.utilities import perform_substitutions
+
+    path = Path(get_package_share_directory("worm_model"), "launch", "view.launch.py")
+    context = LaunchContext()
+    given = {"namespace": "worm", "rviz": "false", "camera": "0.1 -0.4 0 1.57 0 0"}
+    context.launch_configurations.update(given)
+    _, *frames = runpy.run_path(str(path))["_start"](context)
+    words = [
+        " ".join(perform_substitutions(context, part) for part in node.cmd[1:]) for node in frames
+    ]
+    assert "--yaw 1.57 --pitch 0 --roll 0 --frame-id pipe --child-frame-id camera" in words[0]
+    assert f"--frame-id camera --child-frame-id {FRAME}" in words[1]
 
 
 def test_every_setting_of_the_system_file_is_an_argument(launched):

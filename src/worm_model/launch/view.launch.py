@@ -7,6 +7,7 @@ joint states. Frames are on the topics tf and tf_static of the robot's namespace
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -18,6 +19,8 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 SHARE = Path(get_package_share_directory("worm_model"))
 _TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
+# REP 103: a camera's own frame has x forward, that of its images z forward, x right, y down
+_OPTICAL = f"0 0 0 {-math.pi / 2} 0 {-math.pi / 2}"
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -35,7 +38,7 @@ def generate_launch_description() -> LaunchDescription:
                 "camera",
                 default_value="",
                 description="pose of the camera in the pipe's frame, 'x y z yaw pitch roll' in m and rad; empty: "
-                "no frame for it",
+                "no frames for it and its images",
             ),
             OpaqueFunction(function=_start),
         ]
@@ -58,7 +61,8 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         )
     ]
     if value("camera"):
-        nodes.append(_camera(namespace, value("camera")))
+        nodes.append(_fixed(namespace, "pipe", "camera", value("camera")))
+        nodes.append(_fixed(namespace, "camera", "camera_optical_frame", _OPTICAL))
     if value("rviz") == "true":
         nodes.append(
             Node(
@@ -72,7 +76,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     return nodes
 
 
-def _camera(namespace: str, pose: str) -> Node:
+def _fixed(namespace: str, parent: str, child: str, pose: str) -> Node:
     names = ("--x", "--y", "--z", "--yaw", "--pitch", "--roll")
     values = pose.split()
     if len(values) != len(names):
@@ -84,6 +88,6 @@ def _camera(namespace: str, pose: str) -> Node:
         package="tf2_ros",
         executable="static_transform_publisher",
         namespace=namespace,
-        arguments=[*words, "--frame-id", "pipe", "--child-frame-id", "camera"],
+        arguments=[*words, "--frame-id", parent, "--child-frame-id", child],
         remappings=_TF,
     )

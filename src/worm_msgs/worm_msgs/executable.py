@@ -21,3 +21,16 @@ def deferred(module: str) -> Callable[[], int | None]:
         return status
 
     return main
+
+
+def deferred_command(module: str) -> Callable[[], int | None]:
+    """As deferred, of a command: once it is imported, SIGINT is the KeyboardInterrupt that it knows."""
+
+    def main() -> int | None:
+        known = signal.signal(signal.SIGINT, signal.SIG_DFL)
+        command = import_module(module)
+        signal.signal(signal.SIGINT, known)
+        status: int | None = command.main()
+        return status
+
+    return main
