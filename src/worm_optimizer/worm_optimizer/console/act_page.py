@@ -103,7 +103,7 @@ class ActPage:
         if not self._controls():
             ui.notify("this page does not hold control: Take control", type="warning")
         elif not self._hub.desk.ask(doing, act):
-            ui.notify(f"wait: {self._hub.desk.busy or self._hub.desk.failure}", type="warning")
+            ui.notify(self._hub.desk.hindrance, type="warning")
 
     def _read(self) -> None:
         direction, twin = self._direction.value, self._hub.snapshot().twin
@@ -115,7 +115,7 @@ class ActPage:
             return f"the front has {len(found)} gaits"
 
         if not self._hub.desk.ask("reading the front", read):
-            ui.notify(f"wait: {self._hub.desk.busy or self._hub.desk.failure}", type="warning")
+            ui.notify(self._hub.desk.hindrance, type="warning")
 
     def _say(self, text: str) -> None:
         self._hub.desk.busy = text
@@ -176,7 +176,7 @@ class ActPage:
 
     def _tell(self) -> None:
         snapshot, desk = self._hub.snapshot(), self._hub.desk
-        reasons = obstacles(snapshot, busy=desk.busy or desk.failure, controls=self._controls())
+        reasons = obstacles(snapshot, hindrance=desk.hindrance, controls=self._controls())
         if not reasons["Run"] and self._chosen is None:
             reasons["Run"] = "choose a gait on the front first"
         for name, (button, tooltip) in self._buttons.items():
@@ -186,7 +186,7 @@ class ActPage:
         latched = snapshot.driver is not None and snapshot.driver.emergency_stop
         self._release.set_visibility(latched)
         gaits = self._hub.fronts.get(self._direction.value, [])
-        if gaits is not self._shown:
+        if gaits != self._shown:
             self._shown = gaits
             self._plot.options["series"][0]["data"] = [_point(gait) for gait in gaits]
             if self._chosen not in gaits:

@@ -19,6 +19,8 @@ from worm_optimizer.console.entrance import COOKIE
 from worm_optimizer.console.hub import Hub
 from worm_optimizer.console.live_page import LivePage
 from worm_optimizer.console.recordings_page import RecordingsPage
+from worm_optimizer.console.studies import Studies
+from worm_optimizer.console.studies_page import StudiesPage
 from worm_optimizer.console.view import SAMPLE_S, state_words
 
 WORDS_S = 0.25
@@ -47,10 +49,11 @@ _STYLE = """<style>
 
 def build(hub: Hub, access: Access) -> None:
     """Make the pages known to the server."""
+    studies = Studies(hub)
 
     @ui.page("/", title="Worm console")
     def console(request: Request, client: Client) -> None:
-        ConsolePage(hub, access, client, request.cookies.get(COOKIE, ""))
+        ConsolePage(hub, studies, access, client, request.cookies.get(COOKIE, ""))
 
     @app.get("/reports/{name:path}")
     def report(name: str) -> Response:
@@ -75,7 +78,9 @@ def build(hub: Hub, access: Access) -> None:
 class ConsolePage:
     """One page in one browser, from its opening to its end."""
 
-    def __init__(self, hub: Hub, access: Access, client: Client, session: str) -> None:
+    def __init__(
+        self, hub: Hub, studies: Studies, access: Access, client: Client, session: str
+    ) -> None:
         self._hub, self._access, self._client = hub, access, client
         self._session, self._id = session, client.id
         self._told = hub.words[-1] if hub.words else None
@@ -94,7 +99,7 @@ class ConsolePage:
                 ui.link("Sign out", "/logout").classes("text-white")
         with ui.tabs().classes("w-full") as tabs:
             live, act = ui.tab("Live"), ui.tab("Act")
-            recordings = ui.tab("Recordings")
+            recordings, studied = ui.tab("Recordings"), ui.tab("Studies")
         with ui.tab_panels(tabs, value=live).classes("w-full"):
             with ui.tab_panel(live):
                 LivePage(hub)
@@ -102,6 +107,8 @@ class ConsolePage:
                 ActPage(hub, self._controls)
             with ui.tab_panel(recordings):
                 shelf = RecordingsPage(hub)
+            with ui.tab_panel(studied):
+                StudiesPage(hub, studies, self._controls, shelf.chosen)
         tabs.on_value_change(lambda event: shelf.read() if event.value == "Recordings" else None)
         self._foot()
         ui.timer(WORDS_S, self._tell)
@@ -116,7 +123,7 @@ class ConsolePage:
             )
             self._word = (
                 ui.label()
-                .classes("order-first w-full sm:order-none sm:w-auto sm:grow")
+                .classes("order-first w-full sm:order-none sm:w-0 sm:grow")
                 .props("role=status")
             )
             ui.button("STOP", on_click=self._stop).props(
