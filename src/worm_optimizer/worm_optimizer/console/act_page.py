@@ -14,6 +14,7 @@ from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
 from worm_optimizer.console import rounds
 from worm_optimizer.console.hub import Hub
+from worm_optimizer.console.page_chart import chart
 from worm_optimizer.console.view import obstacles
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import CYCLES
@@ -72,11 +73,7 @@ class ActPage:
         with ui.row().classes("items-center gap-2"):
             self._direction = ui.toggle({FORWARD: "Forward", REVERSE: "Reverse"}, value=FORWARD)
             ui.button("Read front", on_click=self._read)
-        self._plot = (
-            ui.echart(_plot(), on_point_click=self._click, renderer="svg")
-            .classes("w-full front")
-            .style("height: 20rem")
-        )
+        self._plot = _plot(self._click)
         with ui.row().classes("items-center gap-2"):
             ui.button("Slower gait", on_click=lambda: self._step(-1))
             ui.button("Faster gait", on_click=lambda: self._step(1))
@@ -199,27 +196,16 @@ def _point(gait: Prediction) -> list[float]:
     return [round(1e3 * gait.speed, 3), round(gait.power, 4)]
 
 
-def _plot() -> dict[str, object]:
-    return {
-        "animation": False,
-        "tooltip": {"trigger": "item", "formatter": "{c}"},
-        "grid": {"left": 55, "right": 20, "top": 30, "bottom": 45},
-        "xAxis": {
-            "name": "robust speed, mm/s",
-            "nameLocation": "middle",
-            "nameGap": 28,
-            "scale": True,
-        },
-        "yAxis": {"name": "robust power, W", "scale": True},
-        "series": [
-            {"name": "front", "type": "scatter", "symbolSize": 11, "color": BLUE, "data": []},
-            {
-                "name": "chosen",
-                "type": "scatter",
-                "symbolSize": 18,
-                "color": VERMILION,
-                "silent": True,
-                "data": [],
-            },
-        ],
-    }
+def _plot(click: Callable[[events.EChartPointClickEventArguments], None]) -> ui.echart:
+    points = {"type": "scatter", "symbolSize": 11, "color": BLUE, "data": []}
+    chosen = {**points, "symbolSize": 18, "color": VERMILION, "silent": True}
+    plot = chart(
+        {"name": "robust speed, mm/s", "scale": True},
+        "robust power, W",
+        [points, {**chosen, "data": []}],
+        height="20rem",
+        on_point_click=click,
+    )
+    words = "point => `${point.value[0].toFixed(2)} mm/s, ${point.value[1].toFixed(2)} W`"
+    plot.options["tooltip"] = {"trigger": "item", ":formatter": words}
+    return plot.classes("front")

@@ -18,6 +18,7 @@ from worm_optimizer.console.act_page import ActPage
 from worm_optimizer.console.entrance import COOKIE
 from worm_optimizer.console.hub import Hub
 from worm_optimizer.console.live_page import LivePage
+from worm_optimizer.console.page_chart import STYLE
 from worm_optimizer.console.recordings_page import RecordingsPage
 from worm_optimizer.console.studies import Studies
 from worm_optimizer.console.studies_page import StudiesPage
@@ -28,7 +29,7 @@ _BEAT_MS = 500
 # The space bar stops, whatever has the focus, but for where one writes; and the page says that it lives.
 _SCRIPT = f"""<script>
 addEventListener("keydown", (event) => {{
-  const written = event.target.closest?.("input:not([type=checkbox]), textarea");
+  const written = event.target.closest?.("input:not([type=checkbox], [readonly]), textarea");
   if (event.code === "Space" && !written) {{
     event.preventDefault(); event.stopPropagation();
     if (!event.repeat) document.querySelector("#stop").click();
@@ -36,8 +37,10 @@ addEventListener("keydown", (event) => {{
 }}, true);
 addEventListener("load", () => setInterval(() => emitEvent("beat"), {_BEAT_MS}));
 </script>"""
-_STYLE = """<style>
-.scene svg { width: 100%; max-height: 45vh; display: block }
+_STYLE = (
+    f"<style>{STYLE}"
+    + """
+.scene svg { width: 100%; max-height: 34vh; display: block }
 .worm .pipe { fill: #8d8d99 } .worm .robot { fill: #2659bf } .worm .ghost { fill: #e6b422; opacity: .45 }
 .worm .bellows { opacity: .5 } .worm .ghost.bellows { opacity: .25 } .worm .fins { opacity: .9 }
 .worm text { font: 8px sans-serif; fill: currentColor } .worm path.scale { stroke: currentColor; stroke-width: 1.5 }
@@ -45,6 +48,7 @@ _STYLE = """<style>
 .silent { color: #c62828 } .body--dark .silent { color: #ff8a80 }
 .stop { font-weight: 700; font-size: 1.4rem; min-height: 3.2rem; min-width: 9rem }
 </style>"""
+)
 
 
 def build(hub: Hub, access: Access) -> None:

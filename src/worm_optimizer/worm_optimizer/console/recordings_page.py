@@ -37,14 +37,15 @@ class RecordingsPage:
             {"name": key, "field": key, "label": label, "align": "left", "sortable": True}
             for key, label in _COLUMNS
         ]
+        self._note = ui.label().props("role=status")
         self._table = ui.table(
             columns=columns, rows=[], row_key="key", selection="multiple", pagination=20
         ).classes("w-full")
+        self._table.props('no-data-label="no run to show" no-results-label="none"')
         with ui.row().classes("gap-2"):
             ui.button("Open report", on_click=lambda: self._report(1))
             ui.button("Compare two", on_click=lambda: self._report(2))
             ui.button("Download", on_click=self._download)
-        self._note = ui.label().props("role=status")
         self._shown = ui.element("div").classes("w-full")
 
     async def read(self) -> None:

@@ -12,6 +12,7 @@ from worm_model.analysis.plot_style import BLUE, VERMILION
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
 from worm_optimizer.console.hub import Hub
+from worm_optimizer.console.page_chart import chart
 from worm_optimizer.console.recordings_page import report_frame
 from worm_optimizer.console.shelf import report_of
 from worm_optimizer.console.studies import Studies
@@ -56,8 +57,7 @@ class StudiesPage:
             self._highest = _millimetres("To, mm")
             self._step = _millimetres("Step, mm")
             ui.button("Scan margins", on_click=self._ask_scan)
-        self._plot = ui.echart(_plot(), renderer="svg").classes("w-full").style("height: 16rem")
-        self._plot.set_visibility(False)
+        self._plot = _plot()
         with ui.row().classes("items-center gap-2"):
             self._kind = ui.select(_KINDS, value="margin", label="Robust by").classes("w-56")
             self._margin = _millimetres("Margin, mm")
@@ -223,29 +223,12 @@ def _metres(field: ui.number, empty: float) -> float:
     return empty if field.value is None else 1e-3 * float(field.value)
 
 
-def _plot() -> dict[str, object]:
-    return {
-        "animation": False,
-        "tooltip": {"trigger": "axis"},
-        "grid": {"left": 55, "right": 20, "top": 30, "bottom": 45},
-        "xAxis": {"type": "value", "name": "margin, mm", "nameLocation": "middle", "nameGap": 28},
-        "yAxis": {
-            "type": "value",
-            "name": "lowest cost of transport",
-            "nameTextStyle": {"align": "left"},
-            "scale": True,
-        },
-        "series": [
-            {
-                "type": "line",
-                "name": "cost of transport",
-                "symbolSize": 5,
-                "color": BLUE,
-                "data": [],
-                "markLine": {"symbol": "none", "silent": True, "data": []},
-            }
-        ],
-    }
+def _plot() -> ui.echart:
+    line = {"type": "line", "symbolSize": 5, "color": BLUE, "data": []}
+    cliff = {"symbol": "none", "silent": True, "data": []}
+    plot = chart({"name": "margin, mm"}, "lowest cost of transport", [{**line, "markLine": cliff}])
+    plot.set_visibility(False)
+    return plot
 
 
 def _fill(plot: ui.echart, scan: SearchResult) -> None:
