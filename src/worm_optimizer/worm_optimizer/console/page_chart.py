@@ -27,8 +27,21 @@ def chart(
     legend = any("name" in row for row in series)
     options = {
         "animation": False,
-        "title": {"text": y, "left": 0, "textStyle": {"fontSize": 13, "fontWeight": "normal"}},
-        "legend": {"show": legend, "left": 0, "top": 20, "itemWidth": 16, "itemHeight": 8},
+        "title": {
+            "text": y,
+            "left": 0,
+            "top": 0,
+            "padding": 0,
+            "textStyle": {"fontSize": 13, "fontWeight": "normal"},
+        },
+        "legend": {
+            "show": legend,
+            "left": 0,
+            "top": 18,
+            "padding": 0,
+            "itemWidth": 16,
+            "itemHeight": 8,
+        },
         "grid": {"left": 45, "right": 25, "top": 48 if legend else 30, "bottom": 42},
         "xAxis": {
             "type": "value",

@@ -40,7 +40,7 @@ addEventListener("load", () => setInterval(() => emitEvent("beat"), {_BEAT_MS}))
 _STYLE = (
     f"<style>{STYLE}"
     + """
-.scene svg { width: 100%; max-height: 34vh; display: block }
+.scene svg { width: 100%; max-height: 36vh; display: block }
 .worm .pipe { fill: #8d8d99 } .worm .robot { fill: #2659bf } .worm .ghost { fill: #e6b422; opacity: .45 }
 .worm .bellows { opacity: .5 } .worm .ghost.bellows { opacity: .25 } .worm .fins { opacity: .9 }
 .worm text { font: 8px sans-serif; fill: currentColor } .worm path.scale { stroke: currentColor; stroke-width: 1.5 }
