@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from harness import Processes
 
+from worm_model.parameters import ParameterFile, Parameters, write_parameter_file
 from worm_optimizer.operation.processes import executable_command
 
 NEEDED = "needs pip install -r requirements-console.txt -r requirements-dev.txt"
@@ -29,6 +30,7 @@ TIMEOUT_S = (
     240.0  # a kernel that is not compiled and a front that is not kept yet, on a busy machine
 )
 PASSWORD = "dirty hands"
+HEAVIER = Parameters(rear_mass=0.45)
 
 
 @pytest.fixture(scope="module")
@@ -161,6 +163,39 @@ def test_closing_the_page_during_a_run_stops_it(
     expect(word(other)).to_contain_text("not heard")
     expect(other.get_by_role("button", name="Take control")).to_be_visible()
     other.close()
+
+
+def test_gaits_are_searched_and_parameters_identified_beside_all_else(
+    page: "sync_api.Page", console: Console
+):
+    expect = sync_api.expect
+    bag = Path(__file__).parents[2] / "bags/forward"
+    shutil.copytree(bag, console.bags / "forward")
+    write_parameter_file(console.bags / "identified_0.yaml", ParameterFile(HEAVIER))
+    console.open(page)
+    page.get_by_role("tab", name="Studies").click()
+    press(page, "Scan margins")
+    expect(page.get_by_role("alert")).to_contain_text("does not hold control")
+    press(page, "Take control")
+    expect(word(page)).to_contain_text("ready")
+    press(page, "Scan margins")
+    expect(word(page)).to_have_text("margin scan: the cliff is at 3.40 mm")
+    page.get_by_label("Margin, mm").fill("2.5")
+    press(page, "Compute front")
+    press(page, "Cancel search")
+    expect(word(page)).to_have_text("optimisation: cancelled")
+    page.get_by_role("tab", name="Recordings").click()
+    page.get_by_role("row", name="forward").get_by_role("checkbox").click()
+    page.get_by_role("tab", name="Studies").click()
+    press(page, "Identify")
+    expect(page.get_by_text(re.compile("identification, .*%"))).to_be_visible()
+    press(page, "Cancel identification")
+    expect(word(page)).to_have_text("identification: cancelled")
+    page.get_by_role("combobox", name="Parameters").click()
+    page.get_by_role("option", name="identified_0.yaml").click()
+    press(page, "Take over")
+    press(page, "Yes, take over")
+    expect(page.get_by_text("In use: identified_0.yaml")).to_be_visible()
 
 
 def test_a_wrong_password_is_refused(page: "sync_api.Page", processes: Processes, tmp_path: Path):

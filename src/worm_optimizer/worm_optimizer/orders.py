@@ -78,6 +78,41 @@ Progress = Callable[[RunProgress], None]
 
 
 @dataclass(frozen=True)
+class ScanOrder:
+    """A margin scan to ask of the optimizer: margins in m, ``highest`` and ``step`` 0 for its own."""
+
+    direction: int
+    lowest: float = 0.0
+    highest: float = 0.0
+    step: float = 0.0
+
+
+@dataclass(frozen=True)
+class FrontOrder:
+    """An optimisation to ask of the optimizer: ``margin`` in m, NaN: at the cliff; ``probability`` 0: its own."""
+
+    direction: int
+    robustness: str = "margin"
+    margin: float = math.nan
+    probability: float = 0.0
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """What came of a search, or why nothing did, in words.
+
+    Of a scan also the ``margins`` in m with their lowest ``costs`` of transport, and the last margin before the
+    ``cliff`` in m, NaN without one.
+    """
+
+    success: bool
+    message: str
+    margins: tuple[float, ...] = ()
+    costs: tuple[float, ...] = ()
+    cliff: float = math.nan
+
+
+@dataclass(frozen=True)
 class RunResult:
     """What was measured of a run, SI units, NaN where it could not be; the ``message`` says what happened and why."""
 

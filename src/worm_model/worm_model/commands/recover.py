@@ -14,7 +14,7 @@ from worm_model.commands.command_line import Parser, new_file, print_result, run
 def _parser() -> Parser:
     parser = Parser(
         prog="recover",
-        description="Writes all that is whole of a bag to a new one, metadata.yaml included. The old "
+        description="Writes what is intact of a bag into a new one, metadata.yaml included. The old "
         "one is left as it is.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="bag directory, or an MCAP file")

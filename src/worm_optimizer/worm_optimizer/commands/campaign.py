@@ -100,7 +100,7 @@ def _parser() -> Parser:
         "--resume",
         type=Path,
         metavar="FOLDER",
-        help="go on with a campaign that was broken off: its folder, and otherwise the options it was begun with; "
+        help="go on with an interrupted campaign: its folder, with the other options as at its start; "
         "gaits that are recorded are kept",
     )
     parser.add_number("--margin", "M", "robustness margin in m; default: at the cliff")

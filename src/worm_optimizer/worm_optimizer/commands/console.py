@@ -78,6 +78,7 @@ def _console(options: argparse.Namespace) -> int:
     from worm_optimizer.console.shelf import Shelf
 
     parameters = load_parameters(options.parameters)
+    file = str(Path(options.parameters).resolve()) if options.parameters else ""
     secret = _secret(options)
     _refuse_taken_port(options.listen, options.port)
     say = Narrator("console")
@@ -95,7 +96,7 @@ def _console(options: argparse.Namespace) -> int:
         tell,
     )
     control = Control(time.monotonic)
-    hub = Hub(desk, control, Shelf(options.bags), parameters, options.parameters, words)
+    hub = Hub(desk, control, Shelf(options.bags), parameters, file, words)
     address = f"http://{_named(options.listen)}:{options.port}/"
     token = f"?token={secret}" if secret and not options.password_file else ""
     say(f"{address}{token} (Ctrl-C ends it)")

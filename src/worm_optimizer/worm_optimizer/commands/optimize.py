@@ -64,7 +64,7 @@ def describe(
             f"groove phase       {1e3 * three['cruise'].groove_phase:+.2f} mm; every speed holds for it",
             f"hypervolume share  {100.0 * front.hypervolume_share:.2f} % of the true front's; "
             f"branches missed: {missed}",
-            f"front              {len(front.predictions)} gaits, of {front.source}",
+            f"front              {len(front.predictions)} gaits, source {front.source}",
             f"limits             {limits.description() or 'none'}",
             "",
             gait_table(three, nominal),

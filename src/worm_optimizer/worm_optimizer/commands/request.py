@@ -35,7 +35,8 @@ def _parser() -> Parser:
         prog="request",
         description="One gait of the robust front: for the lowest power, the lowest cost of transport, "
         "the highest speed, the lowest power at a speed or the highest speed at a power. The front is "
-        "computed if it is not in the cache. Exit status 2 with the nearest gait if there is none.",
+        "computed if it is not in the cache. Where no gait is fast or frugal enough, it names the nearest one and "
+        "ends with status 2.",
     )
     add_objective(parser)
     add_front_options(parser)

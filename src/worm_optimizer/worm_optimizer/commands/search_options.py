@@ -97,10 +97,16 @@ def add_objective(parser: Parser) -> None:
     wanted = parser.add_mutually_exclusive_group()
     wanted.add_argument("--objective", choices=tuple(_NAMED), help="default cruise")
     wanted.add_argument(
-        "--speed", type=number, metavar="MPS", help="lowest power of those at least as fast, in m/s"
+        "--speed",
+        type=number,
+        metavar="MPS",
+        help="of the gaits at this speed (m/s) or faster, the one with the lowest power",
     )
     wanted.add_argument(
-        "--power", type=number, metavar="W", help="highest speed of those that need no more, in W"
+        "--power",
+        type=number,
+        metavar="W",
+        help="of the gaits at this power (W) or less, the fastest",
     )
 
 

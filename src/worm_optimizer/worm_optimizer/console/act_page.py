@@ -14,6 +14,7 @@ from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
 from worm_optimizer.console import rounds
 from worm_optimizer.console.hub import Hub
+from worm_optimizer.console.page_chart import chart
 from worm_optimizer.console.view import obstacles
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import CYCLES
@@ -72,11 +73,7 @@ class ActPage:
         with ui.row().classes("items-center gap-2"):
             self._direction = ui.toggle({FORWARD: "Forward", REVERSE: "Reverse"}, value=FORWARD)
             ui.button("Read front", on_click=self._read)
-        self._plot = (
-            ui.echart(_plot(), on_point_click=self._click, renderer="svg")
-            .classes("w-full front")
-            .style("height: 20rem")
-        )
+        self._plot = _plot(self._click)
         with ui.row().classes("items-center gap-2"):
             ui.button("Slower gait", on_click=lambda: self._step(-1))
             ui.button("Faster gait", on_click=lambda: self._step(1))
@@ -103,7 +100,7 @@ class ActPage:
         if not self._controls():
             ui.notify("this page does not hold control: Take control", type="warning")
         elif not self._hub.desk.ask(doing, act):
-            ui.notify(f"wait: {self._hub.desk.busy or self._hub.desk.failure}", type="warning")
+            ui.notify(self._hub.desk.hindrance, type="warning")
 
     def _read(self) -> None:
         direction, twin = self._direction.value, self._hub.snapshot().twin
@@ -115,7 +112,7 @@ class ActPage:
             return f"the front has {len(found)} gaits"
 
         if not self._hub.desk.ask("reading the front", read):
-            ui.notify(f"wait: {self._hub.desk.busy or self._hub.desk.failure}", type="warning")
+            ui.notify(self._hub.desk.hindrance, type="warning")
 
     def _say(self, text: str) -> None:
         self._hub.desk.busy = text
@@ -176,7 +173,7 @@ class ActPage:
 
     def _tell(self) -> None:
         snapshot, desk = self._hub.snapshot(), self._hub.desk
-        reasons = obstacles(snapshot, busy=desk.busy or desk.failure, controls=self._controls())
+        reasons = obstacles(snapshot, hindrance=desk.hindrance, controls=self._controls())
         if not reasons["Run"] and self._chosen is None:
             reasons["Run"] = "choose a gait on the front first"
         for name, (button, tooltip) in self._buttons.items():
@@ -186,7 +183,7 @@ class ActPage:
         latched = snapshot.driver is not None and snapshot.driver.emergency_stop
         self._release.set_visibility(latched)
         gaits = self._hub.fronts.get(self._direction.value, [])
-        if gaits is not self._shown:
+        if gaits != self._shown:
             self._shown = gaits
             self._plot.options["series"][0]["data"] = [_point(gait) for gait in gaits]
             if self._chosen not in gaits:
@@ -199,27 +196,16 @@ def _point(gait: Prediction) -> list[float]:
     return [round(1e3 * gait.speed, 3), round(gait.power, 4)]
 
 
-def _plot() -> dict[str, object]:
-    return {
-        "animation": False,
-        "tooltip": {"trigger": "item", "formatter": "{c}"},
-        "grid": {"left": 55, "right": 20, "top": 30, "bottom": 45},
-        "xAxis": {
-            "name": "robust speed, mm/s",
-            "nameLocation": "middle",
-            "nameGap": 28,
-            "scale": True,
-        },
-        "yAxis": {"name": "robust power, W", "scale": True},
-        "series": [
-            {"name": "front", "type": "scatter", "symbolSize": 11, "color": BLUE, "data": []},
-            {
-                "name": "chosen",
-                "type": "scatter",
-                "symbolSize": 18,
-                "color": VERMILION,
-                "silent": True,
-                "data": [],
-            },
-        ],
-    }
+def _plot(click: Callable[[events.EChartPointClickEventArguments], None]) -> ui.echart:
+    points = {"type": "scatter", "symbolSize": 11, "color": BLUE, "data": []}
+    chosen = {**points, "symbolSize": 18, "color": VERMILION, "silent": True}
+    plot = chart(
+        {"name": "robust speed, mm/s", "scale": True},
+        "robust power, W",
+        [points, {**chosen, "data": []}],
+        height="20rem",
+        on_point_click=click,
+    )
+    words = "point => `${point.value[0].toFixed(2)} mm/s, ${point.value[1].toFixed(2)} W`"
+    plot.options["tooltip"] = {"trigger": "item", ":formatter": words}
+    return plot.classes("front")

@@ -76,9 +76,14 @@ class Desk:
         """What is known of the robot now."""
         return Snapshot() if self._telemetry is None else self._telemetry.snapshot()
 
+    @property
+    def hindrance(self) -> str:
+        """Why nothing can be asked for now, empty: something can."""
+        return self.failure or (f"wait: {self.busy}" if self.busy else "")
+
     def ask(self, doing: str, act: Act) -> bool:
-        """Have something done; false where something else is."""
-        if self.busy or self.failure:
+        """Have something done; false where something hinders it."""
+        if self.hindrance:
             return False
         self.stopped = False
         self.busy, self._asked = doing, act

@@ -12,6 +12,7 @@ from nicegui import ui
 from worm_model.analysis.plot_style import BLUE, GREEN, VERMILION
 from worm_model.gait import FORWARD
 from worm_optimizer.console.hub import Hub
+from worm_optimizer.console.page_chart import chart
 from worm_optimizer.console.picture import picture
 from worm_optimizer.console.view import REMEMBERED_S, Sample, live, silences
 
@@ -100,31 +101,18 @@ def _table(names: tuple[str, ...]) -> dict[str, ui.label]:
 
 def _chart(title: str, lines: dict[str, str]) -> ui.echart:
     """An empty chart of a minute."""
-    return (
-        ui.echart(
-            {
-                "animation": False,
-                "title": {"text": title, "textStyle": {"fontSize": 13}, "left": 0},
-                "legend": {"right": 0, "top": 0, "itemHeight": 8},
-                "grid": {"left": 40, "right": 10, "top": 30, "bottom": 24},
-                "xAxis": {"type": "value", "min": -REMEMBERED_S, "max": 0, "name": "s"},
-                "yAxis": {"type": "value", "scale": True},
-                "series": [
-                    {"name": name, "type": "line", "showSymbol": False, "color": colour, "data": []}
-                    for name, colour in lines.items()
-                ],
-            }
-        )
-        .classes("w-full")
-        .style("height: 13rem")
-    )
+    series = [
+        {"name": name, "type": "line", "showSymbol": False, "color": colour, "data": []}
+        for name, colour in lines.items()
+    ]
+    return chart({"min": -REMEMBERED_S, "max": 0, "name": "time, s"}, title, series, height="14rem")
 
 
-def _fill(chart: ui.echart, samples: list[Sample], lines: dict[str, str], scale: float) -> None:
+def _fill(shown: ui.echart, samples: list[Sample], lines: dict[str, str], scale: float) -> None:
     now = time.monotonic()
-    for series, name in zip(chart.options["series"], lines, strict=True):
+    for series, name in zip(shown.options["series"], lines, strict=True):
         series["data"] = [_point(sample, name, now, scale) for sample in samples]
-    chart.update()
+    shown.update()
 
 
 def _point(sample: Sample, name: str, now: float, scale: float) -> list[Any]:

@@ -18,7 +18,10 @@ from worm_optimizer.console.act_page import ActPage
 from worm_optimizer.console.entrance import COOKIE
 from worm_optimizer.console.hub import Hub
 from worm_optimizer.console.live_page import LivePage
+from worm_optimizer.console.page_chart import STYLE
 from worm_optimizer.console.recordings_page import RecordingsPage
+from worm_optimizer.console.studies import Studies
+from worm_optimizer.console.studies_page import StudiesPage
 from worm_optimizer.console.view import SAMPLE_S, state_words
 
 WORDS_S = 0.25
@@ -26,7 +29,7 @@ _BEAT_MS = 500
 # The space bar stops, whatever has the focus, but for where one writes; and the page says that it lives.
 _SCRIPT = f"""<script>
 addEventListener("keydown", (event) => {{
-  const written = event.target.closest?.("input:not([type=checkbox]), textarea");
+  const written = event.target.closest?.("input:not([type=checkbox], [readonly]), textarea");
   if (event.code === "Space" && !written) {{
     event.preventDefault(); event.stopPropagation();
     if (!event.repeat) document.querySelector("#stop").click();
@@ -34,8 +37,10 @@ addEventListener("keydown", (event) => {{
 }}, true);
 addEventListener("load", () => setInterval(() => emitEvent("beat"), {_BEAT_MS}));
 </script>"""
-_STYLE = """<style>
-.scene svg { width: 100%; max-height: 45vh; display: block }
+_STYLE = (
+    f"<style>{STYLE}"
+    + """
+.scene svg { width: 100%; max-height: 36vh; display: block }
 .worm .pipe { fill: #8d8d99 } .worm .robot { fill: #2659bf } .worm .ghost { fill: #e6b422; opacity: .45 }
 .worm .bellows { opacity: .5 } .worm .ghost.bellows { opacity: .25 } .worm .fins { opacity: .9 }
 .worm text { font: 8px sans-serif; fill: currentColor } .worm path.scale { stroke: currentColor; stroke-width: 1.5 }
@@ -43,14 +48,16 @@ _STYLE = """<style>
 .silent { color: #c62828 } .body--dark .silent { color: #ff8a80 }
 .stop { font-weight: 700; font-size: 1.4rem; min-height: 3.2rem; min-width: 9rem }
 </style>"""
+)
 
 
 def build(hub: Hub, access: Access) -> None:
     """Make the pages known to the server."""
+    studies = Studies(hub)
 
     @ui.page("/", title="Worm console")
     def console(request: Request, client: Client) -> None:
-        ConsolePage(hub, access, client, request.cookies.get(COOKIE, ""))
+        ConsolePage(hub, studies, access, client, request.cookies.get(COOKIE, ""))
 
     @app.get("/reports/{name:path}")
     def report(name: str) -> Response:
@@ -75,7 +82,9 @@ def build(hub: Hub, access: Access) -> None:
 class ConsolePage:
     """One page in one browser, from its opening to its end."""
 
-    def __init__(self, hub: Hub, access: Access, client: Client, session: str) -> None:
+    def __init__(
+        self, hub: Hub, studies: Studies, access: Access, client: Client, session: str
+    ) -> None:
         self._hub, self._access, self._client = hub, access, client
         self._session, self._id = session, client.id
         self._told = hub.words[-1] if hub.words else None
@@ -94,7 +103,7 @@ class ConsolePage:
                 ui.link("Sign out", "/logout").classes("text-white")
         with ui.tabs().classes("w-full") as tabs:
             live, act = ui.tab("Live"), ui.tab("Act")
-            recordings = ui.tab("Recordings")
+            recordings, studied = ui.tab("Recordings"), ui.tab("Studies")
         with ui.tab_panels(tabs, value=live).classes("w-full"):
             with ui.tab_panel(live):
                 LivePage(hub)
@@ -102,6 +111,8 @@ class ConsolePage:
                 ActPage(hub, self._controls)
             with ui.tab_panel(recordings):
                 shelf = RecordingsPage(hub)
+            with ui.tab_panel(studied):
+                StudiesPage(hub, studies, self._controls, shelf.chosen)
         tabs.on_value_change(lambda event: shelf.read() if event.value == "Recordings" else None)
         self._foot()
         ui.timer(WORDS_S, self._tell)
@@ -116,7 +127,7 @@ class ConsolePage:
             )
             self._word = (
                 ui.label()
-                .classes("order-first w-full sm:order-none sm:w-auto sm:grow")
+                .classes("order-first w-full sm:order-none sm:w-0 sm:grow")
                 .props("role=status")
             )
             ui.button("STOP", on_click=self._stop).props(

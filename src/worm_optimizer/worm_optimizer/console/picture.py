@@ -37,8 +37,9 @@ def picture(
 
 def _svg(left: float, width: float, content: str, words: str) -> str:
     half = 1e3 * (PIPE_RADIUS + 2.0 * _WALL)
+    # beyond what is shown on purpose: a page that is wider shows more
     walls = "".join(
-        _rect("pipe", left, side * (PIPE_RADIUS + 0.5 * _WALL), width, _WALL)
+        _rect("pipe", left - width, side * (PIPE_RADIUS + 0.5 * _WALL), 3.0 * width, _WALL)
         for side in (-1.0, 1.0)
     )
     return (

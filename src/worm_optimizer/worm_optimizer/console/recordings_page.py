@@ -37,14 +37,15 @@ class RecordingsPage:
             {"name": key, "field": key, "label": label, "align": "left", "sortable": True}
             for key, label in _COLUMNS
         ]
+        self._note = ui.label().props("role=status")
         self._table = ui.table(
             columns=columns, rows=[], row_key="key", selection="multiple", pagination=20
         ).classes("w-full")
+        self._table.props('no-data-label="no run to show" no-results-label="none"')
         with ui.row().classes("gap-2"):
             ui.button("Open report", on_click=lambda: self._report(1))
             ui.button("Compare two", on_click=lambda: self._report(2))
             ui.button("Download", on_click=self._download)
-        self._note = ui.label().props("role=status")
         self._shown = ui.element("div").classes("w-full")
 
     async def read(self) -> None:
@@ -62,11 +63,12 @@ class RecordingsPage:
         rows = found(self._rows, self._search.value or "")
         self._table.update_rows([_shown(row, key) for key, row in enumerate(rows)])
 
-    def _chosen(self) -> list[str]:
+    def chosen(self) -> list[str]:
+        """The names of the bags that are chosen in the list."""
         return list(dict.fromkeys(row["name"] for row in self._table.selected))
 
     async def _report(self, bags: int) -> None:
-        names = self._chosen()
+        names = self.chosen()
         if len(names) != bags:
             self._note.set_text(f"choose {'one bag' if bags == 1 else 'two bags'} in the list")
             return
@@ -79,17 +81,22 @@ class RecordingsPage:
         self._note.set_text("")
         self._shown.clear()
         with self._shown:
-            ui.element("iframe").props(
-                f'src="/reports/{quote(report)}" title="Report" sandbox="" '
-                'style="width:100%;height:70vh;border:0;background:white"'
-            )
+            report_frame(report)
 
     def _download(self) -> None:
-        names = self._chosen()
+        names = self.chosen()
         if not names:
             self._note.set_text("choose a bag in the list")
         for name in names:
             ui.download.from_url(f"/bags/{quote(name)}")
+
+
+def report_frame(report: str) -> None:
+    """A report in the page, where it can do nothing but be read."""
+    ui.element("iframe").props(
+        f'src="/reports/{quote(report)}" title="Report" sandbox="" '
+        'style="width:100%;height:70vh;border:0;background:white"'
+    )
 
 
 def _shown(row: Row, key: int) -> dict[str, Any]:

@@ -64,6 +64,16 @@ def read_front(
     return gaits
 
 
+def take_parameters(node: OperatorNode, file: str) -> str:
+    """Have the twin and the optimizer take a parameter file, empty for the paper's values. Raises `OperatorError`."""
+    node.take_parameters("twin", file)
+    try:
+        node.take_parameters("optimizer", file)
+    except OperatorError as error:
+        raise OperatorError(f"only the twin has taken it: {error}") from None
+    return f"twin and optimizer have taken {Path(file).name or 'the paper’s values'} over"
+
+
 def run(
     node: OperatorNode,
     order: Order,

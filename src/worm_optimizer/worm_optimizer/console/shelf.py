@@ -6,7 +6,9 @@ from __future__ import annotations
 import asyncio
 import json
 import shutil
-from collections.abc import Sequence
+import tempfile
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from worm_optimizer.report.report_page import PAGE
 
 _LONGEST = 200  # characters of a name that a file system takes in any case
 REPORT = "_report"  # ends the name of a report's folder
+_IDENTIFIED = "identified_"  # begins the name of a parameter file that was made here
 
 Row = dict[str, Any]
 
@@ -70,6 +73,39 @@ class Shelf:
             await _run("worm_optimizer", "report", *words)
         return str(folder.relative_to(self.folder))
 
+    async def identify(
+        self, names: Sequence[str], parameters: str, tell: Callable[[str], None]
+    ) -> str:
+        """The name of the parameter file that bags give, its report beside it. Raises `InputError`.
+
+        ``parameters`` is the file of what is known already, empty for the paper's; ``tell`` hears how far it is.
+        """
+        bags = [str(self.bag(name)) for name in names]
+        made = self.folder / time.strftime(f"{_IDENTIFIED}%Y_%m_%d-%H_%M_%S.yaml")
+        given = ["--parameters", parameters] if parameters else []
+        with tempfile.TemporaryDirectory(prefix="worm_console_") as work:
+            found = Path(work) / "identification"
+            words = [*bags, *given, "--output", str(made), "--report", str(found)]
+            await _run("worm_model", "identify", *words, tell=tell)
+            tell("report")
+            parts = ["--identification", str(made), "--identification", str(found)]
+            words = [*bags, *given, "--without-front", *parts]
+            words += ["--output", str(self.folder / report_of(made.name))]
+            await _run("worm_optimizer", "report", *words, tell=tell)
+        return made.name
+
+    def identified(self) -> list[str]:
+        """The names of all parameter files that were made here, the newest first."""
+        return sorted(
+            (path.name for path in self.folder.glob(f"{_IDENTIFIED}*.yaml")), reverse=True
+        )
+
+    def parameter_file(self, name: str) -> str:
+        """The path of one of them. Raises `InputError`."""
+        if name not in self.identified():
+            raise InputError(f"{name}: no such parameter file")
+        return str(self.folder / name)
+
     async def packed(self, name: str, folder: Path) -> Path:
         """A bag as one file, in a folder of one's own. Raises `InputError`."""
         bag = self.bag(name)
@@ -79,23 +115,46 @@ class Shelf:
         return Path(made)
 
 
-async def _run(package: str, executable: str, *words: str) -> str:
-    """The output of an executable; a process of its own, so that nothing else waits. Raises `InputError`."""
+async def _run(
+    package: str, executable: str, *words: str, tell: Callable[[str], None] = lambda _: None
+) -> str:
+    """The output of an executable; a process of its own, and a nice one, so that nothing else waits.
+
+    ``tell`` hears each line of its error output. Raises `InputError` with the last one where it fails.
+    """
     process = await asyncio.create_subprocess_exec(
+        "nice",
         *executable_command(package, executable),
         *words,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
     )
+    assert process.stdout is not None
+    assert process.stderr is not None
     try:
-        output, errors = await process.communicate()
+        output, last = await asyncio.gather(process.stdout.read(), _heard(process.stderr, tell))
+        await process.wait()
     except asyncio.CancelledError:
         process.terminate()
         raise
     if process.returncode:
-        lines = errors.decode("utf-8", "replace").strip().splitlines()
-        raise InputError(lines[-1] if lines else f"{executable} failed")
+        raise InputError(last or f"{executable} failed")
     return output.decode("utf-8")
+
+
+async def _heard(stream: asyncio.StreamReader, tell: Callable[[str], None]) -> str:
+    """Tells each line of a stream as it comes; the last one."""
+    last = ""
+    async for line in stream:
+        if text := line.decode("utf-8", "replace").strip():
+            last = text
+            tell(text)
+    return last
+
+
+def report_of(parameter_file: str) -> str:
+    """The name of the report that is made with a parameter file."""
+    return Path(parameter_file).stem + REPORT
 
 
 def found(rows: Sequence[Row], words: str) -> list[Row]:

@@ -56,17 +56,17 @@ def state_words(snapshot: Snapshot, now: float) -> str:
     return f"emergency stop, {words}" if driver.emergency_stop else words
 
 
-def obstacles(snapshot: Snapshot, *, busy: str, controls: bool) -> dict[str, str]:
+def obstacles(snapshot: Snapshot, *, hindrance: str, controls: bool) -> dict[str, str]:
     """Why each action cannot be pressed now, empty where it can be.
 
-    ``busy`` says what is being done, empty: nothing; ``controls`` whether the page holds control.
+    ``hindrance`` says why nothing can be asked for, empty: something can; ``controls`` whether the page holds control.
     """
     driver = snapshot.driver
     common = ""
     if not controls:
         common = "this page does not hold control: Take control"
-    elif busy:
-        common = f"wait: {busy}"
+    elif hindrance:
+        common = hindrance
     elif driver is None:
         common = "no driver is heard"
     if common or driver is None:

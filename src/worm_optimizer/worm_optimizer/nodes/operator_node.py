@@ -13,13 +13,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.msg import Log
+from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity
@@ -43,8 +44,18 @@ from worm_msgs.msg import (
 )
 from worm_msgs.ros_process import words_of
 from worm_msgs.srv import InjectFault, RequestGait
+from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.nodes.gait_run import GaitRun
-from worm_optimizer.orders import Order, Progress, RobotState, RunResult
+from worm_optimizer.nodes.search_goal import SearchGoal
+from worm_optimizer.orders import (
+    FrontOrder,
+    Order,
+    Progress,
+    RobotState,
+    RunResult,
+    ScanOrder,
+    SearchResult,
+)
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
@@ -80,6 +91,7 @@ _HEALTH = {
     getattr(TwinResiduals, name): name.lower()
     for name in ("UNKNOWN", "HEALTHY", "SUSPECT", "FAULTY")
 }
+_Goal = TypeVar("_Goal", bound=ActionGoal)
 
 
 class OperatorError(RuntimeError):
@@ -391,17 +403,27 @@ class OperatorNode(Node):
         The robot comes to rest when this operator is not heard any more, or ``wanted`` says no: it is asked four
         times a second. Raises `OperatorError` if there is nobody who could run it.
         """
-        run = GaitRun(self, self._heartbeat, order, wanted)
-        try:
-            if not self.wait(lambda: run.possible, DISCOVERY_TIMEOUT_S):
-                raise OperatorError("no action run_gait")
-            run.send()
-            if not self.wait(lambda: run.answered, CALL_TIMEOUT_S):
-                raise _NoAnswerError(f"no answer from run_gait within {CALL_TIMEOUT_S:g} s")
-        except BaseException:
-            run.close()
-            raise
-        return run
+        return self._sent(GaitRun(self, self._heartbeat, order, wanted))
+
+    def search(
+        self, order: ScanOrder | FrontOrder, on_end: Callable[[SearchResult], None]
+    ) -> SearchGoal:
+        """Have the optimizer begin a scan or an optimisation; whoever gets it closes it.
+
+        It goes on while anything else is done. Raises `OperatorError` if there is no optimizer.
+        """
+        return self._sent(SearchGoal(self, order, on_end))
+
+    def take_parameters(self, node: str, parameter_file: str) -> None:
+        """Have a node take another parameter file, empty for the paper's values.
+
+        Raises `OperatorError` if it refuses.
+        """
+        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=parameter_file)
+        request = SetParameters.Request(parameters=[Parameter(name="parameter_file", value=value)])
+        answer = self._call_twice(SetParameters, f"{node}/set_parameters", request).results[0]
+        if not answer.successful:
+            raise OperatorError(f"{node} does not take {parameter_file}: {answer.reason}")
 
     def follow(
         self, run: GaitRun, progress: Progress, until: Callable[[], bool] = lambda: False
@@ -434,6 +456,19 @@ class OperatorNode(Node):
         return result
 
     # --- calls ---------------------------------------------------------------------------------
+
+    def _sent(self, goal: _Goal) -> _Goal:
+        """A goal that has arrived; it is closed where it does not."""
+        try:
+            if not self.wait(lambda: goal.possible, DISCOVERY_TIMEOUT_S):
+                raise OperatorError(f"no action {goal.name}")
+            goal.send()
+            if not self.wait(lambda: goal.answered, CALL_TIMEOUT_S):
+                raise _NoAnswerError(f"no answer from {goal.name} within {CALL_TIMEOUT_S:g} s")
+        except BaseException:
+            goal.close()
+            raise
+        return goal
 
     def _trigger(self, name: str) -> str:
         response = self._call_twice(Trigger, name, Trigger.Request())

@@ -103,7 +103,7 @@ def optimize_result(front: RobustFront) -> OptimizeGaits.Result:
     }
     return OptimizeGaits.Result(
         success=True,
-        message=f"margin {1e3 * front.margin:.2f} mm, {front.reason}; the front of {front.source}",
+        message=f"margin {1e3 * front.margin:.2f} mm, {front.reason}, source {front.source}",
         margin=front.margin,
         hypervolume_share=front.hypervolume_share,
         missed_branches=list(front.missed_branches),

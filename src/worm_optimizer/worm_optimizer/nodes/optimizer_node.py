@@ -141,7 +141,7 @@ class OptimizerNode(Node):
         self.get_logger().info(
             f"optimizer ready, {_NAMES[front.direction]}: front of margin "
             f"{1e3 * front.margin:.1f} mm, {len(front.predictions)} gaits ({front.reason}), hypervolume "
-            f"{100.0 * front.hypervolume_share:.2f} % of the true front's, of {front.source}"
+            f"{100.0 * front.hypervolume_share:.2f} % of the true front's, source {front.source}"
         )
 
     def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:

@@ -16,9 +16,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from worm_model.nodes.twin_messages import nanoseconds
 from worm_model.twin.records import Activity, Health, LengthSource, StateRecord
 from worm_model.twin.scene import Sighting
+from worm_model.twin.watch_view import STALE_S
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
 from worm_optimizer.snapshot import DriverWord, Residuals, Snapshot
 
+RESIDUALS = ("rear_position", "length", "power")
 _NEWEST = QoSProfile(depth=1)
 _SIGHTINGS = (
     200  # 2 s at 100 Hz: the twin is behind by its delay, and is shown beside what was seen then
@@ -46,6 +48,7 @@ class Telemetry:
     def __init__(self, node: Node) -> None:
         self._heard: dict[str, tuple[float, Any]] = {}
         self._sightings: deque[Any] = deque(maxlen=_SIGHTINGS)
+        self._residuals: dict[str, tuple[float, Any]] = {}  # each with the last message that has it
         for topic, (kind, qos) in _TOPICS.items():
             node.create_subscription(kind, topic, self._keep(topic), qos)
 
@@ -54,6 +57,9 @@ class Telemetry:
             self._heard[topic] = (time.monotonic(), message)
             if topic == "tracker":
                 self._sightings.append(message)
+            elif topic == "twin/residuals":  # of one sample, which measures some of them
+                kept = dict.fromkeys(_measured(message), self._heard[topic])
+                self._residuals = self._residuals | kept
 
         return keep
 
@@ -65,7 +71,7 @@ class Telemetry:
         return Snapshot(
             driver=_driver_of(newest.get("gait_state")),
             twin=_twin_of(newest.get("twin/state")),
-            residuals=_residuals_of(newest.get("twin/residuals")),
+            residuals=_residuals_of(newest.get("twin/residuals"), self._residuals),
             robot=_robot_at(newest.get("twin/state"), list(self._sightings)),
             lengths={s: newest[topic].length for s, topic in _LENGTHS.items() if topic in newest},
             power=power.power if power is not None else math.nan,
@@ -92,11 +98,20 @@ def _twin_of(message: Any) -> StateRecord | None:
     return StateRecord(stamp_ns=nanoseconds(message.header.stamp), **values)
 
 
-def _residuals_of(message: Any) -> Residuals | None:
+def _measured(residuals: Any) -> list[str]:
+    return [name for name in RESIDUALS if math.isfinite(getattr(residuals, name))]
+
+
+def _residuals_of(message: Any, kept: Mapping[str, tuple[float, Any]]) -> Residuals | None:
+    """What is known of each, as long as it is not older than `STALE_S` beside the newest message."""
     if message is None:
         return None
-    values = {row.name: getattr(message, row.name) for row in dataclasses.fields(Residuals)}
-    return Residuals(**{**values, "health": Health(message.health)})
+    newest = max((at for at, _ in kept.values()), default=0.0)
+    values = dict.fromkeys([*RESIDUALS, *(f"{name}_scale" for name in RESIDUALS)], math.nan)
+    for name, (at, measured) in kept.items():
+        if newest - at <= STALE_S:
+            values |= {key: getattr(measured, key) for key in (name, f"{name}_scale")}
+    return Residuals(**values, health=Health(message.health), message=message.message)
 
 
 def _robot_at(twin: Any, sightings: list[Any]) -> Sighting:

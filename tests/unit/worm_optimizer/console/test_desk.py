@@ -105,6 +105,7 @@ def test_one_thing_at_a_time_and_stop_at_any(bench: Bench):
     bench.ask(work)
     assert begun.wait(TIMEOUT_S)
     assert not bench.desk.ask("more", lambda node: "more")
+    assert bench.desk.hindrance == "wait: working"
     bench.desk.stop()
     assert bench.node.stops.acquire(timeout=TIMEOUT_S)  # while the other still waits
     release.set()
@@ -118,5 +119,5 @@ def test_a_robot_that_does_not_come_up_is_told(request):
     bench.desk.start()
     request.addfinalizer(bench.desk.close)
     assert not bench.heard("twin has ended").good
-    assert bench.desk.failure == "twin has ended"
+    assert bench.desk.hindrance == "twin has ended"
     assert not bench.desk.ask("working", lambda node: "")

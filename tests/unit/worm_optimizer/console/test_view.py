@@ -71,13 +71,13 @@ def test_silent_numbers_are_not_shown_as_the_present():
     ],
 )
 def test_what_can_be_pressed_follows_from_the_state(given: Snapshot, pressable: set[str]):
-    reasons = obstacles(given, busy="", controls=True)
+    reasons = obstacles(given, hindrance="", controls=True)
     assert {name for name, reason in reasons.items() if not reason} == pressable
 
 
 def test_nothing_can_be_pressed_without_control_or_while_busy():
-    for busy, controls in (("homing", True), ("", False)):
-        assert all(obstacles(snapshot(), busy=busy, controls=controls).values())
+    for hindrance, controls in (("wait: homing", True), ("", False)):
+        assert all(obstacles(snapshot(), hindrance=hindrance, controls=controls).values())
 
 
 def test_the_state_is_told_in_words():

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the pages' charts look, in light and dark."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui import ui
+
+# Text is of the page's colour; the lines of the grid are seen on white and on black.
+STYLE = ".chart svg text { fill: currentColor; stroke: none }"
+_LINES = {"lineStyle": {"color": "#88888855"}}
+
+
+def chart(
+    x: dict[str, Any],
+    y: str,
+    series: list[dict[str, Any]],
+    *,
+    height: str = "15rem",
+    **events: Any,
+) -> ui.echart:
+    """A chart of the ``series``, with a legend of those that have a name; ``events`` are echart's.
+
+    ``x`` is the axis below, ``y`` the name of the other one, which stands above.
+    """
+    legend = any("name" in row for row in series)
+    options = {
+        "animation": False,
+        "title": {
+            "text": y,
+            "left": 0,
+            "top": 0,
+            "padding": 0,
+            "textStyle": {"fontSize": 13, "fontWeight": "normal"},
+        },
+        "legend": {
+            "show": legend,
+            "left": 0,
+            "top": 18,
+            "padding": 0,
+            "itemWidth": 16,
+            "itemHeight": 8,
+        },
+        "grid": {"left": 45, "right": 25, "top": 48 if legend else 30, "bottom": 42},
+        "xAxis": {
+            "type": "value",
+            "nameLocation": "middle",
+            "nameGap": 26,
+            "splitLine": _LINES,
+            **x,
+        },
+        "yAxis": {"type": "value", "scale": True, "splitLine": _LINES},
+        "series": series,
+    }
+    made = ui.echart(options, renderer="svg", **events)
+    return made.classes("w-full chart").style(f"height: {height}")

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is kept of a robot's topics; the node that hears them is made up."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
+
+from worm_model.twin.watch_view import STALE_S
+from worm_msgs.msg import TwinResiduals
+from worm_optimizer.nodes import robot_telemetry
+from worm_optimizer.nodes.robot_telemetry import Telemetry
+
+NAN = math.nan
+
+
+class Node:
+    """Hands on what is said, by topic."""
+
+    def __init__(self) -> None:
+        self.say: dict[str, Callable[[Any], None]] = {}
+
+    def create_subscription(
+        self, kind: type, topic: str, callback: Callable[[Any], None], qos: object
+    ) -> None:
+        self.say[topic] = callback
+
+
+def residuals(**measured: float) -> TwinResiduals:
+    unmeasured = dict.fromkeys(("rear_position", "length", "power"), NAN)
+    return TwinResiduals(**{**unmeasured, **measured}, health=TwinResiduals.HEALTHY)
+
+
+def test_each_residual_is_that_of_the_last_sample_which_measured_it(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    node, now = Node(), 100.0
+    monkeypatch.setattr(robot_telemetry.time, "monotonic", lambda: now)
+    telemetry = Telemetry(node)
+    assert telemetry.snapshot().residuals is None
+    node.say["twin/residuals"](residuals(rear_position=1e-3, length=2e-3))
+    node.say["twin/residuals"](residuals(power=0.5))
+    shown = telemetry.snapshot().residuals
+    assert shown is not None
+    assert (shown.rear_position, shown.length, shown.power) == (1e-3, 2e-3, 0.5)
+    now += 2.0 * STALE_S  # the tracker is blind, the power sensor is not
+    node.say["twin/residuals"](residuals(power=0.25))
+    shown = telemetry.snapshot().residuals
+    assert shown is not None
+    assert math.isnan(shown.rear_position)
+    assert shown.power == 0.25
