@@ -142,7 +142,7 @@ def slide(
     front_grooves: Array = ALIKE,
     stride: int = 1,
 ) -> Array | None:
-    """Samples of `simulation.kernel.dry_friction` at every ``stride``-th time of the length; None on chatter."""
+    """Samples of the stepped kernel at every ``stride``-th time of the length; None on chatter."""
     length_changes = traverse.length.length_change
     if stride > 1:
         length_changes = np.ascontiguousarray(length_changes[::stride])

@@ -143,6 +143,7 @@ class OperatorNode(Node):
         self._heard: dict[type, Any] = {}  # the last message of each type
         self._errors: deque[str] = deque(maxlen=20)  # of the driver's log
         self._watched: set[type] = set()
+        self._own_runs = 0
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.create_subscription(Clock, "clock", self._on_clock, 10)
         self.create_subscription(Log, "/rosout", self._on_log, 100)
@@ -262,6 +263,16 @@ class OperatorNode(Node):
     def _names(self) -> list[str]:
         nodes = self.get_node_names_and_namespaces()
         return [name for name, namespace in nodes if namespace == self.get_namespace()]
+
+    @property
+    def runs_of_others(self) -> int:
+        """How many runs the driver has begun for somebody else, as heard by an operator who saw it start."""
+        return self._runs - self._own_runs
+
+    @property
+    def _runs(self) -> int:
+        heard = self._heard.get(GaitState)
+        return 0 if heard is None else int(heard.run)
 
     # --- what a person does --------------------------------------------------------------------
 
@@ -419,12 +430,14 @@ class OperatorNode(Node):
 
     def run(self, order: Order, progress: Progress) -> RunResult:
         """Run a gait to its end; raises `OperatorError`, `GaitFailedError` if it was begun and failed."""
+        before = self._runs
         run = self.begin(order)
         try:
             self.follow(run, progress)
             result = run.result
         finally:
             run.close()
+            self._own_runs += min(self._runs - before, 1)
         if not result.success:
             raise GaitFailedError(f"the gait failed: {result.message}")
         return result

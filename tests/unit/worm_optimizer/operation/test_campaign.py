@@ -82,6 +82,7 @@ def test_a_calibrated_driver_gets_its_file():
     ("arguments", "complaint"),
     [
         (("--set", "port"), "write NAME=VALUE"),
+        (("--mode", "robot", "--tracker", "camera"), "give the rig, --set tracker_setup=FILE"),
         (("--set", "prot=/dev/ttyUSB0"), "no setting 'prot'"),
         (("--margin", "-1"), "margin: -1"),
         (("--parameters", "none.yaml"), "none.yaml: cannot be read"),
