@@ -67,7 +67,7 @@ from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
 from worm_optimizer.report.identification_parts import add_identification, identification_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
-from worm_optimizer.report.report_page import Report, build_report
+from worm_optimizer.report.report_page import PAGE, Report, build_report
 from worm_optimizer.search.cache import Cache, default_directory
 from worm_optimizer.search.search_settings import Settings
 
@@ -174,6 +174,7 @@ def _campaign(options: argparse.Namespace) -> int:
         )
         for name, promise in plan.gaits.items()
     ]
+    put_aside(folder / "report", say)
     page = build_report(report, folder / "report")
     if len(recorded) > _GAITS:
         draw_spread(folder / SPREAD_FIGURE, spreads)
@@ -248,7 +249,7 @@ def _folder(options: argparse.Namespace) -> Path:
         resumed: Path = options.resume.resolve()
         if not ((resumed / PROMISES).is_file() or (options.identify and (resumed / RUNS).is_dir())):
             raise InputError(f"{resumed}: no campaign was begun there ({PROMISES} is missing)")
-        if (resumed / "report").exists():
+        if (resumed / "report" / PAGE).exists():
             raise InputError(f"{resumed}: this campaign is complete, its report is there")
         return resumed
     default = Path("bags") / time.strftime("campaign_%Y_%m_%d-%H_%M_%S")

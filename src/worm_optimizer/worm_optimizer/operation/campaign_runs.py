@@ -119,7 +119,7 @@ def put_aside(bag: Path, say: Say) -> None:
     while (aside := bag.with_name(f"{bag.name}_unfinished_{number}")).exists():
         number += 1
     bag.rename(aside)
-    say(f"{bag.name}: an unfinished recording is kept as {aside.name}")
+    say(f"{bag.name}: what is unfinished is kept as {aside.name}")
 
 
 def _record_gait(running: Session, system: System, name: str, order: Order) -> None:

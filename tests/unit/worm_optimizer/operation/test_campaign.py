@@ -174,13 +174,14 @@ def test_a_folder_goes_on_only_with_the_gaits_it_was_begun_with(plan, tmp_path: 
     [
         ([], [], "no campaign was begun there"),
         (["promised.json"], ["--output", "x"], "leave --output out"),
-        (["promised.json", "report"], [], "is complete"),
+        (["promised.json", "report/report.html"], [], "is complete"),
     ],
 )
 def test_what_cannot_be_resumed_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, make, arguments, complaint
 ):
     for name in make:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     assert run_command(monkeypatch, "--resume", str(tmp_path), *arguments) == 2
     assert complaint in capsys.readouterr().err.splitlines()[-1]

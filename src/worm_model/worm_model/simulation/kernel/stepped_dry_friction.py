@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The locomotion model with dry friction of its modules, integrated in steps along a sampled length.
 
-Identification fits with it, for it knows grooves that differ, which the exact kernel would have to carry through every
-gait of a search, and follows a sampled length in 0.09 µs a sample, `worm_model.simulation.kernel.march` in 0.21 µs, and
-in 0.27 µs with dry friction: a fit of a minute would take three. It approximates that kernel, the one place of the
-model with a step size; a test holds how far it is off. What the fit finds is then checked, and used, in the exact one.
+Identification fits with it, for it knows grooves that differ and costs half as much along a sampled length: an
+approximation of `worm_model.simulation.kernel.march`, the one place of the model with a step size. A test holds how
+far it is from it. What the fit finds is then checked, and used, in the exact model.
 
 The state is y = x1 + μ·ΔL as everywhere. Friction of a module is (η + F/(|v| + v_s))·v: v_s, the speed below
 which dry friction fades, keeps it a function.
