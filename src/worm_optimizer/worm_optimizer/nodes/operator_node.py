@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -240,14 +241,19 @@ class OperatorNode(Node):
         end = self.robot_time_s + duration_s
         self.wait(lambda: self.robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
 
-    def wait_for_recorder(self, name: str) -> None:
+    def wait_for_recorder(self, name: str, left_out: str = "") -> None:
         """Wait until a node subscribes to all visible topics of this namespace that are published.
 
-        What is published before that is not in its recording. Raises `OperatorError` with a topic
-        that it does not subscribe to in time.
+        ``left_out`` matches those that it is not to record. What is published before that is not in its recording.
+        Raises `OperatorError` with a topic that it does not subscribe to in time.
         """
-        if not self.wait(lambda: not self._unheard_topics(name), DISCOVERY_TIMEOUT_S):
-            raise OperatorError(f"{name} does not subscribe to {self._unheard_topics(name)[0]}")
+
+        def unheard() -> list[str]:
+            topics = self._unheard_topics(name)
+            return [topic for topic in topics if not (left_out and re.search(left_out, topic))]
+
+        if not self.wait(lambda: not unheard(), DISCOVERY_TIMEOUT_S):
+            raise OperatorError(f"{name} does not subscribe to {unheard()[0]}")
 
     def _unheard_topics(self, listener: str) -> list[str]:
         prefix = self.get_namespace() + "/"
