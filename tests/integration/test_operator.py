@@ -4,6 +4,7 @@
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from harness import LATCHED
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.task import Future
@@ -113,7 +114,7 @@ def test_it_hears_of_the_late_cycles_of_its_own_driver(node, probe):
 
 
 def test_runs_that_somebody_else_asked_for_are_counted(node, probe, monkeypatch):
-    states = probe.node.create_publisher(GaitState, "gait_state", 1)
+    states = probe.node.create_publisher(GaitState, "gait_state", LATCHED)
 
     class Run:
         """One that ends at once, before which the driver has told its number."""

@@ -11,6 +11,7 @@ from recorded_run import GAIT, simulated_run, write_bag
 
 from worm_model.parameters import ParameterFile
 from worm_optimizer.commands import campaign as command
+from worm_optimizer.operation.bring_up import left_out
 from worm_optimizer.operation.campaign_plan import is_promised, make_plan, write_promises
 from worm_optimizer.operation.campaign_runs import (
     Robot,
@@ -68,6 +69,7 @@ def test_the_same_nodes_run_but_for_the_robot_itself(mode: str):
     assert names == [*(["virtual_robot"] if mode == "virtual" else []), "twin", "driver"]
     recorder = robot.recording_system(Path("/tmp/a bag")).node("recorder")
     assert recorder.arguments[:2] == ("--output", "/tmp/a bag")
+    assert left_out(recorder) == "/camera/"  # no one waits for it to hear these
 
 
 def test_a_calibrated_driver_gets_its_file():
