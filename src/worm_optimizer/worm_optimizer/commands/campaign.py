@@ -74,6 +74,7 @@ from worm_optimizer.search.search_settings import Settings
 _GAITS = 3  # of a campaign without repeats and nominal gaits: nothing spreads
 SPREAD_FIGURE = "spread.png"
 _MODES = ("virtual", "robot")
+_GO_ON = "campaign: go on with --resume {}"
 SAME_PLACE = "Put the robot where the first run began, its fins straight in the same grooves"
 
 
@@ -161,8 +162,11 @@ def _campaign(options: argparse.Namespace) -> int:
             ask = _asked("Put the robot where it has room") if _asks(options) else _at_once
             run_gaits(robot, orders, folder, work / "logs" / "validation", say, ask)
     except FAILURES as error:
-        print(f"campaign: {error}\ncampaign: go on with --resume {folder}", file=sys.stderr)  # noqa: T201
+        sys.stderr.write(f"campaign: {error}\n{_GO_ON.format(folder)}\n")
         return FAILED
+    except KeyboardInterrupt:
+        sys.stderr.write(f"{_GO_ON.format(folder)}\n")
+        raise
     say("comparing")
     bags = [folder / run for run in names]
     recorded = read_recorded_gaits(bags, options.parameters, notifier("campaign"))
