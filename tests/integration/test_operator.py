@@ -4,15 +4,18 @@
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from harness import LATCHED
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
 from rclpy.task import Future
 
 from worm_driver.control.diagnostics import Level, Report
 from worm_driver.nodes import driver_messages
+from worm_model.gait import Gait
 from worm_msgs.msg import GaitState
 from worm_optimizer.nodes import operator_node
 from worm_optimizer.nodes.operator_node import OperatorError, operator
+from worm_optimizer.orders import Order, RunResult
 
 
 class Service:
@@ -114,6 +117,35 @@ def test_it_hears_of_the_late_cycles_of_its_own_driver(node, probe):
 
     probe.wait_for(heard, "word of late cycles")
     assert node.late_cycles == 31
+
+
+def test_runs_that_somebody_else_asked_for_are_counted(node, probe, monkeypatch):
+    states = probe.node.create_publisher(GaitState, "gait_state", LATCHED)
+
+    class Run:
+        """One that ends at once, before which the driver has told its number."""
+
+        done, progress, heard_at = True, None, 0.0
+        result = RunResult(Gait(0.05, 0.2), True, "", 1, 1, *[0.0] * 6)
+
+        def close(self) -> None: ...
+
+    def told(number: int, others: int) -> None:
+        def heard() -> bool:
+            states.publish(GaitState(run=number))
+            node.rest(0.05)
+            return node.runs_of_others == others
+
+        probe.wait_for(heard, f"run {number}")
+
+    def begin(order) -> Run:
+        told(2, 2)  # until this one has ended, its own is nobody's
+        return Run()
+
+    told(1, 1)
+    monkeypatch.setattr(node, "begin", begin)
+    node.run(Order(Gait(0.05, 0.2), cycles=1), lambda _: None)
+    assert node.runs_of_others == 1
 
 
 def test_a_robot_that_has_a_driver_gets_no_second_one(node, probe, monkeypatch):

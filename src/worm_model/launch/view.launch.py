@@ -2,7 +2,8 @@
 """Shows a robot and its twin in RViz: ros2 launch worm_model view.launch.py namespace:=worm.
 
 robot_state_publisher makes the frames pipe, rear_module and front_module of urdf/worm.urdf from the twin's
-joint states. Frames are on the topics tf and tf_static of the robot's namespace: each robot has its own pipe.
+joint states; camera:= adds camera and, for its images, camera_optical_frame. Frames are on the topics tf and
+tf_static of the robot's namespace: each robot has its own pipe.
 """
 
 from __future__ import annotations
@@ -19,8 +20,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 SHARE = Path(get_package_share_directory("worm_model"))
 _TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
-# REP 103: a camera's own frame has x forward, that of its images z forward, x right, y down
-_OPTICAL = f"0 0 0 {-math.pi / 2} 0 {-math.pi / 2}"
+_POSE = ("--x", "--y", "--z", "--yaw", "--pitch", "--roll")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -38,7 +38,7 @@ def generate_launch_description() -> LaunchDescription:
                 "camera",
                 default_value="",
                 description="pose of the camera in the pipe's frame, 'x y z yaw pitch roll' in m and rad; empty: "
-                "no frames for it and its images",
+                "no frame for it",
             ),
             OpaqueFunction(function=_start),
         ]
@@ -61,8 +61,7 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         )
     ]
     if value("camera"):
-        nodes.append(_fixed(namespace, "pipe", "camera", value("camera")))
-        nodes.append(_fixed(namespace, "camera", "camera_optical_frame", _OPTICAL))
+        nodes += _camera(namespace, value("camera"))
     if value("rviz") == "true":
         nodes.append(
             Node(
@@ -76,17 +75,26 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     return nodes
 
 
-def _fixed(namespace: str, parent: str, child: str, pose: str) -> Node:
-    names = ("--x", "--y", "--z", "--yaw", "--pitch", "--roll")
+def _camera(namespace: str, pose: str) -> list[Node]:
+    """Frames of the camera's body, x where it looks, and of its images, z there and x to their right (REP 103)."""
     values = pose.split()
-    if len(values) != len(names):
+    if len(values) != len(_POSE):
         raise ValueError(
             f"camera:='{pose}': expected six numbers, x y z yaw pitch roll in m and rad"
         )
-    words = [word for pair in zip(names, values, strict=True) for word in pair]
+    right = f"{-math.pi / 2}"
+    return [
+        _fixed(namespace, "pipe", "camera", values),
+        _fixed(namespace, "camera", "camera_optical_frame", ["0", "0", "0", right, "0", right]),
+    ]
+
+
+def _fixed(namespace: str, parent: str, child: str, pose: list[str]) -> Node:
+    words = [word for pair in zip(_POSE, pose, strict=True) for word in pair]
     return Node(
         package="tf2_ros",
         executable="static_transform_publisher",
+        name=f"{child}_transform",
         namespace=namespace,
         arguments=[*words, "--frame-id", parent, "--child-frame-id", child],
         remappings=_TF,

@@ -10,6 +10,7 @@ from worm_model.twin import scene
 
 pytest.importorskip("worm_msgs.msg", reason="no ROS is installed")
 
+from worm_driver.nodes import tracker_node, virtual_camera_node
 from worm_model.nodes import twin_messages
 
 URDF = Path(__file__).resolve().parents[3] / "src" / "worm_model" / "urdf" / "worm.urdf"
@@ -45,3 +46,10 @@ def test_the_modules_look_as_in_the_scene(robot):
     assert [tuple(map(float, size.split())) for size in boxes] == [scene.MODULE] * 2
     colour = next(robot.iter("color")).get("rgba")
     assert tuple(map(float, colour.split())) == scene.ROBOT_COLOUR
+
+
+def test_what_is_published_has_a_place_in_the_tree():
+    """Positions in the pipe, images in the optical frame that the launch file hangs below the camera's."""
+    assert tracker_node.FRAME == scene.FRAME
+    launch = (URDF.parents[1] / "launch" / "view.launch.py").read_text()
+    assert f'"camera", "{virtual_camera_node.FRAME}"' in launch

@@ -2,14 +2,17 @@
 """The node ``virtual_camera``: renders and publishes what a camera beside the pipe sees of the virtual robot.
 
 A process of its own, which virtual_robot starts and feeds: an image costs more time than an answer on the bus may take.
-A line of standard input is an exposure: its stamp in ns, then x1 and x2 in m, nan while out of sight.
+A line of standard input is an exposure: its stamp in ns, then x1 and x2 in m, nan while out of sight. A line of
+standard output says that one is published or lost, so that a robot whose time can wait is not faster than its camera.
 """
 
 import contextlib
 import os
+import select
 import subprocess
 import sys
 import threading
+import time
 from array import array
 from collections import deque
 from collections.abc import Sequence
@@ -35,6 +38,7 @@ from worm_msgs.ros_process import ros_process
 #: REP 103: z forward, x to the right
 FRAME = "camera_optical_frame"
 _NANOSECONDS = 10**9
+_CHUNK = 4096  # bytes
 _ENDING = 3.0  # s that the process may take to end once its input is closed
 
 
@@ -56,6 +60,8 @@ class VirtualCameraNode(Node):
         """Takes exposures from standard input until it is closed; in a thread of its own."""
         for line in sys.stdin:
             stamp, rear, front = line.split()
+            if len(self._waiting) == self._waiting.maxlen:
+                _tell("lost")
             self._waiting.append((int(stamp), float(rear), float(front)))
             self._arrival.trigger()
         self.ended = True
@@ -68,6 +74,12 @@ class VirtualCameraNode(Node):
             header = _header(exposure[0] + round(self._settings.delay * _NANOSECONDS))
             self._image.publish(_message(self._camera.image(path), header))
             self._info.publish(_info(self._settings, header))
+            _tell("published")
+
+
+def _tell(word: str) -> None:
+    sys.stdout.write(f"{word}\n")
+    sys.stdout.flush()
 
 
 def _header(stamp: int) -> Header:
@@ -111,18 +123,35 @@ class CameraProcess:
         self._input = self._process.stdin
         self._process.stdout.readline()  # it is ready, or has ended
         os.set_blocking(self._input.fileno(), False)
+        self._output = self._process.stdout.fileno()
+        self._ahead = 0  # exposures that are neither published nor lost yet
 
-    def expose(self, stamp: int, rear: float, front: float) -> None:
-        """Tells it of an exposure: ns, m, m. Raises ChildProcessError when it has ended."""
+    def expose(self, stamp: int, rear: float, front: float, patience: float) -> None:
+        """Tells it of an exposure: ns, m, m; waits for up to ``patience`` s until the one before is published.
+
+        One that it is told too early is lost. Raises ChildProcessError when it has ended.
+        """
+        self._follow(patience)
         line = f"{stamp} {rear!r} {front!r}\n".encode()
         try:
             os.write(self._input.fileno(), line)
+            self._ahead += 1
         except BlockingIOError:
             return  # it is far behind, and this exposure is lost
         except BrokenPipeError:
             raise ChildProcessError(
                 "the virtual camera has ended, see its messages above"
             ) from None
+
+    def _follow(self, patience: float) -> None:
+        end = time.monotonic() + patience
+        while select.select(
+            [self._output], [], [], max(end - time.monotonic(), 0.0) if self._ahead else 0.0
+        )[0]:
+            told = os.read(self._output, _CHUNK)
+            self._ahead = max(self._ahead - told.count(b"\n"), 0)
+            if not told or not self._ahead:
+                return
 
     def close(self) -> None:
         """Ends it."""
@@ -148,8 +177,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         threading.Thread(target=node.read, name="exposures", daemon=True).start()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        sys.stdout.write("ready\n")
-        sys.stdout.flush()
+        _tell("ready")
         while not (ended() or node.ended):
             executor.spin_once(timeout_sec=0.1)
         node.destroy_node()

@@ -45,6 +45,7 @@ _VIRTUAL = "virtual"  # stands for the installed file of the camera
 # Python hands the interpreter over after 5 ms by default, too late for an answer on the bus.
 _SWITCH_INTERVAL = 0.0002  # s
 _SIGNAL_LATENCY = 0.1  # s, after which a signal is noticed at the latest
+_CAMERA_PATIENCE = 2.0  # s that an image may take, while the robot's time waits for it
 _QUIET = 0.5  # s without an instruction, after which nobody works with the robot any more
 
 log = logging.getLogger("virtual_robot")
@@ -98,7 +99,8 @@ class VirtualRobotNode(Node):
                 self._publish(sample, Header(stamp=stamp.to_msg(), frame_id=_FRAME))
             else:
                 places = sample.rear_position, sample.front_position
-                self._camera.expose(stamp.nanoseconds, *places)
+                patience = _CAMERA_PATIENCE if self.endpoints.waits else 0.0
+                self._camera.expose(stamp.nanoseconds, *places, patience)
 
     def _publish(self, sample: TrackerSample, header: Header) -> None:
         self._tracker.publish(

@@ -123,6 +123,17 @@ class Plant:
         force = p.bellows_stiffness * (p.unstressed_length - p.initial_length)
         return PlantState(0.0, 0.0, 0.0, 0.0, 0, front, False, 0.0, force, 0.0)
 
+    def put_back(self, state: PlantState) -> PlantState:
+        """A worm, however long it is, that somebody has put where it started, its fins straight."""
+        p = self.parameters
+        share = p.front_mass / (p.rear_mass + p.front_mass)
+        return state._replace(
+            centre=share * state.length_change,
+            centre_velocity=share * state.length_rate,
+            rear_groove=0,
+            front_groove=round((p.initial_length + state.length_change) / p.pitch),
+        )
+
     def positions(self, state: PlantState) -> tuple[float, float]:
         """x1 and x2 (m)."""
         p = self.parameters

@@ -182,6 +182,8 @@ class VirtualRobot:
             for servo in self.servos:
                 servo.supervise(_SUPERVISION)
         self._disturb_sensor(time)
+        if self.board.take(faults.PUT_BACK, time):
+            self.state = self.plant.put_back(self.state)
         self.board.forget_past(time)
 
     def _surround(self, servo: Servo, time: float) -> None:

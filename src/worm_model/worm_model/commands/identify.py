@@ -18,6 +18,7 @@ from worm_model.commands.command_line import (
 )
 from worm_model.identification.advice import Advice, advise
 from worm_model.identification.identification_report import (
+    delay_text,
     error_table,
     parameter_table,
     write_report,
@@ -147,7 +148,8 @@ def _describe(result: Identification, advice: Advice) -> str:
     ]
     if result.validation:
         parts.append("Validation runs:\n" + error_table(result.validation, {}))
-    return "\n\n".join([*parts, f"What next: {advice.text}."])
+    parts += [delay_text(result.camera_delay), f"What next: {advice.text}."]
+    return "\n\n".join(parts)
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -138,6 +138,4 @@ def _check_seen(recording: Recording) -> None:
 def _idle_power(recording: Recording) -> Estimate:
     """Not identifiable in a bag whose power was not recorded at rest; the bag's other estimates stay."""
     idle = idle_power_of(recording)
-    if not np.isfinite(idle.value):
-        return Estimate(np.nan, np.nan, np.nan, False, idle.warning)
-    return idle_power([idle])
+    return idle_power([idle]) or Estimate(np.nan, np.nan, np.nan, False, idle.warning)

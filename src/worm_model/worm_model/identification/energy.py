@@ -148,3 +148,9 @@ def fit_energy(
         residuals=tuple(r * SCALE for r in solution.residuals),
         solution=solution,
     )
+
+
+def unseen_energy(damping: float, factor: float) -> EnergyFit:
+    """The values as they are given, where no run was seen."""
+    nothing = Solution(np.array([damping, factor]), np.empty((0, 1)), (), 0.0)
+    return EnergyFit(damping, factor, np.empty(0), (), nothing)

@@ -24,16 +24,21 @@ from worm_model.identification.energy import (
     energy_problem,
     fit_energy,
     predicted_energy,
+    unseen_energy,
     with_force,
 )
 from worm_model.identification.estimate import VAGUE, Estimate, not_told
 from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
+from worm_model.parameters import Parameters
 
 Array = NDArray[np.float64]
 
 LEAST_FREQUENCY_RATIO = 1.4  # of the fastest to the slowest gait
 FEWEST_RUNS = 2
 LEAST_SCATTER = 1e-6  # J
+NO_POWER = (
+    "no run has power samples over its five ridges: let the power sensor log until the run ends"
+)
 
 
 @dataclass(frozen=True)
@@ -57,18 +62,19 @@ def identify_energy(
     runs: Sequence[PowerRun],
     frequencies: Sequence[float],
     forces: Callable[[np.random.Generator], list[Array]],
-    given_damping: float,
+    given: Parameters,
     random: np.random.Generator,
     hindrance: str = "",
 ) -> EnergyResult:
     """Both parameters of all runs.
 
     ``forces`` draws the static forces (n,) in N of every run; ``frequencies`` in Hz are those of the runs;
+    ``given`` has c_b, and α_P where no run was seen;
     ``hindrance`` says why no interval would be honest, if so.
     """
     note = hindrance or _why_not(runs, frequencies)
     if note:
-        return _given(runs, given_damping, note)
+        return _given(runs, given, note)
     fit = fit_energy(runs)
     weights = unit_weights(random, len(runs))
     seeds = random.integers(2**62, size=(weights.shape[0],)).tolist()
@@ -85,12 +91,14 @@ def identify_energy(
     damping, factor = estimates(np.array([fit.damping, fit.factor]), refits, len(runs))
     told = [e.spread <= VAGUE * e.value for e in (damping, factor)]  # False of NaN too
     if not all(told):
-        return _given(runs, given_damping, "the runs leave it open by more than half its value")
+        return _given(runs, given, "the runs leave it open by more than half its value")
     shares = (min(float(inherited[0]), 1.0), min(float(inherited[1]), 1.0))
     return EnergyResult(damping, factor, correlation(refits), shares, fit, _clocks(runs, fit))
 
 
 def _why_not(runs: Sequence[PowerRun], frequencies: Sequence[float]) -> str:
+    if not runs:
+        return NO_POWER
     if len(runs) < FEWEST_RUNS:
         return "one run cannot tell c_b from α_P; record gaits of several frequencies"
     if max(frequencies) < LEAST_FREQUENCY_RATIO * min(frequencies):
@@ -99,13 +107,13 @@ def _why_not(runs: Sequence[PowerRun], frequencies: Sequence[float]) -> str:
     return ""
 
 
-def _given(runs: Sequence[PowerRun], damping: float, note: str) -> EnergyResult:
-    """c_b stays as given; the factor that goes with it is fitted, but is no more certain than c_b is."""
-    fit = fit_energy(runs, damping=damping)
-    nothing = float("nan")
+def _given(runs: Sequence[PowerRun], given: Parameters, note: str) -> EnergyResult:
+    """c_b stays as given; the factor that goes with it is fitted, if it can be, but is no more certain than c_b is."""
+    damping, nothing = given.bellows_damping, float("nan")
+    fit = fit_energy(runs, damping=damping) if runs else unseen_energy(damping, given.power_factor)
     return EnergyResult(
         not_told(damping, note),
-        not_told(fit.factor, f"{note}; fitted under the given c_b"),
+        not_told(fit.factor, f"{note}; fitted under the given c_b" if runs else note),
         np.full((2, 2), nothing),
         (nothing, nothing),
         fit,
@@ -115,6 +123,8 @@ def _given(runs: Sequence[PowerRun], damping: float, note: str) -> EnergyResult:
 
 def _clocks(runs: Sequence[PowerRun], fit: EnergyFit) -> Array:
     """By what is left over in each run, and by how far its idle power, held in the fit, may be off."""
+    if not runs:
+        return np.empty(0)
     scatter = np.maximum([np.sqrt(np.mean(r**2)) for r in fit.residuals], LEAST_SCATTER)
     weights = [
         np.full(run.power_time.size, INDEPENDENT / run.power_time.size / own**2)

@@ -66,7 +66,7 @@ class GrooveFit:
     """``solution`` of a `groove_problem` under a ``scatter``.
 
     ``places`` (k, 3) tells what each deviation after the means is: module, row and column of grooves as
-    `worm_model.simulation.kernel.dry_friction` has them.
+    `worm_model.simulation.kernel.stepped_dry_friction` has them.
     """
 
     solution: Solution

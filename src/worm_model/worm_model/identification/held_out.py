@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numpy as np
-
 from worm_model.identification.actuation_fit import ActuationFit, fit_actuation
 from worm_model.identification.energy import PowerRun, fit_energy
 from worm_model.identification.energy_stage import EnergyResult
@@ -79,9 +77,9 @@ def leave_one_out(
             gain=other_actuation.gain,
             time_constant=other_actuation.time_constant,
         )
-        idle = [runs[k].idle for k in others if np.isfinite(runs[k].idle.value)]
-        if idle:
-            values = values.replace(idle_power=idle_power(idle).value)
+        idle = idle_power([runs[k].idle for k in others])
+        if idle is not None:
+            values = values.replace(idle_power=idle.value)
         powered = [by_name[runs[k].name] for k in others if runs[k].name in by_name]
         if powered:
             fitted = fit_energy(powered, damping=damping)

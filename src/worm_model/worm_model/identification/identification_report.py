@@ -185,7 +185,15 @@ def nuisance_text(result: Identification) -> str:
             f"| {run.name} | {length * 1e3:.2f} | {run.idle.value:.3f} | {camera} | {power} | "
             f"{reached} |"
         )
-    return head + "\n".join(lines)
+    return head + "\n".join([*lines, "", delay_text(result.camera_delay)])
+
+
+def delay_text(delay: Estimate) -> str:
+    """What the clocks say of the tracker's delay."""
+    if not delay.identifiable:
+        return f"Delay of the camera: not told; {delay.note}."
+    low, value, high = (1e3 * x for x in (delay.low, delay.value, delay.high))
+    return f"Delay of the camera: {value:.1f} ms ({low:.1f} … {high:.1f}); {delay.note}."
 
 
 def _milliseconds(offset: float, deviation: float) -> str:

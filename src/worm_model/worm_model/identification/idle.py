@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.identification.estimate import Estimate, quantile
-from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.observed_run import Recording
 
 SAMPLES = 10
 FEWEST_SAMPLES = 3
 SETTLED = 5.0  # standard errors by which the ten may differ from all samples at rest
 LEAST_DIFFERENCE = 0.02  # relative, that is worth a warning
+NO_IDLE = "no run has power samples at rest: record at least 2 s before the gait starts"
 
 
 @dataclass(frozen=True)
@@ -64,16 +64,11 @@ def idle_power_of(recording: Recording) -> IdlePower:
     return IdlePower(value, deviation)
 
 
-def idle_power(runs: Sequence[IdlePower]) -> Estimate:
-    """The mean over runs; with one run the interval is that of its samples.
-
-    Raises `IdentificationError` if no run rested.
-    """
+def idle_power(runs: Sequence[IdlePower]) -> Estimate | None:
+    """The mean over runs; with one run the interval is that of its samples. None if no run rested."""
     known = [run for run in runs if np.isfinite(run.value)]
     if not known:
-        raise IdentificationError(
-            "no run has power samples at rest: record at least 2 s before the gait starts"
-        )
+        return None
     values = np.array([run.value for run in known])
     mean = float(values.mean())
     if len(known) > 1:

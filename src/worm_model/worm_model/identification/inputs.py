@@ -17,7 +17,7 @@ from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.identification import bellows, fin
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.observed_run import Recording, recording_of
+from worm_model.identification.observed_run import Recording, recordings_of
 
 Array = NDArray[np.float64]
 
@@ -115,7 +115,7 @@ def read_recordings(
         if is_lab_folder(path):
             found += [read_lab_recording(run, logs) for run in run_folders(path)]
         else:
-            found.append(read_recording(path, definitions))
+            found += _read_bag(path, definitions)
     return found
 
 
@@ -138,16 +138,21 @@ def run_folders(folder: Path) -> list[Path]:
 
 
 def read_recording(path: Path, definitions: Path | None = None) -> Recording:
-    """The run in a bag, or in a lab's folder of one run."""
+    """The first run in a bag, or that in a lab's folder of one run."""
     if is_lab_folder(path):
         return read_lab_recording(path)
+    return _read_bag(path, definitions)[0]
+
+
+def _read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
+    """The runs in a bag."""
     with open_bag(path, definitions=definitions) as bag:
         run = read_run(bag, names=TOPICS)
         start = bag.start
     date = datetime.fromtimestamp(start * 1e-9, timezone.utc).isoformat(timespec="seconds")
     files = [path] if path.is_file() else sorted(f for f in path.iterdir() if f.is_file())
     checksums = {file.name: _checksum(file) for file in files}
-    return recording_of(run, path.resolve().name, checksums, date)
+    return recordings_of(run, path.resolve().name, checksums, date)
 
 
 def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:
@@ -160,7 +165,7 @@ def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:
         raise IdentificationError(
             f"{folder}: no runs.json tells the gait; add one with stroke_m and frequency_Hz of each run"
         )
-    recording = recording_of(lab.run, folder.resolve().name, lab.checksums)
+    recording = recordings_of(lab.run, folder.resolve().name, lab.checksums)[0]
     return replace(recording, remarks=(*lab.transmission.remarks, *recording.remarks))
 
 

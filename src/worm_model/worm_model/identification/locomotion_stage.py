@@ -84,11 +84,11 @@ class LocomotionResult:
     """``viscous_friction`` N·s/m, ``switching_threshold`` m and ``pitch`` m with intervals; the rest are diagnostics.
 
     ``dry_friction`` N of the rear and the front module with intervals; ``onset`` as in
-    `simulation.kernel.dry_friction.Worm`; ``initial_length`` (runs,) m; ``residuals`` of each run in m; ``inflation``
-    of the variance for what is not white in them; ``correlation`` of (η, p_sw, rear, front dry friction, pitch,
-    onset); ``variants``: fits under a fin test that is one standard deviation off, one a direction of its covariance;
-    ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``: (η, p_sw) that minimise J_loc as it is
-    printed, without dry friction and with grooves that are alike, at the pitch and the onset that the fit found.
+    `simulation.kernel.stepped_dry_friction.Worm`; ``initial_length`` (runs,) m; ``residuals`` of each run in m;
+    ``inflation`` of the variance for what is not white in them; ``correlation`` of (η, p_sw, rear, front dry
+    friction, pitch, onset); ``variants``: fits under a fin test that is one standard deviation off, one a direction of
+    its covariance; ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``: (η, p_sw) that minimise
+    J_loc as it is printed, without dry friction and with grooves that are alike, at the fit's pitch and onset.
     """
 
     viscous_friction: Estimate
@@ -141,7 +141,8 @@ def identify_locomotion(
         raise IdentificationError(
             "viscous_friction, switching_threshold: the fit kept finding a better solution far from the last, so "
             "that no interval holds: a value that was given may be wrong (check the pitch first, then masses and "
-            "lengths), or markers were hidden for long; correct it, leave such runs out, or add runs"
+            "lengths), runs may not have begun in the same grooves with straight fins, or markers were hidden for "
+            "long; correct it, leave such runs out, or add runs"
         )
     progress(0.9)
     variants = _variants(traverses, known, fit, fin)

@@ -29,6 +29,7 @@ LONGEST_REST = (
     3_000_000_000  # ns before the onset, of a recording that does not say when the rest began
 )
 FEWEST_SAMPLES = 20  # of an instrument
+SAME_PLACE = 4e-3  # m between two starts, half the paper's clearance: within it no fin is bent
 MOST_MISFIT = 1e-3  # m, between the commanded lengths and the gait they are said to be
 
 
@@ -38,6 +39,7 @@ class Recording:
 
     ``camera_time``, ``x1``, ``x2`` (n,): m, NaN where a marker is hidden, x1 counted from its rest.
     ``command_time``, ``command`` (m,): s and m, u_cmd from the onset on, first (0, 0).
+    ``start`` m: that rest as the camera counts, by which runs tell whether they began in the same grooves.
     ``cable_time``, ``cable`` (k,): s and m, what the servo encoder says, empty where it was not recorded.
     ``power_time``, ``power`` (p,): s and W, empty where it was not recorded. ``sources``: SHA-256 by file. ``date``:
     UTC of the first stamp. ``remarks``: what was found, left out or assumed, in words.
@@ -57,6 +59,7 @@ class Recording:
     sources: Mapping[str, str] = field(default_factory=dict)
     date: str = ""
     remarks: tuple[str, ...] = ()
+    start: float = 0.0
 
     @property
     def length(self) -> Array:
@@ -74,17 +77,53 @@ class Recording:
         return float(min(self.camera_time[-1], self.command_time[-1]))
 
 
-def recording_of(
+def recordings_of(
     run: Run, name: str, sources: Mapping[str, str] | None = None, date: str = ""
-) -> Recording:
-    """The recording of a run's first gait.
+) -> tuple[Recording, ...]:
+    """A recording for each gait: the first, and of those after it which began where it did.
 
-    Those after it are left out, with a remark: their fins start bent, and nothing tells how far. Raises
-    `IdentificationError` if a topic but power is missing or too short, or if it does not hold a gait from rest.
+    The others are left out, with a remark: their fins start bent, and nothing tells how far. Raises
+    `IdentificationError` if a topic but power is missing or too short, or if the first gait is none from rest.
     """
     _check_topics(run, name)
-    gait, onset, remarks = _gait(run.gait_state, name)
-    first, last = _span(run.gait_state, onset)
+    runs = run.gait_state.rows_of_runs()
+    if not runs:
+        raise IdentificationError(f"{name}: holds no gait; give one run a recording, from rest")
+    kept: list[Recording] = []
+    remarks: list[str] = []
+    for number, rows in enumerate(runs, 1):
+        own = f"{name}_gait_{number}" if number > 1 else name
+        try:
+            found = replace(
+                _recording(run, int(rows[0]), own), sources=dict(sources or {}), date=date
+            )
+        except IdentificationError as error:
+            if not kept:
+                raise
+            remarks.append(f"left out: {error}")
+            continue
+        apart = found.start - kept[0].start if kept else 0.0
+        if abs(apart) <= SAME_PLACE:
+            kept.append(found)
+        else:
+            remarks.append(
+                f"gait {number} ({1e3 * found.gait.stroke:g} mm, {found.gait.frequency:g} Hz) is left out: it begins "
+                f"{1e3 * apart:+.0f} mm from the first, from fins that the gait before it left bent"
+            )
+    return (replace(kept[0], remarks=tuple(remarks)), *kept[1:])
+
+
+def recording_of(run: Run, name: str) -> Recording:
+    """The recording of a run's first gait; raises as `recordings_of`."""
+    return recordings_of(run, name)[0]
+
+
+def _recording(run: Run, row: int, name: str) -> Recording:
+    """Of the gait whose first message of being played is a row of the states."""
+    states = run.gait_state
+    gait = Gait(float(states.stroke[row]), float(states.frequency[row]), int(states.direction[row]))
+    onset = int(states.onset[row])
+    first, last = _span(states, row)
 
     def within(stamp: Stamps) -> NDArray[np.bool_]:
         return (stamp >= first) & (stamp <= last)
@@ -109,9 +148,6 @@ def recording_of(
         power=run.power.power[powered],
         cable_time=seconds(run.cable.stamp[turned], onset) - shift,
         cable=run.cable.length_change[turned],
-        sources=dict(sources or {}),
-        date=date,
-        remarks=remarks,
     )
     _check_sizes(recording)
     return _counted_from_rest(_from_onset(recording))
@@ -141,28 +177,13 @@ def _check_sizes(recording: Recording) -> None:
             )
 
 
-def _gait(states: GaitStates, name: str) -> tuple[Gait, int, tuple[str, ...]]:
-    """The first gait that was played, its onset (ns since the epoch), and which others were left out."""
-    runs = states.rows_of_runs()
-    if not runs:
-        raise IdentificationError(f"{name}: holds no gait; give one run a recording, from rest")
-    later = [int(rows[0]) for rows in runs[1:]]
-    remarks = tuple(
-        f"gait {number} ({1e3 * states.stroke[at]:g} mm, {states.frequency[at]:g} Hz) is left out: it starts from fins "
-        "that the gait before it left bent"
-        for number, at in enumerate(later, 2)
-    )
-    row = int(runs[0][0])
-    gait = Gait(float(states.stroke[row]), float(states.frequency[row]), int(states.direction[row]))
-    return gait, int(states.onset[row]), remarks
-
-
-def _span(states: GaitStates, onset: int) -> tuple[int, int]:
-    """Stamps between which the recording counts: from the rest before the gait to the gait's end."""
+def _span(states: GaitStates, row: int) -> tuple[int, int]:
+    """Stamps between which the gait of a row counts: from the rest before it to its end."""
+    onset = int(states.onset[row])
     rests = states.stamp[(states.state == RESTING) & (states.stamp <= onset)]
     first = int(rests[-1]) if rests.size else onset - LONGEST_REST
     over = ~np.isin(states.state, (RUNNING, STOPPING)) & (states.stamp > onset)
-    following = [states.stamp[rows[:1]] for rows in states.rows_of_runs()[1:]]
+    following = [states.stamp[rows[:1]] for rows in states.rows_of_runs() if rows[0] > row]
     ends = np.sort(np.concatenate([states.stamp[over], *following]))
     return first, int(ends[0]) if ends.size else np.iinfo(np.int64).max
 
@@ -214,4 +235,4 @@ def _counted_from_rest(recording: Recording) -> Recording:
     zero = float(np.median(rest[np.abs(rest - np.median(rest)) < 5e-3]))
     kept = rest[np.abs(rest - zero) < 2e-3]
     zero = float(kept.mean())
-    return replace(recording, x1=recording.x1 - zero, x2=recording.x2 - zero)
+    return replace(recording, x1=recording.x1 - zero, x2=recording.x2 - zero, start=zero)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.locomotion import RIDGES, Traverse
 from worm_model.identification.measured_length import MeasuredLength
-from worm_model.identification.observed_run import Recording
+from worm_model.identification.observed_run import SAME_PLACE, Recording
 from worm_model.identification.robust import noise_of
 
 Array = NDArray[np.float64]
@@ -87,10 +87,10 @@ def remarks(recording: Recording, length: MeasuredLength, traverse: Traverse) ->
     outliers = int(np.sum(length.outliers))
     if outliers:
         found.append(f"{outliers} lengths left out as outliers")
-    pause = float(np.diff(recording.power_time).max())
-    if pause > POWER_GAP * float(np.median(np.diff(recording.power_time))):
+    pauses = np.diff(recording.power_time)
+    if pauses.size and pauses.max() > POWER_GAP * float(np.median(pauses)):
         found.append(
-            f"{pause:.2f} s without a power sample: its energy is bridged by a straight line"
+            f"{pauses.max():.2f} s without a power sample: its energy is bridged by a straight line"
         )
     if not traverse.complete:
         reached = float(np.nanmax(np.abs(recording.x1)))
@@ -98,6 +98,19 @@ def remarks(recording: Recording, length: MeasuredLength, traverse: Traverse) ->
             f"never reached {RIDGES} ridges (x1 came to {reached * 1e3:.0f} mm): the whole run is used"
         )
     return [f"{recording.name}: {text}" for text in found]
+
+
+def starts_apart(recordings: Sequence[Recording]) -> list[str]:
+    """What is to be said of runs that did not begin in the same grooves, which all stages take for granted."""
+    *_, last = ordered = sorted(recordings, key=lambda recording: recording.start)
+    first = ordered[0]
+    apart = last.start - first.start
+    if apart <= SAME_PLACE:
+        return []
+    return [
+        f"{first.name} and {last.name} begin {apart * 1e3:.0f} mm apart, by the camera: all runs are taken to begin in "
+        "the same grooves, with straight fins; put the robot back before each (or was the camera moved?)"
+    ]
 
 
 def power_missing(recording: Recording, traverse: Traverse) -> str:

@@ -58,6 +58,7 @@ def summary(result: Identification) -> dict[str, Any]:
         "clock_offsets": {
             run.name: _clocks(result, index) for index, run in enumerate(result.runs)
         },
+        "camera_delay": _estimate(result.camera_delay),
         "nuisances": nuisances(result),
         "correlations": [
             {"parameters": [a, b], "correlation": rho} for a, b, rho in correlations(result)

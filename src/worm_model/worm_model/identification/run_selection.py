@@ -14,7 +14,7 @@ from worm_model.identification.idle import IdlePower, idle_power_of
 from worm_model.identification.locomotion import Traverse, traverse_of
 from worm_model.identification.measured_length import MeasuredLength, measured_length
 from worm_model.identification.observed_run import Recording
-from worm_model.identification.quality import power_missing, remarks, usable
+from worm_model.identification.quality import power_missing, remarks, starts_apart, usable
 
 OF_THE_MEAN = "of the mean; runs scatter around it by {:.3f} mm (standard deviation)"
 ONE_RUN = "as the camera saw this one run; how much runs differ is not known"
@@ -59,15 +59,12 @@ def prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], 
 
 
 def fitted_runs(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], list[str]]:
-    """`prepared` runs from which all parameters can be fitted.
+    """`prepared` runs, which all begin in the same grooves, or it is said.
 
-    Raises `IdentificationError` if none can be used, or none has power over its five ridges.
+    Raises `IdentificationError` if none can be used.
     """
     runs, warnings = prepared(recordings, pitch)
-    if not any(run.powered for run in runs):
-        raise IdentificationError(
-            "no run has power samples over its five ridges: let the power sensor log until the run ends"
-        )
+    warnings += starts_apart([run.recording for run in runs])
     return runs, warnings
 
 

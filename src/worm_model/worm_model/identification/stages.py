@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from worm_model.identification.actuation_stage import ActuationResult, identify_actuation
 from worm_model.identification.bellows import BellowsFit, fit_bellows
+from worm_model.identification.camera_delay import camera_delay
 from worm_model.identification.energy import PowerRun, power_run
 from worm_model.identification.energy_stage import EnergyResult, identify_energy
 from worm_model.identification.estimate import Estimate, not_told, quantile
@@ -18,7 +19,7 @@ from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.forces import Forces, forces_of
 from worm_model.identification.held_out import leave_one_out, run_errors
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.idle import idle_power
+from worm_model.identification.idle import NO_IDLE, idle_power
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion import Known
 from worm_model.identification.locomotion_stage import (
@@ -27,6 +28,7 @@ from worm_model.identification.locomotion_stage import (
     identify_locomotion,
 )
 from worm_model.identification.observed_run import Recording
+from worm_model.identification.quality import starts_apart
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.identification.run_prediction import Errors
 from worm_model.identification.run_selection import (
@@ -60,7 +62,8 @@ class Identification:
 
     ``estimates`` of all keys and the ``parameters`` that they make; the results of the stages; ``held_out``: errors
     of each run under what the others say (empty with one run); ``paper``: under the paper's table; ``validation``: of
-    further runs under ``parameters``; ``warnings`` in words. ``power_runs`` are those of the runs whose power was seen.
+    further runs under ``parameters``; ``camera_delay`` s still in the camera's stamps; ``warnings`` in words.
+    ``power_runs`` are those of the runs whose power was seen.
     """
 
     estimates: Mapping[str, Estimate]
@@ -76,6 +79,7 @@ class Identification:
     held_out: Mapping[str, Errors]
     paper: Mapping[str, Errors]
     validation: Mapping[str, Errors]
+    camera_delay: Estimate
     warnings: tuple[str, ...]
     seed: int
 
@@ -112,7 +116,8 @@ def identify(
     runs, warnings = fitted_runs(inputs.recordings, reference.parameters.pitch)
     checked, seen = prepared_validation(validation, inputs.recordings, reference.parameters.pitch)
     estimates["initial_length"] = initial_length(runs)
-    estimates["idle_power"] = idle_power([run.idle for run in runs])
+    idle = idle_power([run.idle for run in runs])
+    estimates["idle_power"] = idle or not_told(reference.parameters.idle_power, NO_IDLE)
     pitch_deviation = estimates["pitch"].spread / quantile(np.inf)
     known = Known(_with_values(reference.parameters, estimates), pitch_deviation)
     locomotion = _locomotion(runs, known, _fin_knowledge(estimates, fin), fin, progress)
@@ -144,6 +149,7 @@ def identify(
         held_out=left_out.held_out,
         paper=left_out.paper,
         validation={run.name: run_errors(run, parameters, offset) for run in checked},
+        camera_delay=camera_delay([run.recording for run in runs], actuation),
         warnings=(*inputs.remarks, *bench_warnings(fin), *warnings, *seen),
         seed=seed,
     )
@@ -158,14 +164,15 @@ def _locomotion(
     fin: FinFit | None,
     progress: Progress,
 ) -> LocomotionResult:
-    """Stage 4; where it finds nothing, an odd bench test may be the reason."""
+    """Stage 4; where it finds nothing, an odd bench test or runs that began elsewhere may be the reason."""
     traverses = [run.traverse for run in runs]
     try:
         return identify_locomotion(
             traverses, known, fins, lambda done: progress("locomotion", done)
         )
     except IdentificationError as error:
-        raise IdentificationError("; ".join([str(error), *bench_warnings(fin)])) from None
+        odd = starts_apart([run.recording for run in runs])
+        raise IdentificationError("; ".join([str(error), *odd, *bench_warnings(fin)])) from None
 
 
 def _energy(
@@ -190,7 +197,7 @@ def _energy(
         power_runs,
         [runs[index].recording.gait.frequency for index in powered],
         forces.draw,
-        reference.parameters.bellows_damping,
+        reference.parameters,
         random,
         hindrance if stiffness.identifiable else NO_BELLOWS,
     )

@@ -29,6 +29,7 @@ from worm_optimizer.operation.bring_up import (
     CYCLES,
     FAILURES,
     Narrator,
+    Session,
     work_folder,
 )
 from worm_optimizer.operation.campaign_plan import (
@@ -39,7 +40,7 @@ from worm_optimizer.operation.campaign_plan import (
     make_plan,
     write_promises,
 )
-from worm_optimizer.operation.campaign_runs import Confirm, Robot, put_aside, run_gaits
+from worm_optimizer.operation.campaign_runs import Prepare, Robot, put_aside, run_gaits
 from worm_optimizer.operation.identification_runs import (
     PARAMETERS,
     REPORT,
@@ -48,6 +49,7 @@ from worm_optimizer.operation.identification_runs import (
     Bench,
     identification_orders,
     identify_robot,
+    put_back,
     record_identification,
     virtual_bench,
 )
@@ -65,13 +67,15 @@ from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
 from worm_optimizer.report.identification_parts import add_identification, identification_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
-from worm_optimizer.report.report_page import Report, build_report
+from worm_optimizer.report.report_page import PAGE, Report, build_report
 from worm_optimizer.search.cache import Cache, default_directory
 from worm_optimizer.search.search_settings import Settings
 
 _GAITS = 3  # of a campaign without repeats and nominal gaits: nothing spreads
 SPREAD_FIGURE = "spread.png"
 _MODES = ("virtual", "robot")
+_GO_ON = "campaign: go on with --resume {}"
+SAME_PLACE = "Put the robot where the first run began, its fins straight in the same grooves"
 
 
 def main() -> int:
@@ -155,10 +159,14 @@ def _campaign(options: argparse.Namespace) -> int:
             names = run_names(tuple(plan.gaits), options.repeats)
             orders = {run: Order(plan.gaits[name].gait, CYCLES) for run, name in names.items()}
             (work / "logs" / "validation").mkdir()
-            run_gaits(robot, orders, folder, work / "logs" / "validation", say, _confirm(options))
+            ask = _asked("Put the robot where it has room") if _asks(options) else _at_once
+            run_gaits(robot, orders, folder, work / "logs" / "validation", say, ask)
     except FAILURES as error:
-        print(f"campaign: {error}\ncampaign: go on with --resume {folder}", file=sys.stderr)  # noqa: T201
+        sys.stderr.write(f"campaign: {error}\n{_GO_ON.format(folder)}\n")
         return FAILED
+    except KeyboardInterrupt:
+        sys.stderr.write(f"{_GO_ON.format(folder)}\n")
+        raise
     say("comparing")
     bags = [folder / run for run in names]
     recorded = read_recorded_gaits(bags, options.parameters, notifier("campaign"))
@@ -170,6 +178,7 @@ def _campaign(options: argparse.Namespace) -> int:
         )
         for name, promise in plan.gaits.items()
     ]
+    put_aside(folder / "report", say)
     page = build_report(report, folder / "report")
     if len(recorded) > _GAITS:
         draw_spread(folder / SPREAD_FIGURE, spreads)
@@ -196,7 +205,8 @@ def _identify(
     orders = identification_orders(options.direction, known.parameters.pitch)
     (work / "logs" / "identification").mkdir()
     logs = work / "logs" / "identification"
-    bags = record_identification(robot, orders, folder, logs, say, _confirm(options))
+    ask = _asked(SAME_PLACE) if _asks(options) else put_back
+    bags = record_identification(robot, orders, folder, logs, say, ask)
     found = folder / SUMMARY
     if not found.exists():
         for left in (folder / REPORT, folder / PARAMETERS):  # of one that was broken off
@@ -212,13 +222,20 @@ def _identify(
     return content | {"parameter_file": str(folder / PARAMETERS), "bags": [str(b) for b in bags]}
 
 
-def _confirm(options: argparse.Namespace) -> Confirm:
-    """Asks before each run of a real robot that is identified; a virtual one needs no hand."""
-    if not options.identify or options.mode != "robot":
-        return lambda _: None
+def _asks(options: argparse.Namespace) -> bool:
+    """Whether a hand is asked for before each run: a real robot's that is identified; a virtual one needs none."""
+    return bool(options.identify) and options.mode == "robot"
 
-    def ask(text: str) -> None:
-        sys.stderr.write(f"{text}\nPut the robot where it has room; Enter runs it, Ctrl-C ends: ")
+
+def _at_once(_running: Session, _text: str) -> None:
+    """Nothing is to be done before a run."""
+
+
+def _asked(hand: str) -> Prepare:
+    """Tells before each run what a hand is to do, and waits until it is done."""
+
+    def ask(_running: Session, text: str) -> None:
+        sys.stderr.write(f"{text}\n{hand}; Enter runs it, Ctrl-C ends: ")
         sys.stderr.flush()
         if not sys.stdin.readline():
             raise OperatorError(
@@ -236,7 +253,7 @@ def _folder(options: argparse.Namespace) -> Path:
         resumed: Path = options.resume.resolve()
         if not ((resumed / PROMISES).is_file() or (options.identify and (resumed / RUNS).is_dir())):
             raise InputError(f"{resumed}: no campaign was begun there ({PROMISES} is missing)")
-        if (resumed / "report").exists():
+        if (resumed / "report" / PAGE).exists():
             raise InputError(f"{resumed}: this campaign is complete, its report is there")
         return resumed
     default = Path("bags") / time.strftime("campaign_%Y_%m_%d-%H_%M_%S")

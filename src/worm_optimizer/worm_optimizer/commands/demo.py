@@ -27,6 +27,7 @@ from worm_model.commands.command_line import (
 )
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.twin.offline_replay import replay_run
+from worm_optimizer.commands.robot_options import add_tracker, with_tracker
 from worm_optimizer.operation.bring_up import (
     FAILURES,
     Narrator,
@@ -61,6 +62,7 @@ def _parser() -> Parser:
         metavar="FILE",
         help="what is true of the virtual robot (default: its own file)",
     )
+    add_tracker(parser)
     parser.add_argument("--seed", type=int, default=1, help="of the robot's scatter and noise")
     parser.add_json()
     return parser
@@ -93,14 +95,15 @@ def _new_bag(folder: Path) -> Path:
 
 def _drive(options: argparse.Namespace, bag: Path, say: Say) -> Prediction:
     with work_folder("demo") as folder:
-        system = installed_system_file().system(
-            "virtual",
-            directory=str(folder),
-            bag=str(bag),
-            parameter_file=_absolute(options.parameters),
-            plant=_absolute(options.plant),
-            seed=str(options.seed),
-        )
+        settings = {
+            "directory": str(folder),
+            "bag": str(bag),
+            "parameter_file": _absolute(options.parameters),
+            "plant": _absolute(options.plant),
+            "seed": str(options.seed),
+        }
+        settings = with_tracker(settings, options.tracker, "virtual")
+        system = installed_system_file().system("virtual", **settings)
         return drive(system, folder / "logs", say)
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 
 from worm_model.commands.command_line import InputError, Parser
@@ -11,9 +12,37 @@ from worm_optimizer.operation.bring_up import installed_system_file
 from worm_optimizer.operation.campaign_runs import Robot
 from worm_optimizer.operation.system import SystemFileError
 
+POSITIONS, CAMERA = "positions", "camera"
+_VIRTUAL_RIG = {"camera": "virtual", "tracker_setup": "virtual"}
+
+
+def add_tracker(parser: Parser) -> None:
+    """Adds --tracker; see `with_tracker`."""
+    parser.add_argument(
+        "--tracker",
+        choices=(POSITIONS, CAMERA),
+        default=POSITIONS,
+        help="positions: as the virtual robot tells them, or whoever measures them; camera: as tracker_node finds "
+        "both modules in images, those of the virtual robot or of the rig of --set tracker_setup=FILE",
+    )
+
+
+def with_tracker(settings: Mapping[str, str], choice: str, mode: str) -> dict[str, str]:
+    """Settings of system.yaml with those of a camera, if asked for; raises InputError where its rig is missing."""
+    if choice == POSITIONS:
+        return dict(settings)
+    if mode == "virtual":
+        return {**_VIRTUAL_RIG, **settings}
+    if not settings.get("tracker_setup"):
+        raise InputError(
+            "--tracker camera: give the rig, --set tracker_setup=FILE (docs/tracker.md)"
+        )
+    return dict(settings)
+
 
 def add_robot(parser: Parser) -> None:
-    """Adds --set; see `robot_of`."""
+    """Adds --set and --tracker; see `robot_of`."""
+    add_tracker(parser)
     parser.add_argument(
         "--set",
         action="append",
@@ -33,6 +62,7 @@ def robot_of(options: argparse.Namespace, mode: str) -> Robot:
         if not (name and separator):
             raise InputError(f"--set {text}: write NAME=VALUE")
         settings[name] = value
+    settings = with_tracker(settings, options.tracker, mode)
     try:
         robot = Robot(installed_system_file(), mode, settings)
         robot.system()

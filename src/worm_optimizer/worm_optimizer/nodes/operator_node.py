@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -159,6 +160,7 @@ class OperatorNode(Node):
         self._heard: dict[type, Any] = {}  # the last message of each type
         self._errors: deque[str] = deque(maxlen=20)  # of the driver's log
         self._watched: set[type] = set()
+        self._own_runs = 0
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.create_subscription(Clock, "clock", self._on_clock, 10)
         self.create_subscription(Log, "/rosout", self._on_log, 100)
@@ -255,14 +257,19 @@ class OperatorNode(Node):
         end = self.robot_time_s + duration_s
         self.wait(lambda: self.robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
 
-    def wait_for_recorder(self, name: str) -> None:
+    def wait_for_recorder(self, name: str, left_out: str = "") -> None:
         """Wait until a node subscribes to all visible topics of this namespace that are published.
 
-        What is published before that is not in its recording. Raises `OperatorError` with a topic
-        that it does not subscribe to in time.
+        ``left_out`` matches those that it is not to record. What is published before that is not in its recording.
+        Raises `OperatorError` with a topic that it does not subscribe to in time.
         """
-        if not self.wait(lambda: not self._unheard_topics(name), DISCOVERY_TIMEOUT_S):
-            raise OperatorError(f"{name} does not subscribe to {self._unheard_topics(name)[0]}")
+
+        def unheard() -> list[str]:
+            topics = self._unheard_topics(name)
+            return [topic for topic in topics if not (left_out and re.search(left_out, topic))]
+
+        if not self.wait(lambda: not unheard(), DISCOVERY_TIMEOUT_S):
+            raise OperatorError(f"{name} does not subscribe to {unheard()[0]}")
 
     def _unheard_topics(self, listener: str) -> list[str]:
         prefix = self.get_namespace() + "/"
@@ -278,6 +285,16 @@ class OperatorNode(Node):
     def _names(self) -> list[str]:
         nodes = self.get_node_names_and_namespaces()
         return [name for name, namespace in nodes if namespace == self.get_namespace()]
+
+    @property
+    def runs_of_others(self) -> int:
+        """How many runs the driver has begun for somebody else, as heard by an operator who saw it start."""
+        return self._runs - self._own_runs
+
+    @property
+    def _runs(self) -> int:
+        heard = self._heard.get(GaitState)
+        return 0 if heard is None else int(heard.run)
 
     # --- what a person does --------------------------------------------------------------------
 
@@ -445,12 +462,14 @@ class OperatorNode(Node):
 
     def run(self, order: Order, progress: Progress) -> RunResult:
         """Run a gait to its end; raises `OperatorError`, `GaitFailedError` if it was begun and failed."""
+        before = self._runs
         run = self.begin(order)
         try:
             self.follow(run, progress)
             result = run.result
         finally:
             run.close()
+            self._own_runs += min(self._runs - before, 1)
         if not result.success:
             raise GaitFailedError(f"the gait failed: {result.message}")
         return result

@@ -33,6 +33,7 @@ BUSY = 1.5  # load average per processor from where it may be the cause of a fai
 _TO_REST = (
     "--to-rest"  # a recorder of all nodes ends when the robot is let go, that of a run with the run
 )
+_EXCLUDE = "--exclude"
 FAILURES = (ProcessError, OperatorError, RecordingError)
 
 Say = Callable[[str], None]
@@ -186,9 +187,15 @@ def recording(
     words = tuple(word for word in recorder.arguments if word != _TO_REST)
     own = replace(recorder, name=name, arguments=words)
     start_node(group, own, node.get_namespace().strip("/"), name)
-    node.wait_for_recorder(name)
+    node.wait_for_recorder(name, left_out(recorder))
     yield
     group.end(name)
+
+
+def left_out(recorder: NodeDescription) -> str:
+    """The regular expression of the topics that a recorder is told to leave out, empty where there is none."""
+    words = recorder.arguments
+    return words[words.index(_EXCLUDE) + 1] if _EXCLUDE in words else ""
 
 
 def once_per_cycle(say: Say, order: Order) -> Callable[[RunProgress], None]:

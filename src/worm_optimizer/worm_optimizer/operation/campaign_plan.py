@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from worm_model.parameters import ParameterFile
-from worm_optimizer.operation.spread import NOMINAL
+from worm_optimizer.report.agreement import NOMINAL
 from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.cache import Cache

@@ -11,6 +11,7 @@ from worm_model.analysis.run_metrics import RecordingError, last_played_gait
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
+from worm_optimizer.nodes.tracker_watch import TrackerWatch
 from worm_optimizer.operation.bring_up import (
     RECORDER,
     Say,
@@ -21,10 +22,11 @@ from worm_optimizer.operation.bring_up import (
 from worm_optimizer.operation.system import System, SystemFile
 from worm_optimizer.orders import Order
 
-Confirm = Callable[[str], None]
+Prepare = Callable[[Session, str], None]
 
 _UNUSED = {"optimizer", RECORDER}  # the front is known; each gait has a recorder of its own
 _AFTERWARDS_S = 2.0  # of rest that end a recording; the slack of a resting cable comes back in it
+_ELSEWHERE = "the robot began elsewhere than it was left, perhaps with its fins bent"
 _TRACKER = "tracker"
 _NO_TRACKER = "start the node of the camera in the robot's namespace, or no speed can be measured"
 
@@ -63,11 +65,11 @@ def run_gaits(
     folder: Path,
     logs: Path,
     say: Say,
-    confirm: Confirm = lambda _: None,
+    prepare: Prepare = lambda _running, _text: None,
 ) -> None:
     """Runs each gait and records it as ``folder/NAME``; then the robot is at rest and released.
 
-    ``confirm`` gets a line on each before it moves, and may raise.
+    ``prepare`` gets the nodes and a line on each gait before it moves, and may raise.
     A gait that is recorded already is not run again, and what a failure left of a recording is put aside.
     No process is left, whatever happens. Raises `ProcessError` or `OperatorError` with the stage that failed.
     """
@@ -80,10 +82,17 @@ def run_gaits(
     with session(robot.system(), logs, say) as running:
         running.node.wait_for_publisher(_TRACKER, _NO_TRACKER)
         running.activate()
+        TrackerWatch(running.node, lambda: running.node.robot_time_s, say)
+        others = 0
         for name, order in missing.items():
-            confirm(f"{name}: {order}")
+            prepare(running, f"{name}: {order}")
             put_aside(folder / name, say)
             _record_gait(running, robot.recording_system(folder / name), name, order)
+            if not is_recorded(folder / name):
+                say(f"{name}: not seen to its end; a campaign that is resumed runs it again")
+            if running.node.runs_of_others > others:
+                others = running.node.runs_of_others
+                say(f"{name}: another operator has run a gait since the one before: {_ELSEWHERE}")
         running.release()
 
 
@@ -110,7 +119,7 @@ def put_aside(bag: Path, say: Say) -> None:
     while (aside := bag.with_name(f"{bag.name}_unfinished_{number}")).exists():
         number += 1
     bag.rename(aside)
-    say(f"{bag.name}: an unfinished recording is kept as {aside.name}")
+    say(f"{bag.name}: what is unfinished is kept as {aside.name}")
 
 
 def _record_gait(running: Session, system: System, name: str, order: Order) -> None:

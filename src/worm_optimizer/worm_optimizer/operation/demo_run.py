@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from worm_optimizer.operation.bring_up import CYCLES, RECORDER, Say, Session, session
+from worm_optimizer.operation.bring_up import CYCLES, RECORDER, Say, Session, left_out, session
 from worm_optimizer.operation.system import System
 from worm_optimizer.orders import Order
 from worm_optimizer.robustness.prediction import Prediction
@@ -35,7 +35,7 @@ def _run_gait(running: Session, say: Say) -> Prediction:
         f"{gait.frequency:.3f} Hz, margin {1e3 * gait.margin:.1f} mm"
     )
     running.activate()
-    node.wait_for_recorder(RECORDER)
+    node.wait_for_recorder(RECORDER, left_out(running.system.node(RECORDER)))
     say(f"running {CYCLES} cycles, {CYCLES / gait.frequency:.0f} s")
     running.run_gait(Order(gait, CYCLES))
     running.release()

@@ -17,8 +17,8 @@ from worm_model.identification.reference_values import reference_by_file
 from worm_model.identification.results import parameter_file, summary
 from worm_model.identification.stages import identify
 from worm_model.parameters import ParameterFile, write_parameter_file
-from worm_optimizer.operation.bring_up import Say
-from worm_optimizer.operation.campaign_runs import Confirm, Robot, run_gaits
+from worm_optimizer.operation.bring_up import Say, Session
+from worm_optimizer.operation.campaign_runs import Prepare, Robot, run_gaits
 from worm_optimizer.operation.processes import (
     ProcessError,
     ProcessGroup,
@@ -69,13 +69,22 @@ def identification_orders(direction: int, pitch: float) -> dict[str, Order]:
 
 
 def record_identification(
-    robot: Robot, orders: dict[str, Order], folder: Path, logs: Path, say: Say, confirm: Confirm
+    robot: Robot, orders: dict[str, Order], folder: Path, logs: Path, say: Say, prepare: Prepare
 ) -> list[Path]:
-    """Runs what is not recorded yet into ``folder/identification``; returns the bags. Raises as `run_gaits`."""
+    """Runs what is not recorded yet into ``folder/identification``; returns the bags. Raises as `run_gaits`.
+
+    ``prepare`` puts the robot back before each, see `put_back`.
+    """
     runs = folder / RUNS
     runs.mkdir(exist_ok=True)
-    run_gaits(robot, orders, runs, logs, say, confirm)
+    run_gaits(robot, orders, runs, logs, say, prepare)
     return [runs / name for name in orders]
+
+
+def put_back(running: Session, text: str) -> None:
+    """The hand of a virtual robot: puts it back where it started, as identification takes the ridges for the same."""
+    running.node.inject_fault("put_back")
+    running.say(f"put back; {text}")
 
 
 def virtual_bench(robot: Robot, folder: Path, logs: Path) -> Bench:

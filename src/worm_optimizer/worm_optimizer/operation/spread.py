@@ -14,8 +14,6 @@ from worm_optimizer.report.agreement import QUANTITIES, title_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robustness.prediction import Prediction
 
-NOMINAL = "nominal_"  # begins the name of a gait that was designed without a margin
-
 
 @dataclass(frozen=True)
 class Spread:
@@ -75,14 +73,8 @@ def spread_table(spreads: Sequence[Spread]) -> str:
             f"{quantity.text(row.means[key]) + ' ± ' + quantity.text(row.deviations[key]):>22}"
             for key, quantity in QUANTITIES.items()
         )
-        lines.append(f"{words_of(row.name):<24}{kept:>18}{cells}")
+        lines.append(f"{title_of(row.name):<24}{kept:>18}{cells}")
     return "\n".join(lines)
-
-
-def words_of(name: str) -> str:
-    """A gait's name in words."""
-    plain = name.removeprefix(NOMINAL)
-    return title_of(plain) if plain == name else f"{title_of(plain)}, nominal"
 
 
 def spread_json(spreads: Sequence[Spread]) -> list[dict[str, Any]]:

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from worm_model.analysis.plot_style import BLUE, VERMILION, finish, new_figure, save_figure
-from worm_optimizer.operation.spread import NOMINAL, Spread, words_of
+from worm_optimizer.operation.spread import Spread
+from worm_optimizer.report.agreement import NOMINAL, title_of
 
 _WIDTH = 0.3  # of the line of a promise, to either side
 
@@ -27,7 +28,7 @@ def draw_spread(path: Path, spreads: Sequence[Spread]) -> None:
     axes.set_xticks(
         range(len(spreads)),
         [
-            f"{words_of(row.name).replace(', ', chr(10))}\n{row.kept} of {row.repeats} kept"
+            f"{title_of(row.name).replace(', ', chr(10))}\n{row.kept} of {row.repeats} kept"
             for row in spreads
         ],
     )

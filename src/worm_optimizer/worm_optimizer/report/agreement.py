@@ -45,6 +45,7 @@ QUANTITIES = {
 # A difference of this much is never called an agreement, however wide the interval is: it says that too little is
 # known of the parameters, not that the prediction is good.
 LEAST_DISAGREEMENT = 0.20
+NOMINAL = "nominal_"  # begins the name of a gait that was designed without a margin
 _TITLES = {"min_power": "minimum power", "cruise": "cruising", "max_speed": "maximum speed"}
 
 
@@ -95,7 +96,9 @@ class Agreement:
 
 def title_of(name: str) -> str:
     """A gait's name in words, where it is one of the campaign's."""
-    return _TITLES.get(name, name)
+    plain = name.removeprefix(NOMINAL)
+    title = _TITLES.get(plain, plain)
+    return title if plain == name else f"{title}, nominal"
 
 
 def percent(difference: float) -> str:

@@ -125,9 +125,9 @@ def _as_html(markdown: str) -> str:
 
 
 def parameters_figure(content: ParameterFile) -> Figure:
-    """Each parameter that has an interval, as a ratio to the paper's value."""
+    """Each parameter that has an interval, as a ratio to the paper's value, where that is not 0."""
     values, paper = content.parameters.as_dict(), PAPER.as_dict()
-    keys = [key for key in values if key in content.intervals]
+    keys = [key for key in values if key in content.intervals and paper[key]]
     ratio = np.array([values[key] / paper[key] for key in keys])
     bounds = np.array([content.intervals[key] for key in keys]) / np.array(
         [[paper[key]] for key in keys]

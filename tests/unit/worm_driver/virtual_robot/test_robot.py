@@ -116,6 +116,17 @@ def test_fins_between_their_angles_hold_nothing(settings):
     assert front < settings.body.initial_length - 0.01
 
 
+def test_a_robot_that_is_put_back_is_where_it_started_and_runs_as_before(settings):
+    robot = VirtualRobot(settings)
+    start = robot.plant.positions(robot.state)
+    robot.state = robot.state._replace(centre=0.123, rear_groove=7, front_groove=24)
+    robot.board.add(make_fault(faults.PUT_BACK, start=0.01))
+    robot.advance(1.0)
+    assert robot.plant.positions(robot.state) == pytest.approx(start, abs=1e-6)
+    plain = VirtualRobot(settings)
+    assert (robot.state.rear_groove, robot.state.front_groove) == plain.state[4:6]
+
+
 def test_a_fin_pair_of_two_servos_has_to_agree(settings):
     rear, front = settings.fin_servos
     second = replace(rear, id=13, start_angle=rear.reverse_angle)

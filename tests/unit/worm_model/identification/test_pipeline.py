@@ -181,11 +181,24 @@ def test_a_run_whose_power_ends_early_is_left_out_of_the_energy_alone(campaigns)
     assert "not seen" in text_of(result, advise(result), [])
 
 
-def test_power_that_ends_early_in_every_run_is_refused(campaigns):
-    inputs = campaigns[0].inputs
-    blind = tuple(without_power_after(recording, 0.0) for recording in inputs.recordings)
-    with pytest.raises(IdentificationError, match="no run has power samples over its five"):
-        identify(replace(inputs, recordings=blind), campaigns[0].reference, 0)
+def test_without_any_power_all_else_is_identified(campaigns):
+    campaign = campaigns[0]
+    blind = tuple(
+        without_power_after(recording, -np.inf) for recording in campaign.inputs.recordings
+    )
+    inputs = replace(campaign.inputs, recordings=blind)
+    result = identify(inputs, campaign.reference, 0)
+    unknown = {key for key, estimate in result.estimates.items() if not estimate.identifiable}
+    assert unknown == {"idle_power", "bellows_damping", "power_factor"}
+    given = campaign.reference.parameters
+    assert all(getattr(result.parameters, key) == getattr(given, key) for key in unknown)
+    assert covers(result, "viscous_friction", campaign.truth)
+    notes = {key: result.estimates[key].note for key in unknown}
+    assert "no run has power samples at rest" in notes["idle_power"]
+    assert "over its five ridges" in notes["power_factor"]
+    assert "not seen" in text_of(result, advise(result), [])
+    assert set(parameter_file(result, inputs).intervals).isdisjoint(unknown)
+    assert np.isnan(summary(result)["clock_offsets"]["run_1"]["power_behind_camera"])
 
 
 def test_a_fin_that_is_given_as_exact_is_taken_as_exact(campaigns):

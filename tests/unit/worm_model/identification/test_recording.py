@@ -2,6 +2,7 @@
 """From a run to a recording, idle power, and what is noticed about a run."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,16 @@ from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.idle import idle_power, idle_power_of
 from worm_model.identification.locomotion import traverse_of
 from worm_model.identification.measured_length import measured_length
-from worm_model.identification.observed_run import recording_of
-from worm_model.identification.quality import follows_command, longest_gap, remarks, usable
+from worm_model.identification.observed_run import recording_of, recordings_of
+from worm_model.identification.quality import (
+    follows_command,
+    longest_gap,
+    remarks,
+    starts_apart,
+    usable,
+)
 from worm_model.parameters import PAPER
-from worm_model.run import GaitStates, LengthSamples, PowerSamples, TrackerSamples
+from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
 
 GAIT = Gait(0.08, 0.25)
 
@@ -47,23 +54,45 @@ def test_a_run_without_power_is_used_for_all_else():
     assert not np.isfinite(idle_power_of(found).value)
 
 
-def test_of_two_gaits_the_first_counts_and_the_other_is_named():
-    states = run().gait_state
-    twice = replace(
-        states,
-        **{
-            name: np.concatenate([getattr(states, name)] * 2)
-            for name in ("state", "stroke", "frequency", "direction", "margin", "cycle", "cycles")
-        },
-        stamp=np.concatenate([states.stamp, states.stamp + 4 * 10**9]),
-        onset=np.concatenate([states.onset, states.onset + 4 * 10**9 * (states.onset > 0)]),
+def twice(later: float, moved: float) -> Run:
+    """A run and the same again so many s later, where the robot begins so many m further on."""
+    one, shift = run(), round(later * 1e9)
+
+    def repeated(samples: Any, **moves: float) -> Any:
+        both = {
+            name: np.concatenate(
+                [values, values + (shift if name == "stamp" else moves.get(name, 0))]
+            )
+            for name, values in vars(samples).items()
+        }
+        return type(samples)(**both)
+
+    states = repeated(one.gait_state)
+    states.onset[2:] += shift * (states.onset[2:] > 0)
+    return replace(
+        one,
+        gait_state=states,
+        commanded=repeated(one.commanded),
+        tracker=repeated(one.tracker, rear_position=moved, front_position=moved),
+        power=repeated(one.power),
     )
-    assert list(twice.state) == [RESTING, RUNNING] * 2
-    found = recording_of(run(gait_state=twice), "r")
-    assert found.end <= 4.0
+
+
+def test_a_later_gait_that_begins_elsewhere_is_left_out_by_name():
+    (found,) = recordings_of(twice(12.0, 0.05), "r")
+    assert found.end <= 10.0
     (remark,) = found.remarks
-    assert remark.startswith("gait 2 (")
-    assert "left out" in remark
+    assert remark.startswith("gait 2 (80 mm, 0.25 Hz) is left out: it begins +50 mm from the first")
+
+
+def test_a_later_gait_of_a_robot_that_was_put_back_is_a_run_of_its_own():
+    first, second = recordings_of(twice(12.0, 0.002), "r")
+    assert (first.name, second.name) == ("r", "r_gait_2")
+    assert not first.remarks
+    assert second.x1[:100] == pytest.approx(first.x1[:100], nan_ok=True)
+    assert not starts_apart([first, second])
+    (said,) = starts_apart([first, replace(second, start=0.1)])
+    assert "r and r_gait_2 begin 100 mm apart" in said
 
 
 def test_an_onset_that_is_told_anew_with_each_cycle_is_one_run():
@@ -161,8 +190,7 @@ def test_a_sensor_that_starts_with_the_gait_says_nothing_of_idle_power():
     idle = idle_power_of(late)
     assert np.isnan(idle.value)
     assert "start the sensor before the gait" in idle.warning
-    with pytest.raises(IdentificationError, match="no run has power samples at rest"):
-        idle_power([idle])
+    assert idle_power([idle]) is None
     known = idle_power_of(recording())
     assert idle_power([idle, known]).value == known.value
 

@@ -295,7 +295,7 @@ def energy_of(gaits, seed=0):
     def forces(_):
         return [run.static_force for run in runs]
 
-    return identify_energy(runs, [g.frequency for g in gaits], forces, 862.4, random)
+    return identify_energy(runs, [g.frequency for g in gaits], forces, PAPER, random)
 
 
 def test_damping_and_power_factor_are_found_from_several_frequencies():
@@ -316,7 +316,7 @@ def test_a_wrong_idle_power_does_not_pass_for_a_clock_offset():
         for run, error in zip(power_runs(gaits, random, 0.0), off, strict=True)
     ]
     forces = [run.static_force for run in runs]
-    result = identify_energy(runs, [g.frequency for g in gaits], lambda _: forces, 862.4, random)
+    result = identify_energy(runs, [g.frequency for g in gaits], lambda _: forces, PAPER, random)
     known = np.isfinite(result.clock_deviation)
     assert known.any()
     assert not known.all()  # the slowest run's ramp is longest

@@ -11,6 +11,7 @@ from recorded_run import GAIT, simulated_run, write_bag
 
 from worm_model.parameters import ParameterFile
 from worm_optimizer.commands import campaign as command
+from worm_optimizer.operation.bring_up import left_out
 from worm_optimizer.operation.campaign_plan import is_promised, make_plan, write_promises
 from worm_optimizer.operation.campaign_runs import (
     Robot,
@@ -68,6 +69,7 @@ def test_the_same_nodes_run_but_for_the_robot_itself(mode: str):
     assert names == [*(["virtual_robot"] if mode == "virtual" else []), "twin", "driver"]
     recorder = robot.recording_system(Path("/tmp/a bag")).node("recorder")
     assert recorder.arguments[:2] == ("--output", "/tmp/a bag")
+    assert left_out(recorder) == "/camera/"  # no one waits for it to hear these
 
 
 def test_a_calibrated_driver_gets_its_file():
@@ -82,6 +84,7 @@ def test_a_calibrated_driver_gets_its_file():
     ("arguments", "complaint"),
     [
         (("--set", "port"), "write NAME=VALUE"),
+        (("--mode", "robot", "--tracker", "camera"), "give the rig, --set tracker_setup=FILE"),
         (("--set", "prot=/dev/ttyUSB0"), "no setting 'prot'"),
         (("--margin", "-1"), "margin: -1"),
         (("--parameters", "none.yaml"), "none.yaml: cannot be read"),
@@ -173,13 +176,14 @@ def test_a_folder_goes_on_only_with_the_gaits_it_was_begun_with(plan, tmp_path: 
     [
         ([], [], "no campaign was begun there"),
         (["promised.json"], ["--output", "x"], "leave --output out"),
-        (["promised.json", "report"], [], "is complete"),
+        (["promised.json", "report/report.html"], [], "is complete"),
     ],
 )
 def test_what_cannot_be_resumed_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys, make, arguments, complaint
 ):
     for name in make:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     assert run_command(monkeypatch, "--resume", str(tmp_path), *arguments) == 2
     assert complaint in capsys.readouterr().err.splitlines()[-1]

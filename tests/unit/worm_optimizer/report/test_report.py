@@ -405,7 +405,9 @@ def test_the_same_recording_gives_the_same_bytes(page: Path, odd: RecordedGait, 
 
 def test_identified_parameters_stand_beside_the_papers(tmp_path: Path):
     content = ParameterFile(
-        PAPER.replace(gain=0.9), {"gain": (0.88, 0.92)}, {"bags": ["run_01"], "seed": 1}
+        PAPER.replace(gain=0.9, rear_dry_friction=0.28),  # of which the paper has none
+        {"gain": (0.88, 0.92), "rear_dry_friction": (0.24, 0.32)},
+        {"bags": ["run_01"], "seed": 1},
     )
     page = build_report(
         Report("identified", identification=IdentificationParts(content, "mine.yaml")),

@@ -204,6 +204,11 @@ class Endpoints:
         """Time (s) on the robot's clock."""
         return self.time.now if self._parties() else self.time.alone(self._clock())
 
+    @property
+    def waits(self) -> bool:
+        """Whether the robot's time waits for whoever is late, as somebody takes part in it."""
+        return bool(self._parties())
+
     def _parties(self) -> list[Party]:
         return [clock.party for clock in self._clocks if clock.party is not None]
 

@@ -14,6 +14,8 @@ DUPLICATED: Final = "duplicated"
 LATE: Final = "late"
 FUZZED: Final = "fuzzed"
 ERROR_NUMBER: Final = "error"
+# What happens to the whole robot at once.
+PUT_BACK: Final = "put_back"
 # Faults of servos, of the serial port and of the power sensor: each lasts `duration`.
 VANISHED: Final = "vanished"
 STALLED: Final = "stalled"
@@ -50,6 +52,7 @@ KINDS: dict[str, FaultKind] = {
     LATE: FaultKind("status packets come value seconds late", count=1, value=0.045),
     FUZZED: FaultKind("status packets have bytes changed, lost and added at random", count=1),
     ERROR_NUMBER: FaultKind("status packets carry error number value (1 to 7)", count=1, value=1),
+    PUT_BACK: FaultKind("somebody puts the robot back to its first place, fins straight", count=1),
     VANISHED: FaultKind("a servo loses its supply, and boots when it has it again", duration=1.0),
     STALLED: FaultKind("a servo's shaft is blocked, which overloads it in the end", duration=1.0),
     OVERLOAD: FaultKind("a servo reports overload until it is rebooted", duration=0.1),

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The camera's delay, told apart from a servo that lags."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from virtual_campaign import Instruments, exact_run
+
+from worm_model.gait import Gait
+from worm_model.identification.actuation_stage import identify_actuation
+from worm_model.identification.camera_delay import camera_delay, servo_lag
+from worm_model.identification.observed_run import Recording, recording_of
+
+GAITS = (Gait(0.07, 0.2), Gait(0.08, 0.25))
+LAG, LATE = 0.012, 0.021  # s, of the servo and of the camera's stamps
+
+
+def recordings(lag: float, late: float) -> list[Recording]:
+    """Runs of a servo that plays its goals so late, its encoder recorded, before a camera that stamps so late."""
+    found = []
+    for seed, gait in enumerate(GAITS):
+        instruments = Instruments(camera_behind=-lag - late, power_behind=-lag)
+        run = recording_of(exact_run(gait, instruments=instruments, seed=seed), f"run_{seed}")
+        time = run.command_time
+        cable = np.interp(time - lag, time, run.command)
+        found.append(replace(run, cable_time=time, cable=cable))
+    return found
+
+
+def delay_of(runs: list[Recording]):
+    return camera_delay(runs, identify_actuation(runs, np.random.default_rng(0)))
+
+
+def test_a_late_camera_is_told_and_the_lag_of_the_servo_is_not_booked_on_it():
+    late = delay_of(recordings(LAG, LATE))
+    assert late.low < LATE < late.high
+    assert late.value == pytest.approx(LATE, abs=2e-3)
+    assert late.note == f"add {late.value:+.4f} s to delay_s in the tracker's setup file"
+    in_time = delay_of(recordings(LAG, 0.0))
+    assert in_time.low < 0.0 < in_time.high
+    assert "may stay as it is" in in_time.note
+
+
+def test_without_an_encoder_both_explanations_are_named():
+    plain = [
+        replace(run, cable_time=np.empty(0), cable=np.empty(0)) for run in recordings(LAG, LATE)
+    ]
+    assert np.isnan(servo_lag(plain[0]))
+    untold = delay_of(plain)
+    assert not untold.identifiable
+    assert "record body_length/cable" in untold.note
+    assert "33." in untold.note or "32." in untold.note

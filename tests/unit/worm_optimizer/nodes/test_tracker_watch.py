@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A tracker that is lost during a campaign, and what is said of it."""
+
+import math
+
+import pytest
+
+from worm_msgs.msg import Tracker
+from worm_optimizer.nodes.tracker_watch import TrackerWatch
+
+
+class Desk:
+    """A node whose messages and timer are played by hand, at a time (s) that is set."""
+
+    def __init__(self) -> None:
+        self.time = 0.0
+        self.told: list[str] = []
+        TrackerWatch(self, lambda: self.time, self.told.append)
+
+    def create_subscription(self, _kind, topic, callback, _depth):
+        assert topic == "tracker"
+        self._hear = callback
+
+    def create_timer(self, _period, callback, clock):
+        assert clock
+        self._look = callback
+
+    def until(self, time: float, position: float | None) -> None:
+        while self.time < time:
+            self.time += 0.1
+            if position is not None:
+                self._hear(Tracker(rear_position=0.1, front_position=position))
+            self._look()
+
+
+@pytest.mark.parametrize(
+    ("seen", "words"),
+    [(None, "nothing is heard of the tracker"), (math.nan, "does not see both modules")],
+)
+def test_a_loss_and_its_end_are_told_once(seen, words):
+    desk = Desk()
+    desk.until(3.0, 0.4)
+    desk.until(4.5, seen)  # a marker that is covered for a moment
+    desk.until(5.0, 0.4)
+    assert desk.told == []
+    desk.until(9.0, seen)
+    assert len(desk.told) == 1
+    assert words in desk.told[0]
+    desk.until(10.0, 0.4)
+    assert desk.told[1:] == ["the tracker is back after 4.1 s"]
