@@ -66,6 +66,12 @@ def services(monkeypatch, node):
     return make
 
 
+def test_a_domain_that_ros_does_not_have_is_said(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
+    with pytest.raises(OperatorError, match="ROS_DOMAIN_ID"), operator("/worm", lambda: None):
+        pass
+
+
 def test_a_call_that_changes_nothing_more_is_made_again_by_the_same_client(node, services):
     made = services(lost=1)
     node.activate()  # it is active: only its state is asked for

@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_msgs.msg import Gait, GaitState, Power, Tracker, TwinEvent
-from worm_optimizer.operation.processes import Process, executable_command
+from worm_optimizer.operation.processes import Process, executable_command, wait_for
 
 ACKNOWLEDGED = Duration(seconds=20)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -31,8 +31,14 @@ def tracker(number: int) -> Tracker:
     return Tracker(rear_position=float(number), front_position=float("nan"))
 
 
+def heard(publisher: Publisher) -> None:
+    """Wait until the publisher, too, knows of the recorder: both sides learn of each other at different times."""
+    assert wait_for(lambda: publisher.get_subscription_count() > 0, TIMEOUT_S)
+
+
 def publish(publisher: Publisher, numbers: range) -> None:
     """Publish trackers and wait until the recorder has them."""
+    heard(publisher)
     for number in numbers:
         publisher.publish(tracker(number))
     assert publisher.wait_for_all_acked(ACKNOWLEDGED)
@@ -216,6 +222,7 @@ def test_a_full_disk_ends_the_recording_and_says_so(
     )
     positions = probe.node.create_publisher(Tracker, "tracker", 1000)
     recorder.wait_for_line("recording /worm/tracker ", TIMEOUT_S)
+    heard(positions)
     count = 0
     while recorder.exit_code is None:
         for number in range(count, count + 100):
@@ -339,6 +346,7 @@ def test_each_run_of_a_gait_is_noted_once(processes: Processes, probe: Probe, tm
         *("worm_model", "record", "gait_state", "-o", str(tmp_path / "bag"))
     )
     recorder.wait_for_line("recording /worm/gait_state ", TIMEOUT_S)
+    heard(states)
     gait = Gait(stroke=0.07, frequency=0.2, direction=Gait.FORWARD)
     for cycle, run in enumerate((1, 1, 2, 2, 2), 1):
         states.publish(

@@ -49,6 +49,11 @@ class StatusError(BusError):
         super().__init__(message)
         self.number = number
 
+    @property
+    def is_noise(self) -> bool:
+        """Whether the line garbled the question, so that it was not carried out and may be repeated."""
+        return self.number == 3
+
 
 class PowerSensorError(DriverError):
     """The power sensor is missing, is another chip, or did not answer."""

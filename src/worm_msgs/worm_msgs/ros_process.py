@@ -26,6 +26,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SPIN_S = 0.1
 #: s, in which further signals are the same Ctrl-C: a terminal and launch may both pass it on
 _SAME_PRESS_S = 1.5
+#: how rcl's message begins when the environment allows no node: security that this middleware has not, no network
+_NO_NODE = "error creating node"
 
 
 class Ending:
@@ -65,8 +67,8 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Ending]:
         arguments: the command line with the program's name; None for that of the process.
 
     Raises:
-        SystemExit: the middleware cannot be kept on this machine, or a ROS argument cannot be used; the reason is on
-            standard error.
+        SystemExit: the middleware cannot be kept on this machine, or a ROS argument or what the environment asks of
+            ROS cannot be had; the reason is on standard error.
     """
     try:
         heard = network.bind(os.environ, rclpy.get_rmw_implementation_identifier())
@@ -82,10 +84,14 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Ending]:
             signal_handler_options=SignalHandlerOptions.NO,
         )
     except RuntimeError as error:  # of rcl, whose classes have no public name
-        raise _refuse_arguments(error) from None
+        raise _refuse(error) from None
     before = {number: signal.signal(number, ending.on_signal) for number in SIGNALS}
     try:
         yield ending
+    except RuntimeError as error:  # as above
+        if not str(error).startswith(_NO_NODE):
+            raise
+        raise _refuse(error) from None
     finally:
         rclpy.try_shutdown()
         for number, handler in before.items():
@@ -113,13 +119,16 @@ def own_arguments(arguments: Sequence[str]) -> list[str]:
     try:
         return list(remove_ros_args(list(arguments)))
     except RuntimeError as error:  # as above
-        raise _refuse_arguments(error) from None
+        raise _refuse(error) from None
 
 
-def _refuse_arguments(error: Exception) -> SystemExit:
-    """Says rcl's message in one line, without the places in its source."""
-    words = " ".join(re.sub(r",? at [./]\S+:\d+", "", str(error)).split())
-    print(f"ROS arguments: {words}", file=sys.stderr)  # noqa: T201 (what every process says)
+def words_of(error: Exception) -> str:
+    """A message of rcl in one line, without the places in its source."""
+    return " ".join(re.sub(r",? at [./]\S+:\d+", "", str(error)).split())
+
+
+def _refuse(error: Exception) -> SystemExit:
+    print(f"ROS: {words_of(error)}", file=sys.stderr)  # noqa: T201 (what every process says)
     return SystemExit(2)
 
 

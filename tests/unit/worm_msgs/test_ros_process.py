@@ -71,6 +71,24 @@ def test_a_ros_argument_that_cannot_be_used_is_one_line_and_status_2(ros_domain,
         assert "/nope" in line
 
 
+def test_what_the_environment_asks_for_and_ros_has_not_is_one_line_and_status_2(
+    ros_domain, capsys, monkeypatch, tmp_path
+):
+    with pytest.raises(SystemExit) as error, ros_process(["test"]):
+        raise RuntimeError(
+            "error creating node: no security\nlibraries, at /a/b.cpp:3, at /c/node.c:2"
+        )
+    assert error.value.code == 2
+    assert capsys.readouterr().err == "ROS: error creating node: no security libraries\n"
+    for name, value in {"KEYSTORE": str(tmp_path), "ENABLE": "true", "STRATEGY": "Enforce"}.items():
+        monkeypatch.setenv(f"ROS_SECURITY_{name}", value)
+    with pytest.raises(SystemExit), ros_process(["test"]):
+        pass
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("ROS: ")
+    assert str(tmp_path) in line
+
+
 def test_what_is_raised_inside_gets_out_with_ros_ended(ros_domain):
     with pytest.raises(ZeroDivisionError), ros_process(["test"]):
         raise ZeroDivisionError

@@ -168,6 +168,11 @@ class ControlLoop:
         """The exception that ended the thread."""
         return self._thread.failure
 
+    def check(self) -> None:
+        """Raises DriverError when the thread has ended, with what ended it."""
+        if not self.alive:
+            raise self._ended() from self.failure
+
     def report(self) -> TimingReport:
         """How well the deadlines were kept."""
         return self._thread.report()
@@ -198,7 +203,7 @@ class ControlLoop:
         except TimeoutError:
             if not answer.cancel() and undo is not None:
                 self.submit(undo, patience=math.inf)
-            raise _silent(timeout) from None
+            raise self._silent(timeout) from None
 
     def insist(self, action: Callable[[float], T], timeout: float = 2.0) -> T:
         """As ask, but the action is carried out however late. Raises DriverError."""
@@ -206,7 +211,15 @@ class ControlLoop:
         try:
             return self.submit(action, patience=math.inf).result(timeout)
         except TimeoutError:
-            raise _silent(timeout) from None
+            raise self._silent(timeout) from None
+
+    def _silent(self, timeout: float) -> DriverError:
+        if self.failure is not None:
+            return self._ended()
+        return DriverError(f"the servo bus thread did not respond within {timeout:g} s")
+
+    def _ended(self) -> DriverError:
+        return DriverError(f"the servo bus thread has ended: {self.failure!r}")
 
     def leave(self, reason: str) -> None:
         """Has the robot brought to rest and released, and the thread end after it. Safe in a signal handler."""
@@ -266,10 +279,6 @@ class ControlLoop:
         self.release_problems = self._robot.release()
         self._clock.close()  # a thread that has ended must not keep a virtual robot's time
         self._serve(math.inf)
-
-
-def _silent(timeout: float) -> DriverError:
-    return DriverError(f"the servo bus thread did not respond within {timeout:g} s")
 
 
 class PowerLoop:

@@ -68,12 +68,13 @@ class Hardware:
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
         self._power: PowerLoop | None = None
         with contextlib.ExitStack() as opened:
-            # Before the servos: whoever takes part in a virtual robot's time may wait by that alone.
+            # First, as its lock keeps a second driver from the sensor, too, which has none and would be reset.
+            self._bus = ServoBus.open(settings.port, settings.baud_rate)
+            opened.callback(self._bus.close)
+            # Before the clock: whoever takes part in a virtual robot's time may wait by that alone.
             sensor = _open_sensor(settings.power)
             if sensor is not None:
                 opened.callback(sensor.device.close)
-            self._bus = ServoBus.open(settings.port, settings.baud_rate)
-            opened.callback(self._bus.close)
             self.clock = clock_of(settings.port, SERIAL)
             opened.callback(self.clock.close)
             self._bus.port.go_by(self.clock)
@@ -98,8 +99,8 @@ class Hardware:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """In the order of a snapshot's servos."""
-        return tuple(f"cable_{servo.number}" for servo in self.robot.cables) + tuple(
-            f"fin_{servo.number}" for servo in self.robot.fins
+        return tuple(f"cable_{servo.number}" for servo in self.robot.actuators.cables) + tuple(
+            f"fin_{servo.number}" for servo in self.robot.actuators.fins
         )
 
     @property
@@ -122,7 +123,7 @@ class Hardware:
         """What was found, one line each."""
         lines = [
             f"servo {servo.number}: {servo.model.name}, firmware {servo.firmware}"
-            for servo in self.robot.servos
+            for servo in self.robot.actuators.servos
         ]
         limits = self.robot.limits
         lines.append(
@@ -134,10 +135,10 @@ class Hardware:
             lines.append(
                 f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, not 1: install the udev rule"
             )
-        if self.robot.left_on:
-            lines.append(self.robot.left_on)
+        if self.robot.actuators.left_on:
+            lines.append(self.robot.actuators.left_on)
         lines.append(self.rest_line())
-        if not self.robot.homed:
+        if not self.robot.actuators.homed:
             lines.append("not homed: bring the robot to its initial length, then call home")
         return lines
 
@@ -164,14 +165,17 @@ class Hardware:
         timer = serial_port.latency_timer_ms(self.settings.port)
         reports = [
             diagnostics.gait_report(
-                latest.player, active=latest.active, homed=robot.homed, left_on=robot.left_on
+                latest.player,
+                active=latest.active,
+                homed=robot.actuators.homed,
+                left_on=robot.actuators.left_on,
             ),
             diagnostics.bus_report(self.settings.port, counters, seen.counters, timer),
             diagnostics.timing_report(self.loop.report(), self.settings.period, self.loop.urgency),
         ]
-        if robot.unreleased:
-            reports.append(diagnostics.release_report(robot.unreleased))
-        for servo, state in zip(robot.servos, latest.servos, strict=True):
+        if robot.actuators.unreleased:
+            reports.append(diagnostics.release_report(robot.actuators.unreleased))
+        for servo, state in zip(robot.actuators.servos, latest.servos, strict=True):
             alert = servo.number in latest.alerts
             reports.append(diagnostics.servo_report(servo, state, alert=alert))
         if self._power is not None:

@@ -127,8 +127,10 @@ def fault_in_health(servo: int, health: Health, *, is_cable: bool) -> str | None
     if health.watchdog == WATCHDOG_EXPIRED:
         return f"the bus watchdog of servo {servo} has expired: the command stream was interrupted"
     if not health.torque or not health.watchdog or (is_cable and not health.led):
-        return f"servo {servo} has restarted: its torque is off" + (
-            " and its turn count is lost" if is_cable else ""
+        armed = "on" if health.watchdog else "on, without its bus watchdog"
+        torque = armed if health.torque else "off"
+        return f"servo {servo} has restarted: its torque is {torque}" + (
+            ", and its turn count is lost" if is_cable else ""
         )
     return None
 

@@ -386,6 +386,9 @@ class ServoBus:
                 self._settled = False
                 if attempt == self.retries:
                     raise
+            except StatusError as error:
+                if attempt == self.retries or not error.is_noise:
+                    raise
         raise AssertionError("unreachable")
 
     def _attempt(self, servo: int, packet: list[int], size: int) -> bytes:

@@ -276,14 +276,23 @@ def limit_motion(
         bus.write(number, servo["goal_pwm"], min(most, to_raw(servo["goal_pwm"], limit)))
 
 
-def enable(bus: ServoBus, servo: Servo) -> None:
-    """Torque on, holding the present position, after limit_motion has armed the bus watchdog. Raises BusError.
+def enable(bus: ServoBus, servo: Servo) -> int:
+    """Torque on, after limit_motion has armed the bus watchdog; returns where (ticks) it holds.
 
     As short as can be: the servos that are enabled already wait for their first goal.
+
+    Raises:
+        BusError: it does not answer, or refuses.
+        ConfigurationError: it restarted meanwhile, and has its torque without the limits; to be disabled.
     """
     position = bus.read(servo.number, servo["present_position"])
     bus.write(servo.number, servo["goal_position"], position)
     bus.write(servo.number, servo["torque_enable"], 1)
+    if not bus.read(servo.number, servo["bus_watchdog"]):
+        raise ConfigurationError(
+            f"servo {servo.number} restarted while it was set up: check its supply and its cable, then activate again"
+        )
+    return position
 
 
 def disable(bus: ServoBus, servo: Servo) -> None:

@@ -12,7 +12,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any, TypeVar
 
 import rclpy
@@ -42,6 +42,7 @@ from worm_msgs.msg import (
     TwinResiduals,
     TwinState,
 )
+from worm_msgs.ros_process import words_of
 from worm_msgs.srv import InjectFault, RequestGait
 from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.nodes.gait_run import GaitRun
@@ -116,21 +117,24 @@ def operator(
     """An operator's node with a ROS context of its own, in which signals stay Python's.
 
     Nothing of it is announced in the ROS graph afterwards, whatever happened.
+
+    Raises:
+        OperatorError: there can be no node: its middleware, its domain or its security cannot be had.
     """
-    try:
-        network.bind(os.environ, rclpy.get_rmw_implementation_identifier())
-    except network.NetworkError as error:
-        raise OperatorError(str(error)) from None
-    context = rclpy.Context()
-    context.init(args=[])
-    try:
-        node = OperatorNode(namespace, check, context, name)
+    with ExitStack() as stack:
+        context = rclpy.Context()
+        stack.callback(context.try_shutdown)
         try:
-            yield node
-        finally:
-            node.destroy_node()
-    finally:
-        context.try_shutdown()
+            network.bind(os.environ, rclpy.get_rmw_implementation_identifier())
+            context.init(args=[])
+            node = OperatorNode(namespace, check, context, name)
+        except (
+            network.NetworkError,
+            RuntimeError,
+        ) as error:  # of rcl, whose classes have no public name
+            raise OperatorError(f"ROS: {words_of(error)}") from None
+        stack.callback(node.destroy_node)
+        yield node
 
 
 class OperatorNode(Node):

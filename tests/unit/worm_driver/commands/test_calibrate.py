@@ -151,8 +151,8 @@ class Killed(Exception):
 def test_a_conversation_that_is_killed_leaves_no_mark_of_a_home():
     """The LED that names a servo to a person is the one that marks a home."""
     rig = Rig(settings(home_at_start=False))
-    assert not rig.robot.homed
-    servo = rig.robot.cables[0]
+    assert not rig.robot.actuators.homed
+    servo = rig.robot.actuators.cables[0]
     lit: list[int] = []
 
     def killed(*_: object) -> str:
@@ -164,7 +164,7 @@ def test_a_conversation_that_is_killed_leaves_no_mark_of_a_home():
         Calibration(rig.bus, killed, lambda _: None, lambda _: None).role(servo)
     assert lit == [1]
     assert rig.cable.memory["led"] == 1
-    assert not rig.restarted_driver().robot.homed
+    assert not rig.restarted_driver().robot.actuators.homed
 
 
 def test_a_blocked_cable_ends_the_conversation():

@@ -197,6 +197,10 @@ def test_an_exception_in_the_cycle_releases_the_robot_and_is_kept(robot, loop):
     wait_for(lambda: not loop.alive)
     assert robot.releases == 1
     assert loop.failure is robot.failure
+    with pytest.raises(DriverError, match="has ended: RuntimeError"):
+        loop.check()
+    with pytest.raises(DriverError, match="has ended: RuntimeError"):
+        loop.ask(lambda _: 1, timeout=0.01)
 
 
 def test_an_exception_in_the_hand_over_releases_the_robot(robot):

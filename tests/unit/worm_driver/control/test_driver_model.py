@@ -151,7 +151,7 @@ class Life(RuleBasedStateMachine):
             self.try_to(lambda _: self.rig.robot.reboot())
             self.pass_without_driver(1.0)
             self.time_passes(5)
-            if not self.rig.robot.homed:
+            if not self.rig.robot.actuators.homed:
                 self.home()
             self.activate()
 
@@ -172,7 +172,7 @@ class Life(RuleBasedStateMachine):
     def home(self) -> None:
         self.try_to(lambda _: self.rig.robot.home())
         cable = self.virtual.servos[0]
-        if self.rig.robot.homed and cable.memory["led"]:
+        if self.rig.robot.actuators.homed and cable.memory["led"]:
             assert abs(cable._encoder.raw(cable.motor.position)) < 4096 * 2
 
     @precondition(lambda self: self.alive and not self.rig.robot.active)
@@ -253,7 +253,7 @@ class Life(RuleBasedStateMachine):
 
     def check_words(self) -> None:
         robot = self.rig.robot
-        if not robot.active and not robot.unreleased and not robot.left_on:
+        if not robot.active and not robot.actuators.unreleased and not robot.actuators.left_on:
             assert not any(self.torques())
         if robot.active and self.clock.now > self.troubled_until:
             assert all(self.torques()) or robot.player.phase is GaitPhase.FAULT
@@ -268,7 +268,7 @@ class Life(RuleBasedStateMachine):
         if not getattr(self, "alive", False) or not self.rig.robot.active:
             return
         cable = self.virtual.servos[0]
-        if cable.memory["torque_enable"] and self.rig.robot.homed:
+        if cable.memory["torque_enable"] and self.rig.robot.actuators.homed:
             change = QUICK.spools[0].length_change(cable.memory["goal_position"])
             assert -QUICK.max_stroke - SLACK <= change <= SLACK
 

@@ -4,6 +4,7 @@
 import itertools
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -39,6 +40,20 @@ def moving() -> Rig:
     return rig
 
 
+def before_write(rig: Rig, servo: int, register: str, deed: Callable[[], None]) -> None:
+    """Does something before a register of a servo is written for the first time from now on."""
+    send, row = rig.wire.write, COMMON[register]
+
+    def write(packet: bytes) -> int:
+        address = int.from_bytes(packet[8:10], "little")
+        if (packet[4], packet[7], address) == (servo, 3, row.address) and rig.wire.write is write:
+            rig.wire.write = send
+            deed()
+        return send(packet)
+
+    rig.wire.write = write
+
+
 # --- configure, activate, release -----------------------------------------------------------------
 
 
@@ -49,12 +64,12 @@ def test_opening_leaves_the_torque_off(rig):
 
 
 def test_servos_are_known_by_the_model_that_they_answer(rig):
-    assert [servo.model.name for servo in rig.robot.servos] == [
+    assert [servo.model.name for servo in rig.robot.actuators.servos] == [
         "XM430-W350-T",
         "XL430-W250-T",
         "XL430-W250-T",
     ]
-    assert rig.robot.servos[0].firmware == 48
+    assert rig.robot.actuators.servos[0].firmware == 48
 
 
 def test_a_missing_servo_is_named():
@@ -382,7 +397,7 @@ def test_a_cable_servo_that_restarted_is_not_moved_before_it_is_homed():
     rig.robot.release()
     with pytest.raises(HomingError, match="turn count"):
         rig.robot.activate(rig.clock.now)
-    assert not rig.robot.homed
+    assert not rig.robot.actuators.homed
     assert rig.cable.memory["torque_enable"] == 0
     rig.robot.home()
     rig.robot.activate(rig.clock.now)
@@ -395,19 +410,31 @@ def test_a_restart_while_inactive_is_noticed_by_the_activation(rig):
         rig.robot.activate(rig.clock.now)
 
 
+def test_a_servo_that_restarts_while_it_is_enabled_gets_no_torque_without_its_watchdog(rig):
+    rig.run(0.1)
+    before_write(
+        rig, CABLE, "torque_enable", lambda: rig.inject("vanished", target=CABLE, duration=0.02)
+    )
+    with pytest.raises(ConfigurationError, match="servo 1 restarted while it was set up"):
+        rig.robot.activate(rig.clock.now)
+    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+    with pytest.raises(HomingError):
+        rig.robot.activate(rig.clock.now)
+
+
 def test_a_restart_between_two_drivers_is_noticed():
     rig = Rig(settings(home_at_start=False))
-    assert not rig.robot.homed
+    assert not rig.robot.actuators.homed
     rig.robot.home()
-    assert rig.restarted_driver().robot.homed
+    assert rig.restarted_driver().robot.actuators.homed
     restart_cable_servo(rig)
-    assert not rig.restarted_driver().robot.homed
+    assert not rig.restarted_driver().robot.actuators.homed
 
 
 def test_another_operating_mode_has_folded_the_turns():
     rig = Rig()
     rig.bus.write(CABLE, COMMON["operating_mode"], 3)
-    assert not rig.restarted_driver(settings(home_at_start=False)).robot.homed
+    assert not rig.restarted_driver(settings(home_at_start=False)).robot.actuators.homed
     assert rig.bus.read(CABLE, COMMON["operating_mode"]) == 4
 
 
@@ -432,6 +459,28 @@ def test_a_home_survives_a_restart_of_the_driver_in_the_middle_of_a_stroke():
     again = rig.restarted_driver(settings(home_at_start=False))
     again.run(0.02)
     assert again.snapshots[-1].cable == pytest.approx(length, abs=5e-3)
+
+
+def test_a_robot_that_was_left_contracted_with_its_torque_on_says_so_until_it_is_taken_over():
+    rig = moving()
+    again = rig.restarted_driver(settings(home_at_start=False))
+    assert "the torque is on" in again.run(0.02).player.message
+    assert again.cable.memory["torque_enable"] == 1
+    again.robot.activate(again.clock.now)
+    assert again.run(0.02).player.message == ""
+
+
+def test_a_body_that_springs_back_is_held_where_it_has_come_to_by_then():
+    rig = moving()
+    rig.robot.release()
+    rig.run(0.05)
+    # when servo 1 has told where it is, and has no torque yet
+    before_write(rig, 12, "bus_watchdog", lambda: rig.inject("no_answer", target=12, count=4))
+    rig.robot.activate(rig.clock.now)
+    held = rig.cable.motor.position
+    rig.positions.clear()
+    rig.run(0.3)
+    assert max(abs(position - held) for _, position in rig.positions) < 5  # 0.2 mm
 
 
 def test_homing_sets_the_position_to_zero_where_the_cable_is(rig):

@@ -56,9 +56,9 @@ def test_a_cable_that_does_not_follow_is_a_fault():
     [
         (Health(1, 1, 0b100000, 4), "reports overload"),
         (Health(1, 1, 0, -1), "bus watchdog of servo 1 has expired"),
-        (Health(0, 1, 0, 4), "has restarted"),
+        (Health(0, 1, 0, 4), "has restarted: its torque is off"),
         (Health(1, 0, 0, 4), "turn count is lost"),
-        (Health(1, 1, 0, 0), "has restarted"),
+        (Health(1, 1, 0, 0), "has restarted: its torque is on, without its bus watchdog"),
     ],
 )
 def test_each_register_tells_its_fault(health, words):

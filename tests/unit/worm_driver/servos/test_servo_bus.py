@@ -236,10 +236,18 @@ def test_bytes_that_keep_coming_do_not_hang_the_bus():
 
 @pytest.mark.parametrize("number", range(1, 8))
 def test_each_error_number_is_an_error_in_words(line, number):
-    line.inject("error", count=1, value=number)
+    line.inject("error", count=2, value=number)
     with pytest.raises(StatusError, match="servo 1 ") as caught:
         line.bus.read(1, MODEL)
     assert caught.value.number == number
+
+
+def test_a_question_that_the_line_garbled_is_asked_again_and_no_other_error_is(line):
+    line.inject("error", count=1, value=3)
+    assert line.bus.read(1, MODEL) == 1020
+    line.inject("error", count=1, value=4)
+    with pytest.raises(StatusError):
+        line.bus.read(1, MODEL)
 
 
 @pytest.mark.parametrize("number", range(1, 8))

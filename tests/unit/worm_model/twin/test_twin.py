@@ -477,7 +477,7 @@ def hours_of_it(gait: Gait, hours: int) -> Iterator[list]:
 
 
 def test_hours_with_misses_need_no_more_memory_and_lose_no_accuracy():
-    gait, hours = Gait(0.07, 0.05), 3
+    gait, hours = Gait(0.07, 0.05), 2
     twin = Twin(settings=TwinSettings(pause_s=1.5, delay_s=0.5, measured_stale_s=1.1))
     state = twin.start()
     follow(announcements(gait), twin, state=state, end=False)

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver's topics: what the threads of the hardware have left is published, and the gait state where it changes."""
+
+import math
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import JointState
+
+from worm_driver.control.emergency import EmergencyLatch
+from worm_driver.control.hardware import Hardware
+from worm_driver.control.telemetry import Snapshot
+from worm_driver.gait.gait_player import Phase, PlayerState
+from worm_driver.nodes import driver_messages
+from worm_driver.nodes.driver_messages import ClockPair
+from worm_driver.nodes.run_gait_action import RunGaitAction
+from worm_driver.nodes.stamps import Stamps
+from worm_msgs.msg import BodyLength, GaitState, Power
+
+_DELIVERY = Duration(seconds=0.5)
+#: reliable; deep enough for what piles up while the executor's thread waits for a processor
+_TELEMETRY = QoSProfile(depth=200)
+#: a user may change history, depth and reliability: qos_overrides./worm/power.publisher.reliability
+_OPEN = QoSOverridingOptions.with_default_policies()
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class TelemetryPublisher:
+    """Publishes on a node, and hands the same on to the action.
+
+    Args:
+        node: that publishes.
+        stamps: its times.
+        action: takes samples and snapshots into the records of its runs.
+        emergency: the latch, which the gait state tells of.
+
+    Attributes:
+        latest: the last snapshot of what is open; None while nothing is.
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        stamps: Stamps,
+        action: RunGaitAction,
+        emergency: EmergencyLatch,
+    ) -> None:
+        def publisher(kind: type, topic: str) -> Any:
+            return node.create_publisher(kind, topic, _TELEMETRY, qos_overriding_options=_OPEN)
+
+        self._logger = node.get_logger()
+        self._stamps = stamps
+        self._action = action
+        self._emergency = emergency
+        self._joint_states = publisher(JointState, "joint_states")
+        self._commanded = publisher(BodyLength, "body_length/commanded")
+        self._cable = publisher(BodyLength, "body_length/cable")
+        self._power = publisher(Power, "power")
+        self._gait_state = node.create_publisher(GaitState, "gait_state", _LATCHED)
+        self._shown: tuple[object, ...] | None = None
+        self._faulty = False
+        self.latest: Snapshot | None = None
+
+    def publish(self, hardware: Hardware) -> None:
+        """Publish all that has come since the last call."""
+        clocks = self._stamps.clocks()
+        while hardware.samples:
+            sample = hardware.samples.popleft()
+            self._action.on_power(sample)
+            self._power.publish(driver_messages.power(sample, clocks))
+        while hardware.snapshots:
+            self._publish_snapshot(hardware, hardware.snapshots.popleft(), clocks)
+
+    def show_inactive(self, reason: str) -> None:
+        """Tell that nothing is open, where that or the emergency stop has changed."""
+        shown = (reason, self._emergency.on)
+        if shown == self._shown:
+            return
+        self._shown, self.latest = shown, None
+        message = GaitState(
+            state=GaitState.INACTIVE, message=reason, emergency_stop=self._emergency.on
+        )
+        message.header.stamp = self._stamps.now()
+        self._gait_state.publish(message)
+
+    def deliver(self) -> None:
+        """Wait until those who listen have the last words, for they are lost with the node."""
+        for publisher in (self._joint_states, self._cable, self._power, self._gait_state):
+            publisher.wait_for_all_acked(_DELIVERY)
+
+    def _publish_snapshot(self, hardware: Hardware, snapshot: Snapshot, clocks: ClockPair) -> None:
+        self.latest = snapshot
+        initial = hardware.settings.body.initial_length
+        self._joint_states.publish(
+            driver_messages.joint_state(hardware.joint_names, snapshot, clocks)
+        )
+        if not math.isnan(snapshot.commanded):
+            self._commanded.publish(
+                driver_messages.body_length(
+                    BodyLength.COMMANDED, snapshot.command_time, snapshot.commanded, initial, clocks
+                )
+            )
+        if not math.isnan(snapshot.cable):
+            self._cable.publish(
+                driver_messages.body_length(
+                    BodyLength.CABLE, snapshot.read_time, snapshot.cable, initial, clocks
+                )
+            )
+        self._show_gait_state(snapshot, clocks)
+        self._action.on_snapshot(snapshot)
+
+    def _show_gait_state(self, snapshot: Snapshot, clocks: ClockPair) -> None:
+        player = snapshot.player
+        run = player.active_run
+        shown = (
+            snapshot.active,
+            snapshot.homed,
+            self._emergency.on,
+            player.phase,
+            player.message,
+            run and (run.number, run.onset, run.cycles, run.cycle(snapshot.command_time)),
+        )
+        if shown != self._shown:
+            self._tell_fault(player)
+            self._shown = shown
+            self._gait_state.publish(
+                driver_messages.gait_state(snapshot, clocks, emergency_stop=self._emergency.on)
+            )
+
+    def _tell_fault(self, player: PlayerState) -> None:
+        """A fault is an error in the log, once, with its cause and what to do."""
+        is_fault = player.phase is Phase.FAULT
+        if is_fault and not self._faulty:
+            self._logger.error(
+                f"FAULT: {player.message}. The cable holds where it is. Mend the cause, then deactivate and "
+                "activate; after a hardware error deactivate, reboot, home, activate"
+            )
+        self._faulty = is_fault
