@@ -90,8 +90,9 @@ def text_of(result: Identification, advice: Advice, figures: list[str]) -> str:
 def _summary(result: Identification) -> str:
     dates = sorted({run.recording.date for run in result.runs if run.recording.date})
     when = f", recorded {dates[0]} to {dates[-1]}" if dates else ", of unknown date"
+    count = len(result.runs)
     return (
-        f"{len(result.runs)} runs{when}. Given values: {result.reference.source}. {code_version()}, "
+        f"{count} run{'s' if count > 1 else ''}{when}. Given values: {result.reference.source}. {code_version()}, "
         f"seed {result.seed}. Intervals are 95 %."
     )
 
