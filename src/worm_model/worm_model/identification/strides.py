@@ -39,6 +39,8 @@ def _strides(recording: Recording) -> NDArray[np.float64]:
     """Advance over one period (m), from every camera sample on that lies between the first cycle and the last."""
     seen = np.isfinite(recording.x1)
     time, x1 = recording.camera_time[seen], recording.gait.direction * recording.x1[seen]
+    if time.size < FEWEST:
+        return np.zeros(0)
     period = recording.gait.period
     begins = (time > period) & (time < min(recording.end, time[-1]) - period)
     later: NDArray[np.float64] = np.interp(time[begins] + period, time, x1)
