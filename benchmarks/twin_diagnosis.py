@@ -2,7 +2,9 @@
 """What the twin makes of robots with something wrong: the cause it names, against the true one, over seeded runs.
 
 The robots are integrated step by step (tests/faulty_robots.py), are off the twin's parameters, have dry friction,
-grooves that differ and noisy instruments. Each fault begins in the second to the fourth cycle of five.
+grooves that differ and noisy instruments. Each fault begins in the second to the fourth cycle of five. How often power
+alone can name a cause at all is bounded by how often it does in cycles drawn from the very likelihood that the twin
+weighs causes with. ``python -m benchmarks.twin_diagnosis FOLDER`` draws the figures, too.
 """
 
 from __future__ import annotations
@@ -10,98 +12,104 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-from benchmarks.report import Row
-from tests.faulty_robots import ONSET, Fault, Robots, run_robots
+from benchmarks.report import Row, print_rows
+from tests.faulty_robots import ONSET, Fault, Lab, run_robots
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait
-from worm_model.twin.causes import SCATTER
-from worm_model.twin.cycle_data import POWER_SHARE
-from worm_model.twin.signatures import FAULTS, OFFSET_W, SCALE, SLIP_M, signatures
+from worm_model.twin.causes import GAINED, GROOVES, SCATTER, Candidate, Data, weigh_causes
+from worm_model.twin.core.memory import CHANNELS, POWER
+from worm_model.twin.cycle_data import FIRST, POWER_SHARE, CycleData
+from worm_model.twin.diagnosis import History, judge_causes
+from worm_model.twin.signatures import (
+    BINS,
+    FAULTS,
+    OFFSET_W,
+    SCALE,
+    SLIP_M,
+    Signatures,
+    signatures,
+)
 from worm_model.twin.twin import Twin
 
-TITLE = (
-    "diagnosis of the twin: right cause within two cycles, and false alarms, in runs of five cycles"
-)
+TITLE = "diagnosis of the twin: causes named within two cycles, and false alarms, in runs of five cycles (minutes)"
 GAITS = (Gait(0.08, 0.2), Gait(0.06, 0.3), Gait(0.085, 0.25))
+CYCLES = 5
 REPEATS = 4  # of each fault and size with each gait
 SOUND = 60  # runs with each gait
-CYCLES_LATE = 2.05  # cycles after that of the fault in which a cause is named in time
-#: three sizes of each kind, small to large
-SIZES: dict[str, tuple[float, ...]] = {
-    "rear": (1, 2, 3),
-    "front": (1, 2, 3),
-    "gained": (1, 1, 1),
-    "gain": (-0.01, -0.03, -0.06),
-    "slip": (0.001, 0.003, 0.006),
-    "friction": (0.5, 1.0, 2.0),
-    "less friction": (-0.3, -0.6, -0.8),
-    "scale": (0.04, 0.10, 0.20),
-    "offset": (0.1, 0.3, 0.6),
-    "robot": (1, 3, 5),
-    "camera": (0.004, 0.012, 0.040),
+DRAWS = 3  # from the likelihood for each run
+SEED = 11
+TRACKER, ALONE, BOUND = "tracker", "power alone", "likelihood of power"
+IN_TIME = (
+    1.05  # cycles after the end of that of the fault by which a cause is named within two cycles
+)
+MIDDLE = 1
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Of a fault: its name and unit for people (which is ``scale`` of the SI unit), three sizes, the right code."""
+
+    name: str
+    sizes: tuple[float, float, float]
+    code: str
+    scale: float = 1.0
+
+
+KINDS = {
+    "rear": Kind("misses of the rear fin (cycles)", (1, 2, 3), "missed_groove_rear"),
+    "front": Kind("misses of the front fin (cycles)", (1, 2, 3), "missed_groove_front"),
+    "gained": Kind("groove gained", (1, 1, 1), "gained_groove"),
+    "gain": Kind("gain of the cable (%)", (-0.01, -0.03, -0.06), "cable_slip", 100.0),
+    "slip": Kind("cable slipped by (mm)", (0.001, 0.003, 0.006), "cable_slip", 1e3),
+    "friction": Kind("friction up (%)", (0.5, 1.0, 2.0), "friction_up", 100.0),
+    "less friction": Kind("friction down (%)", (-0.3, -0.6, -0.8), "friction_down", 100.0),
+    "scale": Kind("scale of the power (%)", (0.04, 0.10, 0.20), "power_scale", 100.0),
+    "offset": Kind("zero of the power (W)", (0.1, 0.3, 0.6), "power_offset"),
+    "robot": Kind("robot moved (grooves)", (1, 3, 5), "robot_moved"),
+    "camera": Kind("camera moved (mm)", (0.004, 0.012, 0.040), "camera_moved", 1e3),
 }
-CODES = {
-    "rear": "missed_groove_rear",
-    "front": "missed_groove_front",
-    "gained": "gained_groove",
-    "gain": "cable_slip",
-    "slip": "cable_slip",
-    "friction": "friction_up",
-    "less friction": "friction_down",
-    "scale": "power_scale",
-    "offset": "power_offset",
-    "robot": "robot_moved",
-    "camera": "camera_moved",
-}
-NAMES = {
-    "rear": "misses of the rear fin (cycles)",
-    "front": "misses of the front fin (cycles)",
-    "gained": "groove gained",
-    "gain": "gain of the cable (%)",
-    "slip": "cable slipped by (mm)",
-    "friction": "friction up (%)",
-    "less friction": "friction down (%)",
-    "scale": "scale of the power (%)",
-    "offset": "zero of the power (W)",
-    "robot": "robot moved (grooves)",
-    "camera": "camera moved (mm)",
-}
-UNITS = {
-    "gain": 100.0,
-    "slip": 1e3,
-    "friction": 100.0,
-    "less friction": 100.0,
-    "scale": 100.0,
-    "camera": 1e3,
-}
+UNSEEN = ("robot", "camera")  # by power
+CODES = ("", *dict.fromkeys(kind.code for kind in KINDS.values()), "missed_groove", "ambiguous")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of a run: what was wrong, its size's place (0 to 2), and the first code told, "" for none; ``late`` in cycles."""
+    """Of a run: its gait's place, the fault (size by place, 0 to 2), by what it was seen, and the first code told.
 
+    ``told`` is empty where nothing was; ``late`` in cycles since the end of the fault's.
+    """
+
+    gait: int
     kind: str
     size: int
-    tracker: bool
-    told: str
-    late: float
+    seen_by: str
+    told: str = ""
+    late: float = math.nan
+
+    @property
+    def right(self) -> bool:
+        """Whether the cause was named, and in time."""
+        if self.kind == "sound":
+            return not self.told
+        return self.told == KINDS[self.kind].code and self.late <= IN_TIME
 
 
 def faults() -> list[tuple[str, int, Fault]]:
     """(kind, place of the size, fault) of all runs with a gait; a fin's fault is that of a whole cycle."""
     found = [("sound", 0, Fault()) for _ in range(SOUND)]
-    for kind, sizes in SIZES.items():
-        for place, size in enumerate(sizes):
+    for kind, about in KINDS.items():
+        for place, size in enumerate(about.sizes):
             for k in range(REPEATS):
                 whole = kind in ("rear", "front", "gained")
                 phase = 0.0 if whole else 0.3 * ((k + place) % 3)
@@ -110,147 +118,241 @@ def faults() -> list[tuple[str, int, Fault]]:
     return found
 
 
-def outcomes(gait: Gait, seed: int = 11) -> list[Outcome]:
-    """Every run with a gait, followed with and without a tracker."""
-    wanted = faults()
-    usual = round(evaluate_gait(gait).grooves_per_cycle)
-    robots = run_robots(gait, [f for _, _, f in wanted], seed=seed, usual=usual)
+# --- robots ---------------------------------------------------------------------------------------------
+
+
+def followed(gait: int, seen_by: str) -> list[Outcome]:
+    """Every run with a gait, as the twin follows it."""
+    played, wanted = GAITS[gait], faults()
+    usual = round(evaluate_gait(played).grooves_per_cycle)
+    robots = run_robots(played, [f for _, _, f in wanted], seed=SEED, usual=usual)
+    found = []
+    for k, (kind, place, fault) in enumerate(wanted):
+        twin = Twin()
+        rows = robots.rows(k, tracker=seen_by == TRACKER)
+        events = twin.advance(twin.start(), rows, to_the_end=True).events
+        outcome = Outcome(gait, kind, place, seen_by)
+        coded = next((event for event in events if event.code), None)
+        if coded is not None:
+            late = (coded.stamp_ns - ONSET) * 1e-9 / played.period - fault.cycle
+            outcome = replace(outcome, told=coded.code, late=late)
+        found.append(outcome)
+    return found
+
+
+# --- what the likelihood allows -------------------------------------------------------------------------
+
+
+def drawn(gait: int) -> list[Outcome]:
+    """Every run with a gait that power can tell of, drawn from the likelihood of the twin and judged by its rule."""
+    draw = np.random.default_rng(SEED)
+    signs = signatures(GAITS[gait], PAPER, driven=False)
     return [
-        _outcome(robots, k, what, tracker=tracker)
-        for k, what in enumerate(wanted)
-        for tracker in (True, False)
+        _drawn(Outcome(gait, kind, place, BOUND), fault, signs, draw)
+        for kind, place, fault in DRAWS * faults()
+        if kind not in UNSEEN
     ]
 
 
-def _outcome(robots: Robots, k: int, what: tuple[str, int, Fault], *, tracker: bool) -> Outcome:
-    kind, place, fault = what
-    twin = Twin()
-    events = twin.advance(twin.start(), robots.rows(k, tracker=tracker), to_the_end=True).events
-    coded = [event for event in events if event.code]
-    if not coded:
-        return Outcome(kind, place, tracker, "", math.nan)
-    late = (coded[0].stamp_ns - ONSET) * 1e-9 / robots.gait.period - fault.cycle
-    return Outcome(kind, place, tracker, coded[0].code, late)
+def _drawn(outcome: Outcome, fault: Fault, signs: Signatures, draw: np.random.Generator) -> Outcome:
+    blank = [_cycle(number, signs) for number in range(1, CYCLES + 1)]
+    data = Data(blank, (), signs)
+    cause = _cause(fault, signs)
+    if cause is None:
+        return outcome
+    what, size = cause
+    values = data.nuisances @ draw.normal(size=data.nuisances.shape[1])
+    values += 0.0 if what is None else size * data.direction(what)
+    some = data.weight > 0.0
+    values[some] += draw.normal(size=int(some.sum())) / np.sqrt(data.weight[some])
+    seen = np.where(some, values, 0.0).reshape(CYCLES, CHANNELS, BINS)
+    history = History()
+    for cycle, value in zip(blank, seen, strict=True):
+        history = replace(history, cycles=(*history.cycles, replace(cycle, values=value)))
+        weighed = weigh_causes(history.cycles, history.told, signs, length_seen=False)
+        history, findings = judge_causes(history, cycle.number, weighed)
+        if findings:
+            return replace(outcome, told=findings[0].code, late=float(cycle.number - fault.cycle))
+    return outcome
 
 
-def right(outcome: Outcome) -> bool:
-    """Whether the cause was named, and in time."""
-    if outcome.kind == "sound":
-        return not outcome.told
-    return outcome.told == CODES[outcome.kind] and outcome.late <= CYCLES_LATE - 1.0
+def _cycle(number: int, signs: Signatures) -> CycleData:
+    """A cycle of which only power is known, as well as the robots' sensor tells it."""
+    lab = Lab()
+    scatter = (SCATTER[POWER] + POWER_SHARE * signs.power) * (FIRST[POWER] if number == 1 else 1.0)
+    variance = np.full((CHANNELS, BINS), np.inf)
+    variance[POWER] = scatter**2 + lab.power_noise_W**2 / 20.0
+    return CycleData(number, np.zeros((CHANNELS, BINS)), variance, None)
 
 
-def bound(gait: Gait, kind: str, place: int) -> float:
-    """How often somebody who knew robot, noise and size would see a fault in two cycles of power, missing one in 100.
-
-    Power alone: the signal-to-noise ratio of its signature against the scatter that the twin takes for sound.
-    """
-    signs = signatures(gait, PAPER, driven=False)
-    size = SIZES[kind][place]
-    usual = {"gain": FAULTS["gain"], "slip": SLIP_M, "scale": SCALE, "offset": OFFSET_W}
-    if kind in ("rear", "front"):
-        changes = list(signs.missed[kind][:, 2])
-    elif kind == "gained":
-        changes = list(next(iter(signs.gained.values()))[:, 2])
-    elif kind in ("robot", "camera"):
-        return 0.0
-    else:
-        name = "viscous_friction" if "friction" in kind else kind
-        unit = FAULTS["viscous_friction"] if "friction" in kind else usual[kind]
-        changes = [signs.lasting[name][2] * size / unit] * 2
-    noise = SCATTER[2] + POWER_SHARE * signs.power
-    distance = math.sqrt(sum(float(np.sum((change / noise) ** 2)) for change in changes))
-    return 0.5 * math.erfc((2.33 - distance) / math.sqrt(2.0))
+def _cause(fault: Fault, signs: Signatures) -> tuple[Candidate | None, float] | None:
+    """(cause, its size in usual ones) of a fault; None where the gait has no such groove."""
+    if fault.kind == "sound":
+        return None, 0.0
+    if fault.kind in GROOVES:
+        known = fault.kind in signs.missed
+        cause = Candidate(GROOVES[fault.kind], fault.kind, fault.cycle, 0.0, cycles=int(fault.size))
+        return (cause, 1.0) if known else None
+    if fault.kind == "gained":
+        how = next((name for name in signs.gained if name.startswith("rear")), "")
+        return None if not how else (Candidate(GAINED, how, fault.cycle, 0.0, cycles=1), 1.0)
+    name = "viscous_friction" if fault.kind == "friction" else fault.kind
+    unit = {**FAULTS, "slip": SLIP_M, "scale": SCALE, "offset": OFFSET_W}[name]
+    return Candidate("", name, fault.cycle, 0.0, fault.phase), fault.size / unit
 
 
-def table(found: Sequence[Outcome], *, tracker: bool) -> dict[tuple[str, int], Counter[str]]:
-    """What was told, by kind and size."""
-    counts: dict[tuple[str, int], Counter[str]] = defaultdict(Counter)
-    for outcome in found:
-        if outcome.tracker == tracker:
-            in_time = (
-                outcome.kind == "sound" or not outcome.told or outcome.late <= CYCLES_LATE - 1.0
-            )
-            counts[outcome.kind, outcome.size][outcome.told if in_time else "too late"] += 1
-    return counts
+# --- all of it ------------------------------------------------------------------------------------------
 
 
 def measure() -> list[Outcome]:
-    """All outcomes; the gaits on all cores."""
-    with ProcessPoolExecutor(min(len(GAITS), os.cpu_count() or 1)) as pool:
-        return [outcome for part in pool.map(outcomes, GAITS) for outcome in part]
+    """All outcomes, on all cores."""
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the workers, which are on all cores already
+    found: list[Outcome] = []
+    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
+        jobs = [
+            pool.submit(followed, gait, seen_by)
+            for gait in range(len(GAITS))
+            for seen_by in (TRACKER, ALONE)
+        ]
+        jobs += [pool.submit(drawn, gait) for gait in range(len(GAITS))]
+        for number, job in enumerate(jobs, 1):
+            found += job.result()
+            print(f"  {number} of {len(jobs)} parts", file=sys.stderr, flush=True)
+    return found
+
+
+def share(outcomes: Iterable[Outcome]) -> float:
+    """Of those that are right, NaN of none."""
+    right = [outcome.right for outcome in outcomes]
+    return sum(right) / len(right) if right else math.nan
+
+
+def rows(found: Sequence[Outcome]) -> list[Row]:
+    """The table's rows."""
+    table = []
+    for seen_by in (TRACKER, ALONE, BOUND):
+        mine = [o for o in found if o.seen_by == seen_by]
+        sound = [o for o in mine if o.kind == "sound"]
+        false = sum(bool(o.told) for o in sound)
+        table.append(Row(f"{seen_by}: sound", f"{false} of {len(sound)}", "< 1 %", "false alarms"))
+        for kind in KINDS if seen_by == TRACKER else (k for k in KINDS if k not in UNSEEN):
+            for place in range(3):
+                table.append(_row(seen_by, kind, place, mine))
+        middle = [
+            o for o in mine if o.size == MIDDLE and (seen_by == TRACKER or o.kind not in UNSEEN)
+        ]
+        goal = {TRACKER: ">= 95 %", ALONE: f"{100 * _middle(found, BOUND):.1f} %"}.get(seen_by, "-")
+        table.append(
+            Row(f"{seen_by}: middle sizes", f"{100 * share(middle):.1f} %", goal, "named in time")
+        )
+        for fin in ("rear", "front"):
+            for place, gait in enumerate(GAITS):
+                of_fin = [o for o in mine if o.kind == fin and o.gait == place]
+                what = f"{seen_by}: {fin} fin, {1e3 * gait.stroke:g} mm at {gait.frequency:g} Hz"
+                table.append(Row(what, f"{100 * share(of_fin):.0f} %", "-", f"of {len(of_fin)}"))
+    return table
+
+
+def _middle(found: Sequence[Outcome], seen_by: str) -> float:
+    return share(
+        o for o in found if o.seen_by == seen_by and o.size == MIDDLE and o.kind not in UNSEEN
+    )
+
+
+def _row(seen_by: str, kind: str, place: int, mine: Sequence[Outcome]) -> Row:
+    about = KINDS[kind]
+    cell = [o for o in mine if (o.kind, o.size) == (kind, place)]
+    others = Counter(_said(o) for o in cell if not o.right)
+    return Row(
+        f"{seen_by}: {kind} {about.scale * about.sizes[place]:g}",
+        f"{sum(o.right for o in cell)} of {len(cell)}",
+        "-",
+        ", ".join(f"{what} {n}" for what, n in others.items()),
+    )
+
+
+def _said(outcome: Outcome) -> str:
+    if not outcome.told:
+        return "nothing"
+    late = "" if outcome.late <= IN_TIME else " too late"
+    return f"{outcome.told}{late}"
 
 
 def run() -> list[Row]:
     """The table's rows."""
-    found = measure()
-    if len(sys.argv) > 1 and sys.argv[-1].endswith(
-        ".png"
-    ):  # python -m benchmarks.twin_diagnosis FIGURE.png
-        draw(found, Path(sys.argv[-1]))
-    rows = []
-    for tracker in (True, False):
-        counts = table(found, tracker=tracker)
-        where = "tracker" if tracker else "power alone"
-        sound = counts.pop(("sound", 0))
-        false = sum(n for code, n in sound.items() if code)
-        rows.append(
-            Row(f"{where}: sound", f"{false} of {sound.total()} runs", "< 1 %", "false alarms")
-        )
-        for (kind, place), told in counts.items():
-            rows.append(_row(where, kind, place, told))
-        middle = [o for o in found if o.tracker == tracker and o.size == 1]
-        share = sum(right(o) for o in middle) / len(middle)
-        goal = ">= 95 %" if tracker else "-"
-        rows.append(
-            Row(f"{where}: middle sizes", f"{100 * share:.1f} %", goal, "right within two cycles")
-        )
-    return rows
+    return rows(measure())
 
 
-def _row(where: str, kind: str, place: int, told: Counter[str]) -> Row:
-    size = UNITS.get(kind, 1.0) * SIZES[kind][place]
-    value = f"{told[CODES[kind]]} of {told.total()}"
-    others = ", ".join(
-        f"{code or 'nothing'} {n}" for code, n in told.items() if code != CODES[kind]
-    )
-    best = ""
-    if where == "power alone" and kind not in ("robot", "camera"):
-        bounds = [bound(gait, kind, place) for gait in GAITS]
-        best = f"{100 * sum(bounds) / len(bounds):.0f} %"
-    return Row(f"{where}: {kind} {size:g}", value, best or "-", others)
+# --- figures --------------------------------------------------------------------------------------------
 
 
-def draw(found: Sequence[Outcome], path: Path) -> None:
-    """How often each cause is named in time over its size, with a tracker and from power alone."""
-    figure, axes = plt.subplots(3, 4, figsize=(11, 7), sharey=True, layout="constrained")
-    for axis, kind in zip(axes.flat, SIZES, strict=False):
-        for tracker, label, marker in ((True, "with a tracker", "o"), (False, "power alone", "s")):
-            rates = [
-                np.mean(
-                    [
-                        right(o)
-                        for o in found
-                        if (o.kind, o.size, o.tracker) == (kind, place, tracker)
-                    ]
-                )
-                for place in range(3)
-            ]
-            axis.plot(range(3), 100.0 * np.array(rates), marker=marker, label=label)
-        sizes = [f"{UNITS.get(kind, 1.0) * size:g}" for size in SIZES[kind]]
-        axis.set_xticks(range(3), sizes)
+def draw_confusion(found: Sequence[Outcome], path: Path) -> None:
+    """What was told of each cause of the middle size, with a tracker and from power alone."""
+    kinds = ["sound", *KINDS]
+    figure, axes = plt.subplots(1, 2, figsize=(13, 6), sharey=True, layout="constrained")
+    for axis, seen_by in zip(axes, (TRACKER, ALONE), strict=True):
+        counts = np.zeros((len(kinds), len(CODES)))
+        for o in found:
+            if o.seen_by == seen_by and (o.size == MIDDLE or o.kind == "sound"):
+                counts[kinds.index(o.kind), CODES.index(o.told)] += 1
+        shares = 100.0 * counts / counts.sum(axis=1, keepdims=True)
+        axis.imshow(shares, cmap="Blues", vmin=0.0, vmax=130.0, aspect="auto")
+        for row, column in np.argwhere(counts > 0):
+            colour = "white" if shares[row, column] > 75 else "black"
+            text = f"{counts[row, column]:.0f}"
+            axis.text(column, row, text, ha="center", va="center", color=colour)
+        names = [code.replace("_", " ") or "nothing" for code in CODES]
+        axis.set_xticks(range(len(CODES)), names, rotation=45, ha="right")
+        axis.set_xlabel("first that the twin told")
+        axis.set_title(f"with a {seen_by}" if seen_by == TRACKER else seen_by)
+    axes[0].set_yticks(range(len(kinds)), ["sound", *map(_with_size, KINDS)])
+    axes[0].set_ylabel("what was wrong, at the middle size")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _with_size(kind: str) -> str:
+    about = KINDS[kind]
+    return f"{about.name}: {about.scale * about.sizes[MIDDLE]:g}"
+
+
+def draw_detection(found: Sequence[Outcome], path: Path) -> None:
+    """How often each cause is named within two cycles over its size, and with a tracker within one."""
+    figure, axes = plt.subplots(3, 4, figsize=(12, 8), sharey=True, layout="constrained")
+    for axis, (kind, about) in zip(axes.flat, KINDS.items(), strict=False):
+        for seen_by, style in ((TRACKER, "o-"), (ALONE, "s-"), (BOUND, "k:")):
+            if seen_by != BOUND or kind not in UNSEEN:
+                axis.plot(range(3), _rates(found, kind, seen_by, IN_TIME), style, label=seen_by)
+        axis.plot(range(3), _rates(found, kind, TRACKER, IN_TIME - 1.0), "C0--", alpha=0.6)
+        axis.set_xticks(range(3), [f"{about.scale * size:g}" for size in about.sizes])
         axis.set_ylim(-5, 105)
         axis.grid(alpha=0.3)
-        axis.set_title(NAMES[kind], fontsize=10)
+        axis.set_title(about.name, fontsize=10)
     for axis in axes[:, 0]:
-        axis.set_ylabel("named in time (%)")
+        axis.set_ylabel("named (%)")
     handles, labels = axes[0, 0].get_legend_handles_labels()
+    (once,) = axes.flat[-1].plot([], [], "C0--", alpha=0.6)
     axes.flat[-1].axis("off")
-    axes.flat[-1].legend(handles, labels, loc="center")
+    axes.flat[-1].legend(
+        [*handles, once],
+        [*(f"{x}, two cycles" for x in labels), "tracker, one cycle"],
+        loc="center",
+    )
     figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _rates(found: Sequence[Outcome], kind: str, seen_by: str, in_time: float) -> list[float]:
+    """Per cent named by a time (cycles), by size."""
+    cells = [
+        [o for o in found if (o.kind, o.size, o.seen_by) == (kind, p, seen_by)] for p in range(3)
+    ]
+    return [100.0 * sum(o.right and o.late <= in_time for o in cell) / len(cell) for cell in cells]
 
 
 if __name__ == "__main__":
-    from benchmarks.report import print_rows
-
-    print_rows(TITLE, run())
+    outcomes = measure()
+    print_rows(TITLE, rows(outcomes))
+    folder = Path(sys.argv[1])
+    draw_confusion(outcomes, folder / "twin_diagnosis.png")
+    draw_detection(outcomes, folder / "twin_detection.png")

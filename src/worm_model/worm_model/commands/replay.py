@@ -66,7 +66,7 @@ def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str, shift_n
 
 
 def received(bag: Bag, namespace: str, run: Run) -> dict[int, Stamps]:
-    """When the samples of a run were received (ns), by their kind; without kinds of which it leaves messages out."""
+    """When the samples of a run were received (ns), by their kind; without kinds of which it left messages out."""
     topics = [find_topic(bag.topics.values(), name, namespace) for name in INPUTS]
     names = {topic.name: Kind(k) for k, topic in enumerate(topics) if topic is not None}
     found: dict[int, list[Stamps]] = {kind: [] for kind in names.values()}

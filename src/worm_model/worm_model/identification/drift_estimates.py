@@ -25,6 +25,7 @@ from worm_model.identification.locomotion_stage import identify_locomotion
 from worm_model.identification.measured_length import measured_length
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.quality import LONGEST_GAP, remarks, usable
+from worm_model.identification.strides import check_pitch
 from worm_model.parameters import Parameters
 from worm_model.simulation.simulator import SimulationError
 
@@ -102,12 +103,13 @@ def _content(recording: Recording) -> str:
 def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> BagEstimates:
     """The estimates of one recording that starts at ``start`` (ns since the epoch).
 
-    Raises `IdentificationError` if the camera missed much of it, the body did not follow its command, or nothing
-    explains its motion.
+    Raises `IdentificationError` if the camera missed much of it, the body did not follow its command, its strides
+    contradict the pitch, or nothing explains its motion.
     """
     _check_seen(recording)
     length = measured_length(recording)
     usable([recording], [length])
+    check_pitch([recording], parameters.pitch)
     traverse = traverse_of(recording, length, parameters.pitch)
     given = parameters.replace(initial_length=length.initial_length)
     locomotion = identify_locomotion([traverse], Known(given, 0.0))

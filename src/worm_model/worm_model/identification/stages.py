@@ -37,6 +37,7 @@ from worm_model.identification.run_selection import (
     initial_length,
     prepared_validation,
 )
+from worm_model.identification.strides import check_pitch
 from worm_model.parameters import KEYS, Parameters
 
 Array = NDArray[np.float64]
@@ -119,6 +120,7 @@ def identify(
     idle = idle_power([run.idle for run in runs])
     estimates["idle_power"] = idle or not_told(reference.parameters.idle_power, NO_IDLE)
     pitch_deviation = estimates["pitch"].spread / quantile(np.inf)
+    check_pitch([run.recording for run in runs], reference.parameters.pitch, pitch_deviation)
     known = Known(_with_values(reference.parameters, estimates), pitch_deviation)
     locomotion = _locomotion(runs, known, _fin_knowledge(estimates, fin), fin, progress)
     estimates |= _locomotion_estimates(locomotion, estimates, fin)

@@ -4,7 +4,8 @@
 Data are the binned residuals of all cycles remembered. A sound robot is one whose parameters are not quite the twin's
 (the same in every cycle) and whose cycles differ a little. Against it stand: a change that lasts, from some moment
 on, of any size; a groove that a fin missed or gained, in one cycle or several running, where no tracker settled
-that; another length at rest since the beginning. Each explains all instruments at once, or is worth less.
+that; another length at rest since the beginning; and, so that nothing is named because all else fits still worse,
+something odd in one cycle alone. Each explains all instruments at once, or is worth less.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from numpy.typing import NDArray
 
 from worm_model.twin.core.memory import CHANNELS, POWER
 from worm_model.twin.cycle_data import POWER_SHARE, SCATTER, CycleData
-from worm_model.twin.inference import weigh
-from worm_model.twin.signatures import BINS, L0_STEP_M, Signatures
+from worm_model.twin.inference import weigh, weigh_noise
+from worm_model.twin.signatures import BINS, FAULTS, L0_STEP_M, Signatures
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,7 @@ Array = NDArray[np.float64]
 MISSED_REAR, MISSED_FRONT, GAINED = "missed_groove_rear", "missed_groove_front", "gained_groove"
 CABLE, SCALE, OFFSET, LENGTH = "cable_slip", "power_scale", "power_offset", "initial_length"
 FRICTION_UP, FRICTION_DOWN = "friction_up", "friction_down"
+ODD = "odd"  # no code: what is not known has none
 LASTING = {
     "gain": (CABLE, CABLE),
     "slip": (CABLE, CABLE),
@@ -40,6 +42,8 @@ CHANGE = 0.004  # probability that a change of one kind begins in a cycle
 MISS, AGAIN, GAIN = 0.02, 0.3, 0.005  # that a fin misses, misses again, gains a groove
 WRONG_LENGTH, LENGTH_SPREAD_M = 0.01, 0.003  # that L0 is wrong, and by how much
 RIGHT = 0.95  # that a cycle gains what it should
+STRANGE = 0.001  # probability of something odd in a cycle
+STRANGE_SCATTER = (0.01, 0.002, 1.0)  # m, m, W by which it may be off
 ONSETS = (0.0, 0.25, 0.5, 0.75)  # phases of a cycle at which a change may begin
 BROAD = 4.0  # usual sizes that a change which was told may still have
 SHIFT = 1.0  # scatters by which all of a cycle is off
@@ -79,7 +83,7 @@ def weigh_causes(
     cycles: Sequence[CycleData], told: Sequence[Told], signs: Signatures, *, length_seen: bool
 ) -> list[Candidate]:
     """All candidates for the cycles remembered, weighed; a sound robot has the weight 1."""
-    data = _Data(cycles, told, signs)
+    data = Data(cycles, told, signs)
     found = [*_lasting(cycles, signs), *_grooves(cycles, told, signs)]
     directions = [data.direction(candidate) for candidate in found]
     tracked = any(cycle.step is not None for cycle in cycles)
@@ -87,8 +91,6 @@ def weigh_causes(
         for candidate, direction in _lengths(cycles, signs):
             found.append(candidate)
             directions.append(direction)
-    if not found:
-        return []
     causes = np.array(directions).reshape(len(found), -1)
     known = np.array([candidate.fact for candidate in found])
     some = data.weight > 0.0
@@ -96,19 +98,37 @@ def weigh_causes(
         data.seen[some], data.weight[some], data.nuisances[some], causes[:, some], known
     )
     logs = np.array([c.log_prior for c in found]) + weighed.evidence
+    weights = np.exp(np.minimum(logs, 300.0))
+    weights[
+        [_is_impossible(*c) for c in zip(found, weighed.size, weighed.deviation, strict=True)]
+    ] = 0.0
+    odd = data.odd()
+    strange = weigh_noise(data.seen[some], data.weight[some], data.nuisances[some], odd[:, some])
     return [
-        replace(c, weight=w, size=s, deviation=d)
-        for c, w, s, d in zip(
-            found,
-            np.exp(np.minimum(logs, 300.0)).tolist(),
-            weighed.size.tolist(),
-            weighed.deviation.tolist(),
-            strict=True,
-        )
+        *(
+            replace(c, weight=w, size=s, deviation=d)
+            for c, w, s, d in zip(
+                found,
+                weights.tolist(),
+                weighed.size.tolist(),
+                weighed.deviation.tolist(),
+                strict=True,
+            )
+        ),
+        *(
+            Candidate(ODD, "", n, math.log(STRANGE), cycles=1, weight=STRANGE * w)
+            for n, w in zip(data.numbers, np.exp(np.minimum(strange, 300.0)).tolist(), strict=True)
+        ),
     ]
 
 
-class _Data:
+def _is_impossible(candidate: Candidate, size: float, deviation: float) -> bool:
+    """Whether there would be less than no friction."""
+    least = -1.0 / FAULTS["viscous_friction"]
+    return candidate.name == "viscous_friction" and size + 2.0 * deviation < least
+
+
+class Data:
     """The cycles as one vector, its weights, and what even a sound robot shows."""
 
     def __init__(
@@ -136,6 +156,16 @@ class _Data:
             for k in range(candidate.cycles)
         )
         return np.asarray(direction)
+
+    def odd(self) -> Array:
+        """Weights, flat, with each cycle in turn as it may be if something odd happened in it."""
+        shape = (len(self.numbers), CHANNELS, BINS)
+        strange = np.array(STRANGE_SCATTER)[:, None] ** 2
+        usual = self.weight.reshape(shape)
+        odd = np.repeat(usual[None], len(self.numbers), axis=0)
+        for k in range(len(self.numbers)):
+            odd[k, k] = usual[k] / (1.0 + strange * usual[k])
+        return odd.reshape(len(self.numbers), -1)
 
     def _every(self, change: Array) -> Array:
         return np.tile(change.ravel(), len(self.numbers))

@@ -30,6 +30,7 @@ from worm_model.twin.causes import (
     MISS,
     MISSED_FRONT,
     MISSED_REAR,
+    ODD,
     OFFSET,
     SCALE,
     Candidate,
@@ -57,6 +58,7 @@ REMEMBERED = 6  # cycles
 SOUND_AT_MOST, SURE = 0.05, 0.9  # probabilities
 MOVED = 0.002  # probability in a cycle that somebody moves the robot, or the camera
 MOST_GROOVES = 8  # by which somebody moves the robot
+LASTED = 0.5  # of a cycle, that a change must have lasted for before it is one that stays
 WHOLE_M = 0.0008  # scatter of a step by whole grooves
 CAMERA_M = 0.03  # usual step of a camera that was moved
 LENGTHS = 2  # cycles at least that L0 is told from
@@ -163,7 +165,7 @@ def judge_cycle(history: History, seen: CycleSeen) -> tuple[History, list[Findin
         history, found = _settle(history, seen, step, weighed, signs)
         findings += [found] if found is not None else []
         weighed = _weigh(history, seen, signs)
-    history, others = _judge(history, seen, weighed)
+    history, others = judge_causes(history, seen.number, weighed)
     return history, findings + others
 
 
@@ -344,10 +346,10 @@ def _length(
 # --- what else ------------------------------------------------------------------------------------------
 
 
-def _judge(
-    history: History, seen: CycleSeen, weighed: Sequence[Candidate]
+def judge_causes(
+    history: History, number: int, weighed: Sequence[Candidate]
 ) -> tuple[History, list[Finding]]:
-    """What no sound robot would show, beside steps that the tracker saw."""
+    """What no sound robot would show by the end of a cycle, beside steps that the tracker saw."""
     total = 1.0 + sum(c.weight for c in weighed)
     if 1.0 / total > SOUND_AT_MOST:
         return replace(history, doubt=False), []
@@ -371,7 +373,8 @@ def _judge(
     lasting = _by_code([c for c in weighed if not c.cycles and c.code != LENGTH])
     for group in lasting.values():
         share, best_one = _share(group, total), max(group, key=lambda c: c.weight)
-        if share >= SURE:
+        lasted = best_one.cycle < number or best_one.phase < LASTED
+        if share >= SURE and lasted:
             if not _known(history.told, best_one, {c.name for c in group}):
                 found.append(_lasts(best_one, _code(best_one), share))
             told += [Told(c, best_one.cycle, best_one.phase) for c in {c.name for c in group}]
@@ -387,7 +390,7 @@ def _judge(
         return history, found
     if not history.doubt or history.doubted:
         return replace(history, doubt=True), []
-    return replace(history, doubted=True), _doubt(seen, weighed, total)
+    return replace(history, doubted=True), _doubt(number, weighed, total)
 
 
 def _covers(candidate: Candidate, number: int) -> bool:
@@ -451,6 +454,7 @@ NAMED = {
     SCALE: "another scale of the power",
     OFFSET: "another zero of the power",
     LENGTH: "another L0",
+    ODD: "something odd in one cycle alone",
 }
 
 
@@ -459,13 +463,17 @@ def _by_power(code: str, number: int, share: float) -> str:
     return f"cycle {number}: its power is that of {what} (probability {100 * share:.0f} %)"
 
 
-def _doubt(seen: CycleSeen, weighed: Sequence[Candidate], total: float) -> list[Finding]:
+def _doubt(number: int, weighed: Sequence[Candidate], total: float) -> list[Finding]:
     shares = {code: _share(group, total) for code, group in _by_code(weighed).items()}
     likely = {code: share for code, share in shares.items() if share > 0.05}
-    if len(likely) < 2:
+    if set(likely) == {ODD}:
+        number = max((c for c in weighed if c.code == ODD), key=lambda c: c.weight).cycle
+        text = f"cycle {number}: something was odd that no cause known to the twin explains"
+    elif len(likely) > 1:
+        text = f"cycle {number}: cannot tell between {_listed(likely, NAMED)}"
+    else:
         return []
-    text = f"cycle {seen.number}: cannot tell between {_listed(likely, NAMED)}"
-    return [Finding(AMBIGUOUS, text, seen.number, max(likely.values(), default=math.nan))]
+    return [Finding(AMBIGUOUS, text, number, max(likely.values()))]
 
 
 def _listed(shares: Mapping[str, float], named: Mapping[str, str]) -> str:

@@ -47,3 +47,19 @@ def weigh(
         deviation=np.where(known, 0.0, 1.0 / np.sqrt(1.0 + power)),
         distance=np.sqrt(power),
     )
+
+
+def weigh_noise(seen: Array, weight: Array, nuisances: Array, others: Array) -> Array:
+    """Logarithm of the Bayes factor of noise of other weights, each of ``others`` (h, n), against ``weight`` (n,)."""
+    usual = _log_density(seen, weight, nuisances)
+    return np.array([_log_density(seen, other, nuisances) - usual for other in others])
+
+
+def _log_density(seen: Array, weight: Array, nuisances: Array) -> float:
+    """Of what was seen, without a cause, but for a constant."""
+    weighted = nuisances * weight[:, None]
+    inner = np.eye(nuisances.shape[1]) + nuisances.T @ weighted
+    match = weighted.T @ seen
+    explained = match @ np.linalg.solve(inner, match)
+    determinant = np.linalg.slogdet(inner)[1] - np.sum(np.log(weight))
+    return float(-0.5 * (seen @ (weight * seen) - explained + determinant))

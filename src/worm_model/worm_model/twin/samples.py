@@ -52,11 +52,10 @@ def sample_rows(kind: Kind, stamp: NDArray[np.int64], *values: NDArray[Any]) -> 
 
 
 def rows_of_run(run: Run, jump_back_ns: int, received: Received | None = None) -> Rows:
-    """All samples that the twin takes, in the order in which they came, as far as stamps tell that.
+    """All samples that the twin takes, in the order in which they were ``received`` (ns, by `Kind`), as if live.
 
-    Each topic keeps its own order. Topics are interleaved by stamp; where one goes back by more than
-    ``jump_back_ns`` the clock has jumped, and all after that comes after all before. A topic too rare to jump itself
-    (the driver's words) has jumped with the others by when it was ``received`` (ns, by `Kind`), where that is known.
+    Where that is not known of every topic that has samples: by stamp, each topic in its own order; where one goes back
+    by more than ``jump_back_ns`` the clock has jumped, and all after that comes after all before.
     """
     states = run.gait_state
     gaits = sample_rows(
@@ -65,39 +64,24 @@ def rows_of_run(run: Run, jump_back_ns: int, received: Received | None = None) -
     gaits["onset"], gaits["state"], gaits["run"] = states.onset, states.state, states.run
     gaits["cycle"] = states.cycle
     tracker, power = run.tracker, run.power
-    topics = [
-        gaits,
-        sample_rows(Kind.COMMAND, run.commanded.stamp, run.commanded.length_change),
-        sample_rows(Kind.LENGTH, run.measured.stamp, run.measured.length),
-        sample_rows(Kind.POSITION, tracker.stamp, tracker.rear_position, tracker.front_position),
-        sample_rows(Kind.POWER, power.stamp, power.valid_power),
-    ]
-    rows = np.concatenate(topics)
-    keys = [_arrival(topic["stamp"], jump_back_ns) for topic in topics]
-    if received is not None:
-        _jump_together(
-            keys,
-            [received.get(kind, topic["stamp"]) for kind, topic in zip(Kind, topics, strict=True)],
-        )
+    topics = {
+        Kind.GAIT: gaits,
+        Kind.COMMAND: sample_rows(Kind.COMMAND, run.commanded.stamp, run.commanded.length_change),
+        Kind.LENGTH: sample_rows(Kind.LENGTH, run.measured.stamp, run.measured.length),
+        Kind.POSITION: sample_rows(
+            Kind.POSITION, tracker.stamp, tracker.rear_position, tracker.front_position
+        ),
+        Kind.POWER: sample_rows(Kind.POWER, power.stamp, power.valid_power),
+    }
+    topics = {kind: topic for kind, topic in topics.items() if len(topic)}
+    if not topics:
+        return np.zeros(0, SAMPLE)
+    keys = [_arrival(topic["stamp"], jump_back_ns) for topic in topics.values()]
     jumps, reached = (np.concatenate(part) for part in zip(*keys, strict=True))
-    return rows[np.lexsort((reached, jumps))]
-
-
-def _jump_together(
-    keys: list[tuple[NDArray[np.int64], NDArray[np.int64]]], received: list[NDArray[np.int64]]
-) -> None:
-    """Lets topics that saw no jump of the clock themselves jump when the first of the others did."""
-    most = max((int(jumps[-1]) for jumps, _ in keys if len(jumps)), default=0)
-    for count in range(1, most + 1):
-        began = [
-            int(times[np.argmax(jumps >= count)])
-            for (jumps, _), times in zip(keys, received, strict=True)
-            if len(jumps) and jumps[-1] >= count
-        ]
-        for k, times in enumerate(received):
-            jumps, reached = keys[k]
-            if len(jumps) and jumps[-1] < count:
-                keys[k] = np.where(times >= min(began), count, jumps), reached
+    first = jumps
+    if received is not None and all(kind in received for kind in topics):
+        first = np.concatenate([received[kind] for kind in topics])
+    return np.concatenate(list(topics.values()))[np.lexsort((reached, first))]
 
 
 def _arrival(

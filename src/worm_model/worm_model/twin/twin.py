@@ -276,7 +276,7 @@ class _Call:
         m["moved"] += finding.grooves
         m["origin"] += finding.shift
         if finding.explains_position:
-            m["channel_ns"][POSITION] = 0
+            m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
         if np.isfinite(finding.initial_length):
             m["initial_length"], m["length_fitted"] = finding.initial_length, 1
         severity = Severity.WARNING if finding.code else Severity.INFO

@@ -6,12 +6,12 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from faulty_robots import ONSET, Fault, Robots, run_robots
+from faulty_robots import ONSET, Fault, Lab, Robots, run_robots
 
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.twin.inference import weigh
-from worm_model.twin.records import Event
+from worm_model.twin.inference import weigh, weigh_noise
+from worm_model.twin.records import Event, Health
 from worm_model.twin.twin import Twin
 
 GAIT = Gait(0.08, 0.2)
@@ -107,6 +107,38 @@ def test_the_time_of_a_step_is_told():
     (event,) = told(Fault("camera", 0.008, 3, 0.3), tracker=True)
     assert event.code == "camera_moved"
     assert event.text.startswith("cycle 3: the camera was moved")
+
+
+@pytest.mark.parametrize(
+    "lab", [Lab(camera_hz=10.0), Lab(power_noise_W=0.3)], ids=("camera at 10 Hz", "noisy power")
+)
+def test_a_slow_camera_and_noise_make_no_sound_robot_suspect(lab: Lab):
+    seen = run_robots(GAIT, [Fault(), Fault()], seed=8, lab=lab)
+    for robot in range(2):
+        power = {}
+        for tracker in (True, False):
+            twin = Twin()
+            rows = seen.rows(robot, tracker=tracker)
+            output = twin.advance(twin.start(), rows, to_the_end=True)
+            assert not [event.text for event in output.events if event.code]
+            after = output.residuals[output.residuals["stamp_ns"] > ONSET + 10**9]
+            assert set(after["health"]) == {Health.HEALTHY}
+            power[tracker] = np.nanmean(after["power"])
+        assert power[True] == pytest.approx(
+            power[False], abs=0.12
+        )  # W, 3 %: by which length it is driven
+
+
+def test_noise_of_another_weight_is_weighed_as_its_density():
+    """Against normal densities, without nuisances."""
+    seen, weight = np.array([0.3, -2.0, 1.0]), np.array([1.0, 4.0, 0.5])
+    others = np.array([weight, [0.1, 0.2, 0.5]])
+
+    def density(weights: np.ndarray) -> float:
+        return float(np.sum(0.5 * np.log(weights) - 0.5 * weights * seen**2))
+
+    found = weigh_noise(seen, weight, np.zeros((3, 1)), others)
+    assert found == pytest.approx([0.0, density(others[1]) - density(weight)], abs=1e-9)
 
 
 def test_the_bayes_factor_is_that_of_the_integral():

@@ -10,7 +10,7 @@ from faulty_robots import ONSET, Fault, run_robots
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
-from worm_model.twin.offline_replay import replay_run
+from worm_model.twin.offline_replay import Replay, replay_run
 from worm_model.twin.records import Event
 from worm_model.twin.samples import Kind
 from worm_model.twin.twin import Twin
@@ -77,9 +77,13 @@ def recording(rows: np.ndarray) -> Run:
     )
 
 
-def offline(rows: np.ndarray, received: np.ndarray) -> list[Event]:
+def replayed(rows: np.ndarray, received: np.ndarray) -> Replay:
     times = {kind: received[rows["kind"] == kind] for kind in Kind}
-    return list(replay_run(recording(rows), PAPER, received=times).notices)
+    return replay_run(recording(rows), PAPER, received=times)
+
+
+def offline(rows: np.ndarray, received: np.ndarray) -> list[Event]:
+    return list(replayed(rows, received).notices)
 
 
 @pytest.mark.parametrize(("time", "by"), [(12.3, -3.0), (12.3, -100.0), (9.9, -3.0), (12.3, 500.0)])
@@ -109,3 +113,29 @@ def test_a_gap_in_all_topics_is_a_gap_in_knowledge(lasts: float):
     codes = {event.code for event in events if event.code}
     assert codes == {"gap"}
     assert not any("the robot gained" in event.text for event in events)
+
+
+@pytest.mark.parametrize("kind", [Kind.LENGTH, Kind.POSITION, Kind.POWER])
+@pytest.mark.parametrize("lag", [0.1, 0.24, 0.4, 0.9])
+def test_late_samples_are_treated_alike_live_and_offline(kind: Kind, lag: float):
+    """Samples that come so late (s): within the delay it does not matter, beyond it they are left and counted."""
+    rows = sound()
+    late = (rows["kind"] == kind) & (np.random.default_rng(4).random(len(rows)) < 0.3)
+    came = rows["stamp"] + round(lag * SECOND) * late
+    order = np.argsort(came, kind="stable")
+    twin = Twin()
+    state = twin.start()
+    outputs = [twin.advance(state, rows[order][k : k + 9]) for k in range(0, len(rows), 9)]
+    outputs.append(twin.advance(state, rows[:0], to_the_end=True))
+    found = replayed(rows[order], came[order])
+    for name in ("states", "residuals"):
+        said = np.concatenate([getattr(output, name) for output in outputs])
+        for field, column in getattr(found, name).items():
+            assert said[field].tobytes() == column.tobytes()
+    assert repr(found.notices) == repr(tuple(e for o in outputs for e in o.events))
+    left = {name: n for name, n in state.counts.items() if n and name != "taken"}
+    assert found.dropped == left
+    # The last ones of a recording are late for nothing.
+    few = 0.95 * np.count_nonzero(late) if lag > 0.25 else 0.0
+    assert few <= left.pop("late", 0) <= np.count_nonzero(late) * (lag > 0.25)
+    assert not left

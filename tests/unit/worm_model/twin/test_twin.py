@@ -289,6 +289,30 @@ def slipped(samples: list, time: float, offset: float, lasts: float = 1.0) -> li
     return [moved(s) if isinstance(s, TrackerSample) else s for s in samples]
 
 
+@pytest.mark.parametrize("gait", [GAIT, Gait(0.05, 0.1), Gait(0.08, 0.4)])
+@pytest.mark.parametrize("channel", ["position", "power"])
+@pytest.mark.parametrize("size", [0.8, 1.2, 1.8, 3.0, 6.0])
+def test_health_does_not_flicker_with_what_comes_and_goes_in_each_cycle(gait, channel, size):
+    """A residual of so many usual ones in the middle of each cycle, none at its ends."""
+    end = 5 * gait.period
+
+    def spoilt(s):
+        swell = 3.0 * size * math.sin(math.pi * (s.stamp_ns - ONSET) * 1e-9 / gait.period) ** 4
+        if s.stamp_ns < ONSET:
+            return s
+        if isinstance(s, TrackerSample) and channel == "position":
+            return replace(s, rear_position=s.rear_position + 0.003 * swell)
+        if isinstance(s, PowerSample) and channel == "power":
+            return replace(s, power=s.power + 0.6 * swell)
+        return s
+
+    seen = [spoilt(s) for s in observed(gait, end)]
+    output = run(in_order(announcements(gait), commands(gait, end), seen))
+    health = [r.health for r in output.residuals if r.stamp_ns > ONSET]
+    told = sum(bool(notice.code) for notice in output.notices)  # each is suspect for a cycle
+    assert np.count_nonzero(np.diff(health)) <= 2 * (1 + told)
+
+
 @pytest.mark.parametrize(("grooves", "word"), [(-1, "missed"), (1, "gained")])
 def test_a_missed_or_extra_groove_is_reported_within_a_cycle_and_followed(grooves, word):
     seen = slipped(observed(GAIT, 19.0), 11.0, grooves * PAPER.pitch)

@@ -2,9 +2,9 @@
 """Compares what an instrument says with the twin, and keeps the residuals' sizes and the health they speak of.
 
 Each channel (position, length, power) keeps the mean square of its residual in units of its usual size, forgotten
-over ``MEMORY_S``. The root of it decides: suspect beyond ``SUSPECT_FROM``, faulty beyond ``FAULTY_FROM``; it has to
-come down to ``RECOVERY`` of that to be better again, so that health does not flicker. A channel without samples for
-``SILENT_S`` has no say.
+over ``MEMORY_S``. The root of it decides: suspect beyond ``SUSPECT_FROM``, faulty beyond ``FAULTY_FROM``. It has to
+stay below ``RECOVERY`` of that for a whole cycle to be better: what comes and goes with the gait does not flicker.
+A channel without samples for ``SILENT_S`` has no say.
 """
 
 from __future__ import annotations
@@ -91,13 +91,25 @@ def _level(before: int, size: float) -> int:
 
 
 @entry
+def _hold(memory: Memory, channel: int, stamp: int, level: int) -> int:
+    """The level that a channel keeps: a better one only after a whole cycle."""
+    m = memory.record[0]
+    before = m.channel_level[channel]
+    if level >= before or level == UNKNOWN:
+        m.level_ns[channel] = stamp
+        return level
+    cycle = 1.0 / m.frequency if m.frequency > 0.0 else MEMORY_S
+    return level if (stamp - m.level_ns[channel]) * 1e-9 > cycle else before
+
+
+@entry
 def health_at(memory: Memory, stamp: int) -> int:
     """The health at a stamp, from the channels' levels and what was warned of."""
     m = memory.record[0]
     health = SUSPECT if m.warning > 0 and stamp <= m.warned_until else UNKNOWN
     for channel in range(CHANNELS):
         level = _level(m.channel_level[channel], size_of(memory, channel, stamp))
-        m.channel_level[channel] = level
+        m.channel_level[channel] = level = _hold(memory, channel, stamp, level)
         health = max(health, level)
     return health
 

@@ -62,6 +62,7 @@ MEMORY = np.dtype(
         ("counts", np.int64, (len(VERDICTS),)),
         ("channel_ns", np.int64, (CHANNELS,)),
         ("channel_level", np.int64, (CHANNELS,)),
+        ("level_ns", np.int64, (CHANNELS,)),
         ("channel_square", np.float64, (CHANNELS,)),
         ("noise_count", np.int64, (CHANNELS,)),
         ("noise_square", np.float64, (CHANNELS,)),

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pitch that strides tell, on virtual robots whose pipe is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from virtual_campaign import CAMPAIGN, VirtualCampaign, virtual_campaign
+
+from worm_model.identification.drift_estimates import estimate_bag
+from worm_model.identification.identification_errors import IdentificationError
+from worm_model.identification.stages import identify
+from worm_model.identification.strides import check_pitch, pitch_of_strides
+
+DEVIATION = 2.5e-5  # m, of a ruler's
+
+
+@pytest.fixture(scope="module")
+def campaign() -> VirtualCampaign:
+    """Two gaits that gain one and two grooves a cycle."""
+    return virtual_campaign(7, (CAMPAIGN[1], CAMPAIGN[4]))
+
+
+@pytest.mark.parametrize("off", [-0.06, -0.01, 0.0, 0.01, 0.06])
+def test_strides_tell_the_pitch_whatever_was_given(campaign, off):
+    truth = campaign.truth.pitch
+    for recording in campaign.inputs.recordings:
+        found = pitch_of_strides(recording, truth * (1.0 + off))
+        assert found == pytest.approx(truth, rel=0.005)
+
+
+@pytest.mark.parametrize("off", [-0.06, -0.04, -0.02, 0.02, 0.04, 0.06])
+def test_a_wrong_pitch_is_refused_by_health_and_identify_with_what_was_seen(campaign, off):
+    wrong = campaign.reference.parameters.replace(pitch=campaign.truth.pitch * (1.0 + off))
+    said = f"pitch: given as {1e3 * wrong.pitch:.2f} mm, but the rear module gains 17.[23]"
+    with pytest.raises(IdentificationError, match=said):
+        estimate_bag(campaign.inputs.recordings[0], 0, wrong)
+    with pytest.raises(IdentificationError, match=said):
+        identify(campaign.inputs, replace(campaign.reference, parameters=wrong))
+
+
+@pytest.mark.parametrize("off", [-4e-5, 0.0, 4e-5])
+def test_what_a_ruler_may_be_off_is_not_refused(campaign, off):
+    check_pitch(campaign.inputs.recordings, campaign.truth.pitch + off, DEVIATION)
+
+
+def test_a_run_without_strides_says_nothing(campaign):
+    recording, _ = campaign.inputs.recordings
+    late = recording.camera_time > 1.5 * recording.gait.period
+    short = replace(recording, x1=np.where(late, np.nan, recording.x1))
+    assert np.isnan(pitch_of_strides(short, campaign.truth.pitch))
+    check_pitch([short], 1.1 * campaign.truth.pitch)
