@@ -205,7 +205,7 @@ class Trajectory:
         return _events(rows)
 
     def _run(self, samples: Array, events: Array) -> Array:
-        ledger = np.zeros(march.LEDGER_SIZE)
+        totals = np.zeros(march.TOTALS_SIZE)
         run.run_gait(
             self.gait.stroke,
             self.gait.frequency,
@@ -214,13 +214,13 @@ class Trajectory:
             parameter_row(self.parameters),
             self.cycles,
             np.empty((self.cycles + 1, 2)),
-            ledger,
+            totals,
             samples,
             events,
         )
-        if ledger[march.CHATTER]:
+        if totals[march.CHATTER]:
             raise SimulationError(f"{self.gait}: the anchors switch to and fro without end")
-        return ledger
+        return totals
 
 
 def _ascending(times: ArrayLike, first: float, last: float) -> Array:
@@ -247,7 +247,7 @@ def play_gait(
     """
     samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
     samples[:, march.TIME] = _ascending(times, 0.0, math.inf)
-    ledger = np.zeros(march.LEDGER_SIZE)
+    totals = np.zeros(march.TOTALS_SIZE)
     run.play_on(
         gait.stroke,
         gait.frequency,
@@ -255,10 +255,10 @@ def play_gait(
         _constants_of(parameters, gait.direction, 0.0),
         start.length_change,
         _motion_of(start),
-        ledger,
+        totals,
         samples,
     )
-    if ledger[march.CHATTER]:
+    if totals[march.CHATTER]:
         raise SimulationError(f"{gait}: the anchors switch to and fro without end")
     return _motions(samples, parameters)
 
@@ -369,11 +369,11 @@ class Locomotion:
             raise ValueError("times and lengths must be finite: leave out what was not seen")
         samples = np.empty((np.size(times), march.SAMPLE_COLUMNS))
         samples[:, march.TIME] = _ascending(times, knots[0], knots[-1])
-        ledger = np.zeros(march.LEDGER_SIZE)
+        totals = np.zeros(march.TOTALS_SIZE)
         after = run.run_sampled(
-            knots, forms, _motion_of(state), self._constants(), ledger, samples, _NO_ROWS
+            knots, forms, _motion_of(state), self._constants(), totals, samples, _NO_ROWS
         )
-        if ledger[march.CHATTER]:
+        if totals[march.CHATTER]:
             raise SimulationError(f"at {state.time:g} s: the anchors switch to and fro without end")
         last = knots[-1] - knots[-2] if knots.size > 1 else 0.0
         final = LocomotionState(
@@ -381,7 +381,7 @@ class Locomotion:
             float(np.polynomial.polynomial.polyval(last, forms[:, -1])),
             *(after.y, after.rate),
             *(after.rear_groove, after.front_groove, after.rear_region, after.front_region),
-            state.switches + int(ledger[march.SWITCHES]),
+            state.switches + int(totals[march.SWITCHES]),
         )
         return final, _motions(samples, self.parameters)
 

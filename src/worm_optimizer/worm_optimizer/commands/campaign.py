@@ -28,7 +28,7 @@ from worm_optimizer.nodes.operator_node import OperatorError
 from worm_optimizer.operation.bring_up import (
     CYCLES,
     FAILURES,
-    Narrator,
+    ProgressLog,
     Session,
     work_folder,
 )
@@ -143,7 +143,7 @@ def _campaign(options: argparse.Namespace) -> int:
     identification = None if options.identify else identification_of(options)
     robot = robot_of(options, options.mode)
     folder = _folder(options)
-    say = Narrator("campaign")
+    say = ProgressLog("campaign")
     found: dict[str, Any] = {}
     try:
         with termination_as_interrupt(), work_folder("campaign") as work:
@@ -197,7 +197,7 @@ def _plan(options: argparse.Namespace) -> Plan:
 
 
 def _identify(
-    options: argparse.Namespace, robot: Robot, folder: Path, work: Path, say: Narrator
+    options: argparse.Namespace, robot: Robot, folder: Path, work: Path, say: ProgressLog
 ) -> dict[str, Any]:
     """Runs, identifies and writes what is not there yet; returns what `identify` prints."""
     known = load_parameter_file(options.parameters)

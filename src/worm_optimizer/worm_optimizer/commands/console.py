@@ -18,7 +18,7 @@ from worm_model.commands.command_line import FAILED, InputError, Parser, run_com
 from worm_model.parameters import load_parameters
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
-from worm_optimizer.operation.bring_up import Narrator, Say, session
+from worm_optimizer.operation.bring_up import ProgressLog, Say, session
 from worm_optimizer.operation.system import RESTARTS, System
 
 PORT = 8080
@@ -72,8 +72,8 @@ def _console(options: argparse.Namespace) -> int:
         )
     from worm_optimizer.console.access import Access
     from worm_optimizer.console.control import Control
-    from worm_optimizer.console.desk import Desk, Word
     from worm_optimizer.console.hub import Hub, new_words
+    from worm_optimizer.console.robot_worker import Notice, RobotWorker
     from worm_optimizer.console.server import serve
     from worm_optimizer.console.shelf import Shelf
 
@@ -81,28 +81,28 @@ def _console(options: argparse.Namespace) -> int:
     file = str(Path(options.parameters).resolve()) if options.parameters else ""
     secret = _secret(options)
     _refuse_taken_port(options.listen, options.port)
-    say = Narrator("console")
+    say = ProgressLog("console")
     words = new_words()
 
-    def tell(word: Word) -> None:
+    def tell(word: Notice) -> None:
         words.append(word)
         say(word.text)
 
     namespace = "/" + options.namespace.strip("/")
     name = f"console_{os.getpid()}"
-    desk = Desk(
+    worker = RobotWorker(
         _robot_opener(options, namespace, name),
         lambda: operator(namespace, _nothing, f"{name}_stop"),
         tell,
     )
     control = Control(time.monotonic)
-    hub = Hub(desk, control, Shelf(options.bags), parameters, file, words)
+    hub = Hub(worker, control, Shelf(options.bags), parameters, file, words)
     address = f"http://{_named(options.listen)}:{options.port}/"
     token = f"?token={secret}" if secret and not options.password_file else ""
     say(f"{address}{token} (Ctrl-C ends it)")
     with suppress(KeyboardInterrupt):  # the way to end it
         serve(hub, Access(secret, time.monotonic), options.listen, options.port)
-    return FAILED if desk.failure else 0
+    return FAILED if worker.failure else 0
 
 
 def _robot_opener(

@@ -30,7 +30,7 @@ from worm_model.twin.offline_replay import replay_run
 from worm_optimizer.commands.robot_options import add_tracker, with_tracker
 from worm_optimizer.operation.bring_up import (
     FAILURES,
-    Narrator,
+    ProgressLog,
     Say,
     installed_system_file,
     work_folder,
@@ -71,7 +71,7 @@ def _parser() -> Parser:
 def _demo(options: argparse.Namespace) -> int:
     parameters = load_parameters(options.parameters)
     bag = _new_bag(options.bags)
-    say = Narrator("demo")
+    say = ProgressLog("demo")
     try:
         with termination_as_interrupt():
             prediction = _drive(options, bag, say)

@@ -32,7 +32,7 @@ from worm_optimizer.nodes.operator_node import (
 from worm_optimizer.operation.bring_up import (
     CYCLES,
     FAILURES,
-    Narrator,
+    ProgressLog,
 )
 from worm_optimizer.operation.demo_run import now_and_then
 from worm_optimizer.operation.processes import counted_interrupts
@@ -210,7 +210,7 @@ def _fault(node: OperatorNode, options: argparse.Namespace) -> int:
 
 
 def _run(node: OperatorNode, options: argparse.Namespace) -> int:
-    say = Narrator("operate")
+    say = ProgressLog("operate")
     order = _ends(options, _own_gait(options) or _requested(node, options, say))
     bag = None if options.record is None else new_bag(options.record)
     say(f"running {order}")
@@ -245,7 +245,7 @@ def _ends(options: argparse.Namespace, gait: Gait) -> Order:
     return Order(gait, options.cycles or default, options.grooves, options.distance)
 
 
-def _requested(node: OperatorNode, options: argparse.Namespace, say: Narrator) -> Gait:
+def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Gait:
     """A gait of the optimizer's front, for the groove phase at which the robot rests where the twin knows it."""
     request = request_of_options(options)
     length = node.state().initial_length
@@ -258,7 +258,7 @@ def _requested(node: OperatorNode, options: argparse.Namespace, say: Narrator) -
     return found.gait
 
 
-def _attended(node: OperatorNode, order: Order, say: Narrator) -> RunResult:
+def _attended(node: OperatorNode, order: Order, say: ProgressLog) -> RunResult:
     """A run to its end; Ctrl-C stops it at the next point of rest, another one at once."""
     with counted_interrupts() as interrupts:
         run = node.begin(order)
@@ -274,7 +274,7 @@ def _attended(node: OperatorNode, order: Order, say: Narrator) -> RunResult:
             run.close()
 
 
-def _progress(say: Narrator) -> Callable[[RunProgress], None]:
+def _progress(say: ProgressLog) -> Callable[[RunProgress], None]:
     told, cycle = -math.inf, -1
 
     def progress(now: RunProgress) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from worm_model.commands.command_line import FAILED, Parser, run_command
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.nodes.operator_node import OperatorError
-from worm_optimizer.operation.bring_up import FAILURES, Narrator, Session, session
+from worm_optimizer.operation.bring_up import FAILURES, ProgressLog, Session, session
 from worm_optimizer.operation.processes import counted_interrupts, termination_as_interrupt
 from worm_optimizer.operation.system import RESTARTS
 
@@ -41,7 +41,7 @@ def _start(options: argparse.Namespace) -> int:
     robot = robot_of(options, "virtual" if options.virtual else "robot")
     system = robot.file.system(robot.mode, options.namespace, **robot.settings)
     logs = Path(tempfile.mkdtemp(prefix="worm_start_"))
-    say = Narrator("start")
+    say = ProgressLog("start")
     say(f"the logs of all nodes go to {logs}")
     try:
         with termination_as_interrupt(), session(system, logs, say, RESTARTS) as running:

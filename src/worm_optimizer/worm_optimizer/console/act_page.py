@@ -12,7 +12,7 @@ from nicegui import events, ui
 from worm_model.analysis.plot_style import BLUE, VERMILION
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
-from worm_optimizer.console import rounds
+from worm_optimizer.console import page_actions
 from worm_optimizer.console.hub import Hub
 from worm_optimizer.console.page_chart import chart
 from worm_optimizer.console.view import obstacles
@@ -50,12 +50,16 @@ class ActPage:
         self._shown: list[Prediction] = []
         self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}
         with ui.row().classes("gap-2"):
-            self._button("Home", partial(self._ask, "homing", rounds.home))
-            self._button("Activate", partial(self._ask, "activating the driver", rounds.activate))
-            self._button("Deactivate", partial(self._ask, "deactivating", rounds.deactivate))
+            self._button("Home", partial(self._ask, "homing", page_actions.home))
+            self._button(
+                "Activate", partial(self._ask, "activating the driver", page_actions.activate)
+            )
+            self._button("Deactivate", partial(self._ask, "deactivating", page_actions.deactivate))
             self._release = ui.button(
                 "Permit starts",
-                on_click=partial(self._ask, "ending the emergency stop", rounds.emergency_stop_off),
+                on_click=partial(
+                    self._ask, "ending the emergency stop", page_actions.emergency_stop_off
+                ),
             )
         with ui.row().classes("w-full gap-4"):
             with ui.column().classes("gap-1").style("flex: 1 1 18rem; min-width: 0"):
@@ -99,23 +103,23 @@ class ActPage:
     def _ask(self, doing: str, act: Callable[[OperatorNode], str]) -> None:
         if not self._controls():
             ui.notify("this page does not hold control: Take control", type="warning")
-        elif not self._hub.desk.ask(doing, act):
-            ui.notify(self._hub.desk.hindrance, type="warning")
+        elif not self._hub.worker.ask(doing, act):
+            ui.notify(self._hub.worker.hindrance, type="warning")
 
     def _read(self) -> None:
         direction, twin = self._direction.value, self._hub.snapshot().twin
         length = 0.0 if twin is None else twin.initial_length
 
         def read(node: OperatorNode) -> str:
-            found = rounds.read_front(node, direction, length, self._say)
+            found = page_actions.read_front(node, direction, length, self._say)
             self._hub.fronts[direction] = found
             return f"the front has {len(found)} gaits"
 
-        if not self._hub.desk.ask("reading the front", read):
-            ui.notify(self._hub.desk.hindrance, type="warning")
+        if not self._hub.worker.ask("reading the front", read):
+            ui.notify(self._hub.worker.hindrance, type="warning")
 
     def _say(self, text: str) -> None:
-        self._hub.desk.busy = text
+        self._hub.worker.busy = text
 
     def _click(self, event: events.EChartPointClickEventArguments) -> None:
         self._choose(self._shown[event.data_index])
@@ -160,10 +164,10 @@ class ActPage:
         hub = self._hub
 
         def progress(now: RunProgress) -> None:
-            hub.desk.busy = f"running: {now}"
+            hub.worker.busy = f"running: {now}"
 
         def run(node: OperatorNode) -> str:
-            return rounds.run(
+            return page_actions.run(
                 node, order, hub.shelf.folder, hub.parameter_file, hub.wanted, progress
             )
 
@@ -172,8 +176,8 @@ class ActPage:
     # --- what is shown -----------------------------------------------------------------------
 
     def _tell(self) -> None:
-        snapshot, desk = self._hub.snapshot(), self._hub.desk
-        reasons = obstacles(snapshot, hindrance=desk.hindrance, controls=self._controls())
+        snapshot, worker = self._hub.snapshot(), self._hub.worker
+        reasons = obstacles(snapshot, hindrance=worker.hindrance, controls=self._controls())
         if not reasons["Run"] and self._chosen is None:
             reasons["Run"] = "choose a gait on the front first"
         for name, (button, tooltip) in self._buttons.items():

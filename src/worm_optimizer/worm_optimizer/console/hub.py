@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all pages share: one desk, one snapshot a frame, one minute of history, one holder of control."""
+"""What all pages share: one worker, one snapshot a frame, one minute of history, one holder of control."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from worm_model.parameters import Parameters
 from worm_model.twin.records import LengthSource
 from worm_optimizer.console.control import Control
-from worm_optimizer.console.desk import Desk, Word
+from worm_optimizer.console.robot_worker import Notice, RobotWorker
 from worm_optimizer.console.shelf import Shelf
 from worm_optimizer.console.view import History, live
 from worm_optimizer.robustness.prediction import Prediction
@@ -23,17 +23,17 @@ _WORDS = 50
 
 @dataclass
 class Hub:
-    """Used by the pages' thread alone, but for ``words``, to which the desk's threads append.
+    """Used by the pages' thread alone, but for ``words``, to which the worker's threads append.
 
     ``parameter_file`` is empty for the paper's values; ``fronts`` are the gaits of each direction that were read.
     """
 
-    desk: Desk
+    worker: RobotWorker
     control: Control
     shelf: Shelf
     parameters: Parameters
     parameter_file: str
-    words: deque[Word]
+    words: deque[Notice]
     fronts: dict[int, list[Prediction]] = field(default_factory=dict)
     history: History = field(default_factory=lambda: History(time.monotonic))
     _taken: tuple[float, Snapshot] = (-math.inf, Snapshot())
@@ -42,7 +42,7 @@ class Hub:
         """What is known now."""
         now = time.monotonic()
         if now - self._taken[0] > _FRESH_S:
-            self._taken = (now, self.desk.snapshot())
+            self._taken = (now, self.worker.snapshot())
         return self._taken[1]
 
     def remember(self) -> None:
@@ -51,7 +51,7 @@ class Hub:
 
     def wanted(self) -> bool:
         """Whether what runs is still wanted: nobody has pressed STOP, and the page that holds control lives."""
-        return self.control.held and not self.desk.stopped
+        return self.control.held and not self.worker.stopped
 
     def numbers(self, now: float) -> dict[str, str]:
         """The table of the live page; a dash for what is silent."""
@@ -77,7 +77,7 @@ class Hub:
         }
 
 
-def new_words() -> deque[Word]:
+def new_words() -> deque[Notice]:
     """What is told, the newest last."""
     return deque(maxlen=_WORDS)
 

@@ -160,7 +160,7 @@ class ConsolePage:
 
     def _stop(self) -> None:
         if self._access.is_open(self._session):
-            self._hub.desk.stop()
+            self._hub.worker.stop()
 
     # --- what is shown -----------------------------------------------------------------------
 
@@ -174,7 +174,7 @@ class ConsolePage:
         self._take.set_text(_control_words(hub, self._id))
         self._hand.set_visibility(hub.control.is_held_by(self._id) and bool(hub.control.asking))
         newest = hub.words[-1] if hub.words else None
-        self._word.set_text(hub.desk.busy or ("" if newest is None else newest.text))
+        self._word.set_text(hub.worker.busy or ("" if newest is None else newest.text))
         if newest is not self._told and newest is not None:
             self._told = newest
             if not newest.good:

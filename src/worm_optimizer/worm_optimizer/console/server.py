@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The web server of the console: pages, the guard before them, and the desk behind them."""
+"""The web server of the console: pages, the guard before them, and the worker behind them."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _RECONNECT_S = 15.0  # for which a page is kept that lost its connection, or is 
 
 
 def serve(hub: Hub, access: Access, host: str, port: int) -> None:
-    """Serve the pages until a signal comes; the desk ends with them."""
+    """Serve the pages until a signal comes; the worker ends with them."""
     build(hub, access)
     app.add_middleware(Guard, access=access)
-    app.on_startup(hub.desk.start)
-    app.on_shutdown(hub.desk.close)
+    app.on_startup(hub.worker.start)
+    app.on_shutdown(hub.worker.close)
     ui.run(
         host=host,
         port=port,

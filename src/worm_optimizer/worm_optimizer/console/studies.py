@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 from worm_model.errors import InputError
 from worm_model.parameters import load_parameters
-from worm_optimizer.console import rounds
-from worm_optimizer.console.desk import Word
+from worm_optimizer.console import page_actions
 from worm_optimizer.console.hub import Hub
+from worm_optimizer.console.robot_worker import Notice
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.nodes.search_goal import SearchGoal
 from worm_optimizer.orders import FrontOrder, ScanOrder, SearchResult
@@ -59,7 +59,7 @@ class Studies:
             self._doing = "margin scan" if scans else "optimisation"
             return f"the {self._doing} has begun"
 
-        return not self._doing and self._hub.desk.ask("asking the optimizer", begin)
+        return not self._doing and self._hub.worker.ask("asking the optimizer", begin)
 
     def cancel_search(self) -> None:
         """Have it end; what was found so far is lost."""
@@ -67,13 +67,13 @@ class Studies:
             self._goal.wanted = False
 
     def _take(self, result: SearchResult) -> None:
-        """Comes from the desk's thread."""
+        """Comes from the worker's thread."""
         doing, self._doing = self._doing, ""
         if result.margins:
             self.scan = result
         elif result.success:
             self._hub.fronts.clear()  # what was read is not what is answered any more
-        self._hub.words.append(Word(f"{doing}: {result.message}", good=result.success))
+        self._hub.words.append(Notice(f"{doing}: {result.message}", good=result.success))
 
     # --- an identification -----------------------------------------------------------------------
 
@@ -95,12 +95,12 @@ class Studies:
         try:
             made = await hub.shelf.identify(names, hub.parameter_file, self._note)
         except InputError as error:
-            hub.words.append(Word(f"identification: {error}", good=False))
+            hub.words.append(Notice(f"identification: {error}", good=False))
         except asyncio.CancelledError:
-            hub.words.append(Word("identification: cancelled"))
+            hub.words.append(Notice("identification: cancelled"))
         else:
             self.identified = made
-            hub.words.append(Word(f"identification: {made} is written, its report beside it"))
+            hub.words.append(Notice(f"identification: {made} is written, its report beside it"))
         finally:
             self.identifying = ""
 
@@ -117,9 +117,9 @@ class Studies:
         hub, parameters = self._hub, load_parameters(file)
 
         def take(node: OperatorNode) -> str:
-            said = rounds.take_parameters(node, file)
+            said = page_actions.take_parameters(node, file)
             hub.parameters, hub.parameter_file = parameters, file
             hub.fronts.clear()
             return said
 
-        return hub.desk.ask("taking the parameters over", take)
+        return hub.worker.ask("taking the parameters over", take)

@@ -111,7 +111,7 @@ class StudiesPage:
 
     def _begun(self, begun: bool, goes_on: str) -> None:  # noqa: FBT001 (an answer)
         if not begun:
-            _warn(f"wait: {goes_on}" if goes_on else self._hub.desk.hindrance)
+            _warn(f"wait: {goes_on}" if goes_on else self._hub.worker.hindrance)
 
     def _ask_scan(self) -> None:
         margins = {

@@ -39,7 +39,7 @@ FAILURES = (ProcessError, OperatorError, RecordingError)
 Say = Callable[[str], None]
 
 
-class Narrator:
+class ProgressLog:
     """Tells on standard error what goes on, and since when."""
 
     def __init__(self, program: str) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Searches and identifications go on beside all else, one of each; desk, optimizer and shelf are made up."""
+"""Searches and identifications go on beside all else, one of each; worker, optimizer and shelf are made up."""
 
 import asyncio
 from collections.abc import Callable, Sequence
@@ -49,7 +49,7 @@ class Node:
         self.taken.append((node, file))
 
 
-class Desk:
+class RobotWorker:
     """Does at once what it is asked for."""
 
     def __init__(self, node: Node) -> None:
@@ -82,9 +82,9 @@ class Shelf:
 @pytest.fixture
 def bench() -> SimpleNamespace:
     node = Node()
-    desk, shelf = Desk(node), Shelf()
-    hub = Hub(desk, Control(lambda: 0.0), shelf, PAPER, "", new_words(), {1: ["a gait"]})
-    return SimpleNamespace(node=node, desk=desk, shelf=shelf, hub=hub, studies=Studies(hub))
+    worker, shelf = RobotWorker(node), Shelf()
+    hub = Hub(worker, Control(lambda: 0.0), shelf, PAPER, "", new_words(), {1: ["a gait"]})
+    return SimpleNamespace(node=node, worker=worker, shelf=shelf, hub=hub, studies=Studies(hub))
 
 
 def test_a_scan_goes_on_until_it_ends_and_is_kept(bench: SimpleNamespace):
@@ -117,8 +117,8 @@ def test_a_cancelled_search_changes_nothing_and_is_no_good_word(bench: SimpleNam
     assert not bench.hub.words[-1].good
 
 
-def test_a_desk_that_is_not_free_begins_nothing(bench: SimpleNamespace):
-    bench.desk.free = False
+def test_a_worker_that_is_not_free_begins_nothing(bench: SimpleNamespace):
+    bench.worker.free = False
     assert not bench.studies.search(SCAN)
     assert bench.studies.searching == ""
 
@@ -165,7 +165,7 @@ def test_both_nodes_take_the_parameters_over_and_the_pages_too(
     assert (bench.hub.parameter_file, bench.hub.fronts) == (str(file), {})
     assert bench.studies.started == ""
     assert bench.studies.take_over("")
-    assert bench.desk.said[-1] == "twin and optimizer have taken the paper’s values over"
+    assert bench.worker.said[-1] == "twin and optimizer have taken the paper’s values over"
 
 
 def test_where_one_refuses_nothing_else_is_said_to_be_so(bench: SimpleNamespace, tmp_path: Path):

@@ -87,9 +87,9 @@ SAMPLE_COLUMNS = 13
 # Columns of a row of events: the guard's number tells the fin and the direction
 EVENT_TIME, EVENT_GUARD, EVENT_SWITCHED = range(3)
 EVENT_COLUMNS = 3
-# Entries of the ledger
+# Entries of the totals
 WORK_DONE, SWITCHES, STEPS, SAMPLED, EVENTS, CHATTER = range(6)
-LEDGER_SIZE = 6
+TOTALS_SIZE = 6
 
 
 class Segment(NamedTuple):
@@ -120,8 +120,8 @@ class Stage(NamedTuple):
     front_high: float
 
 
-class Bill(NamedTuple):
-    """Whether cable work is being billed (F_c·L̇ < 0), and the antiderivative where that began."""
+class PositiveWork(NamedTuple):
+    """Whether cable work is being counted (F_c·L̇ < 0), and the antiderivative where that began."""
 
     force_side: float
     rate_side: float
@@ -173,7 +173,7 @@ def _open_stage(motion: Motion, segment: Segment, offset: float, b: Basis, c: Co
 @inlined
 def _look_ahead(
     stage: Stage,
-    bill: Bill,
+    work: PositiveWork,
     motion: Motion,
     b: Basis,
     s: float,
@@ -193,11 +193,11 @@ def _look_ahead(
     ahead = narrow(ahead, above(front, stage.front_low), FRONT_LOW)
     if wave.q != 0.0:
         force = read(stage.force, b, s, left, roots, wave, coarse)
-        gap = above(force, 0.0) if bill.force_side > 0.0 else below(force, 0.0)
+        gap = above(force, 0.0) if work.force_side > 0.0 else below(force, 0.0)
         ahead = narrow(ahead, gap, FORCE_SIGN)
     if wave.omega != 0.0:  # while it only decays, the length rate keeps its sign
         rate = read(stage.length_rate, b, s, left, roots, wave, coarse)
-        gap = above(rate, 0.0) if bill.rate_side > 0.0 else below(rate, 0.0)
+        gap = above(rate, 0.0) if work.rate_side > 0.0 else below(rate, 0.0)
         ahead = narrow(ahead, gap, RATE_SIGN)
     if is_dry(c):
         ahead = look_for_grip(ahead, stage.mode, stage.grip, motion, b, s, left, wave, c)
@@ -257,10 +257,12 @@ def _antiderivative(stage: Stage, b: Basis, wave: Wave) -> float:
 
 
 @inlined
-def _open_bill(force_side: float, rate_side: float, stage: Stage, b: Basis, wave: Wave) -> Bill:
+def _open_work(
+    force_side: float, rate_side: float, stage: Stage, b: Basis, wave: Wave
+) -> PositiveWork:
     active = wave.q != 0.0 and force_side * rate_side < 0.0
     mark = _antiderivative(stage, b, wave) if active else 0.0
-    return Bill(force_side, rate_side, active, mark)
+    return PositiveWork(force_side, rate_side, active, mark)
 
 
 @inlined
@@ -314,39 +316,39 @@ def _write_sample(
 def _write_samples(
     until: float,
     stage: Stage,
-    bill: Bill,
+    work: PositiveWork,
     segment: Segment,
     motion: Motion,
     c: Constants,
-    ledger: np.ndarray,
+    totals: np.ndarray,
     samples: np.ndarray,
 ) -> None:
     """Fills the rows whose times lie no later than ``until`` seconds into the mode."""
     start = segment.start + stage.offset
     end = (start + until) * (1.0 + TIME_ROUNDING)
-    at = int(ledger[SAMPLED])
+    at = int(totals[SAMPLED])
     while at < samples.shape[0] and samples[at, TIME] <= end:
         s = min(max(samples[at, TIME] - start, 0.0), until)
         b = basis_at(stage.offset + s, s, stage.mode.roots, segment.wave, stage.mode.resonant)
         _write_sample(samples[at], stage, motion, b, segment.wave, c)
-        samples[at, WORK] = ledger[WORK_DONE]
-        if bill.active:
-            samples[at, WORK] += bill.mark - _antiderivative(stage, b, segment.wave)
+        samples[at, WORK] = totals[WORK_DONE]
+        if work.active:
+            samples[at, WORK] += work.mark - _antiderivative(stage, b, segment.wave)
         at += 1
-    ledger[SAMPLED] = at
+    totals[SAMPLED] = at
 
 
 @compiled
 def _write_event(
-    time: float, stop: int, switched: bool, ledger: np.ndarray, events: np.ndarray
+    time: float, stop: int, switched: bool, totals: np.ndarray, events: np.ndarray
 ) -> None:
-    at = int(ledger[EVENTS])
+    at = int(totals[EVENTS])
     if at < events.shape[0]:
         events[at, EVENT_TIME] = time
         events[at, EVENT_GUARD] = stop
         events[at, EVENT_SWITCHED] = 1.0 if switched else 0.0
-    ledger[EVENTS] = at + 1
-    ledger[SWITCHES] += 1.0 if switched else 0.0
+    totals[EVENTS] = at + 1
+    totals[SWITCHES] += 1.0 if switched else 0.0
 
 
 @inlined
@@ -356,30 +358,30 @@ def _follow_mode(
     segment: Segment,
     motion: Motion,
     c: Constants,
-    ledger: np.ndarray,
+    totals: np.ndarray,
     samples: np.ndarray,
 ) -> tuple[float, int, Basis]:
     """Follows a mode to its end: (its duration, what ends it, the basis there); NOTHING if it gives up."""
     wave = segment.wave
-    bill = _open_bill(_side(stage.force, b), _side(stage.length_rate, b), stage, b, wave)
+    work = _open_work(_side(stage.force, b), _side(stage.length_rate, b), stage, b, wave)
     s = 0.0
     while True:
-        ledger[STEPS] += 1.0
+        totals[STEPS] += 1.0
         left = segment.duration - stage.offset - s
-        ahead = _look_ahead(stage, bill, motion, b, s, left, wave, c)
+        ahead = _look_ahead(stage, work, motion, b, s, left, wave, c)
         s, b = _go(stage, ahead, motion, s, b, wave, c)
-        if ahead.stop == NOTHING and ledger[STEPS] <= MOST_STEPS:
+        if ahead.stop == NOTHING and totals[STEPS] <= MOST_STEPS:
             continue
-        if ledger[SAMPLED] < samples.shape[0]:
-            _write_samples(s, stage, bill, segment, motion, c, ledger, samples)
-        if bill.active:
-            ledger[WORK_DONE] += bill.mark - _antiderivative(stage, b, wave)
-        if ledger[STEPS] > MOST_STEPS and ahead.stop != END:
+        if totals[SAMPLED] < samples.shape[0]:
+            _write_samples(s, stage, work, segment, motion, c, totals, samples)
+        if work.active:
+            totals[WORK_DONE] += work.mark - _antiderivative(stage, b, wave)
+        if totals[STEPS] > MOST_STEPS and ahead.stop != END:
             return s, NOTHING, b
         if ahead.stop == FORCE_SIGN:
-            bill = _open_bill(-bill.force_side, bill.rate_side, stage, b, wave)
+            work = _open_work(-work.force_side, work.rate_side, stage, b, wave)
         elif ahead.stop == RATE_SIGN:
-            bill = _open_bill(bill.force_side, -bill.rate_side, stage, b, wave)
+            work = _open_work(work.force_side, -work.rate_side, stage, b, wave)
         else:
             return s, ahead.stop, b
 
@@ -389,7 +391,7 @@ def march(
     segment: Segment,
     motion: Motion,
     c: Constants,
-    ledger: np.ndarray,
+    totals: np.ndarray,
     samples: np.ndarray,
     events: np.ndarray,
 ) -> Motion:
@@ -397,19 +399,19 @@ def march(
 
     Which module sticks is judged anew wherever a mode opens, so that a motion needs no memory of it.
 
-    ``ledger`` (LEDGER_SIZE,) accumulates the positive cable work in J (of a gait's length; a sampled
+    ``totals`` (TOTALS_SIZE,) accumulates the positive cable work in J (of a gait's length; a sampled
     length has no usable rate), groove switches, steps, and the numbers of rows used of ``samples``
     (n, SAMPLE_COLUMNS; their TIME column, ascending, is given) and of ``events`` (m, EVENT_COLUMNS;
-    what exceeds m is only counted). Returns the motion at the end; the entry CHATTER of the ledger
+    what exceeds m is only counted). Returns the motion at the end; the entry CHATTER of the totals
     becomes 1 if the march gave up.
     """
-    ledger[STEPS] = 0.0
+    totals[STEPS] = 0.0
     b = basis_at(0.0, 0.0, roots_of(c.mass, c.friction, 0.0), segment.wave, False)
     offset = 0.0
     while True:
         stage = _open_stage(motion, segment, offset, b, c)
         b = basis_at_start(b, stage.mode.roots)
-        duration, stop, b = _follow_mode(stage, b, segment, motion, c, ledger, samples)
+        duration, stop, b = _follow_mode(stage, b, segment, motion, c, totals, samples)
         offset += duration
         y = value(stage.mode.y, b)
         y_rate = value(derivative(stage.mode.y, stage.mode.roots, segment.wave), b)
@@ -424,9 +426,9 @@ def march(
             )
             if stop > END:
                 continue
-            ledger[CHATTER] = 1.0 if stop == NOTHING else ledger[CHATTER]
+            totals[CHATTER] = 1.0 if stop == NOTHING else totals[CHATTER]
             return motion
         grooves = motion.rear_groove + motion.front_groove
         motion = _crossed(motion, stop, y, y_rate, c)
         switched = motion.rear_groove + motion.front_groove != grooves
-        _write_event(segment.start + offset, stop, switched, ledger, events)
+        _write_event(segment.start + offset, stop, switched, totals, events)

@@ -17,11 +17,11 @@ from worm_model.simulation.kernel.compiled import compiled, entry, inlined, unlo
 from worm_model.simulation.kernel.linear import Coefficients, Wave
 from worm_model.simulation.kernel.march import (
     CHATTER,
-    LEDGER_SIZE,
     SAMPLE_COLUMNS,
     SAMPLED,
     SWITCHES,
     TIME,
+    TOTALS_SIZE,
     WORK_DONE,
     Segment,
     march,
@@ -104,7 +104,7 @@ def play(
     motion: Motion,
     c: Constants,
     a: Actuator,
-    ledger: np.ndarray,
+    totals: np.ndarray,
     samples: np.ndarray,
     events: np.ndarray,
 ) -> tuple[float, Motion]:
@@ -118,12 +118,12 @@ def play(
     if stroke > a.slack:
         opening = math.acos(1.0 - 2.0 * a.slack / stroke) / (2.0 * math.pi * frequency)
     start, cycle = first, math.floor(first * frequency + 1e-9)
-    while start < last and ledger[CHATTER] == 0.0:
+    while start < last and totals[CHATTER] == 0.0:
         begin = cycle * period
         borders = (begin + opening, begin + period - opening, begin + period)
         for part in range(3):
             end = min(borders[part], last)
-            if end <= start or ledger[CHATTER] != 0.0:
+            if end <= start or totals[CHATTER] != 0.0:
                 continue
             omega = 2.0 * math.pi * frequency if part == 1 else 0.0
             if part == 1:
@@ -132,7 +132,7 @@ def play(
             else:
                 form = answer_to_line(length_change, -a.gain * a.slack, 0.0, a)
             segment = Segment(start, end - start, form, Wave(c.mass, omega, -1.0 / a.time_constant))
-            motion = march(segment, motion, c, ledger, samples, events)
+            motion = march(segment, motion, c, totals, samples, events)
             length_change = value_at(form, end - start, omega, a.time_constant)
             start = end
         cycle += 1
@@ -148,7 +148,7 @@ def run_gait(
     p: np.ndarray,
     cycles: int,
     boundaries: np.ndarray,
-    ledger: np.ndarray,
+    totals: np.ndarray,
     samples: np.ndarray,
     events: np.ndarray,
 ) -> None:
@@ -165,12 +165,12 @@ def run_gait(
         first = cycle * period
         last = first + period
         length_change, motion = play(
-            first, last, stroke, frequency, length_change, motion, c, a, ledger, samples, events
+            first, last, stroke, frequency, length_change, motion, c, a, totals, samples, events
         )
-        if ledger[CHATTER] != 0.0:
+        if totals[CHATTER] != 0.0:
             return
         boundaries[cycle + 1, 0] = motion.y - c.mu * length_change
-        boundaries[cycle + 1, 1] = ledger[WORK_DONE]
+        boundaries[cycle + 1, 1] = totals[WORK_DONE]
 
 
 @entry
@@ -190,12 +190,12 @@ def evaluate(
     averaged cycle in m, switches in the whole run, and whether the run gave up.
     """
     boundaries = np.empty((cycles + 1, 2))
-    ledger = np.zeros(LEDGER_SIZE)
+    totals = np.zeros(TOTALS_SIZE)
     nothing = np.empty((0, SAMPLE_COLUMNS))
-    run_gait(stroke, frequency, direction, margin, p, cycles, boundaries, ledger, nothing, nothing)
-    result[RUN_SWITCHES] = ledger[SWITCHES]
-    result[RUN_CHATTER] = ledger[CHATTER]
-    if ledger[CHATTER] != 0.0:
+    run_gait(stroke, frequency, direction, margin, p, cycles, boundaries, totals, nothing, nothing)
+    result[RUN_SWITCHES] = totals[SWITCHES]
+    result[RUN_CHATTER] = totals[CHATTER]
+    if totals[CHATTER] != 0.0:
         result[MEAN_ADVANCE] = result[MEAN_POWER] = result[LEAST_ADVANCE] = math.nan
         return
     first = cycles - averaged
@@ -236,7 +236,7 @@ def run_sampled(
     coefficients: np.ndarray,
     motion: Motion,
     c: Constants,
-    ledger: np.ndarray,
+    totals: np.ndarray,
     samples: np.ndarray,
     events: np.ndarray,
 ) -> Motion:
@@ -263,20 +263,20 @@ def run_sampled(
             0.0,
         )
         segment = Segment(breaks[k], duration, form, still)
-        motion = march(segment, motion, c, ledger, samples, events)
-        if ledger[CHATTER] != 0.0:
+        motion = march(segment, motion, c, totals, samples, events)
+        if totals[CHATTER] != 0.0:
             break
     return motion
 
 
 @compiled
 def step(
-    segment: Segment, motion: Motion, c: Constants, ledger: np.ndarray, sample: np.ndarray
+    segment: Segment, motion: Motion, c: Constants, totals: np.ndarray, sample: np.ndarray
 ) -> Motion:
     """The motion at a segment's end, which ``sample`` (1, SAMPLE_COLUMNS) describes; see `march`."""
-    ledger[SAMPLED] = 0.0
+    totals[SAMPLED] = 0.0
     sample[0, TIME] = segment.start + segment.duration
-    return march(segment, motion, c, ledger, sample, sample[:0])
+    return march(segment, motion, c, totals, sample, sample[:0])
 
 
 @entry
@@ -287,13 +287,13 @@ def play_on(
     c: Constants,
     length_change: float,
     motion: Motion,
-    ledger: np.ndarray,
+    totals: np.ndarray,
     samples: np.ndarray,
 ) -> Motion:
     """Plays a gait that begins at time 0 with a motion and ΔL (m), up to the last row's time of ``samples``."""
     last = samples[samples.shape[0] - 1, TIME]
     a = actuator_of(p)
     _, motion = play(
-        0.0, last, stroke, frequency, length_change, motion, c, a, ledger, samples, samples[:0]
+        0.0, last, stroke, frequency, length_change, motion, c, a, totals, samples, samples[:0]
     )
     return motion

@@ -187,7 +187,7 @@ def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Cons
     m = memory.record[0]
     motion = Motion(m.y, m.y_rate, m.rear_groove, m.front_groove, m.rear_region, m.front_region)
     segment = Segment(0.0, duration, form, Wave(c.mass, 0.0, q))
-    motion = step(segment, motion, c, memory.ledger, memory.sample)
+    motion = step(segment, motion, c, memory.totals, memory.sample)
     m.y, m.y_rate = motion.y, motion.rate
     m.rear_groove, m.front_groove = motion.rear_groove, motion.front_groove
     m.rear_region, m.front_region = motion.rear_region, motion.front_region
@@ -454,8 +454,8 @@ def _take_next(
         return PAUSE
     moving = m.moving
     _follow(memory, rules, c, a, p, out)
-    if memory.ledger[CHATTER] != 0.0:
-        memory.ledger[CHATTER] = 0.0
+    if memory.totals[CHATTER] != 0.0:
+        memory.totals[CHATTER] = 0.0
         put_at_rest(memory, row.stamp, m.length_change, m.source, c)
         m.taken_ns = row.stamp
         m.place += 1

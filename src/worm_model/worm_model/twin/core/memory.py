@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.simulation.kernel.march import LEDGER_SIZE, SAMPLE_COLUMNS
+from worm_model.simulation.kernel.march import SAMPLE_COLUMNS, TOTALS_SIZE
 from worm_model.twin.records import RESIDUAL_ROW, STATE_ROW
 from worm_model.twin.samples import SAMPLE
 
@@ -84,14 +84,14 @@ class Memory(NamedTuple):
     the run (``origin``: the tracker's position of that groove in m, ``moved``: grooves by which the robot is found
     further along +x than the motion alone would have it); the residuals by channel (mean square in usual sizes; that of
     their noise in the channel's unit); the tracker's last accepted position and the first refused one. Stamps in ns,
-    0: none. ``ledger`` and ``sample`` are the kernel's.
+    0: none. ``totals`` and ``sample`` are the kernel's.
     """
 
     record: NDArray[np.void]
     rows: NDArray[np.void]
     held: NDArray[np.void]
     sums: NDArray[np.float64]
-    ledger: NDArray[np.float64]
+    totals: NDArray[np.float64]
     sample: NDArray[np.float64]
 
 
@@ -137,7 +137,7 @@ def new_memory(initial_length: float, front_groove: int) -> Memory:
         np.zeros(ROOM, SAMPLE),
         np.zeros(PATIENCE, SAMPLE),
         np.zeros((PHASES, SUMS)),
-        np.zeros(LEDGER_SIZE),
+        np.zeros(TOTALS_SIZE),
         np.zeros((1, SAMPLE_COLUMNS)),
     )
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The desk does one thing after the other, stops whatever it waits for, and tells what fails; nodes are made up."""
+"""The worker does one thing after the other, stops whatever it waits for, and tells what fails; nodes are made up."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from worm_optimizer.console.desk import Desk, Word
+from worm_optimizer.console.robot_worker import Notice, RobotWorker
 from worm_optimizer.nodes.operator_node import OperatorError
 
 TIMEOUT_S = 10.0
@@ -35,15 +35,15 @@ class Node:
 
 
 class Bench:
-    """A desk with a made-up robot, and what it said."""
+    """A worker with a made-up robot, and what it said."""
 
     def __init__(self, failure: str = "") -> None:
         self.node, self.failure = Node(), failure
-        self.words: list[Word] = []
+        self.words: list[Notice] = []
         self.told = threading.Semaphore(0)
-        self.desk = Desk(self._robot, self._brake, self._tell)
+        self.worker = RobotWorker(self._robot, self._brake, self._tell)
 
-    def _tell(self, word: Word) -> None:
+    def _tell(self, word: Notice) -> None:
         self.words.append(word)
         self.told.release()
 
@@ -58,25 +58,25 @@ class Bench:
     def _brake(self) -> Iterator[Node]:
         yield self.node
 
-    def heard(self, text: str) -> Word:
+    def heard(self, text: str) -> Notice:
         while not any(word.text == text for word in self.words):
             assert self.told.acquire(timeout=TIMEOUT_S), f"never told {text!r}: {self.words}"
         return next(word for word in self.words if word.text == text)
 
     def ask(self, act: Callable[[object], str]) -> None:
         for _ in range(5000):
-            if self.desk.ask("working", act):
+            if self.worker.ask("working", act):
                 return
             threading.Event().wait(0.002)
-        raise AssertionError(self.desk.busy)
+        raise AssertionError(self.worker.busy)
 
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
     bench = Bench()
-    bench.desk.start()
+    bench.worker.start()
     yield bench
-    bench.desk.close()
+    bench.worker.close()
 
 
 def test_what_is_asked_for_is_done_and_told(bench: Bench):
@@ -100,24 +100,24 @@ def test_one_thing_at_a_time_and_stop_at_any(bench: Bench):
     def work(node: object) -> str:
         begun.set()
         release.wait(TIMEOUT_S)
-        return "stopped" if bench.desk.stopped else "not stopped"
+        return "stopped" if bench.worker.stopped else "not stopped"
 
     bench.ask(work)
     assert begun.wait(TIMEOUT_S)
-    assert not bench.desk.ask("more", lambda node: "more")
-    assert bench.desk.hindrance == "wait: working"
-    bench.desk.stop()
+    assert not bench.worker.ask("more", lambda node: "more")
+    assert bench.worker.hindrance == "wait: working"
+    bench.worker.stop()
     assert bench.node.stops.acquire(timeout=TIMEOUT_S)  # while the other still waits
     release.set()
     bench.heard("stopped")
-    bench.ask(lambda node: "stopped still" if bench.desk.stopped else "free again")
+    bench.ask(lambda node: "stopped still" if bench.worker.stopped else "free again")
     bench.heard("free again")
 
 
 def test_a_robot_that_does_not_come_up_is_told(request):
     bench = Bench(failure="twin has ended")
-    bench.desk.start()
-    request.addfinalizer(bench.desk.close)
+    bench.worker.start()
+    request.addfinalizer(bench.worker.close)
     assert not bench.heard("twin has ended").good
-    assert bench.desk.hindrance == "twin has ended"
-    assert not bench.desk.ask("working", lambda node: "")
+    assert bench.worker.hindrance == "twin has ended"
+    assert not bench.worker.ask("working", lambda node: "")

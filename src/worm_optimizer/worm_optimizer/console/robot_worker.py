@@ -24,14 +24,14 @@ class _ClosedError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Word:
+class Notice:
     """What is to be told, and whether all is well."""
 
     text: str
     good: bool = True
 
 
-class Desk:
+class RobotWorker:
     """Between pages, which never wait, and the robot.
 
     Args:
@@ -49,7 +49,7 @@ class Desk:
         self,
         robot: Callable[[Say], AbstractContextManager[OperatorNode]],
         brake: Callable[[], AbstractContextManager[OperatorNode]],
-        tell: Callable[[Word], None],
+        tell: Callable[[Notice], None],
     ) -> None:
         self._robot, self._brake, self._tell = robot, brake, tell
         self._asked: Act | None = None
@@ -108,12 +108,12 @@ class Desk:
             pass
         except FAILURES as error:
             self.failure = str(error)
-            self._tell(Word(self.failure, good=False))
+            self._tell(Notice(self.failure, good=False))
         self.busy = ""
 
     def _say(self, text: str) -> None:
         self.busy = text
-        self._tell(Word(text))
+        self._tell(Notice(text))
         if self._ended.is_set():
             raise _ClosedError
 
@@ -122,9 +122,9 @@ class Desk:
         if act is None:
             return
         try:
-            self._tell(Word(act(node)))
+            self._tell(Notice(act(node)))
         except (*FAILURES, InputError) as error:
-            self._tell(Word(str(error), good=False))
+            self._tell(Notice(str(error), good=False))
         finally:
             self.busy = ""
 
@@ -138,13 +138,13 @@ class Desk:
                     if node.wait(lambda: self._ended.is_set() or self._pulled.is_set(), _POLL_S):
                         self._hold(node)
         except FAILURES as error:
-            self._tell(Word(f"STOP does not work: {error}", good=False))
+            self._tell(Notice(f"STOP does not work: {error}", good=False))
 
     def _hold(self, node: OperatorNode) -> None:
         if not self._pulled.is_set():
             return
         self._pulled.clear()
         try:
-            self._tell(Word(node.stop()))
+            self._tell(Notice(node.stop()))
         except FAILURES as error:
-            self._tell(Word(f"{error}; a run ends without its heartbeat", good=False))
+            self._tell(Notice(f"{error}; a run ends without its heartbeat", good=False))

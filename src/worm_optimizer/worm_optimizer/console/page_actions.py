@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a person does from a page, as acts of the desk: the same calls that `operate` makes."""
+"""What a person does from a page, for the worker to do: the same calls that `operate` makes."""
 
 from __future__ import annotations
 
