@@ -407,15 +407,13 @@ _SABOTAGE = """
 import sys
 import rclpy
 from worm_driver.nodes import driver_node
-from worm_driver.gait.gait_player import Phase
 
-class Sabotaged(driver_node.DriverNode):
-    def _on_tracker(self, message):
-        latest = self._latest
-        if latest is not None and latest.player.phase is Phase.RUNNING and latest.cable < -0.02:
+class Sabotaged(driver_node.TrackerWatch):
+    def _on_sample(self, message):
+        if message.front_position - message.rear_position < 0.275:  # in the middle of a gait
             {deed}
 
-driver_node.DriverNode = Sabotaged
+driver_node.TrackerWatch = Sabotaged
 sys.exit(driver_node.main(sys.argv))
 """
 
