@@ -43,6 +43,9 @@ FAULTS: Mapping[str, Deed | None] = {
     "answers are 12 ms late": _injected("late", duration=5.0, value=0.012),
     "answers are 45 ms late": _injected("late", duration=5.0, value=0.045),
     "a fin servo reports overload": _injected("overload", target=12),
+    "the supply of the cable servo sags": _injected(
+        "input_voltage", target=1, duration=5.0, value=4.0
+    ),
     "the cable is blocked": _injected("stalled", target=1, duration=5.0),
     "the serial port is unplugged": _unplug,
     "the driver is killed": None,

@@ -34,7 +34,7 @@ def test_the_table_tells_every_run_and_why_a_bag_has_none(run):
     status, told, _ = run(SAMPLES, "--json")
     rows = {Path(row["bag"]).name: row for row in json.loads(told)["runs"]}
     assert status == 0
-    assert set(rows) == {"faults", "forward", "killed", "reverse"}
+    assert set(rows) >= {"faults", "forward", "killed", "reverse"}  # and what a person recorded
     forward = rows["forward"]
     assert forward["gait"] == {"stroke": 0.07, "frequency": 0.25, "direction": 1, "margin": 0.0}
     assert forward["grooves_per_cycle"] == pytest.approx(1.0, abs=0.01)
