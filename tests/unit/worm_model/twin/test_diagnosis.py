@@ -110,7 +110,14 @@ def test_the_time_of_a_step_is_told():
 
 
 @pytest.mark.parametrize(
-    "lab", [Lab(camera_hz=10.0), Lab(power_noise_W=0.3)], ids=("camera at 10 Hz", "noisy power")
+    "lab",
+    [
+        Lab(camera_hz=10.0),
+        Lab(camera_noise_m=0.7e-3),  # 1 mm of length
+        Lab(camera_hz=10.0, camera_noise_m=0.7e-3),
+        Lab(power_noise_W=0.3),
+    ],
+    ids=("camera at 10 Hz", "noisy camera", "noisy camera at 10 Hz", "noisy power"),
 )
 def test_a_slow_camera_and_noise_make_no_sound_robot_suspect(lab: Lab):
     seen = run_robots(GAIT, [Fault(), Fault()], seed=8, lab=lab)

@@ -270,6 +270,7 @@ def _spend(
     before = m.power if stamp > m.track_ns else power
     m.energy += 0.5 * (before + power) * (stamp - m.power_ns) * SECOND
     m.power_ns, m.power = stamp, power
+    m.power_variance = (p[POWER_FACTOR] * (drag_of(c) * rate - force)) ** 2 * variance
     return rate
 
 

@@ -204,7 +204,9 @@ def _judge_power(memory: Memory, stamp: int, power: float, rules: Rules, out: Ro
         m.instrument_ns, m.instrument_power = stamp, power
     # No window resolves the step of the length rate at the onset.
     if (stamp - m.start_ns) * 1e-9 > 4.0 * rules.smoothing:
-        observe(memory, POWER, stamp, residual, rules.power_scale)
+        # What the noise of the length makes of the prediction is smooth, and no noise of the residual.
+        scale = math.sqrt(rules.power_scale**2 + m.power_variance)
+        observe(memory, POWER, stamp, residual, scale)
         _sum_up(memory, stamp, POWER_SUM, residual)
     _record(memory, stamp, POWER, residual, m.instrument_energy - m.energy, rules, out)
 

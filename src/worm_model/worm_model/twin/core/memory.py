@@ -49,7 +49,7 @@ _WHOLE = """
 """
 _REAL = """
     command answer length_change y y_rate track_change
-    power energy
+    power power_variance energy
     stroke frequency initial_length origin pose_x1
     instrument_power instrument_energy
     sight refused event_value blind_s
