@@ -201,7 +201,7 @@ def test_a_cancelled_optimisation_ends_at_once_and_changes_nothing(start, user, 
 
 
 def test_a_goal_that_is_none_is_aborted_with_the_reason(start, user):
-    start(margin_m=0.002)
+    start(margin_m=0.002).wait_for_line("optimizer ready", 90.0)
     goal = OptimizeGaits.Goal(margin=-1.0, direction=1)
     done = user.outcome(user.send("optimize_gaits", goal))
     assert done.status == GoalStatus.STATUS_ABORTED
