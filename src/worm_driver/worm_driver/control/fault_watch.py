@@ -129,5 +129,8 @@ class FaultWatch:
         counts = supervision.overload(self._counts, efforts, levels)
         error = robot.length_change(states) - length_change
         self._counts = supervision.following(counts, error, limits)
+        problems = self._reader.problems
+        if supervision.fault_in_counts(self._counts, limits, problems) is None:
+            return None  # the load is read for a fault alone, not a hundred times a second
         crowding = supervision.crowding(self._load(), os.cpu_count() or 1)
-        return supervision.fault_in_counts(self._counts, limits, self._reader.problems, crowding)
+        return supervision.fault_in_counts(self._counts, limits, problems, crowding)

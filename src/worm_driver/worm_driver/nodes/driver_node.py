@@ -32,7 +32,7 @@ from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.stamps import Stamps
 from worm_driver.nodes.stop_services import StopServices
 from worm_driver.nodes.telemetry_publisher import TelemetryPublisher
-from worm_driver.nodes.tracker_watch import TrackerWatch
+from worm_driver.nodes.tracker_listener import TrackerListener
 from worm_msgs import network
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import Ending, spare_pauses
@@ -67,13 +67,14 @@ class DriverNode(LifecycleNode):
         self._failure: Exception | None = None
         self._why_closed = "not configured"
         self._stamps = Stamps(self)
-        self._tracker = TrackerWatch(self._stamps)
         self._emergency = EmergencyLatch(state_folder(os.environ))
         self._adopt_emergency()
-        self._action = RunGaitAction(self, lambda: self._hardware, self._tracker.sees_robot)
+        self._action = RunGaitAction(
+            self, lambda: self._hardware, lambda: self._tracker.sees_robot()
+        )
+        self._tracker = TrackerListener(self, self._stamps, self._action.on_position)
         self._telemetry = TelemetryPublisher(self, self._stamps, self._action, self._emergency)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._tracker.listen(self, self._action.on_position)
         self._stops = StopServices(self, self._opened, self._emergency, self._action.on_heartbeat)
         self.create_service(Trigger, "home", self._on_home)
         self.create_service(Trigger, "reboot", self._on_reboot)
@@ -245,7 +246,7 @@ class DriverNode(LifecycleNode):
             if self._do(lambda hardware, _: hardware.robot.holding):
                 raise StoppedError(
                     "a stop came on the way to rest: the robot holds, with its torque on; "
-                    " deactivate it again to let go"
+                    "deactivate it again to let go"
                 )
             self._publish()
         problems = self._do(lambda hardware, _: hardware.robot.release(), _LETTING_GO)

@@ -24,6 +24,7 @@ from worm_model.run import (
 )
 from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.simulator import Motions, simulate
+from worm_model.twin.records import LengthSource
 
 Array = NDArray[np.float64]
 
@@ -31,7 +32,6 @@ EPOCH_NS = (
     1_767_225_600 * 10**9
 )  # 2026-01-01 00:00 UTC: a simulation has no date, ROS has no stamp of 0
 REST_S = 2.0  # before the gait, of a recorded run
-ESTIMATED = 2  # BodyLength.source
 BUS_VOLTAGE = 12.0  # V, at which the current of a recorded run is told
 
 
@@ -76,7 +76,7 @@ class SimulatedRun:
         motions, p = self.motions, self.parameters
         one = np.ones(self.time.size)
         return {
-            "length_source": ESTIMATED * one,
+            "length_source": LengthSource.ESTIMATED * one,
             "initial_length": p.initial_length * one,
             "groove_phase": groove_phase(p) * one,
             "length": motions.length,

@@ -27,7 +27,6 @@ CYCLES = 5  # the paper's protocol
 MOST_SAMPLES = 10_000_000
 MOST_CYCLES = 1000
 FIGURES = (".png", ".pdf", ".svg")
-RUN_RECORD = "worm_run"
 
 
 def _parser() -> Parser:
@@ -71,6 +70,7 @@ def _write_recording(run: SimulatedRun, path: Path) -> None:
     """A bag's one file; anchors and forces are in the topic in which a twin tells them."""
     from worm_model.bags.bag_writer import BagWriter
     from worm_model.bags.message_types import topic_of
+    from worm_model.bags.run_manifest import RUN_RECORD
     from worm_model.bags.run_writer import stamped_messages, write_run
     from worm_model.bags.worm_topics import TYPES, offered_qos
 

@@ -18,15 +18,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Weighed:
-    """Of each cause (h,): natural logarithm of the Bayes factor against none, and the size's mean and deviation.
-
-    ``distance`` (h,) is the signal-to-noise ratio of a size of 1: how far it lies from nothing.
-    """
+    """Of each cause (h,): natural logarithm of the Bayes factor against none, and the size's mean and deviation."""
 
     evidence: Array
     size: Array
     deviation: Array
-    distance: Array
 
 
 def weigh(
@@ -45,7 +41,6 @@ def weigh(
         evidence=np.where(known, match - 0.5 * power, free),
         size=np.where(known, 1.0, match / (1.0 + power)),
         deviation=np.where(known, 0.0, 1.0 / np.sqrt(1.0 + power)),
-        distance=np.sqrt(power),
     )
 
 

@@ -92,7 +92,7 @@ def _console(options: argparse.Namespace) -> int:
     name = f"console_{os.getpid()}"
     worker = RobotWorker(
         _robot_opener(options, namespace, name),
-        lambda: operator(namespace, _nothing, f"{name}_stop"),
+        lambda: operator(namespace, name=f"{name}_stop"),
         tell,
     )
     control = Control(time.monotonic)
@@ -118,7 +118,7 @@ def _robot_opener(
             with _graph(system, say) as node:
                 yield node
         else:
-            with operator(namespace, _nothing, name) as node:
+            with operator(namespace, name=name) as node:
                 yield node
 
     return opened
@@ -132,10 +132,6 @@ def _graph(system: System, say: Say) -> Iterator[OperatorNode]:
         running.node.configure()
         say("ready")
         yield running.node
-
-
-def _nothing() -> None:
-    """Looks after no processes."""
 
 
 def _secret(options: argparse.Namespace) -> str:

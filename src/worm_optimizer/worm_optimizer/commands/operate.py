@@ -135,7 +135,7 @@ def _operate(options: argparse.Namespace) -> int:
     if action is _run:
         _ends(options, _own_gait(options) or Gait(0.05, 0.1))  # refused before anybody is asked
     try:
-        with operator(namespace, lambda: None, f"operate_{os.getpid()}") as node:
+        with operator(namespace, name=f"operate_{os.getpid()}") as node:
             node.wait_for_driver(options.timeout)
             return action(node, options)
     except FAILURES as error:
@@ -177,13 +177,11 @@ def _home(node: OperatorNode, options: argparse.Namespace) -> int:
 
 
 def _activate(node: OperatorNode, options: argparse.Namespace) -> int:
-    node.activate()
-    return _done(options, "the driver is active, its torque is on")
+    return _done(options, node.activate())
 
 
 def _deactivate(node: OperatorNode, options: argparse.Namespace) -> int:
-    node.deactivate()
-    return _done(options, "the robot is at rest, its torque is off")
+    return _done(options, node.deactivate())
 
 
 def _stop(node: OperatorNode, options: argparse.Namespace) -> int:

@@ -50,11 +50,11 @@ class ActPage:
         self._shown: list[Prediction] = []
         self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}
         with ui.row().classes("gap-2"):
-            self._button("Home", partial(self._ask, "homing", page_actions.home))
+            self._button("Home", partial(self._ask, "homing", OperatorNode.home))
             self._button(
-                "Activate", partial(self._ask, "activating the driver", page_actions.activate)
+                "Activate", partial(self._ask, "activating the driver", OperatorNode.activate)
             )
-            self._button("Deactivate", partial(self._ask, "deactivating", page_actions.deactivate))
+            self._button("Deactivate", partial(self._ask, "deactivating", OperatorNode.deactivate))
             self._release = ui.button(
                 "Permit starts",
                 on_click=partial(

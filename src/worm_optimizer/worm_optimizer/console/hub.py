@@ -13,7 +13,7 @@ from worm_model.twin.records import LengthSource
 from worm_optimizer.console.control import Control
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
 from worm_optimizer.console.shelf import Shelf
-from worm_optimizer.console.view import History, live
+from worm_optimizer.console.view import History, live, sample
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.snapshot import Snapshot
 
@@ -56,19 +56,16 @@ class Hub:
     def numbers(self, now: float) -> dict[str, str]:
         """The table of the live page; a dash for what is silent."""
         snapshot = self.snapshot()
-        lengths = {
-            f"{source.name.lower()} length": _millimetres(snapshot.lengths.get(source, math.nan))
-            if live(snapshot, f"body_length/{source.name.lower()}", now)
-            else "–"
-            for source in LengthSource
-        }
+        newest = sample(snapshot, now)
+        names = (source.name.lower() for source in LengthSource)
+        lengths = {f"{name} length": _millimetres(getattr(newest, name)) for name in names}
         twin = snapshot.twin if live(snapshot, "twin/state", now) else None
         residuals = snapshot.residuals if live(snapshot, "twin/residuals", now) else None
         nan = math.nan
         return {
             **lengths,
-            "measured power": _watts(snapshot.power if live(snapshot, "power", now) else nan),
-            "predicted power": _watts(nan if twin is None else twin.power),
+            "measured power": _watts(newest.power),
+            "predicted power": _watts(newest.predicted),
             "residual of x1": _millimetres(nan if residuals is None else residuals.rear_position),
             "residual of length": _millimetres(nan if residuals is None else residuals.length),
             "residual of power": _watts(nan if residuals is None else residuals.power),

@@ -20,23 +20,6 @@ _MOST_GAITS = 200
 _numbers: Iterator[int] = count(1)  # of recorders
 
 
-def home(node: OperatorNode) -> str:
-    """Take the present length as the initial one."""
-    return node.home()
-
-
-def activate(node: OperatorNode) -> str:
-    """Turn the torque on."""
-    node.activate()
-    return "the driver is active, its torque is on"
-
-
-def deactivate(node: OperatorNode) -> str:
-    """Bring the robot to rest and turn the torque off."""
-    node.deactivate()
-    return "the robot is at rest, its torque is off"
-
-
 def emergency_stop_off(node: OperatorNode) -> str:
     """Permit starts again."""
     node.emergency_stop(on=False)

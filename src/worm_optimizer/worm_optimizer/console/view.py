@@ -97,18 +97,16 @@ class Sample:
 
 def sample(snapshot: Snapshot, now: float) -> Sample:
     """The numbers of now, NaN where their topic is silent."""
-
-    def length(source: LengthSource, topic: str) -> float:
-        heard = live(snapshot, f"body_length/{topic}", now)
-        return snapshot.lengths.get(source, math.nan) if heard else math.nan
-
+    lengths = {
+        source.name.lower(): snapshot.lengths.get(source, math.nan)
+        if live(snapshot, f"body_length/{source.name.lower()}", now)
+        else math.nan
+        for source in LengthSource
+    }
     twin = snapshot.twin if live(snapshot, "twin/state", now) else None
     return Sample(
         time=now,
-        commanded=length(LengthSource.COMMANDED, "commanded"),
-        cable=length(LengthSource.CABLE, "cable"),
-        measured=length(LengthSource.MEASURED, "measured"),
-        estimated=length(LengthSource.ESTIMATED, "estimated"),
+        **lengths,
         power=snapshot.power if live(snapshot, "power", now) else math.nan,
         predicted=math.nan if twin is None else twin.power,
     )

@@ -33,6 +33,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from worm_model.gait import FORWARD
+from worm_model.twin.records import Activity, Health
 from worm_msgs import network
 from worm_msgs.msg import (
     GaitPrediction,
@@ -84,14 +85,8 @@ _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
 }
-_STATES = {
-    getattr(GaitState, name): name
-    for name in ("INACTIVE", "IDLE", "RESTING", "RUNNING", "STOPPING", "FAULT")
-}
-_HEALTH = {
-    getattr(TwinResiduals, name): name.lower()
-    for name in ("UNKNOWN", "HEALTHY", "SUSPECT", "FAULTY")
-}
+_STATES = {state.value: state.name for state in Activity}
+_HEALTH = {health.value: health.name.lower() for health in Health}
 _Goal = TypeVar("_Goal", bound=ActionGoal)
 
 
@@ -113,7 +108,7 @@ class _NoAnswerError(OperatorError):
 
 @contextmanager
 def operator(
-    namespace: str, check: Callable[[], None], name: str = "operator"
+    namespace: str, check: Callable[[], None] = lambda: None, name: str = "operator"
 ) -> Iterator[OperatorNode]:
     """An operator's node with a ROS context of its own, in which signals stay Python's.
 
@@ -308,36 +303,34 @@ class OperatorNode(Node):
         self.wait(lambda: _TELEMETRY.keys() <= self._heard.keys(), TELEMETRY_S)
         return _state_of(self._state(DRIVER).label, self._heard)
 
-    def activate(self, node: str = DRIVER, attempts: int = ATTEMPTS) -> None:
-        """Configure and activate a lifecycle node; raises `OperatorError` if it does not get there.
-
-        ``attempts`` counts transitions: 2 are needed from unconfigured to active.
-        """
+    def activate(self) -> str:
+        """Configure and activate the driver; returns what was done. Raises `OperatorError` if it does not get there."""
         asked = 0
-        while (state := self._state(node)).id != State.PRIMARY_STATE_ACTIVE:
-            if state.id not in _NEXT or asked == attempts:
-                raise OperatorError(f"{node} stays {state.label}: {self._reason()}")
+        while (state := self._state(DRIVER)).id != State.PRIMARY_STATE_ACTIVE:
+            if state.id not in _NEXT or asked == ATTEMPTS:
+                raise OperatorError(f"{DRIVER} stays {state.label}: {self._reason()}")
             asked += 1
             self._errors.clear()
-            self._change(node, _NEXT[state.id])
+            self._change(DRIVER, _NEXT[state.id])
+        return "the driver is active, its torque is on"
 
-    def configure(self, node: str = DRIVER) -> None:
-        """Configure a lifecycle node that is not yet; raises `OperatorError` if it cannot be."""
-        if self._state(node).id == State.PRIMARY_STATE_UNCONFIGURED:
+    def configure(self) -> None:
+        """Configure a driver that is not yet; raises `OperatorError` if it cannot be."""
+        if self._state(DRIVER).id == State.PRIMARY_STATE_UNCONFIGURED:
             self._errors.clear()
-            if not self._change(node, Transition.TRANSITION_CONFIGURE):
-                raise OperatorError(f"{node} cannot be configured: {self._reason()}")
+            if not self._change(DRIVER, Transition.TRANSITION_CONFIGURE):
+                raise OperatorError(f"{DRIVER} cannot be configured: {self._reason()}")
 
-    def deactivate(self, node: str = DRIVER) -> None:
-        """Deactivate a lifecycle node that is active; a driver comes to rest and turns its torque off.
+    def deactivate(self) -> str:
+        """Have a driver that is active come to rest and turn its torque off; returns what was done.
 
         Raises `OperatorError` if it stays active.
         """
-        if self._state(node).id != State.PRIMARY_STATE_ACTIVE:
-            return
-        self._errors.clear()
-        if not self._change(node, Transition.TRANSITION_DEACTIVATE):
-            raise OperatorError(f"{node} does not deactivate: {self._reason()}")
+        if self._state(DRIVER).id == State.PRIMARY_STATE_ACTIVE:
+            self._errors.clear()
+            if not self._change(DRIVER, Transition.TRANSITION_DEACTIVATE):
+                raise OperatorError(f"{DRIVER} does not deactivate: {self._reason()}")
+        return "the robot is at rest, its torque is off"
 
     def home(self) -> str:
         """Take the present cable length as the initial one; returns what was done. Raises `OperatorError`."""

@@ -28,6 +28,7 @@ from worm_optimizer.orders import Order, RunProgress, RunResult
 
 READY_TIMEOUT_S = 120.0  # of a node on a busy computer
 CYCLES = 5
+AFTERWARDS_S = 2.0  # of rest that end a recording; the slack of a resting cable comes back in it
 RECORDER = "recorder"  # name of the node in system.yaml
 BUSY = 1.5  # load average per processor from where it may be the cause of a failure
 _TO_REST = (
@@ -181,14 +182,15 @@ def recording(
 ) -> Iterator[None]:
     """A recorder of its own for what happens meanwhile, under a name that no other process and node has.
 
-    It hears every topic before anything happens, and its bag is whole afterwards. Raises `ProcessError` or
-    `OperatorError`.
+    It hears every topic before anything happens and some rest afterwards, when its bag is whole. Raises
+    `ProcessError` or `OperatorError`.
     """
     words = tuple(word for word in recorder.arguments if word != _TO_REST)
     own = replace(recorder, name=name, arguments=words)
     start_node(group, own, node.get_namespace().strip("/"), name)
     node.wait_for_recorder(name, left_out(recorder))
     yield
+    node.rest(AFTERWARDS_S)
     group.end(name)
 
 

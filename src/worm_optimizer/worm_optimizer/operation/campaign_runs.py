@@ -25,7 +25,6 @@ from worm_optimizer.orders import Order
 Prepare = Callable[[Session, str], None]
 
 _UNUSED = {"optimizer", RECORDER}  # the front is known; each gait has a recorder of its own
-_AFTERWARDS_S = 2.0  # of rest that end a recording; the slack of a resting cable comes back in it
 _ELSEWHERE = "the robot began elsewhere than it was left, perhaps with its fins bent"
 _TRACKER = "tracker"
 _NO_TRACKER = "start the node of the camera in the robot's namespace, or no speed can be measured"
@@ -126,4 +125,3 @@ def _record_gait(running: Session, system: System, name: str, order: Order) -> N
     running.say(f"{name}: {order}")
     with recording(running.group, running.node, system.node(RECORDER), f"{RECORDER}_{name}"):
         running.run_gait(order)
-        running.node.rest(_AFTERWARDS_S)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from worm_model.bags.bag_metadata import METADATA_FILE
 from worm_model.errors import InputError
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import (
@@ -18,13 +19,11 @@ from worm_optimizer.operation.bring_up import (
 )
 from worm_optimizer.operation.processes import ProcessGroup
 
-AFTERWARDS_S = 2.0  # of rest that end a recording
-
 
 def new_bag(folder: Path) -> Path:
     """A bag that is not there yet in a folder, which is made. Raises `InputError`."""
     folder = folder.resolve()
-    if (folder / "metadata.yaml").exists():
+    if (folder / METADATA_FILE).exists():
         raise InputError(f"{folder}: this is a bag; give the folder that holds the bags")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -38,7 +37,7 @@ def new_bag(folder: Path) -> Path:
 
 @contextmanager
 def recorded(node: OperatorNode, bag: Path, parameter_file: str, name: str) -> Iterator[None]:
-    """A recorder of a name of its own, until the context and some rest have ended; see `recording`."""
+    """A recorder of a name of its own, until the context has ended; see `recording`."""
     system = installed_system_file().system(
         "robot",
         node.get_namespace().strip("/"),
@@ -51,4 +50,3 @@ def recorded(node: OperatorNode, bag: Path, parameter_file: str, name: str) -> I
         recording(group, node, system.node(RECORDER), f"{RECORDER}_{name}"),
     ):
         yield
-        node.rest(AFTERWARDS_S)

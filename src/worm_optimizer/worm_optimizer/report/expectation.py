@@ -33,7 +33,7 @@ POWER_HALF_WIDTHS: Mapping[str, float] = {
 SAMPLES = 500
 SEED = 1
 _STREAM = 1000  # of the random numbers, apart from those of the parameters of motion
-_NORMAL_95 = 1.959963984540054
+NORMAL_95 = 1.959963984540054  # standard deviations within which a normal variable lies in 95 %
 _STEADY = (CYCLES - AVERAGED + 1, CYCLES)
 _TAIL = 2.5  # percent beyond each end of a 95 % interval
 
@@ -113,7 +113,7 @@ def _power_draws(content: ParameterFile) -> dict[str, np.ndarray]:
     for key, width in POWER_HALF_WIDTHS.items():
         value = values[key]
         low, high = content.intervals.get(key, (value * (1.0 - width), value * (1.0 + width)))
-        deviate = deviates[key] / _NORMAL_95
+        deviate = deviates[key] / NORMAL_95
         drawn = value + np.where(deviate > 0.0, deviate * (high - value), deviate * (value - low))
         draws[key] = np.clip(drawn, 0.1 * value, 10.0 * value)
     return draws

@@ -20,13 +20,12 @@ from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import evaluate_gaits
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
-from worm_optimizer.report.expectation import POWER_HALF_WIDTHS
+from worm_optimizer.report.expectation import NORMAL_95, POWER_HALF_WIDTHS
 from worm_optimizer.robustness.uncertainty import half_widths, reach_of
 from worm_optimizer.search.task import Array
 
 FIGURES = ("speed", "power", "cliff_margin")
 LENGTH = "initial_length"
-_NORMAL_95 = 1.959963984540054
 _CUT = 4.0  # standard deviations at which a draw ends, so that it stays admissible
 _LEAST_VARIANCE = 1e-24  # of a figure, below which it does not vary
 
@@ -110,7 +109,7 @@ def _figures(
     values = p.as_dict()
     offset = {
         key: np.where(row > 0.0, row * reach[key][1], row * reach[key][0])
-        for key, row in zip(reach, np.clip(deviates, -_CUT, _CUT) / _NORMAL_95, strict=True)
+        for key, row in zip(reach, np.clip(deviates, -_CUT, _CUT) / NORMAL_95, strict=True)
     }
     drawn = {key: np.maximum(values[key] + row, 0.1 * values[key]) for key, row in offset.items()}
     pitch = drawn.get("pitch", np.full(deviates.shape[1], p.pitch))

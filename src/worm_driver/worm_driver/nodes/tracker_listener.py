@@ -16,23 +16,21 @@ _FRESH = 0.2
 _DISCOVERY = 5.0
 
 
-class TrackerWatch:
+class TrackerListener:
     """Listens to ``tracker``; everything happens in the node's executor thread.
 
     Args:
-        stamps: the node's times.
+        node: that listens.
+        stamps: its times.
+        tell: gets every sample: s monotonic, and the rear module's position in m, NaN while it is hidden.
     """
 
-    def __init__(self, stamps: Stamps) -> None:
+    def __init__(self, node: Node, stamps: Stamps, tell: Callable[[float, float], None]) -> None:
         self._stamps = stamps
+        self._tell = tell
         self._born = time.monotonic()
         self._heard = -math.inf
         self._stillness = Stillness()
-        self._tell: Callable[[float, float], None] = lambda *_: None
-
-    def listen(self, node: Node, tell: Callable[[float, float], None]) -> None:
-        """Tells of every sample: s monotonic, and the rear module's position in m, NaN while it is hidden."""
-        self._tell = tell
         node.create_subscription(Tracker, "tracker", self._on_sample, 100)
 
     def forget(self) -> None:
