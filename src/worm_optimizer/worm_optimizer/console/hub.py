@@ -49,9 +49,9 @@ class Hub:
         """Add this moment to the history; see `History.add`."""
         self.history.add(self.snapshot())
 
-    def wanted(self) -> bool:
-        """Whether what runs is still wanted: nobody has pressed STOP, and the page that holds control lives."""
-        return self.control.held and not self.worker.stopped
+    def unwanted(self) -> str:
+        """Why what runs is not wanted any more, empty: nobody has stopped it, and the page that holds control lives."""
+        return self.worker.stopped or self.control.loss
 
     def numbers(self, now: float) -> dict[str, str]:
         """The table of the live page; a dash for what is silent."""

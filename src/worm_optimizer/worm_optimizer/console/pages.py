@@ -26,6 +26,7 @@ from worm_optimizer.console.view import SAMPLE_S, state_words
 
 WORDS_S = 0.25
 _BEAT_MS = 500
+_WITHOUT = "this page does not hold control"
 # The space bar stops, whatever has the focus, but for where one writes; and the page says that it lives.
 _SCRIPT = f"""<script>
 addEventListener("keydown", (event) => {{
@@ -87,6 +88,7 @@ class ConsolePage:
     ) -> None:
         self._hub, self._access, self._client = hub, access, client
         self._session, self._id = session, client.id
+        self._lost = _WITHOUT
         self._told = hub.words[-1] if hub.words else None
         ui.add_head_html(_STYLE + _SCRIPT)
         ui.on("beat", self._beat)
@@ -108,11 +110,11 @@ class ConsolePage:
             with ui.tab_panel(live):
                 LivePage(hub)
             with ui.tab_panel(act):
-                ActPage(hub, self._controls)
+                ActPage(hub, self._forbidden)
             with ui.tab_panel(recordings):
                 shelf = RecordingsPage(hub)
             with ui.tab_panel(studied):
-                StudiesPage(hub, studies, self._controls, shelf.chosen)
+                StudiesPage(hub, studies, self._forbidden, shelf.chosen)
         tabs.on_value_change(lambda event: shelf.read() if event.value == "Recordings" else None)
         self._foot()
         ui.timer(WORDS_S, self._tell)
@@ -136,8 +138,13 @@ class ConsolePage:
 
     # --- control -----------------------------------------------------------------------------
 
-    def _controls(self) -> bool:
-        return self._hub.control.is_held_by(self._id) and self._access.is_open(self._session)
+    def _forbidden(self) -> str:
+        """Why this page may move nothing, empty: it may."""
+        if not self._access.is_open(self._session):
+            return "the session has ended: sign in"
+        if self._hub.control.is_held_by(self._id):
+            return ""
+        return f"{self._lost}: {_control_words(self._hub, self._id)}"
 
     def _beat(self) -> None:
         if self._access.is_open(self._session):
@@ -145,13 +152,21 @@ class ConsolePage:
 
     def _leave(self) -> None:
         if not self._client.has_socket_connection:
-            self._hub.control.release(self._id)
+            self._lose("this page lost its connection, and control with it")
+
+    def _lose(self, why: str) -> None:
+        """Let go of control, and say why where somebody comes back to this page."""
+        if self._hub.control.is_held_by(self._id):
+            self._lost = why
+        self._hub.control.release(self._id)
 
     def _take_control(self) -> None:
-        if self._controls():
-            self._hub.control.release(self._id)
-        elif self._access.is_open(self._session) and not self._hub.control.take(self._id):
-            ui.notify("another page holds control; it was asked to hand it over")
+        if not self._forbidden():
+            self._lose(_WITHOUT)
+        elif self._access.is_open(self._session):
+            self._lost = _WITHOUT
+            if not self._hub.control.take(self._id):
+                ui.notify("another page holds control; it was asked to hand it over")
         self._tell()
 
     def _hand_over(self) -> None:

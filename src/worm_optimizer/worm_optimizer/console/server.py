@@ -14,11 +14,10 @@ _RECONNECT_S = 15.0  # for which a page is kept that lost its connection, or is 
 
 
 def serve(hub: Hub, access: Access, host: str, port: int) -> None:
-    """Serve the pages until a signal comes; the worker ends with them."""
+    """Serve the pages until a signal comes; the worker begins with them, and is left to whoever made it."""
     build(hub, access)
     app.add_middleware(Guard, access=access)
     app.on_startup(hub.worker.start)
-    app.on_shutdown(hub.worker.close)
     ui.run(
         host=host,
         port=port,

@@ -56,21 +56,15 @@ def state_words(snapshot: Snapshot, now: float) -> str:
     return f"emergency stop, {words}" if driver.emergency_stop else words
 
 
-def obstacles(snapshot: Snapshot, *, hindrance: str, controls: bool) -> dict[str, str]:
+def obstacles(snapshot: Snapshot, hindrance: str) -> dict[str, str]:
     """Why each action cannot be pressed now, empty where it can be.
 
-    ``hindrance`` says why nothing can be asked for, empty: something can; ``controls`` whether the page holds control.
+    ``hindrance`` says why nothing at all can be asked for, empty: something can.
     """
     driver = snapshot.driver
-    common = ""
-    if not controls:
-        common = "this page does not hold control: Take control"
-    elif hindrance:
-        common = hindrance
-    elif driver is None:
-        common = "no driver is heard"
-    if common or driver is None:
-        return dict.fromkeys(("Home", "Activate", "Deactivate", "Run"), common)
+    if hindrance or driver is None:
+        why = hindrance or "no driver is heard"
+        return dict.fromkeys(("Home", "Activate", "Deactivate", "Run"), why)
     off = driver.state is Activity.INACTIVE
     moving = "the robot moves" if driver.state in MOVING else ""
     blocked = "the emergency stop is on" if driver.emergency_stop else ""

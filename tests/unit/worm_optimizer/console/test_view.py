@@ -71,13 +71,13 @@ def test_silent_numbers_are_not_shown_as_the_present():
     ],
 )
 def test_what_can_be_pressed_follows_from_the_state(given: Snapshot, pressable: set[str]):
-    reasons = obstacles(given, hindrance="", controls=True)
+    reasons = obstacles(given, "")
     assert {name for name, reason in reasons.items() if not reason} == pressable
 
 
-def test_nothing_can_be_pressed_without_control_or_while_busy():
-    for hindrance, controls in (("wait: homing", True), ("", False)):
-        assert all(obstacles(snapshot(), hindrance=hindrance, controls=controls).values())
+def test_what_hinders_all_is_the_reason_at_each():
+    assert set(obstacles(snapshot(), "wait: homing").values()) == {"wait: homing"}
+    assert set(obstacles(Snapshot(), "").values()) == {"no driver is heard"}
 
 
 def test_the_state_is_told_in_words():
