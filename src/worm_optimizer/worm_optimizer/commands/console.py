@@ -106,6 +106,8 @@ def _console(options: argparse.Namespace) -> int:
             with suppress(KeyboardInterrupt), termination_as_interrupt():  # the way to end it
                 serve(hub, Access(secret, time.monotonic), options.listen, options.port)
         finally:
+            if worker.busy:
+                say("what goes on comes to its end; Ctrl-C once more holds the robot at once")
             worker.close(impatient=lambda: interrupts() > 0)
     return FAILED if worker.failure else 0
 

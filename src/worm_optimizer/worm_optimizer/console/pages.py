@@ -12,6 +12,7 @@ from fastapi.responses import FileResponse, PlainTextResponse
 from nicegui import Client, app, ui
 from starlette.background import BackgroundTask
 
+from worm_model.analysis.plot_style import BLUE
 from worm_model.errors import InputError
 from worm_optimizer.console.access import Access
 from worm_optimizer.console.act_page import ActPage
@@ -44,7 +45,9 @@ _STYLE = (
 .scene svg { width: 100%; max-height: 36vh; display: block }
 .worm .pipe { fill: #8d8d99 } .worm .robot { fill: #2659bf } .worm .ghost { fill: #e6b422; opacity: .45 }
 .worm .bellows { opacity: .5 } .worm .ghost.bellows { opacity: .25 } .worm .fins { opacity: .9 }
-.worm text { font: 8px sans-serif; fill: currentColor } .worm path.scale { stroke: currentColor; stroke-width: 1.5 }
+.worm text { font: 8px sans-serif; fill: currentColor }
+@media (max-width: 600px) { .worm text { font-size: 14px } }
+.worm path.scale { stroke: currentColor; stroke-width: 1.5 }
 .numbers .value { text-align: right; font-variant-numeric: tabular-nums }
 .silent { color: #c62828 } .body--dark .silent { color: #ff8a80 }
 .stop { font-weight: 700; font-size: 1.4rem; min-height: 3.2rem; min-width: 9rem }
@@ -94,6 +97,7 @@ class ConsolePage:
         ui.on("beat", self._beat)
         client.on_disconnect(self._leave)
         client.on_delete(lambda: hub.control.release(self._id))
+        ui.colors(primary=BLUE)  # on which white is read in the sun
         dark = ui.dark_mode(None)
         with ui.header().classes("items-center gap-2 q-py-xs"):
             ui.label("worm").classes("text-h6")
