@@ -10,11 +10,9 @@ from typing import Any
 from nicegui import ui
 
 from worm_model.analysis.plot_style import BLUE, GREEN, VERMILION
-from worm_model.gait import FORWARD
 from worm_optimizer.console.hub import Hub
 from worm_optimizer.console.page_chart import chart
-from worm_optimizer.console.picture import picture
-from worm_optimizer.console.view import REMEMBERED_S, Sample, live, silences, twin_words
+from worm_optimizer.console.view import REMEMBERED_S, Sample, silences, twin_words
 
 FRAME_S = 1.0 / 30.0
 WORDS_S = 0.25
@@ -59,13 +57,7 @@ class LivePage:
     def _draw(self) -> None:
         if self._pause.value:
             return
-        snapshot = self._hub.snapshot()
-        driver = snapshot.driver
-        direction = driver.direction if driver is not None and driver.direction else FORWARD
-        heard = live(snapshot, "twin/state", time.monotonic())
-        drawn = picture(
-            snapshot.twin if heard else None, snapshot.robot, self._hub.parameters, direction
-        )
+        drawn = self._hub.picture()
         if drawn != self._drawn:
             self._drawn = drawn
             self._scene.set_content(drawn)

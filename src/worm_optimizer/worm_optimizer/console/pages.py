@@ -27,16 +27,19 @@ from worm_optimizer.console.view import SAMPLE_S, state_words
 
 WORDS_S = 0.25
 _BEAT_MS = 500
+_READ_ONLY = {"content-security-policy": "sandbox"}  # a bag of elsewhere has no script run here
 _WITHOUT = "this page does not hold control"
-# The space bar stops, whatever has the focus, but for where one writes; and the page says that it lives.
+# The space bar stops, whatever has the focus, but for where one writes, and does nothing else when it comes up again,
+# as at the button that has the focus; and the page says that it lives.
 _SCRIPT = f"""<script>
-addEventListener("keydown", (event) => {{
+const stopBySpace = (event) => {{
   const written = event.target.closest?.("input:not([type=checkbox], [readonly]), textarea");
-  if (event.code === "Space" && !written) {{
-    event.preventDefault(); event.stopPropagation();
-    if (!event.repeat) document.querySelector("#stop").click();
-  }}
-}}, true);
+  if (event.code !== "Space" || written) return;
+  event.preventDefault(); event.stopPropagation();
+  if (event.type === "keydown" && !event.repeat) document.querySelector("#stop").click();
+}};
+addEventListener("keydown", stopBySpace, true);
+addEventListener("keyup", stopBySpace, true);
 addEventListener("load", () => setInterval(() => emitEvent("beat"), {_BEAT_MS}));
 </script>"""
 _STYLE = (
@@ -51,6 +54,7 @@ _STYLE = (
 .numbers .value { text-align: right; font-variant-numeric: tabular-nums }
 .silent { color: #c62828 } .body--dark .silent { color: #ff8a80 }
 .stop { font-weight: 700; font-size: 1.4rem; min-height: 3.2rem; min-width: 9rem }
+.q-footer { z-index: 9000 } .q-notifications__list--bottom { bottom: 9rem } /* nothing ever covers STOP */
 </style>"""
 )
 
@@ -66,7 +70,8 @@ def build(hub: Hub, access: Access) -> None:
     @app.get("/reports/{name:path}")
     def report(name: str) -> Response:
         try:
-            return FileResponse(hub.shelf.report(name), media_type="text/html")
+            page = hub.shelf.report(name)
+            return FileResponse(page, media_type="text/html", headers=_READ_ONLY)
         except InputError as error:
             return PlainTextResponse(str(error), 404)
 
