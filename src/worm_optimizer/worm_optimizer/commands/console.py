@@ -11,7 +11,7 @@ import socket
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from worm_model.commands.command_line import FAILED, InputError, Parser, run_command
@@ -19,7 +19,7 @@ from worm_model.parameters import load_parameters
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
 from worm_optimizer.operation.bring_up import Check, ProgressLog, Say, session
-from worm_optimizer.operation.processes import counted_interrupts, termination_as_interrupt
+from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.system import RESTARTS
 
 PORT = 8080
@@ -103,12 +103,12 @@ def _console(options: argparse.Namespace) -> int:
     say(f"{address}{token} (Ctrl-C ends it)")
     with counted_interrupts() as interrupts:
         try:
-            with suppress(KeyboardInterrupt), termination_as_interrupt():  # the way to end it
-                serve(hub, Access(secret, time.monotonic), options.listen, options.port)
+            access = Access(secret, time.monotonic)
+            serve(hub, access, options.listen, options.port, interrupts)
         finally:
             if worker.busy:
                 say("what goes on comes to its end; Ctrl-C once more holds the robot at once")
-            worker.close(impatient=lambda: interrupts() > 0)
+            worker.close(impatient=lambda: interrupts() > 1)
     return FAILED if worker.failure else 0
 
 
