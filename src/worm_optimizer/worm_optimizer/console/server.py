@@ -21,7 +21,7 @@ _RECONNECT_S = 15.0  # for which a page is kept that lost its connection, or is 
 def serve(hub: Hub, access: Access, host: str, port: int, ended: Callable[[], int]) -> None:
     """Serve the pages until they have ``ended``; the worker begins with them, and is left to whoever made it."""
     # The server's own handlers would at a second signal leave all that it has begun.
-    Server.capture_signals = lambda _: nullcontext()  # type: ignore[method-assign]
+    Server.capture_signals = lambda _: nullcontext()
     app.timer(_LOOK_S, lambda: app.shutdown() if ended() else None)
     build(hub, access)
     app.add_middleware(Guard, access=access)
