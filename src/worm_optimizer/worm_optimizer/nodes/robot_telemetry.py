@@ -75,8 +75,18 @@ class Telemetry:
             robot=_robot_at(newest.get("twin/state"), list(self._sightings)),
             lengths={s: newest[topic].length for s, topic in _LENGTHS.items() if topic in newest},
             power=power.power if power is not None else math.nan,
+            twin_age=_between(
+                newest.get("twin/state"), newest.get(_LENGTHS[LengthSource.COMMANDED])
+            ),
             heard={topic: at for topic, (at, _) in heard.items()},
         )
+
+
+def _between(earlier: Any, later: Any) -> float:
+    """Time between the stamps of two messages in s, NaN where there are not both."""
+    if earlier is None or later is None:
+        return math.nan
+    return 1e-9 * (nanoseconds(later.header.stamp) - nanoseconds(earlier.header.stamp))
 
 
 def _driver_of(message: Any) -> DriverWord | None:
