@@ -6,6 +6,7 @@ import re
 import runpy
 import shutil
 import signal
+from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -234,6 +235,7 @@ def test_the_frame_of_a_cameras_images_hangs_on_its_pose():
     context = LaunchContext()
     given = {"namespace": "worm", "rviz": "false", "camera": "0.1 -0.4 0 1.57 0 0"}
     context.launch_configurations.update(given)
+    context.extend_locals({"ros_specific_arguments": defaultdict(str)})  # as of nodes that start
     _, *frames = runpy.run_path(str(path))["_start"](context)
     words = [
         " ".join(perform_substitutions(context, part) for part in node.cmd[1:]) for node in frames
