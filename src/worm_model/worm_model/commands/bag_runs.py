@@ -13,6 +13,7 @@ import yaml
 
 from worm_model.analysis.replay_metrics import RunReport, report_replay
 from worm_model.analysis.run_metrics import (
+    END_TOLERANCE_NS,
     PlayedGait,
     RecordingError,
     accumulated_energy,
@@ -118,7 +119,9 @@ def _row(
 
 
 def _last(run: Run, played: PlayedGait) -> int:
-    return played.end if played.end is not None else int(np.max(run.commanded.stamp, initial=0))
+    if played.end is not None:
+        return played.end + END_TOLERANCE_NS
+    return int(np.max(run.commanded.stamp, initial=0))
 
 
 def _rate(window: Any, samples: Any, name: str) -> float:
