@@ -4,6 +4,7 @@
 import os
 import re
 import shutil
+import signal
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,6 +31,7 @@ TIMEOUT_S = (
     240.0  # a kernel that is not compiled and a front that is not kept yet, on a busy machine
 )
 PASSWORD = "dirty hands"
+BAGS = Path(__file__).parents[2] / "bags"
 HEAVIER = Parameters(rear_mass=0.45)
 
 
@@ -155,6 +157,15 @@ def test_closing_the_page_during_a_run_stops_it(
     other = browser.new_page()
     console.open(other)
     expect(other.get_by_role("button", name="Ask for control")).to_be_visible()
+    page.evaluate(
+        "window.socket.io.engine.close()"
+    )  # it connects again at once, but without control
+    expect(
+        page.get_by_text("lost its connection, and control with it: Take control")
+    ).to_be_visible()
+    press(other, "Take control")
+    press(page, "Ask for control")
+    press(other, "Hand over")
     press(page, "Run")
     expect(state(other)).to_contain_text("running")
     expect(other.get_by_role("button", name="Stop", exact=True)).to_be_enabled()
@@ -165,12 +176,51 @@ def test_closing_the_page_during_a_run_stops_it(
     other.close()
 
 
+def test_two_runs_are_compared(page: "sync_api.Page", processes: Processes, tmp_path: Path):
+    expect = sync_api.expect
+    console = Console(processes, tmp_path)
+    for name in ("forward", "reverse"):
+        shutil.copytree(BAGS / name, console.bags / name)
+    console.open(page)
+    page.get_by_role("tab", name="Recordings").click()
+    press(page, "Compare two")
+    expect(page.get_by_text("choose two bags in the list")).to_be_visible()
+    for name in ("forward", "reverse"):
+        page.get_by_role("row", name=name).get_by_role("checkbox").click()
+    press(page, "Compare two")
+    report = page.frame_locator('iframe[title="Report"]')
+    for name in ("forward", "reverse"):
+        expect(report.get_by_role("heading").first).to_contain_text(name)
+    expect(report.get_by_role("heading", name="All runs")).to_be_visible()
+
+
+@pytest.mark.parametrize(
+    ("line", "signals"),
+    [
+        ("Ctrl-C ends it", [signal.SIGTERM]),
+        ("starting virtual_robot", [signal.SIGINT, signal.SIGINT]),
+        ("starting driver", [signal.SIGINT]),
+        ("ready$", [signal.SIGINT, signal.SIGTERM]),
+    ],
+)
+def test_a_signal_at_any_moment_ends_it_and_all_that_it_started(
+    console: Console, line: str, signals: list[signal.Signals], tmp_path: Path
+):
+    console.process.wait_for_line(line, TIMEOUT_S)
+    for number in signals:
+        console.process.signal(number)
+    assert console.process.wait(TIMEOUT_S) == 0
+    assert "Traceback" not in console.process.output()
+    place = os.fsencode(tmp_path / "robot")
+    commands = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline")]
+    assert not any(place in command for command in commands)
+
+
 def test_gaits_are_searched_and_parameters_identified_beside_all_else(
     page: "sync_api.Page", console: Console
 ):
     expect = sync_api.expect
-    bag = Path(__file__).parents[2] / "bags/forward"
-    shutil.copytree(bag, console.bags / "forward")
+    shutil.copytree(BAGS / "forward", console.bags / "forward")
     write_parameter_file(console.bags / "identified_0.yaml", ParameterFile(HEAVIER))
     console.open(page)
     page.get_by_role("tab", name="Studies").click()

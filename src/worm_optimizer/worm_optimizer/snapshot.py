@@ -46,7 +46,8 @@ class Snapshot:
     """The newest of everything; None or NaN what has not come yet.
 
     ``lengths`` in m by their source, ``power`` in W as measured. ``heard`` says when each topic was heard last (s, on
-    the clock that the reader uses, too); topics that never were are missing in it.
+    the clock that the reader uses, too); topics that never were are missing in it. ``twin_age`` is how much older the
+    twin's state is than the driver's command, in s of the robot's time.
     """
 
     driver: DriverWord | None = None
@@ -55,4 +56,5 @@ class Snapshot:
     robot: Sighting = field(default_factory=Sighting)
     lengths: Mapping[LengthSource, float] = field(default_factory=dict)
     power: float = math.nan
+    twin_age: float = math.nan
     heard: Mapping[str, float] = field(default_factory=dict)

@@ -11,15 +11,16 @@ import socket
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from worm_model.commands.command_line import FAILED, InputError, Parser, run_command
 from worm_model.parameters import load_parameters
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
-from worm_optimizer.operation.bring_up import ProgressLog, Say, session
-from worm_optimizer.operation.system import RESTARTS, System
+from worm_optimizer.operation.bring_up import Check, ProgressLog, Say, session
+from worm_optimizer.operation.processes import counted_interrupts
+from worm_optimizer.operation.system import RESTARTS
 
 PORT = 8080
 
@@ -91,8 +92,8 @@ def _console(options: argparse.Namespace) -> int:
     namespace = "/" + options.namespace.strip("/")
     name = f"console_{os.getpid()}"
     worker = RobotWorker(
-        _robot_opener(options, namespace, name),
-        lambda: operator(namespace, name=f"{name}_stop"),
+        _robot_opener(options, namespace, name, say),
+        lambda check: operator(namespace, check, f"{name}_stop"),
         tell,
     )
     control = Control(time.monotonic)
@@ -100,38 +101,38 @@ def _console(options: argparse.Namespace) -> int:
     address = f"http://{_named(options.listen)}:{options.port}/"
     token = f"?token={secret}" if secret and not options.password_file else ""
     say(f"{address}{token} (Ctrl-C ends it)")
-    with suppress(KeyboardInterrupt):  # the way to end it
-        serve(hub, Access(secret, time.monotonic), options.listen, options.port)
+    with counted_interrupts() as interrupts:
+        try:
+            access = Access(secret, time.monotonic)
+            serve(hub, access, options.listen, options.port, interrupts)
+        finally:
+            if worker.busy:
+                say("what goes on comes to its end; Ctrl-C once more holds the robot at once")
+            worker.close(impatient=lambda: interrupts() > 1)
     return FAILED if worker.failure else 0
 
 
 def _robot_opener(
-    options: argparse.Namespace, namespace: str, name: str
-) -> Callable[[Say], AbstractContextManager[OperatorNode]]:
-    """Opens the operator of a graph that runs, or of one that is brought up first."""
+    options: argparse.Namespace, namespace: str, name: str, note: Say
+) -> Callable[[Say, Check], AbstractContextManager[OperatorNode]]:
+    """Opens the operator of a graph that runs, or of one that is brought up first; ``note`` tells the terminal."""
     robot = robot_of(options, "virtual" if options.virtual else "robot")
     system = robot.file.system(robot.mode, namespace.strip("/"), **robot.settings)
 
     @contextmanager
-    def opened(say: Say) -> Iterator[OperatorNode]:
+    def opened(say: Say, check: Check) -> Iterator[OperatorNode]:
         if options.virtual:
-            with _graph(system, say) as node:
-                yield node
+            logs = Path(tempfile.mkdtemp(prefix="worm_console_"))
+            note(f"the logs of all nodes go to {logs}")
+            with session(system, logs, say, RESTARTS, check) as running:
+                running.node.configure()
+                say("ready")
+                yield running.node
         else:
-            with operator(namespace, name=name) as node:
+            with operator(namespace, check, name) as node:
                 yield node
 
     return opened
-
-
-@contextmanager
-def _graph(system: System, say: Say) -> Iterator[OperatorNode]:
-    logs = Path(tempfile.mkdtemp(prefix="worm_console_"))
-    say(f"the logs of all nodes go to {logs}")
-    with session(system, logs, say, RESTARTS) as running:
-        running.node.configure()
-        say("ready")
-        yield running.node
 
 
 def _secret(options: argparse.Namespace) -> str:

@@ -24,6 +24,7 @@ from worm_optimizer.search.gait_request import GaitRequest, Objective, RequestSt
 from worm_optimizer.search.optimizer_errors import OptimizerError
 
 WORDS_S = 0.25
+_RECORDED = "Every run is recorded."
 _SHOWN = {
     "stroke": ("stroke", 1e3, "mm"),
     "frequency": ("frequency", 1.0, "Hz"),
@@ -42,10 +43,10 @@ _SHOWN = {
 
 
 class ActPage:
-    """``controls`` says whether this page holds control."""
+    """``forbidden`` says why this page may move nothing, empty: it may."""
 
-    def __init__(self, hub: Hub, controls: Callable[[], bool]) -> None:
-        self._hub, self._controls = hub, controls
+    def __init__(self, hub: Hub, forbidden: Callable[[], str]) -> None:
+        self._hub, self._forbidden = hub, forbidden
         self._chosen: Prediction | None = None
         self._shown: list[Prediction] = []
         self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}
@@ -76,7 +77,7 @@ class ActPage:
     def _front(self) -> None:
         with ui.row().classes("items-center gap-2"):
             self._direction = ui.toggle({FORWARD: "Forward", REVERSE: "Reverse"}, value=FORWARD)
-            ui.button("Read front", on_click=self._read)
+            self._button("Read front", self._read)
         self._plot = _plot(self._click)
         with ui.row().classes("items-center gap-2"):
             ui.button("Slower gait", on_click=lambda: self._step(-1))
@@ -96,13 +97,13 @@ class ActPage:
             self._count = ui.number("How many", value=CYCLES, min=1, precision=0).classes("w-24")
             self._unit = ui.toggle(["cycles", "grooves"], value="cycles")
         self._button("Run", self._run)
-        ui.label("Every run is recorded.")
+        self._why_not = ui.label(_RECORDED)
 
     # --- what is pressed ---------------------------------------------------------------------
 
     def _ask(self, doing: str, act: Callable[[OperatorNode], str]) -> None:
-        if not self._controls():
-            ui.notify("this page does not hold control: Take control", type="warning")
+        if why := self._forbidden():
+            ui.notify(why, type="warning")
         elif not self._hub.worker.ask(doing, act):
             ui.notify(self._hub.worker.hindrance, type="warning")
 
@@ -111,15 +112,12 @@ class ActPage:
         length = 0.0 if twin is None else twin.initial_length
 
         def read(node: OperatorNode) -> str:
-            found = page_actions.read_front(node, direction, length, self._say)
+            found = page_actions.read_front(node, direction, length, self._hub.worker.going)
             self._hub.fronts[direction] = found
             return f"the front has {len(found)} gaits"
 
         if not self._hub.worker.ask("reading the front", read):
             ui.notify(self._hub.worker.hindrance, type="warning")
-
-    def _say(self, text: str) -> None:
-        self._hub.worker.busy = text
 
     def _click(self, event: events.EChartPointClickEventArguments) -> None:
         self._choose(self._shown[event.data_index])
@@ -168,7 +166,7 @@ class ActPage:
 
         def run(node: OperatorNode) -> str:
             return page_actions.run(
-                node, order, hub.shelf.folder, hub.parameter_file, hub.wanted, progress
+                node, order, hub.shelf.folder, hub.parameter_file, hub.unwanted, progress
             )
 
         self._ask("starting the recorder", run)
@@ -177,9 +175,12 @@ class ActPage:
 
     def _tell(self) -> None:
         snapshot, worker = self._hub.snapshot(), self._hub.worker
-        reasons = obstacles(snapshot, hindrance=worker.hindrance, controls=self._controls())
+        reasons = obstacles(snapshot, self._forbidden() or worker.hindrance)
         if not reasons["Run"] and self._chosen is None:
             reasons["Run"] = "choose a gait on the front first"
+        reasons["Read front"] = worker.hindrance
+        why = reasons["Run"]
+        self._why_not.set_text(f"Run cannot be pressed: {why}" if why else _RECORDED)
         for name, (button, tooltip) in self._buttons.items():
             button.set_enabled(not reasons[name])
             tooltip.set_text(reasons[name])

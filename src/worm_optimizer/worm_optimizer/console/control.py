@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 SILENCE_S = 3.0  # of the page that holds control, which a run puts up with
@@ -54,5 +55,12 @@ class Control:
     @property
     def held(self) -> bool:
         """Whether a page that lives has control: else nobody wants what the robot does."""
-        seen = self._seen.get(self.holder)
-        return bool(self.holder) and seen is not None and self._clock() - seen <= SILENCE_S
+        return not self.loss
+
+    @property
+    def loss(self) -> str:
+        """Why no page has control, in words, empty: one has."""
+        if not self.holder:
+            return "no page holds control"
+        silent = self._clock() - self._seen.get(self.holder, -math.inf) > SILENCE_S
+        return f"the page in control was not heard for {SILENCE_S:g} s" if silent else ""

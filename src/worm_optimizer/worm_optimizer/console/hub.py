@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all pages share: one worker, one snapshot a frame, one minute of history, one holder of control."""
+"""What all pages share: one worker, one snapshot and picture a frame, one minute of history, one holder of control."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import time
 from collections import deque
 from dataclasses import dataclass, field
 
+from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
 from worm_model.twin.records import LengthSource
 from worm_optimizer.console.control import Control
+from worm_optimizer.console.picture import picture
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
 from worm_optimizer.console.shelf import Shelf
 from worm_optimizer.console.view import History, live, sample
@@ -37,6 +39,7 @@ class Hub:
     fronts: dict[int, list[Prediction]] = field(default_factory=dict)
     history: History = field(default_factory=lambda: History(time.monotonic))
     _taken: tuple[float, Snapshot] = (-math.inf, Snapshot())
+    _drawn: tuple[Snapshot | None, str] = (None, "")
 
     def snapshot(self) -> Snapshot:
         """What is known now."""
@@ -45,13 +48,24 @@ class Hub:
             self._taken = (now, self.worker.snapshot())
         return self._taken[1]
 
+    def picture(self) -> str:
+        """The robot in its pipe now, drawn once for all pages."""
+        snapshot = self.snapshot()
+        if snapshot is not self._drawn[0]:
+            heard = live(snapshot, "twin/state", time.monotonic())
+            driver = snapshot.driver
+            direction = driver.direction if driver is not None and driver.direction else FORWARD
+            twin = snapshot.twin if heard else None
+            self._drawn = (snapshot, picture(twin, snapshot.robot, self.parameters, direction))
+        return self._drawn[1]
+
     def remember(self) -> None:
         """Add this moment to the history; see `History.add`."""
         self.history.add(self.snapshot())
 
-    def wanted(self) -> bool:
-        """Whether what runs is still wanted: nobody has pressed STOP, and the page that holds control lives."""
-        return self.control.held and not self.worker.stopped
+    def unwanted(self) -> str:
+        """Why what runs is not wanted any more, empty: nobody has stopped it, and the page that holds control lives."""
+        return self.worker.stopped or self.control.loss
 
     def numbers(self, now: float) -> dict[str, str]:
         """The table of the live page; a dash for what is silent."""

@@ -10,11 +10,9 @@ from typing import Any
 from nicegui import ui
 
 from worm_model.analysis.plot_style import BLUE, GREEN, VERMILION
-from worm_model.gait import FORWARD
 from worm_optimizer.console.hub import Hub
 from worm_optimizer.console.page_chart import chart
-from worm_optimizer.console.picture import picture
-from worm_optimizer.console.view import REMEMBERED_S, Sample, live, silences
+from worm_optimizer.console.view import REMEMBERED_S, Sample, silences, twin_words
 
 FRAME_S = 1.0 / 30.0
 WORDS_S = 0.25
@@ -25,6 +23,7 @@ _LENGTHS = {
     "measured": BLUE,
     "estimated": VERMILION,
 }
+_OF_TWIN = ("estimated", "predicted")
 _POWERS = {"power": BLUE, "predicted": VERMILION}
 _ROWS = (
     *("commanded length", "cable length", "measured length", "estimated length"),
@@ -58,13 +57,7 @@ class LivePage:
     def _draw(self) -> None:
         if self._pause.value:
             return
-        snapshot = self._hub.snapshot()
-        driver = snapshot.driver
-        direction = driver.direction if driver is not None and driver.direction else FORWARD
-        heard = live(snapshot, "twin/state", time.monotonic())
-        drawn = picture(
-            snapshot.twin if heard else None, snapshot.robot, self._hub.parameters, direction
-        )
+        drawn = self._hub.picture()
         if drawn != self._drawn:
             self._drawn = drawn
             self._scene.set_content(drawn)
@@ -74,10 +67,7 @@ class LivePage:
             return
         snapshot, now = self._hub.snapshot(), time.monotonic()
         self._silent.set_text("; ".join(silences(snapshot, now)))
-        residuals = snapshot.residuals if live(snapshot, "twin/residuals", now) else None
-        health = "twin: silent" if residuals is None else f"twin: {residuals.health.name.lower()}"
-        words = "" if residuals is None or not residuals.message else f", {residuals.message}"
-        self._health.set_text(health + words)
+        self._health.set_text(twin_words(snapshot, now))
         for name, text in self._hub.numbers(now).items():
             self._cells[name].set_text(text)
 
@@ -118,7 +108,8 @@ def _fill(shown: ui.echart, samples: list[Sample], lines: dict[str, str], scale:
 def _point(sample: Sample, name: str, now: float, scale: float) -> list[Any]:
     """Seconds ago and the value; no value where there was silence."""
     value = getattr(sample, name)
+    age = sample.twin_age if name in _OF_TWIN else 0.0
     return [
-        round(sample.time - now, 1),
+        round(sample.time - age - now, 1),
         round(scale * value, 3) if math.isfinite(value) else None,
     ]

@@ -40,6 +40,7 @@ def read_front(
     gaits = [request(Objective.MIN_POWER)]
     fastest = request(Objective.MAX_SPEED)
     while gaits[-1].speed < fastest.speed and len(gaits) < _MOST_GAITS:
+        say(f"reading the front: {len(gaits)} gaits")
         try:
             gaits.append(request(Objective.MIN_POWER_AT_SPEED, gaits[-1].speed * _NEXT))
         except UnreachableError:
@@ -62,24 +63,24 @@ def run(
     order: Order,
     folder: Path,
     parameters: str,
-    wanted: Callable[[], bool],
+    unwanted: Callable[[], str],
     progress: Progress,
 ) -> str:
     """Run a gait and record it into a new bag in a folder; what came of it, in words.
 
-    Without ``wanted`` its heartbeat ends, and the robot comes to rest. Raises `OperatorError` or `InputError`.
+    Once ``unwanted`` says why, its heartbeat ends, and the robot comes to rest. Raises `OperatorError` or `InputError`.
     """
     bag = new_bag(folder)
     with recorded(node, bag, parameters, f"console_{os.getpid()}_{next(_numbers)}"):
-        if not wanted():
-            raise OperatorError("not begun: stopped before")
-        going = node.begin(order, wanted)
+        if why := unwanted():
+            raise OperatorError(f"not begun: {why}")
+        going = node.begin(order, lambda: not unwanted())
         try:
             node.follow(going, progress)
-            result = going.result
+            result, why = going.result, unwanted()
         finally:
             going.close()
-    words = f"{result.message}; recorded in {bag.name}"
+    words = f"recorded in {bag.name}"
     if not result.success:
-        raise OperatorError(words)
-    return words
+        raise OperatorError("; ".join(filter(None, (result.message, why, words))))
+    return f"{result.message}; {words}"

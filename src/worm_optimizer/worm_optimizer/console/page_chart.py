@@ -30,19 +30,19 @@ def chart(
         "title": {
             "text": y,
             "left": 0,
-            "top": 0,
+            "top": 2,
             "padding": 0,
             "textStyle": {"fontSize": 13, "fontWeight": "normal"},
         },
         "legend": {
             "show": legend,
             "left": 0,
-            "top": 18,
+            "top": 22,
             "padding": 0,
             "itemWidth": 16,
             "itemHeight": 8,
         },
-        "grid": {"left": 45, "right": 25, "top": 48 if legend else 30, "bottom": 42},
+        "grid": {"left": 45, "right": 25, "top": 50 if legend else 32, "bottom": 42},
         "xAxis": {
             "type": "value",
             "nameLocation": "middle",

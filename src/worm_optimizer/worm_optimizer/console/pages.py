@@ -12,6 +12,7 @@ from fastapi.responses import FileResponse, PlainTextResponse
 from nicegui import Client, app, ui
 from starlette.background import BackgroundTask
 
+from worm_model.analysis.plot_style import BLUE
 from worm_model.errors import InputError
 from worm_optimizer.console.access import Access
 from worm_optimizer.console.act_page import ActPage
@@ -26,15 +27,19 @@ from worm_optimizer.console.view import SAMPLE_S, state_words
 
 WORDS_S = 0.25
 _BEAT_MS = 500
-# The space bar stops, whatever has the focus, but for where one writes; and the page says that it lives.
+_READ_ONLY = {"content-security-policy": "sandbox"}  # a bag of elsewhere has no script run here
+_WITHOUT = "this page does not hold control"
+# The space bar stops, whatever has the focus, but for where one writes, and does nothing else when it comes up again,
+# as at the button that has the focus; and the page says that it lives.
 _SCRIPT = f"""<script>
-addEventListener("keydown", (event) => {{
+const stopBySpace = (event) => {{
   const written = event.target.closest?.("input:not([type=checkbox], [readonly]), textarea");
-  if (event.code === "Space" && !written) {{
-    event.preventDefault(); event.stopPropagation();
-    if (!event.repeat) document.querySelector("#stop").click();
-  }}
-}}, true);
+  if (event.code !== "Space" || written) return;
+  event.preventDefault(); event.stopPropagation();
+  if (event.type === "keydown" && !event.repeat) document.querySelector("#stop").click();
+}};
+addEventListener("keydown", stopBySpace, true);
+addEventListener("keyup", stopBySpace, true);
 addEventListener("load", () => setInterval(() => emitEvent("beat"), {_BEAT_MS}));
 </script>"""
 _STYLE = (
@@ -43,10 +48,13 @@ _STYLE = (
 .scene svg { width: 100%; max-height: 36vh; display: block }
 .worm .pipe { fill: #8d8d99 } .worm .robot { fill: #2659bf } .worm .ghost { fill: #e6b422; opacity: .45 }
 .worm .bellows { opacity: .5 } .worm .ghost.bellows { opacity: .25 } .worm .fins { opacity: .9 }
-.worm text { font: 8px sans-serif; fill: currentColor } .worm path.scale { stroke: currentColor; stroke-width: 1.5 }
+.worm text { font: 8px sans-serif; fill: currentColor }
+@media (max-width: 600px) { .worm text { font-size: 14px } }
+.worm path.scale { stroke: currentColor; stroke-width: 1.5 }
 .numbers .value { text-align: right; font-variant-numeric: tabular-nums }
 .silent { color: #c62828 } .body--dark .silent { color: #ff8a80 }
 .stop { font-weight: 700; font-size: 1.4rem; min-height: 3.2rem; min-width: 9rem }
+.q-footer { z-index: 9000 } .q-notifications__list--bottom { bottom: 9rem } /* nothing ever covers STOP */
 </style>"""
 )
 
@@ -62,7 +70,8 @@ def build(hub: Hub, access: Access) -> None:
     @app.get("/reports/{name:path}")
     def report(name: str) -> Response:
         try:
-            return FileResponse(hub.shelf.report(name), media_type="text/html")
+            page = hub.shelf.report(name)
+            return FileResponse(page, media_type="text/html", headers=_READ_ONLY)
         except InputError as error:
             return PlainTextResponse(str(error), 404)
 
@@ -87,11 +96,13 @@ class ConsolePage:
     ) -> None:
         self._hub, self._access, self._client = hub, access, client
         self._session, self._id = session, client.id
+        self._lost = _WITHOUT
         self._told = hub.words[-1] if hub.words else None
         ui.add_head_html(_STYLE + _SCRIPT)
         ui.on("beat", self._beat)
         client.on_disconnect(self._leave)
         client.on_delete(lambda: hub.control.release(self._id))
+        ui.colors(primary=BLUE)  # on which white is read in the sun
         dark = ui.dark_mode(None)
         with ui.header().classes("items-center gap-2 q-py-xs"):
             ui.label("worm").classes("text-h6")
@@ -108,11 +119,11 @@ class ConsolePage:
             with ui.tab_panel(live):
                 LivePage(hub)
             with ui.tab_panel(act):
-                ActPage(hub, self._controls)
+                ActPage(hub, self._forbidden)
             with ui.tab_panel(recordings):
                 shelf = RecordingsPage(hub)
             with ui.tab_panel(studied):
-                StudiesPage(hub, studies, self._controls, shelf.chosen)
+                StudiesPage(hub, studies, self._forbidden, shelf.chosen)
         tabs.on_value_change(lambda event: shelf.read() if event.value == "Recordings" else None)
         self._foot()
         ui.timer(WORDS_S, self._tell)
@@ -136,8 +147,13 @@ class ConsolePage:
 
     # --- control -----------------------------------------------------------------------------
 
-    def _controls(self) -> bool:
-        return self._hub.control.is_held_by(self._id) and self._access.is_open(self._session)
+    def _forbidden(self) -> str:
+        """Why this page may move nothing, empty: it may."""
+        if not self._access.is_open(self._session):
+            return "the session has ended: sign in"
+        if self._hub.control.is_held_by(self._id):
+            return ""
+        return f"{self._lost}: {_control_words(self._hub, self._id)}"
 
     def _beat(self) -> None:
         if self._access.is_open(self._session):
@@ -145,13 +161,21 @@ class ConsolePage:
 
     def _leave(self) -> None:
         if not self._client.has_socket_connection:
-            self._hub.control.release(self._id)
+            self._lose("this page lost its connection, and control with it")
+
+    def _lose(self, why: str) -> None:
+        """Let go of control, and say why where somebody comes back to this page."""
+        if self._hub.control.is_held_by(self._id):
+            self._lost = why
+        self._hub.control.release(self._id)
 
     def _take_control(self) -> None:
-        if self._controls():
-            self._hub.control.release(self._id)
-        elif self._access.is_open(self._session) and not self._hub.control.take(self._id):
-            ui.notify("another page holds control; it was asked to hand it over")
+        if not self._forbidden():
+            self._lose(_WITHOUT)
+        elif self._access.is_open(self._session):
+            self._lost = _WITHOUT
+            if not self._hub.control.take(self._id):
+                ui.notify("another page holds control; it was asked to hand it over")
         self._tell()
 
     def _hand_over(self) -> None:

@@ -44,7 +44,7 @@ def _svg(left: float, width: float, content: str, words: str) -> str:
     )
     return (
         f'<svg class="worm" role="img" aria-label="{words}" xmlns="http://www.w3.org/2000/svg" '
-        f'viewBox="{1e3 * left:.1f} {-half:.1f} {1e3 * width:.1f} {2.0 * half + 14.0:.1f}">'
+        f'viewBox="{1e3 * left:.1f} {-half:.1f} {1e3 * width:.1f} {2.0 * half + 20.0:.1f}">'
         f"{content}{walls}{_scale_bar(left, half)}</svg>"
     )
 
@@ -78,7 +78,7 @@ def _rect(kind: str, left: float, z: float, width: float, height: float, colour:
 
 
 def _scale_bar(left: float, half: float) -> str:
-    at, y = 1e3 * left + 8.0, half + 4.0
+    at, y = 1e3 * left + 8.0, half + 9.0
     return (
         f'<path class="scale" d="M{at:.1f} {y:.1f}h100"/>'
         f'<text class="scale" x="{at + 104:.1f}" y="{y + 3.0:.1f}">100 mm</text>'

@@ -17,9 +17,9 @@ _COLUMNS = (
     ("start", "start"),
     ("gait", "gait"),
     ("cycles", "cycles"),
-    ("speed", "mm/s"),
-    ("power", "W"),
-    ("cost_of_transport", "COT"),
+    ("speed", "speed, mm/s"),
+    ("power", "power, W"),
+    ("cost_of_transport", "cost of transport"),
     ("health", "health"),
 )
 

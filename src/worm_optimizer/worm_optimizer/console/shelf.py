@@ -109,6 +109,8 @@ class Shelf:
     async def packed(self, name: str, folder: Path) -> Path:
         """A bag as one file, in a folder of one's own. Raises `InputError`."""
         bag = self.bag(name)
+        if any(self.folder not in path.resolve().parents for path in bag.rglob("*")):
+            raise InputError(f"{name}: links lead out of the bags folder")
         made = await asyncio.to_thread(
             shutil.make_archive, str(folder / bag.name), "zip", bag.parent, bag.name
         )

@@ -29,16 +29,16 @@ _STARTED = "those that the console was started with"
 
 
 class StudiesPage:
-    """``controls`` says whether this page holds control; ``chosen`` the bags that are chosen in Recordings."""
+    """``forbidden`` says why this page may move nothing, empty: it may; ``chosen`` tells the bags of Recordings."""
 
     def __init__(
         self,
         hub: Hub,
         studies: Studies,
-        controls: Callable[[], bool],
+        forbidden: Callable[[], str],
         chosen: Callable[[], Sequence[str]],
     ) -> None:
-        self._hub, self._studies, self._controls, self._chosen = hub, studies, controls, chosen
+        self._hub, self._studies, self._forbidden, self._chosen = hub, studies, forbidden, chosen
         self._scan: SearchResult | None = None
         self._identified = ""
         with ui.row().classes("w-full gap-8"):
@@ -98,9 +98,10 @@ class StudiesPage:
     # --- what is pressed ---------------------------------------------------------------------
 
     def _may(self) -> bool:
-        if not self._controls():
-            _warn("this page does not hold control: Take control")
-        return self._controls()
+        why = self._forbidden()
+        if why:
+            _warn(why)
+        return not why
 
     def _may_take(self) -> bool:
         driver = self._hub.snapshot().driver

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from worm_model.twin.records import Activity, LengthSource, StateRecord
+from worm_model.twin.records import Activity, LengthSource
 from worm_model.twin.watch_view import STALE_S
 from worm_optimizer.snapshot import DriverWord, Snapshot
 
@@ -56,21 +56,25 @@ def state_words(snapshot: Snapshot, now: float) -> str:
     return f"emergency stop, {words}" if driver.emergency_stop else words
 
 
-def obstacles(snapshot: Snapshot, *, hindrance: str, controls: bool) -> dict[str, str]:
+def twin_words(snapshot: Snapshot, now: float) -> str:
+    """What the twin says of the robot's health, and how old that is."""
+    residuals = snapshot.residuals
+    if residuals is None or not live(snapshot, "twin/residuals", now):
+        return "twin: silent"
+    age = f"{snapshot.twin_age:.1f} s behind" if math.isfinite(snapshot.twin_age) else ""
+    words = (f"twin: {residuals.health.name.lower()}", residuals.message, age)
+    return ", ".join(word for word in words if word)
+
+
+def obstacles(snapshot: Snapshot, hindrance: str) -> dict[str, str]:
     """Why each action cannot be pressed now, empty where it can be.
 
-    ``hindrance`` says why nothing can be asked for, empty: something can; ``controls`` whether the page holds control.
+    ``hindrance`` says why nothing at all can be asked for, empty: something can.
     """
     driver = snapshot.driver
-    common = ""
-    if not controls:
-        common = "this page does not hold control: Take control"
-    elif hindrance:
-        common = hindrance
-    elif driver is None:
-        common = "no driver is heard"
-    if common or driver is None:
-        return dict.fromkeys(("Home", "Activate", "Deactivate", "Run"), common)
+    if hindrance or driver is None:
+        why = hindrance or "no driver is heard"
+        return dict.fromkeys(("Home", "Activate", "Deactivate", "Run"), why)
     off = driver.state is Activity.INACTIVE
     moving = "the robot moves" if driver.state in MOVING else ""
     blocked = "the emergency stop is on" if driver.emergency_stop else ""
@@ -84,7 +88,10 @@ def obstacles(snapshot: Snapshot, *, hindrance: str, controls: bool) -> dict[str
 
 @dataclass(frozen=True)
 class Sample:
-    """What is remembered of a moment: lengths in m, powers in W, NaN what is silent."""
+    """What is remembered of a moment: lengths in m, powers in W, NaN what is silent.
+
+    What the twin says, ``estimated`` and ``predicted``, is older by ``twin_age`` in s.
+    """
 
     time: float
     commanded: float
@@ -93,6 +100,7 @@ class Sample:
     estimated: float
     power: float
     predicted: float
+    twin_age: float
 
 
 def sample(snapshot: Snapshot, now: float) -> Sample:
@@ -109,12 +117,13 @@ def sample(snapshot: Snapshot, now: float) -> Sample:
         **lengths,
         power=snapshot.power if live(snapshot, "power", now) else math.nan,
         predicted=math.nan if twin is None else twin.power,
+        twin_age=snapshot.twin_age if math.isfinite(snapshot.twin_age) else 0.0,
     )
 
 
-def _whole(driver: DriverWord, twin: StateRecord, cycle: int) -> bool:
-    """Whether a run has ended with a cycle's end, not within it."""
-    at_rest = abs(twin.length - twin.initial_length) < _AT_REST
+def _whole(driver: DriverWord, commanded: float, initial: float, cycle: int) -> bool:
+    """Whether a run has ended with a cycle's end, not within it: the body may rest shorter than the cable lets it."""
+    at_rest = abs(commanded - initial) < _AT_REST
     return driver.state is Activity.IDLE and cycle == driver.cycles and at_rest
 
 
@@ -136,10 +145,13 @@ class History:
             return
         moving = driver.state in MOVING and driver.cycle > 0
         cycle = (driver.run, driver.cycle if moving else 0)
+        commanded = snapshot.lengths.get(LengthSource.COMMANDED, math.nan)
         if cycle == self._cycle:
             return
         if cycle[0] != self._cycle[0]:
             self.grooves = []
-        elif self._cycle[1] and (moving or _whole(driver, twin, self._cycle[1])):
+        elif self._cycle[1] and (
+            moving or _whole(driver, commanded, twin.initial_length, self._cycle[1])
+        ):
             self.grooves.append((twin.rear_groove - self._from) * driver.direction)
         self._cycle, self._from = cycle, twin.rear_groove

@@ -38,6 +38,9 @@ _EXCLUDE = "--exclude"
 FAILURES = (ProcessError, OperatorError, RecordingError)
 
 Say = Callable[[str], None]
+Check = Callable[
+    [], None
+]  # called while waiting; raises where what is waited for is to be given up
 
 
 class ProgressLog:
@@ -113,7 +116,13 @@ class Session:
 
 
 @contextmanager
-def session(system: System, logs: Path, say: Say, restarts: int = 0) -> Iterator[Session]:
+def session(
+    system: System,
+    logs: Path,
+    say: Say,
+    restarts: int = 0,
+    check: Check = lambda: None,
+) -> Iterator[Session]:
     """The nodes of a system, started in their order; afterwards no process is left, whatever happened.
 
     Nothing is started where the robot has a driver already; who only looks on is welcome. A node that is not
@@ -122,7 +131,12 @@ def session(system: System, logs: Path, say: Say, restarts: int = 0) -> Iterator
     """
     with ProcessGroup(logs) as group:
         watch = _Watch(group, system, say, restarts) if restarts else group.check
-        with operator(system.namespace, watch) as node:
+
+        def look() -> None:
+            watch()
+            check()
+
+        with operator(system.namespace, look) as node:
             node.refuse_second_driver()
             start_nodes(group, system, say)
             node.wait_for_nodes(description.name for description in system.nodes)

@@ -81,3 +81,11 @@ def test_a_closed_page_lets_go(control: Control):
     control.release("desk")
     assert control.holder == ""
     assert not control.held
+
+
+def test_why_no_page_has_control_is_told(control: Control, clock: Clock):
+    assert control.loss == "no page holds control"
+    control.take("desk")
+    assert control.loss == ""
+    clock.now += SILENCE_S + 0.1
+    assert control.loss == "the page in control was not heard for 3 s"

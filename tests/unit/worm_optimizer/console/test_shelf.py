@@ -46,6 +46,12 @@ def test_a_page_is_only_that_of_a_report(shelf: Shelf, name: str):
         shelf.report(name)
 
 
+def test_a_bag_whose_links_lead_out_is_not_packed(shelf: Shelf, tmp_path: Path):
+    (shelf.bag("run") / "link").symlink_to("/etc/passwd")
+    with pytest.raises(InputError, match="links lead out of the bags folder"):
+        asyncio.run(shelf.packed("run", tmp_path))
+
+
 def test_a_folder_without_bags_has_no_rows_and_is_made(tmp_path: Path):
     assert asyncio.run(Shelf(tmp_path / "new").rows()) == []
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from worm_model.twin.records import Activity, LengthSource, StateRecord
+from worm_model.twin.records import Activity, Health, LengthSource, StateRecord
 from worm_optimizer.console.view import (
     SOURCES,
     History,
@@ -15,8 +15,9 @@ from worm_optimizer.console.view import (
     sample,
     silences,
     state_words,
+    twin_words,
 )
-from worm_optimizer.snapshot import DriverWord, Snapshot
+from worm_optimizer.snapshot import DriverWord, Residuals, Snapshot
 
 NOW = 50.0
 IDLE = DriverWord(Activity.IDLE, True, False, 0, 0, 0, 0.0, 0.0, 1, "")
@@ -48,14 +49,15 @@ def test_what_has_fallen_silent_is_told_apart_from_what_was_never_heard():
 
 def test_silent_numbers_are_not_shown_as_the_present():
     lengths = dict.fromkeys(LengthSource, 0.3)
-    known = replace(snapshot(), lengths=lengths, power=2.5)
+    known = replace(snapshot(), lengths=lengths, power=2.5, twin_age=0.4)
     assert sample(known, NOW).power == 2.5
     assert sample(known, NOW).predicted == 2.0
     assert sample(known, NOW).commanded == 0.3
+    assert sample(known, NOW).twin_age == 0.4
     assert all(
         math.isnan(value)
         for name, value in vars(sample(known, NOW + 2.0)).items()
-        if name != "time"
+        if name not in ("time", "twin_age")
     )
 
 
@@ -71,13 +73,22 @@ def test_silent_numbers_are_not_shown_as_the_present():
     ],
 )
 def test_what_can_be_pressed_follows_from_the_state(given: Snapshot, pressable: set[str]):
-    reasons = obstacles(given, hindrance="", controls=True)
+    reasons = obstacles(given, "")
     assert {name for name, reason in reasons.items() if not reason} == pressable
 
 
-def test_nothing_can_be_pressed_without_control_or_while_busy():
-    for hindrance, controls in (("wait: homing", True), ("", False)):
-        assert all(obstacles(snapshot(), hindrance=hindrance, controls=controls).values())
+def test_how_old_the_twins_words_are_is_told():
+    residuals = Residuals(*(0.0,) * 6, Health.SUSPECT, "a fin slips")
+    heard = {**HEARD, "twin/residuals": NOW}
+    known = replace(snapshot(), residuals=residuals, twin_age=0.43, heard=heard)
+    assert twin_words(known, NOW) == "twin: suspect, a fin slips, 0.4 s behind"
+    assert twin_words(replace(known, twin_age=math.nan), NOW) == "twin: suspect, a fin slips"
+    assert twin_words(known, NOW + 2.0) == "twin: silent"
+
+
+def test_what_hinders_all_is_the_reason_at_each():
+    assert set(obstacles(snapshot(), "wait: homing").values()) == {"wait: homing"}
+    assert set(obstacles(Snapshot(), "").values()) == {"no driver is heard"}
 
 
 def test_the_state_is_told_in_words():
@@ -102,8 +113,9 @@ def test_the_grooves_of_each_cycle_are_counted_along_the_gait(direction: int):
     def moment(run: int, cycle: int, groove: int, state: Activity = Activity.RUNNING) -> None:
         driver = replace(IDLE, state=state, run=run, cycle=cycle, cycles=3, direction=direction)
         twin = replace(TWIN, rear_groove=direction * groove)
-        history.add(Snapshot(driver=driver, twin=twin, heard=HEARD))
+        history.add(Snapshot(driver=driver, twin=twin, heard=HEARD, lengths=lengths))
 
+    lengths = {LengthSource.COMMANDED: 0.3}
     for cycle, groove in ((0, 0), (1, 0), (1, 1), (2, 2), (3, 3)):
         moment(1, cycle, groove)
     moment(1, 3, 5, Activity.IDLE)
@@ -111,5 +123,9 @@ def test_the_grooves_of_each_cycle_are_counted_along_the_gait(direction: int):
     moment(2, 1, 5)
     moment(2, 2, 6)
     assert history.grooves == [1]
-    moment(2, 2, 6, Activity.IDLE)  # stopped within the cycle
+    moment(2, 2, 6, Activity.IDLE)  # stopped before all cycles
     assert history.grooves == [1]
+    moment(3, 3, 6)
+    lengths[LengthSource.COMMANDED] = 0.25
+    moment(3, 3, 8, Activity.IDLE)  # stopped within the last cycle
+    assert history.grooves == []

@@ -9,8 +9,11 @@ import pytest
 
 pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
 
+from builtin_interfaces.msg import Time
+from std_msgs.msg import Header
+
 from worm_model.twin.watch_view import STALE_S
-from worm_msgs.msg import TwinResiduals
+from worm_msgs.msg import BodyLength, TwinResiduals, TwinState
 from worm_optimizer.nodes import robot_telemetry
 from worm_optimizer.nodes.robot_telemetry import Telemetry
 
@@ -52,3 +55,12 @@ def test_each_residual_is_that_of_the_last_sample_which_measured_it(
     assert shown is not None
     assert math.isnan(shown.rear_position)
     assert shown.power == 0.25
+
+
+def test_the_twin_is_as_old_as_its_state_beside_the_command():
+    node = Node()
+    telemetry = Telemetry(node)
+    node.say["twin/state"](TwinState(header=Header(stamp=Time(sec=7, nanosec=600_000_000))))
+    assert math.isnan(telemetry.snapshot().twin_age)
+    node.say["body_length/commanded"](BodyLength(header=Header(stamp=Time(sec=8))))
+    assert telemetry.snapshot().twin_age == pytest.approx(0.4)
