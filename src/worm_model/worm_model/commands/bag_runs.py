@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from worm_model.analysis.replay_metrics import RunReport, report_replay
 from worm_model.analysis.run_metrics import (
@@ -26,10 +25,10 @@ from worm_model.bags.bag_metadata import METADATA_FILE, read_metadata
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recorder import STATE, UNFINISHED
 from worm_model.bags.recovery import open_files
-from worm_model.bags.run_manifest import PARAMETER_ATTACHMENT, RUN_RECORD
+from worm_model.bags.run_manifest import RUN_RECORD, recorded_parameters
 from worm_model.bags.run_reader import read_run
 from worm_model.commands.bag_table import CLOSED, DAMAGED, OPEN
-from worm_model.parameters import Parameters, load_parameters, parse_parameter_file
+from worm_model.parameters import Parameters, load_parameters
 from worm_model.run import Run
 from worm_model.simulation.simulator import cost_of_transport
 from worm_model.twin.offline_replay import Replay, replay_run
@@ -74,10 +73,8 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
 
 
 def _own_parameters(bag: Bag) -> Parameters:
-    for attached in bag.attachments():
-        if attached.name == PARAMETER_ATTACHMENT:
-            return parse_parameter_file(yaml.safe_load(attached.data)).parameters
-    return Parameters()
+    content = recorded_parameters(bag)
+    return Parameters() if content is None else content.parameters
 
 
 def _date(stamp: int) -> str:
