@@ -55,7 +55,8 @@ class PlayedGait:
 
     ``run`` is the driver's number of the run, 0 in recordings from before it had one.
     ``end`` is the stamp (ns) at which the driver told that it played no more, ``state_after`` what it told then, one
-    of `worm_model.run.STATE_NAMES`; both are None where the recording ends before. ``rest_start`` is the stamp (ns)
+    of `worm_model.run.STATE_NAMES`, or STOPPING of a gait that was brought to its next point of rest; both are None
+    where the recording ends before. ``rest_start`` is the stamp (ns)
     from which on the robot rested before the onset, None if that was not told.
     """
 
@@ -109,8 +110,11 @@ def _played_gait(states: GaitStates, rows: NDArray[np.int64]) -> PlayedGait:
         )
     except GaitError as error:
         raise RecordingError(f"the recording holds a gait that is none: {error}") from None
-    later = np.flatnonzero((states.stamp > states.stamp[row]) & (states.state != RUNNING))
-    after = int(later[np.argmin(states.stamp[later])]) if later.size else None
+    later = states.stamp > states.stamp[row]
+    stopping = np.flatnonzero(later & (states.state == STOPPING))
+    over = np.flatnonzero(later & ~np.isin(states.state, (RUNNING, STOPPING)))
+    ends = over if over.size else stopping
+    after = int(ends[np.argmin(states.stamp[ends])]) if ends.size else None
     onset = int(states.onset[row])
     rests = states.stamp[(states.state == RESTING) & (states.stamp <= onset)]
     return PlayedGait(
@@ -118,10 +122,17 @@ def _played_gait(states: GaitStates, rows: NDArray[np.int64]) -> PlayedGait:
         onset=onset,
         cycles=int(states.cycles[row]),
         end=None if after is None else int(states.stamp[after]),
-        state_after=None if after is None else int(states.state[after]),
+        state_after=None if after is None else _state_after(states, after, stopping),
         rest_start=int(rests[-1]) if rests.size else None,
         run=int(states.run[row]),
     )
+
+
+def _state_after(states: GaitStates, after: int, stopping: NDArray[np.int64]) -> int:
+    """What the driver told at the end, or that it was stopping until then."""
+    told = int(states.state[after])
+    stopped = np.any(states.stamp[stopping] <= states.stamp[after])
+    return STOPPING if stopped and told != FAULT else told
 
 
 def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:
@@ -145,7 +156,7 @@ def last_cycles_of(cycles: int) -> tuple[int, int]:
 def early_end(run: Run, played: PlayedGait) -> str:
     """Why fewer cycles were played or recorded than were asked for, in words; empty if none is missing."""
     if played.state_after is not None and played.end is not None:
-        done = played.whole_cycles_until(played.end)
+        done = played.whole_cycles_until(_FOREVER)
         if played.state_after == FAULT:
             return f"ended in FAULT after {done} of {played.cycles} cycles"
         if done < played.cycles:

@@ -62,7 +62,8 @@ def _within(bag: Bag, first: int, last: int) -> Iterator[Message]:
 def merge(bags: Sequence[Bag], output: Path) -> int:
     """Write the messages of all bags by log time, those of an earlier one first; returns how many.
 
-    Metadata and attachments of all are kept; of those of one name, readers take the last one's.
+    Metadata and attachments of all are kept; of metadata of one name, readers take the last one's, and different
+    parameter files `worm_model.bags.run_manifest.recorded_parameters` refuses.
 
     Raises:
         BagError: the output exists.

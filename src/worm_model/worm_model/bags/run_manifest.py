@@ -11,9 +11,12 @@ from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from worm_model.bags.bag import AttachedFile
+import yaml
+
+from worm_model.bags.bag import AttachedFile, Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.recorder import Manifest
+from worm_model.parameters import ParameterError, ParameterFile, parse_parameter_file
 
 RUN_RECORD = "worm_run"
 HOST = "host"  # key of the computer's name
@@ -73,6 +76,27 @@ def run_manifest(
         record["parameter_file"] = _printable(str(parameter_file))
         record["parameter_sha256"] = hashlib.sha256(data).hexdigest()
     return Manifest({RUN_RECORD: record}, attachments)
+
+
+def recorded_parameters(bag: Bag) -> ParameterFile | None:
+    """The parameter file inside a bag, None without one.
+
+    Raises:
+        ManifestError: it cannot be used, or there are several that differ, as in bags that were merged.
+    """
+    texts = {file.data for file in bag.attachments() if file.name == PARAMETER_ATTACHMENT}
+    if not texts:
+        return None
+    if len(texts) > 1:
+        raise ManifestError(
+            f"{bag.path}: its runs were recorded with different parameter files; give --parameters FILE for all of them"
+        )
+    try:
+        return parse_parameter_file(yaml.safe_load(texts.pop()))
+    except (ParameterError, yaml.YAMLError) as error:
+        raise ManifestError(
+            f"{bag.path}: its parameter file cannot be used ({error}); give --parameters"
+        ) from None
 
 
 def _read(path: Path) -> bytes:

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from worm_model.analysis.replay_metrics import RunReport, report_replay
 from worm_model.analysis.run_metrics import (
+    END_TOLERANCE_NS,
     PlayedGait,
     RecordingError,
     accumulated_energy,
@@ -25,10 +25,10 @@ from worm_model.bags.bag_metadata import METADATA_FILE, read_metadata
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recorder import STATE, UNFINISHED
 from worm_model.bags.recovery import open_files
-from worm_model.bags.run_manifest import PARAMETER_ATTACHMENT, RUN_RECORD
+from worm_model.bags.run_manifest import RUN_RECORD, recorded_parameters
 from worm_model.bags.run_reader import read_run
 from worm_model.commands.bag_table import CLOSED, DAMAGED, OPEN
-from worm_model.parameters import Parameters, load_parameters, parse_parameter_file
+from worm_model.parameters import Parameters, load_parameters
 from worm_model.run import Run
 from worm_model.simulation.simulator import cost_of_transport
 from worm_model.twin.offline_replay import Replay, replay_run
@@ -73,10 +73,8 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
 
 
 def _own_parameters(bag: Bag) -> Parameters:
-    for attached in bag.attachments():
-        if attached.name == PARAMETER_ATTACHMENT:
-            return parse_parameter_file(yaml.safe_load(attached.data)).parameters
-    return Parameters()
+    content = recorded_parameters(bag)
+    return Parameters() if content is None else content.parameters
 
 
 def _date(stamp: int) -> str:
@@ -118,7 +116,9 @@ def _row(
 
 
 def _last(run: Run, played: PlayedGait) -> int:
-    return played.end if played.end is not None else int(np.max(run.commanded.stamp, initial=0))
+    if played.end is not None:
+        return played.end + END_TOLERANCE_NS
+    return int(np.max(run.commanded.stamp, initial=0))
 
 
 def _rate(window: Any, samples: Any, name: str) -> float:

@@ -24,7 +24,7 @@ NUMBERS = (
     *("groove_phase", "grooves_per_cycle", "speed", "power", "cost_of_transport"),
     *("duration_s", "cycles"),
 )
-INDEX_VERSION = 1  # of a row's content: raise it where a figure is computed otherwise
+INDEX_VERSION = 2  # of a row's content: raise it where a figure is computed otherwise
 
 
 def bag_rows(
@@ -112,6 +112,7 @@ def _keep(index: Path, content: dict[str, Any]) -> None:
 
 def _read(bag: Path, parameters: str) -> list[Row]:
     """The rows of a bag; one that cannot be read as it is has one that says why, and is left as it is."""
+    from worm_model.bags.run_manifest import ManifestError
     from worm_model.commands.bag_runs import rows_of_bag, state_of_bag
 
     empty: Row = {"start": None, "gait": None, **dict.fromkeys(NUMBERS), "health": None}
@@ -121,7 +122,8 @@ def _read(bag: Path, parameters: str) -> list[Row]:
             return [{**empty, "state": state, "notes": reason}]
         return [{**empty, "state": CLOSED, **row} for row in rows_of_bag(bag, parameters)]
     except (InputError, OSError) as error:
-        return [{**empty, "state": DAMAGED, "notes": " ".join(str(error).split())}]
+        state = CLOSED if isinstance(error, ManifestError) else DAMAGED
+        return [{**empty, "state": state, "notes": " ".join(str(error).split())}]
 
 
 def describe(rows: Sequence[Row], folder: Path) -> str:

@@ -10,26 +10,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from worm_model.analysis.run_parts import joined, last_stamp, parts_of
 from worm_model.bags.bag import METADATA_FILE, Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.opening import open_bag
+from worm_model.bags.run_manifest import recorded_parameters
 from worm_model.bags.run_reader import read_run
 from worm_model.errors import InputError
-from worm_model.parameters import (
-    ParameterError,
-    ParameterFile,
-    load_parameter_file,
-    parse_parameter_file,
-)
+from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_model.run import Run
 from worm_model.twin.offline_replay import Replay, Series, replay_run
 from worm_optimizer.report.events import events_of
 from worm_optimizer.report.recorded_gait import RecordedGait, recorded_gait
 
-_ATTACHED = "parameters.yaml"  # the recorder's name for the run's parameter file
 _MANIFEST = "worm_run"
 _PAPER = "the paper's values"
 _CHUNK = 1 << 20
@@ -187,15 +181,9 @@ def _parameters_of(bag: Bag, file: str) -> tuple[ParameterFile, str]:
 def _given(bag: Bag, file: str) -> tuple[ParameterFile, str]:
     if file:
         return load_parameter_file(file), file
-    for attached in bag.attachments():
-        if attached.name == _ATTACHED:
-            try:
-                content = parse_parameter_file(yaml.safe_load(attached.data))
-            except (ParameterError, yaml.YAMLError) as error:
-                raise InputError(
-                    f"{bag.path}: its parameter file cannot be used ({error}); give --parameters"
-                ) from None
-            return content, "the parameter file inside the recording"
+    content = recorded_parameters(bag)
+    if content is not None:
+        return content, "the parameter file inside the recording"
     return ParameterFile(), _PAPER
 
 

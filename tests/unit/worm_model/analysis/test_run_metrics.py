@@ -95,6 +95,20 @@ def test_an_early_end_is_told_with_the_cycles_that_were_played(state, reason):
     assert averaged_cycles(Run(gait_state=late), last_played_gait(late)) == (1, 3)
 
 
+@pytest.mark.parametrize(
+    ("state", "reason"),
+    [(IDLE, "stopped after 3 of 5 cycles"), (FAULT, "ended in FAULT after 3 of 5 cycles")],
+)
+def test_a_gait_that_is_stopped_plays_on_to_its_next_point_of_rest(state, reason):
+    states = gait_states([RESTING, RUNNING, STOPPING, state], [0, EPOCH, EPOCH, EPOCH], 5)
+    states = dataclasses.replace(
+        states, stamp=stamps([-1.0, 0.0, 11.0, 15.0 - 1e-9])
+    )  # 5 s a cycle
+    run, played = Run(gait_state=states), last_played_gait(states)
+    assert early_end(run, played) == reason
+    assert averaged_cycles(run, played) == (1, 3)
+
+
 def test_the_end_of_a_whole_gait_is_no_early_end():
     run = simulated_run(3)
     assert early_end(run, last_played_gait(run.gait_state)) == ""

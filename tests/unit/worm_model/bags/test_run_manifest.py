@@ -5,8 +5,19 @@ import hashlib
 from pathlib import Path
 
 import pytest
+from recorded_run import simulated_run
 
-from worm_model.bags.run_manifest import ManifestError, run_manifest
+from worm_model.bags.bag import AttachedFile
+from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_manifest import (
+    PARAMETER_ATTACHMENT,
+    ManifestError,
+    recorded_parameters,
+    run_manifest,
+)
+from worm_model.bags.run_writer import write_run
+from worm_model.parameters import PAPER, ParameterFile
 
 NOW = 1_800_000_000_000_000_000
 
@@ -22,6 +33,22 @@ def test_the_parameter_file_is_kept_with_its_hash(tmp_path: Path):
     assert record["version.mcap"]
     assert record["command"] == "record --all"
     assert manifest.attachments[0].data == b"pitch: 0.0173\n"
+
+
+def test_runs_of_different_parameter_files_are_not_judged_by_one_of_them(tmp_path: Path):
+    texts = {"same": (b"gain: 0.9", b"gain: 0.9"), "other": (b"gain: 0.9", b"gain: 0.8")}
+    for name, attached in texts.items():
+        with BagWriter(tmp_path / name) as writer:
+            for text in attached:
+                writer.add_attachment(AttachedFile(PARAMETER_ATTACHMENT, "application/yaml", text))
+            write_run(writer, simulated_run(1))
+    with open_bag(tmp_path / "same") as bag:
+        assert recorded_parameters(bag) == ParameterFile(PAPER.replace(gain=0.9))
+    with (
+        open_bag(tmp_path / "other") as bag,
+        pytest.raises(ManifestError, match="give --parameters FILE for all"),
+    ):
+        recorded_parameters(bag)
 
 
 def test_without_a_parameter_file_none_is_claimed():

@@ -476,7 +476,8 @@ def _take(directory: Path) -> int:
     except BlockingIOError as error:
         os.close(lock)
         raise DirectoryError(
-            f"{directory} is in use by another virtual robot: stop it or choose another --directory"
+            f"{directory} is in use by another virtual robot: stop it, or choose another --directory "
+            "(of ./worm start: --set directory=PATH)"
         ) from error
     return lock
 
