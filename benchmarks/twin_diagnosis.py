@@ -206,7 +206,6 @@ def _cause(fault: Fault, signs: Signatures) -> tuple[Candidate | None, float] | 
 
 def measure() -> list[Outcome]:
     """All outcomes, on all cores."""
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the workers, which are on all cores already
     found: list[Outcome] = []
     with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
         jobs = [

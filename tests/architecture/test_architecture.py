@@ -25,7 +25,7 @@ PACKAGES: dict[str, set[str]] = {
 
 # Libraries that only the files named here may import; the rest of the code does not know them.
 NODES = ["*/nodes/*.py"]
-PROCESSES = ["worm_msgs/ros_process.py", "worm_msgs/node_command.py"]
+PROCESSES = ["worm_msgs/ros_process.py", "worm_msgs/node_command.py", "worm_msgs/qos.py"]
 CONFINED = {
     "rclpy": [*NODES, *PROCESSES],
     "rcl_interfaces": [*NODES, *PROCESSES],

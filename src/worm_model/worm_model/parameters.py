@@ -2,7 +2,8 @@
 """The parameters of the worm robot and the file that holds them.
 
 The keys are those of the parameter table of the paper (``tab1``) in SI units, and three that the table
-lacks: ``initial_length``, which was calibrated, and the dry friction of both modules (see `Parameters`).
+lacks: ``initial_length``, which was calibrated, and the dry friction of both modules (see `Parameters`). One more
+key is no number: ``one_sided_cable``, the form of the power.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import dataclasses
 import difflib
 import math
 import numbers
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,9 @@ class Parameters:
     ``rear_dry_friction`` and ``front_dry_friction`` (D1, D2) are not in the paper's model, which has viscous
     friction alone; 0, the default, is that model.
 
+    ``one_sided_cable``: the power is that of a cable that cannot push, max(F_c, 0) in the place of F_c in
+    eq:power_model; c_b and α_P hold for the form that they were fitted with alone. Motion is the same in both.
+
     Raises `ParameterError` if a value is not a finite number, lies outside its admissible range (a range of
     orders of magnitude, there to catch wrong units), or if values exclude each other.
     """
@@ -67,10 +71,13 @@ class Parameters:
     power_factor: float = _row(3.22, "1", 1e-2, 1e3, "α_P")
     rear_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D1")
     front_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D2")
+    one_sided_cable: bool = False
 
     def __post_init__(self) -> None:
-        for row in dataclasses.fields(self):
+        for row in _rows(type(self)):
             object.__setattr__(self, row.name, _checked(row, getattr(self, row.name)))
+        if not isinstance(self.one_sided_cable, bool):
+            raise ParameterError(f"{FORM}: {self.one_sided_cable!r}: write true or false")
         if 2.0 * self.switching_threshold < self.pitch:
             # A fin that switches lands a pitch back: below its lower threshold, it would switch for ever.
             raise ParameterError(
@@ -88,16 +95,21 @@ class Parameters:
         """Total mass of both modules, kg."""
         return self.rear_mass + self.front_mass
 
-    def replace(self, **changes: float) -> Parameters:
+    def replace(self, **changes: Any) -> Parameters:
         """A copy with some values changed; raises `ParameterError` as the constructor does."""
-        unknown = set(changes) - set(KEYS)
+        unknown = set(changes) - {*KEYS, FORM}
         if unknown:
             raise ParameterError(_unknown_key(sorted(unknown)[0]))
         return dataclasses.replace(self, **changes)
 
     def as_dict(self) -> dict[str, float]:
-        """The values by key, in the order of the table."""
+        """The values by key, in the order of the table; ``one_sided_cable`` last."""
         return dataclasses.asdict(self)
+
+
+def _rows(table: type[Parameters]) -> list[dataclasses.Field[float]]:
+    """The rows that are numbers."""
+    return [row for row in dataclasses.fields(table) if row.metadata]
 
 
 def _checked(row: dataclasses.Field[float], value: Any) -> float:
@@ -114,13 +126,12 @@ def _checked(row: dataclasses.Field[float], value: Any) -> float:
     return float(value)
 
 
-KEYS: tuple[str, ...] = tuple(row.name for row in dataclasses.fields(Parameters))
-UNITS: Mapping[str, str] = {
-    row.name: row.metadata["unit"] for row in dataclasses.fields(Parameters)
-}
-SYMBOLS: Mapping[str, str] = {
-    row.name: row.metadata["paper"] for row in dataclasses.fields(Parameters)
-}
+KEYS: tuple[str, ...] = tuple(row.name for row in _rows(Parameters))  # of numbers
+UNITS: Mapping[str, str] = {row.name: row.metadata["unit"] for row in _rows(Parameters)}
+SYMBOLS: Mapping[str, str] = {row.name: row.metadata["paper"] for row in _rows(Parameters)}
+FORM = "one_sided_cable"  # key of the form of the power, also in a file's provenance
+FITTED_WITH_FORM = ("bellows_damping", "power_factor")
+MADE_BY = "worm_model identify"  # begins provenance's made_by in what `identify` wrote
 PAPER = Parameters()
 
 
@@ -142,8 +153,9 @@ class ParameterFile:
 
 
 def _unknown_key(key: str) -> str:
-    close = difflib.get_close_matches(key, KEYS, n=1)
-    hint = f"did you mean {close[0]}?" if close else f"known keys: {', '.join(KEYS)}"
+    known = (*KEYS, FORM)
+    close = difflib.get_close_matches(key, known, n=1)
+    hint = f"did you mean {close[0]}?" if close else f"known keys: {', '.join(known)}"
     return f"{key}: no such parameter; {hint}"
 
 
@@ -203,10 +215,30 @@ def _parse_run_to_run(content: Any) -> dict[str, float]:
     return deviations
 
 
+def _check_form(
+    parameters: Parameters, given: Container[str], provenance: Mapping[str, Any]
+) -> None:
+    """Raises `ParameterError` if c_b and α_P were fitted with another form of the power than the file's."""
+    form = parameters.one_sided_cable
+    if form and not all(key in given for key in FITTED_WITH_FORM):
+        raise ParameterError(
+            f"{FORM}: true needs {' and '.join(FITTED_WITH_FORM)} that were fitted with it, which the paper's were "
+            "not: identify with --one-sided-cable, which writes them"
+        )
+    identified = str(provenance.get("made_by", "")).startswith(MADE_BY)
+    if identified and provenance.get(FORM, False) != form:
+        raise ParameterError(
+            f"{FORM}: {str(form).lower()}, but identify fitted {' and '.join(FITTED_WITH_FORM)} with "
+            f"{str(not form).lower()}: put that back, or identify again "
+            f"{'with' if form else 'without'} --one-sided-cable"
+        )
+
+
 def parse_parameter_file(content: Any) -> ParameterFile:
     """Makes a `ParameterFile` of a parsed YAML document; a missing key means the paper's value.
 
-    Raises `ParameterError` on an unknown key, a value that is not admissible or a malformed section.
+    Raises `ParameterError` on an unknown key, a value that is not admissible, a malformed section, or c_b and α_P that
+    were fitted with another form of the power than the file's ``one_sided_cable``.
     """
     if content is None:
         content = {}
@@ -220,6 +252,7 @@ def parse_parameter_file(content: Any) -> ParameterFile:
     if not isinstance(provenance, Mapping):
         raise ParameterError("provenance: expected a mapping")
     parameters = PAPER.replace(**{str(k): v for k, v in values.items()})
+    _check_form(parameters, values, provenance)
     return ParameterFile(parameters, intervals, dict(provenance), correlations, run_to_run)
 
 
@@ -253,9 +286,11 @@ def load_parameters(path: str | Path) -> Parameters:
 def format_parameter_file(content: ParameterFile) -> str:
     """The text of a parameter file, each value with its unit and symbol as a comment."""
     lines = [
-        f"{key}: {value!r}  # {UNITS[key]}, {SYMBOLS[key]}"
-        for key, value in content.parameters.as_dict().items()
+        f"{key}: {getattr(content.parameters, key)!r}  # {UNITS[key]}, {SYMBOLS[key]}"
+        for key in KEYS
     ]
+    form = str(content.parameters.one_sided_cable).lower()
+    lines.append(f"{FORM}: {form}  # the form of the power that c_b and α_P were fitted with")
     extra: dict[str, Any] = {}
     if content.intervals:
         extra["intervals"] = {

@@ -51,6 +51,15 @@ def test_round_trip_with_correlations_and_what_differs_from_run_to_run(tmp_path:
     assert load_parameter_file(tmp_path / "p.yaml") == content
 
 
+def test_the_form_of_the_power_is_written_and_no_number(tmp_path: Path) -> None:
+    content = ParameterFile(PAPER.replace(one_sided_cable=True))
+    write_parameter_file(tmp_path / "p.yaml", content)
+    assert load_parameter_file(tmp_path / "p.yaml") == content
+    assert "one_sided_cable: true" in (tmp_path / "p.yaml").read_text()
+    assert "one_sided_cable" not in KEYS
+    assert load_parameters(INSTALLED).one_sided_cable is False
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -79,6 +88,21 @@ def test_round_trip_with_correlations_and_what_differs_from_run_to_run(tmp_path:
         ("intervals: {gain: 1}", r"expected \[low, high\]"),
         ("intervals: {gian: [0, 1]}", "did you mean gain"),
         ("provenance: 7", "provenance"),
+        ("one_sided_cable: 1", "write true or false"),
+        ("one_sided_cable: null", "write true or false"),
+        ("one_sided_cabel: true", "did you mean one_sided_cable"),
+        ("intervals: {one_sided_cable: [0, 1]}", "no such parameter"),
+        ("one_sided_cable: true", "identify with --one-sided-cable"),
+        ("{one_sided_cable: true, power_factor: 3.0}", "needs bellows_damping and power_factor"),
+        (
+            "{one_sided_cable: true, power_factor: 3.0, bellows_damping: 900.0, "
+            "provenance: {made_by: worm_model identify}}",
+            "put that back, or identify again with --one-sided-cable",
+        ),
+        (
+            "provenance: {made_by: worm_model identify, one_sided_cable: true}",
+            "put that back, or identify again without --one-sided-cable",
+        ),
     ],
 )
 def test_bad_files_are_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterator
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -14,6 +14,7 @@ from worm_driver.control.hardware import Hardware
 from worm_driver.errors import DriverError
 from worm_driver.nodes.side_node import SideNode
 from worm_msgs.msg import Heartbeat
+from worm_msgs.qos import LATCHED
 
 #: no request is dropped, however many wait: whoever calls stop gets an answer
 _EVERY_CALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
@@ -21,7 +22,6 @@ _EVERY_CALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 _ONCE = QoSProfile(depth=10)
 #: matches every publisher, also one that promises nothing
 _ANYBODY = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class StopServices:
@@ -49,7 +49,7 @@ class StopServices:
         self._stop = side.create_service(Trigger, "stop", self._on_stop, qos_profile=_EVERY_CALL)
         side.create_subscription(Heartbeat, "heartbeat", on_heartbeat, 100)
         # Also what was said before this driver began, which may be a stop but takes none back; from anybody.
-        side.create_subscription(Bool, "emergency_stop", self._on_kept_emergency, _LATCHED)
+        side.create_subscription(Bool, "emergency_stop", self._on_kept_emergency, LATCHED)
         side.create_subscription(Bool, "emergency_stop", self._on_emergency, _ONCE)
         side.create_subscription(Bool, "emergency_stop", self._on_emergency, _ANYBODY)
         self._side.start()

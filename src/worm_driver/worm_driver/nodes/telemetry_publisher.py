@@ -6,7 +6,7 @@ from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import JointState
 
@@ -19,13 +19,13 @@ from worm_driver.nodes.driver_messages import ClockPair
 from worm_driver.nodes.run_gait_action import RunGaitAction
 from worm_driver.nodes.stamps import Stamps
 from worm_msgs.msg import BodyLength, GaitState, Power
+from worm_msgs.qos import LATCHED
 
 _DELIVERY = Duration(seconds=0.5)
 #: reliable; deep enough for what piles up while the executor's thread waits for a processor
 _TELEMETRY = QoSProfile(depth=200)
 #: a user may change history, depth and reliability: qos_overrides./worm/power.publisher.reliability
 _OPEN = QoSOverridingOptions.with_default_policies()
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class TelemetryPublisher:
@@ -59,7 +59,7 @@ class TelemetryPublisher:
         self._commanded = publisher(BodyLength, "body_length/commanded")
         self._cable = publisher(BodyLength, "body_length/cable")
         self._power = publisher(Power, "power")
-        self._gait_state = node.create_publisher(GaitState, "gait_state", _LATCHED)
+        self._gait_state = node.create_publisher(GaitState, "gait_state", LATCHED)
         self._shown: tuple[object, ...] | None = None
         self._faulty = False
         self.latest: Snapshot | None = None

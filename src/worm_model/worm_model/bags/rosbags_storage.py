@@ -87,10 +87,11 @@ class RosbagsStorage:
                     Message(c.topic, time, bytes(data), time, channels[c.id])
                     for c, time, data in islice(found, BATCH)
                 ]
-            if not batch:
-                break
+                if not batch:
+                    break
+                block = messages_of(batch).sorted()
             count += len(batch)
-            yield messages_of(batch).sorted()
+            yield block
         expected = sum(connection.msgcount for connection in wanted)
         if count != expected:
             raise BagError(f"{self._path} holds {count} messages instead of {expected}")

@@ -33,6 +33,9 @@ from worm_model.identification.reference_values import (
 from worm_model.identification.results import parameter_file, summary
 from worm_model.identification.stages import Identification, identify
 from worm_model.parameters import (
+    FORM,
+    KEYS,
+    MADE_BY,
     PAPER,
     UNITS,
     ParameterFile,
@@ -84,6 +87,12 @@ def _parser() -> Parser:
         action="store_true",
         help="the paper's procedure instead, to compare with: its costs as printed, no nuisances, no intervals",
     )
+    parser.add_argument(
+        "--one-sided-cable",
+        action="store_true",
+        help="fit the power of a cable that cannot push, and say so in the parameter file; default: as --parameters "
+        "says, else the paper's form",
+    )
     parser.add_transmission()
     parser.add_definitions()
     parser.add_json()
@@ -105,6 +114,11 @@ class StageProgress:
 
 
 def _reference(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
+    given = _given(options, inputs)
+    return given.with_one_sided_cable() if options.one_sided_cable else given
+
+
+def _given(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
     if options.parameters:
         return reference_by_file(
             load_parameter_file(options.parameters), Path(options.parameters).name
@@ -120,15 +134,20 @@ def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -
         raise InputError(
             "--literal has no report and no validation: leave --report and --validation out"
         )
+    if options.one_sided_cable:
+        raise InputError(
+            "--literal has the paper's form of the power: leave --one-sided-cable out, or --literal"
+        )
     reference = _reference(options, inputs)
     found = literal(inputs, reference.parameters, StageProgress())
     if output is not None:
-        provenance = {"made_by": "worm_model identify --literal", "given": reference.source}
+        provenance = {"made_by": f"{MADE_BY} --literal", FORM: False, "given": reference.source}
         write_parameter_file(output, ParameterFile(found.parameters, {}, provenance))
     unknown = {"low": None, "high": None, "identifiable": True}
-    values = found.parameters.as_dict()
+    values = {key: getattr(found.parameters, key) for key in KEYS}
     content = {
         "parameters": {key: {"value": value, **unknown} for key, value in values.items()},
+        FORM: False,
         "costs": dict(found.costs),
     }
     lines = [

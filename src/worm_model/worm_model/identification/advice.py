@@ -216,6 +216,7 @@ def _energy_information(result: Identification, recording: Recording) -> Array:
         recording.power_time,
         recording.power,
         parameters.idle_power,
+        parameters.one_sided_cable,
     )
     values = np.array([parameters.bellows_damping, parameters.power_factor])
     scatter = float(np.sqrt(np.mean([np.mean(r**2) for r in result.energy.fit.residuals])))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 7: bellows damping c_b and power factor α_P from accumulated energy (eq:energy_identification_cost).
 
-P = P_idle + α_P·max(−F_c·L̇, 0) with F_c = H + k_b(L_free − L) − c_b·L̇ (eq:Fc): H, what friction and fin hold of the
-rear module, comes from the locomotion fit, L and L̇ from the measured length. The clock of the power sensor may be
-off the camera's: a nuisance of each run.
+P = P_idle + α_P·max(−F_c·L̇, 0), or max(F_c, 0) in the place of F_c for a cable that cannot push, with
+F_c = H + k_b(L_free − L) − c_b·L̇ (eq:Fc): H, what friction and fin hold of the rear module, comes from the locomotion
+fit, L and L̇ from the measured length. The clock of the power sensor may be off the camera's: a nuisance of each run.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from worm_model.identification.block_least_squares import (
     with_fixed,
 )
 from worm_model.identification.observed_run import Recording
+from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.quadrature import accumulated
 
 Array = NDArray[np.float64]
@@ -38,7 +39,7 @@ class PowerRun:
     """What the energy model needs of a run, over its five ridges.
 
     ``time`` (n,) s on the camera's clock with ``rate`` L̇ m/s and ``static_force`` N, the cable force but for its
-    damping; ``power_time`` (m,) s and ``power`` (m,) W as measured; ``idle`` W.
+    damping; ``power_time`` (m,) s and ``power`` (m,) W as measured; ``idle`` W; ``one_sided_cable``: the power's form.
     """
 
     name: str
@@ -48,6 +49,7 @@ class PowerRun:
     power_time: Array
     power: Array
     idle: float
+    one_sided_cable: bool
 
     @property
     def energy(self) -> Array:
@@ -67,7 +69,14 @@ class EnergyFit:
 
 
 def power_run(
-    recording: Recording, time: Array, rate: Array, static_force: Array, end: float, idle: float
+    recording: Recording,
+    time: Array,
+    rate: Array,
+    static_force: Array,
+    end: float,
+    idle: float,
+    *,
+    one_sided_cable: bool,
 ) -> PowerRun:
     """The part of a run from the onset to ``end`` s."""
     kept = time <= end
@@ -80,13 +89,15 @@ def power_run(
         recording.power_time[seen],
         recording.power[seen],
         idle,
+        one_sided_cable,
     )
 
 
 def predicted_power(run: PowerRun, damping: float, factor: float) -> Array:
     """Source power in W at ``run.time``."""
-    cable = -run.static_force * run.rate + damping * run.rate**2
-    return run.idle + factor * np.maximum(cable, 0.0)
+    force = run.static_force - damping * run.rate
+    power: Array = run.idle + factor * cable_power(force, run.rate, run.one_sided_cable)
+    return power
 
 
 def predicted_energy(run: PowerRun, damping: float, factor: float, offset: float = 0.0) -> Array:

@@ -29,6 +29,7 @@ from worm_model.identification.locomotion import (
 )
 from worm_model.identification.observed_run import Recording
 from worm_model.parameters import Parameters
+from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import Locomotion, SimulationError
 from worm_model.simulation.smoothing import smooth
@@ -62,11 +63,12 @@ class _Traverse:
 def literal(
     inputs: Inputs, known: Parameters, progress: Callable[[str, float], None] = lambda *_: None
 ) -> Literal:
-    """The parameters by the paper's costs; those of the bench tests and ``known`` ones are as given.
+    """The parameters by the paper's costs, and its form of the power; those of bench tests and ``known`` ones as given.
 
     Raises `IdentificationError` if no run shows power.
     """
-    p = _with_bench(inputs, known.replace(rear_dry_friction=0.0, front_dry_friction=0.0))
+    paper = known.replace(rear_dry_friction=0.0, front_dry_friction=0.0, one_sided_cable=False)
+    p = _with_bench(inputs, paper)
     runs = [_traverse(recording, p.pitch) for recording in inputs.recordings]
     p = p.replace(initial_length=float(np.mean([run.initial_length for run in runs])))
     (friction, threshold), j_loc = _locomotion(runs, p, lambda done: progress("J_loc", done))
@@ -186,7 +188,7 @@ def _energy(runs: Sequence[_Traverse], p: Parameters) -> tuple[Array, float]:
         damping, factor = values
         parts = []
         for time, rate, force, power, idle in tables:
-            predicted = idle + factor * np.maximum(-(force - damping * rate) * rate, 0.0)
+            predicted = idle + factor * cable_power(force - damping * rate, rate, False)
             left = accumulated(time, power) - accumulated(time, predicted)
             parts.append(left / np.sqrt(left.size * len(tables)))
         return np.concatenate(parts)

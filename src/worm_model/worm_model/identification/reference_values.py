@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from worm_model.identification.estimate import Estimate, not_told
@@ -39,13 +39,21 @@ NOT_SAID = "the paper"
 class ReferenceValues:
     """``parameters`` from which identification starts, ``intervals`` as far as known, and the ``source`` in words.
 
-    ``others``: the source of keys of which ``source`` says nothing.
+    ``others``: the source of keys of which ``source`` says nothing. ``fitted_otherwise``: c_b and α_P were fitted with
+    another form of the power than the one that ``parameters`` asks for.
     """
 
     parameters: Parameters
     intervals: Mapping[str, tuple[float, float]]
     source: str
     others: Mapping[str, str] = field(default_factory=dict)
+    fitted_otherwise: bool = False
+
+    def with_one_sided_cable(self) -> ReferenceValues:
+        """The same for a fit of the power of a cable that cannot push."""
+        other = not self.parameters.one_sided_cable
+        asked = self.parameters.replace(one_sided_cable=True)
+        return replace(self, parameters=asked, fitted_otherwise=other)
 
     def estimate(self, key: str) -> Estimate:
         """A value as given; what was neither measured nor given with bounds is not identifiable."""

@@ -13,7 +13,7 @@ from worm_model.identification.fingerprint import code_version
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion import SHARED as LOCOMOTION
 from worm_model.identification.stages import Identification
-from worm_model.parameters import KEYS, ParameterFile
+from worm_model.parameters import FORM, KEYS, MADE_BY, ParameterFile
 
 CORRELATED = 0.8  # correlations from here on are named
 
@@ -31,7 +31,8 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
     }
     tests = {"bellows": inputs.bellows, "fin": inputs.fin}
     provenance: dict[str, Any] = {
-        "made_by": "worm_model identify",
+        "made_by": MADE_BY,
+        FORM: result.parameters.one_sided_cable,
         "code": code_version(),
         "seed": result.seed,
         "given": result.reference.source,
@@ -51,6 +52,7 @@ def summary(result: Identification) -> dict[str, Any]:
     """The JSON object of the command line; numbers that are not known are NaN."""
     return {
         "parameters": {key: _estimate(e) for key, e in result.estimates.items()},
+        FORM: result.parameters.one_sided_cable,
         "runs": {name: asdict(error) for name, error in result.held_out.items()}
         or {run.name: dict.fromkeys(_ERRORS) for run in result.runs},
         "paper": {name: asdict(error) for name, error in result.paper.items()},

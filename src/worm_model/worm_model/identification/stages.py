@@ -38,7 +38,7 @@ from worm_model.identification.run_selection import (
     prepared_validation,
 )
 from worm_model.identification.strides import check_pitch
-from worm_model.parameters import KEYS, Parameters
+from worm_model.parameters import FITTED_WITH_FORM, KEYS, Parameters
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -50,6 +50,11 @@ NO_FIN = (
 UNDER_GIVEN_FINS = "fitted under the given fins; add a fin test"
 NOT_OF_PAPER = "not in the paper's model; without it η would be {:.1f} N·s/m"
 NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
+ONE_SIDED = "with a cable that cannot push, not to be held against the paper's"
+OTHER_FORM = (
+    "these runs do not tell c_b and α_P ({}), and those given were fitted with a cable that pushes: leave "
+    "--one-sided-cable out, or add what is missing"
+)
 NO_FRICTION = "η is not told, and c_b and α_P depend on it"
 SOFT_FIN = (
     "fin test: the side that --fin-engages names is the softer one ({engaged:.0f} against {disengaged:.0f} N/m): a fin "
@@ -107,7 +112,8 @@ def identify(
 ) -> Identification:
     """All parameters from recordings and bench tests; the same inputs and ``seed`` give the same numbers.
 
-    Raises `worm_model.identification.identification_errors.IdentificationError` if the data do not suffice.
+    c_b and α_P are fitted with the form of the power that the reference's parameters have. Raises
+    `worm_model.identification.identification_errors.IdentificationError` if the data do not suffice.
     """
     random = np.random.default_rng(seed)
     estimates = {key: reference.estimate(key) for key in KEYS}
@@ -129,10 +135,7 @@ def identify(
     estimates |= _actuation_estimates(actuation)
     progress("energy", 0.0)
     energy, power_runs = _energy(runs, known.parameters, estimates, locomotion, reference, random)
-    estimates |= {
-        "bellows_damping": energy.bellows_damping,
-        "power_factor": energy.power_factor,
-    }
+    estimates |= _energy_estimates(energy, reference)
     parameters = _with_values(known.parameters, estimates)
     progress("held out", 0.0)
     left_out = leave_one_out(runs, known, parameters, locomotion, actuation.fit, power_runs, energy)
@@ -192,7 +195,9 @@ def _energy(
         [run.traverse for run in runs], parameters, locomotion, stiffness, reference
     ).of(powered)
     power_runs = _power_runs(
-        [runs[index] for index in powered], forces, estimates["idle_power"].value
+        [runs[index] for index in powered],
+        forces,
+        parameters.replace(idle_power=estimates["idle_power"].value),
     )
     hindrance = "" if locomotion.viscous_friction.identifiable else NO_FRICTION
     result = identify_energy(
@@ -270,11 +275,24 @@ def _actuation_estimates(actuation: ActuationResult) -> dict[str, Estimate]:
     }
 
 
+def _energy_estimates(energy: EnergyResult, reference: ReferenceValues) -> dict[str, Estimate]:
+    """c_b and α_P, which hold for one form of the power; raises `IdentificationError` if only the other's are known."""
+    found = dict(zip(FITTED_WITH_FORM, (energy.bellows_damping, energy.power_factor), strict=True))
+    if not reference.parameters.one_sided_cable:
+        return found
+    if reference.fitted_otherwise and not energy.power_factor.identifiable:
+        raise IdentificationError(OTHER_FORM.format(energy.power_factor.note))
+    return {
+        key: replace(estimate, note="; ".join(filter(None, (estimate.note, ONE_SIDED))))
+        for key, estimate in found.items()
+    }
+
+
 def _with_values(parameters: Parameters, estimates: Mapping[str, Estimate]) -> Parameters:
     return parameters.replace(**{key: estimate.value for key, estimate in estimates.items()})
 
 
-def _power_runs(runs: Sequence[Run], forces: Forces, idle: float) -> list[PowerRun]:
+def _power_runs(runs: Sequence[Run], forces: Forces, known: Parameters) -> list[PowerRun]:
     """With each run's own idle power where it has one."""
     return [
         power_run(
@@ -283,7 +301,8 @@ def _power_runs(runs: Sequence[Run], forces: Forces, idle: float) -> list[PowerR
             run.length.rate,
             force,
             run.traverse.end,
-            run.idle.value if np.isfinite(run.idle.value) else idle,
+            run.idle.value if np.isfinite(run.idle.value) else known.idle_power,
+            one_sided_cable=known.one_sided_cable,
         )
         for run, force in zip(runs, forces.best, strict=True)
     ]

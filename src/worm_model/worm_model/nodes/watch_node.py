@@ -15,7 +15,7 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 
 from worm_model.commands.command_line import InputError, Parser, run_command
 from worm_model.gait import GaitError
@@ -26,6 +26,7 @@ from worm_model.twin.records import Activity, Health, LengthSource
 from worm_model.twin.watch_view import CLEAR, NAN, Trend, View, render
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
 from worm_msgs.node_command import declare_none
+from worm_msgs.qos import LATCHED
 from worm_msgs.ros_process import own_arguments, ros_process, spin
 
 PERIOD_S = 0.2
@@ -35,7 +36,6 @@ LEAST_WIDTH, MOST_WIDTH = 40, 120
 KEYS = "q: quit   space: freeze and go on"
 NO_KEYS = "Ctrl-C: quit"
 NEWEST = QoSProfile(depth=1)
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class WatchNode(Node):

@@ -85,7 +85,7 @@ def _check_rows(rows: Array) -> None:
     suspects = [rows.argmin(axis=0), rows.argmax(axis=0)]
     suspects += [np.argmin(2.0 * threshold - pitch), np.argmin(2.0 * threshold - clearance)]
     for index in np.unique(np.hstack(suspects)):
-        Parameters(*rows[index])
+        Parameters(*rows[index, : len(KEYS)])
 
 
 def evaluate_gaits(

@@ -56,7 +56,7 @@ def _check_header(path: str | Path, header: list[str]) -> None:
         if name not in (*REQUIRED, *OPTIONAL, *RESULTS, *KEYS):
             raise InputError(
                 f"{path}: unknown column {name!r}; known: {', '.join((*REQUIRED, *OPTIONAL))} "
-                "and the keys of a parameter file"
+                "and the numbers of a parameter file"
             )
     if len(set(header)) != len(header) or {"L0_m", "initial_length"} <= set(header):
         raise InputError(f"{path}: a column appears twice (L0_m is initial_length)")

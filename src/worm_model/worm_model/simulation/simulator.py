@@ -21,6 +21,7 @@ from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.kernel import guard, march
 from worm_model.simulation.kernel import whole_run as run
 from worm_model.simulation.kernel.mode import Constants, Motion
+from worm_model.simulation.kernel.work import cable_power
 
 Array = NDArray[np.float64]
 
@@ -62,8 +63,8 @@ def cost_of_transport(speed: ArrayLike, power: ArrayLike, mass: ArrayLike) -> Ar
 
 
 def parameter_row(parameters: Parameters) -> Array:
-    """The values in the order of `worm_model.parameters.KEYS`, shape (PARAMETER_COLUMNS,), as the kernel takes them."""
-    return np.array(list(parameters.as_dict().values()))
+    """The values in the order of `Parameters`, shape (PARAMETER_COLUMNS,), as the kernel takes them."""
+    return np.array(list(parameters.as_dict().values()), dtype=float)
 
 
 def check_cycles(cycles: int, averaged: int) -> None:
@@ -125,8 +126,9 @@ class Event:
 class Motions:
     """Dense output at ``time`` (n,): every field has shape (n,), SI units.
 
-    ``cable_force`` F_c (eq:Fc), ``rear_force`` F_1 and ``front_force`` F_2 in N; anchors A1, A2 in m and as
-    grooves of the lattice; ``energy`` in J since the start. At an event the values are those before it.
+    ``cable_force`` F_c (eq:Fc; below 0 a cable would have to push), ``rear_force`` F_1 and ``front_force`` F_2 in N;
+    anchors A1, A2 in m and as grooves of the lattice; ``energy`` in J since the start. At an event the values are those
+    before it.
     """
 
     time: Array
@@ -150,7 +152,8 @@ class Motions:
 def _motions(samples: Array, parameters: Parameters, energy: Array | None = None) -> Motions:
     """Names the columns of the kernel's samples; without ``energy`` it is that of the cable work."""
     time, force, rate = (samples[:, k] for k in (march.TIME, march.FORCE, march.LENGTH_RATE))
-    power = parameters.idle_power + parameters.power_factor * np.maximum(-force * rate, 0.0)
+    mechanical = cable_power(force, rate, parameters.one_sided_cable)
+    power = parameters.idle_power + parameters.power_factor * mechanical
     if energy is None:
         energy = parameters.idle_power * time + parameters.power_factor * samples[:, march.WORK]
     rear, front = (samples[:, k].astype(np.int64) for k in (march.REAR_GROOVE, march.FRONT_GROOVE))

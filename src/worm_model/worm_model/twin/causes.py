@@ -12,14 +12,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.twin.core.memory import CHANNELS, POWER
 from worm_model.twin.cycle_data import POWER_SHARE, SCATTER, CycleData
-from worm_model.twin.inference import weigh, weigh_noise
+from worm_model.twin.inference import Sound
 from worm_model.twin.signatures import BINS, FAULTS, L0_STEP_M, Signatures
 
 Array = NDArray[np.float64]
@@ -59,8 +60,7 @@ class Told:
     phase: float = 0.0
 
 
-@dataclass(frozen=True)
-class Candidate:
+class Candidate(NamedTuple):
     """A cause since a cycle (and a phase of it), over a number of cycles, 0 for ever; ``fact`` if its size is known.
 
     After it was weighed: ``weight``, its probability over that of a sound robot; ``size`` in usual ones, and deviation.
@@ -84,29 +84,32 @@ def weigh_causes(
 ) -> list[Candidate]:
     """All candidates for the cycles remembered, weighed; a sound robot has the weight 1."""
     data = Data(cycles, told, signs)
-    found = [*_lasting(cycles, signs), *_grooves(cycles, told, signs)]
-    directions = [data.direction(candidate) for candidate in found]
+    lasting = list(_lasting(cycles, signs))
+    grooves = list(_grooves(cycles, told, signs))
     tracked = any(cycle.step is not None for cycle in cycles)
-    if tracked and not length_seen:  # power alone cannot exclude a miss
-        for candidate, direction in _lengths(cycles, signs):
-            found.append(candidate)
-            directions.append(direction)
-    causes = np.array(directions).reshape(len(found), -1)
+    # Power alone cannot exclude a miss.
+    lengths = list(_lengths(cycles, signs)) if tracked and not length_seen else []
+    found = [*lasting, *grooves, *(candidate for candidate, _ in lengths)]
+    causes = np.array(
+        [
+            *data.lasting(lasting),
+            *map(data.direction, grooves),
+            *(direction for _, direction in lengths),
+        ]
+    ).reshape(len(found), -1)
     known = np.array([candidate.fact for candidate in found])
     some = data.weight > 0.0
-    weighed = weigh(
-        data.seen[some], data.weight[some], data.nuisances[some], causes[:, some], known
-    )
+    sound = Sound(data.seen[some], data.weight[some], data.nuisances[some])
+    weighed = sound.weigh(causes[:, some], known)
     logs = np.array([c.log_prior for c in found]) + weighed.evidence
     weights = np.exp(np.minimum(logs, 300.0))
     weights[
         [_is_impossible(*c) for c in zip(found, weighed.size, weighed.deviation, strict=True)]
     ] = 0.0
-    odd = data.odd()
-    strange = weigh_noise(data.seen[some], data.weight[some], data.nuisances[some], odd[:, some])
+    strange = sound.weigh_noise(data.odd()[:, some])
     return [
         *(
-            replace(c, weight=w, size=s, deviation=d)
+            c._replace(weight=w, size=s, deviation=d)
             for c, w, s, d in zip(
                 found,
                 weights.tolist(),
@@ -143,19 +146,26 @@ class Data:
         variance *= _excess(values, variance)[None, :, None]
         self.seen = values.ravel()
         self.weight = 1.0 / variance.ravel()
-        self.nuisances = np.column_stack(
-            [*self._of_the_run(), *self._of_a_cycle(), *self._told(told)]
-        )
+        nuisances = [*self._of_the_run(), *self._of_a_cycle(), *self._told(told)]
+        self.nuisances = np.array(nuisances).T
 
     def direction(self, candidate: Candidate) -> Array:
         """What a candidate does, flat."""
         if not candidate.cycles:
-            return self._from(self.signs.lasting[candidate.name], candidate.cycle, candidate.phase)
+            return self.lasting([candidate])[0]
         direction = sum(
             self._groove(candidate.name, candidate.code == GAINED, candidate.cycle + k)
             for k in range(candidate.cycles)
         )
         return np.asarray(direction)
+
+    def lasting(self, causes: Sequence[Candidate | Told]) -> Array:
+        """What causes that stay do, (causes, n)."""
+        changes = np.array([self.signs.lasting[cause.name] for cause in causes])
+        since = np.array([self._bins_before(cause.cycle, cause.phase) for cause in causes])
+        bins = np.arange(len(self.numbers) * BINS).reshape(-1, 1, BINS)
+        whole = changes[:, None] * (bins >= since[:, None, None, None])
+        return whole.reshape(len(causes), -1)
 
     def odd(self) -> Array:
         """Weights, flat, with each cycle in turn as it may be if something odd happened in it."""
@@ -167,31 +177,25 @@ class Data:
             odd[k, k] = usual[k] / (1.0 + strange * usual[k])
         return odd.reshape(len(self.numbers), -1)
 
-    def _every(self, change: Array) -> Array:
-        return np.tile(change.ravel(), len(self.numbers))
-
-    def _of_the_run(self) -> Iterator[Array]:
-        for change in self.signs.sound.values():
-            yield self._every(change)
+    def _of_the_run(self) -> Array:
+        """(changes, n) that are the same in every cycle."""
         scatter = np.tile(np.array(SCATTER)[:, None], BINS)
         scatter[POWER] += POWER_SHARE * self.signs.power
-        for k, size in enumerate(scatter.ravel().tolist()):
-            change = np.zeros(CHANNELS * BINS)
-            change[k] = size
-            yield self._every(change)
+        sound = np.array(list(self.signs.sound.values())).reshape(-1, scatter.size)
+        every = np.concatenate([sound, np.diag(scatter.ravel())])
+        return np.tile(every, len(self.numbers))
 
-    def _of_a_cycle(self) -> Iterator[Array]:
-        for number in self.numbers:
-            for channel, size in enumerate(SCATTER):
-                change = np.zeros((CHANNELS, BINS))
-                change[channel] = SHIFT * size
-                yield self._in(number, change)
-            yield self._in(number, THRESHOLDS * self.signs.sound["switching_threshold"])
+    def _of_a_cycle(self) -> Array:
+        """(changes, n) of one cycle each."""
+        channels = np.diag(np.array(SCATTER) * SHIFT).repeat(BINS, axis=1)
+        thresholds = THRESHOLDS * self.signs.sound["switching_threshold"].ravel()
+        changes = np.kron(np.eye(len(self.numbers)), np.vstack([channels, thresholds]))
+        return np.asarray(changes, np.float64)
 
     def _told(self, told: Sequence[Told]) -> Iterator[Array]:
         for event in told:
             if event.name in self.signs.lasting:
-                yield BROAD * self._from(self.signs.lasting[event.name], event.cycle, event.phase)
+                yield BROAD * self.lasting([event])[0]
             elif event.name == "missed":
                 for fin in self.signs.missed:
                     yield self._groove(fin, gained=False, number=event.cycle)
@@ -205,14 +209,10 @@ class Data:
             whole[self.numbers.index(number)] = change
         return whole.ravel()
 
-    def _from(self, change: Array, number: int, phase: float) -> Array:
-        whole = np.zeros((len(self.numbers), CHANNELS, BINS))
-        after = np.array(self.numbers) > number
-        whole[after] = change
-        if number in self.numbers:
-            first = round(phase * BINS)
-            whole[self.numbers.index(number), :, first:] = change[:, first:]
-        return whole.ravel()
+    def _bins_before(self, number: int, phase: float) -> int:
+        """Bins of all cycles before a phase of one."""
+        before = sum(own < number for own in self.numbers) * BINS
+        return before + round(phase * BINS) if number in self.numbers else before
 
     def _groove(self, fin: str, gained: bool, number: int) -> Array:  # noqa: FBT001
         before, after = (self.signs.gained if gained else self.signs.missed)[fin]

@@ -25,36 +25,48 @@ class Weighed:
     deviation: Array
 
 
-def weigh(
-    seen: Array, weight: Array, nuisances: Array, causes: Array, known: NDArray[np.bool_]
-) -> Weighed:
-    """Weighs causes (h, n) against none; ``weight`` (n,) is one over the variance, ``known`` (h,) where s is 1."""
-    weighted = nuisances * weight[:, None]
-    inner = np.eye(nuisances.shape[1]) + nuisances.T @ weighted
-    cross = causes @ weighted  # (h, m)
-    solved = np.linalg.solve(inner, np.column_stack([weighted.T @ seen, cross.T]))
-    match = causes @ (weight * seen) - cross @ solved[:, 0]
-    power = causes**2 @ weight - np.sum(cross * solved[:, 1:].T, axis=1)
-    power = np.maximum(power, 0.0)  # rounding
-    free = 0.5 * (match**2 / (1.0 + power) - np.log1p(power))
-    return Weighed(
-        evidence=np.where(known, match - 0.5 * power, free),
-        size=np.where(known, 1.0, match / (1.0 + power)),
-        deviation=np.where(known, 0.0, 1.0 / np.sqrt(1.0 + power)),
-    )
+class Sound:
+    """What none of the causes explains: normal noise and the nuisances.
 
+    Args:
+        seen: (n,).
+        weight: (n,), one over the variance of its noise.
+        nuisances: (n, m).
+    """
 
-def weigh_noise(seen: Array, weight: Array, nuisances: Array, others: Array) -> Array:
-    """Logarithm of the Bayes factor of noise of other weights, each of ``others`` (h, n), against ``weight`` (n,)."""
-    usual = _log_density(seen, weight, nuisances)
-    return np.array([_log_density(seen, other, nuisances) - usual for other in others])
+    def __init__(self, seen: Array, weight: Array, nuisances: Array) -> None:
+        self._seen, self._weight, self._nuisances = seen, weight, nuisances
+        self._weighted = nuisances * weight[:, None]
+        self._inner = np.eye(nuisances.shape[1]) + nuisances.T @ self._weighted
+        self._match = self._weighted.T @ seen
 
+    def weigh(self, causes: Array, known: NDArray[np.bool_]) -> Weighed:
+        """Weighs causes (h, n) against none; ``known`` (h,) where s is 1."""
+        cross = causes @ self._weighted  # (h, m)
+        solved = np.linalg.solve(self._inner, np.column_stack([self._match, cross.T]))
+        match = causes @ (self._weight * self._seen) - cross @ solved[:, 0]
+        power = causes**2 @ self._weight - np.sum(cross * solved[:, 1:].T, axis=1)
+        power = np.maximum(power, 0.0)  # rounding
+        free = 0.5 * (match**2 / (1.0 + power) - np.log1p(power))
+        return Weighed(
+            evidence=np.where(known, match - 0.5 * power, free),
+            size=np.where(known, 1.0, match / (1.0 + power)),
+            deviation=np.where(known, 0.0, 1.0 / np.sqrt(1.0 + power)),
+        )
 
-def _log_density(seen: Array, weight: Array, nuisances: Array) -> float:
-    """Of what was seen, without a cause, but for a constant."""
-    weighted = nuisances * weight[:, None]
-    inner = np.eye(nuisances.shape[1]) + nuisances.T @ weighted
-    match = weighted.T @ seen
-    explained = match @ np.linalg.solve(inner, match)
-    determinant = np.linalg.slogdet(inner)[1] - np.sum(np.log(weight))
-    return float(-0.5 * (seen @ (weight * seen) - explained + determinant))
+    def weigh_noise(self, others: Array) -> Array:
+        """Logarithm of the Bayes factor of noise of other weights, each of ``others`` (h, n), against its own."""
+        inner, match, of_noise = [self._inner], [self._match], [0.0]
+        for other in others:
+            rows = other != self._weight  # few
+            seen, nuisances = self._seen[rows], self._nuisances[rows]
+            change = (other - self._weight)[rows]
+            inner.append(self._inner + nuisances.T @ (nuisances * change[:, None]))
+            match.append(self._match + nuisances.T @ (change * seen))
+            of_noise.append(np.sum(np.log(other[rows] / self._weight[rows]) - change * seen**2))
+        matches = np.array(match)
+        explained = np.linalg.solve(np.array(inner), matches[..., None])[..., 0]
+        spread = np.linalg.slogdet(np.array(inner))[1]
+        density = 0.5 * (np.sum(matches * explained, axis=1) - spread + np.array(of_noise))
+        factors: Array = density[1:] - density[0]
+        return factors

@@ -26,7 +26,6 @@ from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
@@ -44,6 +43,7 @@ from worm_msgs.msg import (
     TwinResiduals,
     TwinState,
 )
+from worm_msgs.qos import LATCHED
 from worm_msgs.ros_process import words_of
 from worm_msgs.srv import InjectFault, RequestGait
 from worm_optimizer.nodes.action_goal import ActionGoal
@@ -80,7 +80,6 @@ _TELEMETRY: dict[type, str] = {
     TwinResiduals: "twin/residuals",
     TwinState: "twin/state",
 }
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
@@ -159,9 +158,9 @@ class OperatorNode(Node):
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.create_subscription(Clock, "clock", self._on_clock, 10)
         self.create_subscription(Log, "/rosout", self._on_log, 100)
-        self.create_subscription(GaitState, "gait_state", self._hear, _LATCHED)
+        self.create_subscription(GaitState, "gait_state", self._hear, LATCHED)
         self._heartbeat = self.create_publisher(Heartbeat, "heartbeat", 10)
-        self._emergency = self.create_publisher(Bool, "emergency_stop", _LATCHED)
+        self._emergency = self.create_publisher(Bool, "emergency_stop", LATCHED)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self)
 

@@ -11,13 +11,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 
 from worm_model.nodes.twin_messages import nanoseconds
 from worm_model.twin.records import Activity, Health, LengthSource, StateRecord
 from worm_model.twin.scene import Sighting
 from worm_model.twin.watch_view import STALE_S
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
+from worm_msgs.qos import LATCHED
 from worm_optimizer.snapshot import DriverWord, Residuals, Snapshot
 
 RESIDUALS = ("rear_position", "length", "power")
@@ -25,7 +26,6 @@ _NEWEST = QoSProfile(depth=1)
 _SIGHTINGS = (
     200  # 2 s at 100 Hz: the twin is behind by its delay, and is shown beside what was seen then
 )
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _LENGTHS = {
     LengthSource.COMMANDED: "body_length/commanded",
     LengthSource.CABLE: "body_length/cable",
@@ -33,7 +33,7 @@ _LENGTHS = {
     LengthSource.MEASURED: "body_length/measured",
 }
 _TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
-    "gait_state": (GaitState, _LATCHED),
+    "gait_state": (GaitState, LATCHED),
     "power": (Power, _NEWEST),
     "tracker": (Tracker, _NEWEST),
     "twin/state": (TwinState, _NEWEST),

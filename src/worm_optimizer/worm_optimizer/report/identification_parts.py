@@ -27,7 +27,14 @@ from worm_model.identification.identification_report import (
     PAGE,
 )
 from worm_model.identification.inputs import read_bench_test
-from worm_model.parameters import PAPER, SYMBOLS, ParameterFile, load_parameter_file
+from worm_model.parameters import (
+    FITTED_WITH_FORM,
+    KEYS,
+    PAPER,
+    SYMBOLS,
+    ParameterFile,
+    load_parameter_file,
+)
 
 _SUFFIX = ".png"
 _Fit = TypeVar("_Fit")
@@ -124,14 +131,21 @@ def _as_html(markdown: str) -> str:
     )
 
 
+def comparable_with_paper(content: ParameterFile) -> list[str]:
+    """The keys but for those that were fitted with another form of the power than the paper's."""
+    other = FITTED_WITH_FORM if content.parameters.one_sided_cable else ()
+    return [key for key in KEYS if key not in other]
+
+
 def parameters_figure(content: ParameterFile) -> Figure:
-    """Each parameter that has an interval, as a ratio to the paper's value, where that is not 0."""
+    """Each parameter that has an interval, as a ratio to the paper's value, where that is not 0 and comparable."""
     values, paper = content.parameters.as_dict(), PAPER.as_dict()
-    keys = [key for key in values if key in content.intervals and paper[key]]
+    keys = [
+        key for key in comparable_with_paper(content) if key in content.intervals and paper[key]
+    ]
     ratio = np.array([values[key] / paper[key] for key in keys])
-    bounds = np.array([content.intervals[key] for key in keys]) / np.array(
-        [[paper[key]] for key in keys]
-    )
+    ends = [np.divide(content.intervals[key], paper[key]) for key in keys]
+    bounds = np.reshape(ends, (len(keys), 2))
     figure = new_figure(8.0, 1.2 + 0.32 * len(keys))
     axes = figure.subplots()
     rows = np.arange(len(keys))

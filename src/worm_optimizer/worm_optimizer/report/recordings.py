@@ -95,13 +95,14 @@ def read_recorded_gaits(
 
     The twin goes on from one recording to the next where the robot did: a gait leaves the fins bent, and the next one
     begins from there. ``parameters`` is a parameter file; empty: the one inside the bag, else the paper's. Raises
-    BagError, ParameterError, or InputError if a bag holds no gait.
+    BagError, ParameterError, or InputError if a bag holds no gait, or the powers of two bags are of different forms.
     """
     with ExitStack() as opened:
         recordings = [
             _recording(opened.enter_context(open_bag(path, notify)), path, parameters)
             for path in paths
         ]
+        _check_one_form(recordings)
         gaits = {}
         for group in _unbroken(recordings):
             run = joined([recording.run for recording in group])
@@ -115,6 +116,16 @@ def _recording(bag: Bag, path: Path, parameters: str) -> _Recording:
     used = _parameters_of(bag, parameters)
     name = path.stem if path.is_file() else path.resolve().name
     return _Recording(bag, name, read_run(bag), used, _provenance(bag, path, used[1]))
+
+
+def _check_one_form(recordings: Sequence[_Recording]) -> None:
+    """Raises InputError where expected powers could not be compared with each other."""
+    names = {each.parameters[0].parameters.one_sided_cable: each.name for each in recordings}
+    if len(names) > 1:
+        raise InputError(
+            f"{names[True]} was recorded with parameters of a cable that cannot push (one_sided_cable), {names[False]} "
+            "with others: give --parameters FILE for all of them, or report each by itself"
+        )
 
 
 def _unbroken(recordings: Sequence[_Recording]) -> list[list[_Recording]]:
@@ -168,6 +179,12 @@ def _named_apart(gaits: Sequence[RecordedGait]) -> list[RecordedGait]:
 
 
 def _parameters_of(bag: Bag, file: str) -> tuple[ParameterFile, str]:
+    content, source = _given(bag, file)
+    form = " (a cable that cannot push)" if content.parameters.one_sided_cable else ""
+    return content, source + form
+
+
+def _given(bag: Bag, file: str) -> tuple[ParameterFile, str]:
     if file:
         return load_parameter_file(file), file
     for attached in bag.attachments():

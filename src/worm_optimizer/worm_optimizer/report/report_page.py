@@ -28,7 +28,11 @@ from worm_optimizer.report.agreement import (
     title_of,
 )
 from worm_optimizer.report.front_plots import measured_front_figure, price_figure
-from worm_optimizer.report.identification_parts import IdentificationParts, parameters_figure
+from worm_optimizer.report.identification_parts import (
+    IdentificationParts,
+    comparable_with_paper,
+    parameters_figure,
+)
 from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.run_figures import RUN_FIGURES, draw_overlay
@@ -221,6 +225,7 @@ def _identification(
         shown.append(pictures.save("fin", fin_figure(parts.fin_fit), caption))
     return {
         "source": parts.source,
+        "one_sided_cable": parts.content is not None and parts.content.parameters.one_sided_cable,
         "rows": list(_parameter_rows(parts)),
         "provenance": {} if parts.content is None else dict(parts.content.provenance),
         "pictures": shown,
@@ -234,10 +239,12 @@ def _parameter_rows(parts: IdentificationParts) -> Iterator[tuple[str, ...]]:
     if parts.content is None:
         return
     values, paper = parts.content.parameters.as_dict(), PAPER.as_dict()
+    alike = comparable_with_paper(parts.content)
     for key in KEYS:
         low, high = parts.content.intervals.get(key, (math.nan, math.nan))
         interval = f"{low:.5g} to {high:.5g}" if math.isfinite(low) else "not identified"
-        yield key, SYMBOLS[key], f"{values[key]:.5g}", interval, f"{paper[key]:.5g}", UNITS[key]
+        told = f"{paper[key]:.5g}" if key in alike else "–"
+        yield key, SYMBOLS[key], f"{values[key]:.5g}", interval, told, UNITS[key]
 
 
 def _picture(png: bytes, caption: str) -> Picture:

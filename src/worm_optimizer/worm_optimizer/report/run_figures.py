@@ -83,9 +83,9 @@ def draw_cycles(gait: RecordedGait) -> Figure:
     finish(panels[0], "grooves gained (1)")
     panels[0].get_legend().remove()  # it is wider than the panel
     for axes, name, scale, label in (
-        (panels[1], "x1_rmse", MM, "x1 residual (mm rms)"),
-        (panels[2], "length_rmse", MM, "length residual (mm rms)"),
-        (panels[3], "power_rmse", 1.0, "power residual (W rms)"),
+        (panels[1], "x1_rmse", MM, "x1 (mm rms)"),
+        (panels[2], "length_rmse", MM, "length (mm rms)"),
+        (panels[3], "power_rmse", 1.0, "power (W rms)"),
     ):
         axes.bar(number, [scale * getattr(c.residuals, name) for c in cycles], color=BLUE)
         finish(axes, label)

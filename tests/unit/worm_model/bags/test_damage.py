@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -117,6 +117,7 @@ def test_damaged_mcap(compression: CompressionType, chunked: bool, edits):
 
 @settings(max_examples=60, deadline=None)
 @given(edits=EDITS)
+@example(edits=[(0.98828125, "flip", 128)])  # a time before 1970
 def test_damaged_sqlite3(edits):
     read_or_refuse(edit(sqlite_bytes(), edits), "a.db3")
 

@@ -83,7 +83,8 @@ def test_the_campaign_is_predicted_to_the_cameras_noise(outcome):
 def test_the_parameter_file_is_that_of_the_nodes(outcome):
     found = json.loads(outcome[1])["parameters"]
     file = load_parameter_file(outcome[2] / "parameters.yaml")
-    assert file.parameters.as_dict() == pytest.approx({key: found[key]["value"] for key in KEYS})
+    values = {key: found[key]["value"] for key in KEYS}
+    assert file.parameters.as_dict() == pytest.approx({**values, "one_sided_cable": False})
     assert set(file.intervals) == set(KEYS)
     assert file.parameters.rear_mass == 0.433  # by the README
     assert set(file.correlations) > {("slack", "gain"), ("bellows_damping", "power_factor")}

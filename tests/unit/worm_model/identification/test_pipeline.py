@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from virtual_campaign import SHORT, virtual_campaign
+from virtual_campaign import SHORT, bench_tests, virtual_campaign
 
+from worm_model.analysis.simulated_run import simulated_run
 from worm_model.identification.advice import advise
 from worm_model.identification.estimate import Estimate
 from worm_model.identification.fin import fit_fin
@@ -14,12 +15,26 @@ from worm_model.identification.held_out import run_errors
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.identification_figures import energy_of_run
 from worm_model.identification.identification_report import text_of
-from worm_model.identification.reference_values import MEASURED
+from worm_model.identification.inputs import Inputs
+from worm_model.identification.observed_run import recording_of
+from worm_model.identification.reference_values import (
+    MEASURED,
+    ReferenceValues,
+    reference_by_file,
+)
 from worm_model.identification.results import correlations, parameter_file, summary
 from worm_model.identification.run_prediction import predict
 from worm_model.identification.run_selection import prepared, prepared_validation
 from worm_model.identification.stages import FIN, bench_warnings, identify
-from worm_model.parameters import KEYS, PAPER
+from worm_model.parameters import (
+    FITTED_WITH_FORM,
+    KEYS,
+    PAPER,
+    ParameterError,
+    ParameterFile,
+    load_parameters,
+    write_parameter_file,
+)
 
 IDENTIFIED = [key for key in KEYS if key not in MEASURED or key == "pitch"]
 DRY = ("rear_dry_friction", "front_dry_friction")  # whose intervals are judged in N, not relative
@@ -124,6 +139,38 @@ def test_the_outputs_agree_with_each_other(campaigns, results):
     text = text_of(result, advise(result), [])
     assert all(run.name in text for run in result.runs)
     assert np.isfinite(found["runs"]["run_1"]["energy_error"])
+
+
+def test_a_cable_that_cannot_push_is_identified_as_such_and_said_to_be(tmp_path):
+    truth = PAPER.replace(one_sided_cable=True, bellows_damping=950.0, power_factor=2.9)
+    recordings = tuple(
+        recording_of(simulated_run(gait, truth, 5, 60.0).as_recorded(), f"run_{k}")
+        for k, (gait, _) in enumerate(SHORT[:3])
+    )
+    inputs = Inputs(recordings, *bench_tests(truth, np.random.default_rng(0)), None)
+    given = ReferenceValues(PAPER, {}, "the paper").with_one_sided_cable()
+    result = identify(inputs, given)
+    for key in FITTED_WITH_FORM:
+        assert result.estimates[key].value == pytest.approx(getattr(truth, key), rel=0.02)
+        assert "cannot push" in result.estimates[key].note
+    assert max(abs(error.energy_error) for error in result.held_out.values()) < 5e-3
+    assert summary(result)["one_sided_cable"] is True
+    path = tmp_path / "robot.yaml"
+    write_parameter_file(path, parameter_file(result, inputs))
+    assert load_parameters(path) == result.parameters
+    text = path.read_text()
+    for edited in (
+        text.replace("\none_sided_cable: true", "", 1),
+        text.replace("true", "false", 1),
+    ):
+        path.write_text(edited)
+        with pytest.raises(ParameterError, match="identify again without --one-sided-cable"):
+            load_parameters(path)
+    with pytest.raises(IdentificationError, match="fitted with a cable that pushes"):
+        identify(replace(inputs, bellows=None), given)
+    again = identify(replace(inputs, bellows=None), reference_by_file(ParameterFile(truth), "it"))
+    assert again.parameters.one_sided_cable
+    assert again.parameters.bellows_damping == 950.0
 
 
 def test_without_bench_tests_nothing_is_claimed_that_depends_on_them(campaigns):

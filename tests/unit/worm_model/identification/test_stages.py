@@ -12,7 +12,7 @@ from worm_model.identification import locomotion_stage
 from worm_model.identification.actuation_fit import fit_actuation
 from worm_model.identification.actuation_stage import identify_actuation
 from worm_model.identification.block_least_squares import solve
-from worm_model.identification.energy import power_run
+from worm_model.identification.energy import fit_energy, power_run
 from worm_model.identification.energy_stage import identify_energy
 from worm_model.identification.grooves import MEANS, fit_grooves
 from worm_model.identification.identification_errors import IdentificationError
@@ -267,11 +267,11 @@ def test_grooves_that_differ_are_told_apart():
     assert found == pytest.approx(0.0171 + rear[dry_friction.FIRST_GROOVE, 0], abs=6e-5)
 
 
-def power_runs(gaits, random, factor_scatter=0.01):
+def power_runs(gaits, random, factor_scatter=0.01, truth=TRUTH, one_sided_cable=False):
     """Runs whose force is the exact model's, each with a power factor that is a little its own."""
     found = []
-    for gait, recording in zip(gaits, recordings(gaits=gaits, camera_noise=1e-5), strict=True):
-        motion = simulate(gait, TRUTH, 3).at(np.arange(0.0, 1.6 / gait.frequency, 0.008))
+    for gait, recording in zip(gaits, recordings(truth, gaits, camera_noise=1e-5), strict=True):
+        motion = simulate(gait, truth, 3).at(np.arange(0.0, 1.6 / gait.frequency, 0.008))
         static = motion.cable_force + TRUTH.bellows_damping * motion.length_rate
         own = 1.0 + factor_scatter * random.standard_normal()
         power = TRUTH.idle_power + own * (recording.power - TRUTH.idle_power)
@@ -283,6 +283,7 @@ def power_runs(gaits, random, factor_scatter=0.01):
                 static,
                 1.5 / gait.frequency,
                 TRUTH.idle_power,
+                one_sided_cable=one_sided_cable,
             )
         )
     return found
@@ -305,6 +306,19 @@ def test_damping_and_power_factor_are_found_from_several_frequencies():
     assert result.bellows_damping.low < 900.0 < result.bellows_damping.high
     assert result.power_factor.low < 3.0 < result.power_factor.high
     assert result.correlation[0, 1] < -0.8
+
+
+def test_the_form_of_the_power_that_the_robot_has_finds_its_damping_and_factor():
+    gaits = [Gait(0.09, f) for f in (0.1, 0.2, 0.3, 0.4)]
+    truth = TRUTH.replace(one_sided_cable=True)
+    forms = {
+        form: fit_energy(power_runs(gaits, np.random.default_rng(0), 0.0, truth, form))
+        for form in (True, False)
+    }
+    assert forms[True].damping == pytest.approx(900.0, rel=0.01)
+    assert forms[True].factor == pytest.approx(3.0, rel=0.01)
+    assert abs(forms[False].damping - 900.0) > 90.0
+    assert forms[False].solution.cost > 10.0 * forms[True].solution.cost
 
 
 def test_a_wrong_idle_power_does_not_pass_for_a_clock_offset():

@@ -10,7 +10,7 @@ from faulty_robots import ONSET, Fault, Lab, Robots, run_robots
 
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.twin.inference import weigh, weigh_noise
+from worm_model.twin.inference import Sound
 from worm_model.twin.records import Event, Health
 from worm_model.twin.twin import Twin
 
@@ -144,7 +144,7 @@ def test_noise_of_another_weight_is_weighed_as_its_density():
     def density(weights: np.ndarray) -> float:
         return float(np.sum(0.5 * np.log(weights) - 0.5 * weights * seen**2))
 
-    found = weigh_noise(seen, weight, np.zeros((3, 1)), others)
+    found = Sound(seen, weight, np.zeros((3, 1))).weigh_noise(others)
     assert found == pytest.approx([0.0, density(others[1]) - density(weight)], abs=1e-9)
 
 
@@ -162,9 +162,8 @@ def test_the_bayes_factor_is_that_of_the_integral():
 
     none = likelihood(0.0)
     integral = sum(p * likelihood(s) for p, s in zip(normal, grid, strict=True))
-    found = weigh(
-        seen, weight, nuisance[:, None], np.array([cause, cause]), np.array([False, True])
-    )
+    sound = Sound(seen, weight, nuisance[:, None])
+    found = sound.weigh(np.array([cause, cause]), np.array([False, True]))
     assert found.evidence[0] == pytest.approx(math.log(integral / none), abs=1e-6)
     assert found.evidence[1] == pytest.approx(math.log(likelihood(1.0) / none), abs=1e-6)
 

@@ -22,7 +22,7 @@ from worm_model.bags.bag import AttachedFile
 from worm_model.bags.bag_writer import BagWriter
 from worm_model.bags.run_writer import write_run
 from worm_model.commands.command_line import InputError
-from worm_model.parameters import PAPER, ParameterFile, format_parameter_file
+from worm_model.parameters import KEYS, PAPER, ParameterFile, format_parameter_file
 from worm_model.run import GaitStates, Run, TrackerSamples
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.commands import report as command
@@ -174,6 +174,22 @@ def test_the_parameter_file_inside_the_recording_counts(tmp_path: Path):
     (tmp_path / "given.yaml").write_text("idle_power: 0.5\n")
     given = read_one(tmp_path / "own", str(tmp_path / "given.yaml"))
     assert given.content.parameters.idle_power == 0.5
+
+
+def test_powers_of_two_forms_are_not_compared(tmp_path: Path):
+    for name, form in (("pulls", True), ("pushes", False)):
+        text = format_parameter_file(ParameterFile(PAPER.replace(one_sided_cable=form))).encode()
+        with BagWriter(tmp_path / name) as writer:
+            writer.add_attachment(AttachedFile("parameters.yaml", "application/yaml", text))
+            write_run(writer, simulated_run(1))
+    bags = [tmp_path / "pulls", tmp_path / "pushes"]
+    with pytest.raises(InputError, match="pulls was recorded with parameters of a cable that"):
+        read_recorded_gaits(bags, "", silent)
+    gait = read_one(bags[0])
+    assert gait.parameter_source.endswith("(a cable that cannot push)")
+    assert gait.expected.nominal == evaluate_gait(
+        GAIT, PAPER.replace(one_sided_cable=True), *(gait.played.cycles,) * 2
+    )
 
 
 def test_events_tell_states_and_gaps(gait: RecordedGait):
@@ -416,7 +432,19 @@ def test_identified_parameters_stand_beside_the_papers(tmp_path: Path):
     text = page.read_text(encoding="utf-8")
     assert "0.88 to 0.92" in text
     assert "run_01" in text
+    assert "cannot push" not in text
     assert (tmp_path / "r" / "figures" / "parameters.png").stat().st_size > 0
+
+
+def test_values_of_another_form_of_the_power_are_not_held_against_the_papers(tmp_path: Path):
+    content = ParameterFile(PAPER.replace(one_sided_cable=True), {"power_factor": (3.1, 3.3)})
+    parts = IdentificationParts(content, "mine.yaml")
+    page = build_report(Report("identified", identification=parts), tmp_path / "r")
+    text = page.read_text(encoding="utf-8")
+    assert "with the power of a cable that cannot push" in text
+    rows = {key: line for line in text.splitlines() for key in KEYS if f"<code>{key}<" in line}
+    assert rows["bellows_damping"].count("862.4") == rows["power_factor"].count("3.22") == 1
+    assert rows["bellows_stiffness"].count("968.8") == 2  # its value and the paper's
 
 
 def test_fits_of_the_bench_tests_and_the_report_of_identify_are_on_the_page(

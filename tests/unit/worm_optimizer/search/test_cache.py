@@ -87,10 +87,11 @@ def test_the_name_changes_with_everything_that_matters():
         key_of(FILE, dataclasses.replace(QUICK, margin=1e-3), 1),
         key_of(ParameterFile(PAPER.replace(slack=0.0081)), QUICK, 1),
         key_of(ParameterFile(), QUICK, 1),
+        key_of(ParameterFile(PAPER.replace(one_sided_cable=True)), QUICK, 1),
         key_of(dataclasses.replace(FILE, correlations={("slack", "gain"): 0.5}), QUICK, 1),
         key_of(dataclasses.replace(FILE, run_to_run={"initial_length": 1e-4}), QUICK, 1),
     }
-    assert len(names) == 8
+    assert len(names) == 9
 
 
 def test_the_name_does_not_change_with_what_does_not_matter():

@@ -87,6 +87,7 @@ def test_a_title_or_a_comment_changes_nothing_that_counts():
 
 WRONG = {
     "vary: no such key as 'slak'; did you mean slack": {"vary": {"slak": [1.0]}},
+    "vary: no such key as 'one_sided_cable'": {"vary": {"one_sided_cable": [0.0, 1.0]}},
     "vary: slack: 'much' is not a finite number": {"vary": {"slack": ["much"]}},
     "vary: slack: write a list": {"vary": {"slack": {"from": 0.0}}},
     "vary: slack: a value stands there twice": {"vary": {"slack": [0.001, 0.001]}},

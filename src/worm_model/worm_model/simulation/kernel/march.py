@@ -60,7 +60,7 @@ from worm_model.simulation.kernel.mode import (
     fin_stiffness,
     region_of,
 )
-from worm_model.simulation.kernel.work import cable_work
+from worm_model.simulation.kernel.work import cable_power_of, cable_work
 
 POSITION_TOLERANCE = 1e-14  # m, to which a border is located
 SIGN_TOLERANCE = 1e-9  # N, m/s: signs matter only through an integrand that vanishes with them
@@ -121,7 +121,7 @@ class Stage(NamedTuple):
 
 
 class PositiveWork(NamedTuple):
-    """Whether cable work is being counted (F_c·L̇ < 0), and the antiderivative where that began."""
+    """Whether cable work is being counted, by the signs of F_c and L̇, and the antiderivative where that began."""
 
     force_side: float
     rate_side: float
@@ -258,9 +258,9 @@ def _antiderivative(stage: Stage, b: Basis, wave: Wave) -> float:
 
 @inlined
 def _open_work(
-    force_side: float, rate_side: float, stage: Stage, b: Basis, wave: Wave
+    force_side: float, rate_side: float, stage: Stage, b: Basis, wave: Wave, c: Constants
 ) -> PositiveWork:
-    active = wave.q != 0.0 and force_side * rate_side < 0.0
+    active = wave.q != 0.0 and cable_power_of(force_side, rate_side, c.one_sided_cable) > 0.0
     mark = _antiderivative(stage, b, wave) if active else 0.0
     return PositiveWork(force_side, rate_side, active, mark)
 
@@ -363,7 +363,7 @@ def _follow_mode(
 ) -> tuple[float, int, Basis]:
     """Follows a mode to its end: (its duration, what ends it, the basis there); NOTHING if it gives up."""
     wave = segment.wave
-    work = _open_work(_side(stage.force, b), _side(stage.length_rate, b), stage, b, wave)
+    work = _open_work(_side(stage.force, b), _side(stage.length_rate, b), stage, b, wave, c)
     s = 0.0
     while True:
         totals[STEPS] += 1.0
@@ -379,9 +379,9 @@ def _follow_mode(
         if totals[STEPS] > MOST_STEPS and ahead.stop != END:
             return s, NOTHING, b
         if ahead.stop == FORCE_SIGN:
-            work = _open_work(-work.force_side, work.rate_side, stage, b, wave)
+            work = _open_work(-work.force_side, work.rate_side, stage, b, wave, c)
         elif ahead.stop == RATE_SIGN:
-            work = _open_work(work.force_side, -work.rate_side, stage, b, wave)
+            work = _open_work(work.force_side, -work.rate_side, stage, b, wave, c)
         else:
             return s, ahead.stop, b
 

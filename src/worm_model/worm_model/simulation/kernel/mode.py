@@ -46,6 +46,7 @@ class Constants(NamedTuple):
     unstressed_length: float
     rear_dry: float
     front_dry: float
+    one_sided_cable: bool
 
 
 class Motion(NamedTuple):

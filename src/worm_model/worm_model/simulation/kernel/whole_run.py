@@ -28,7 +28,7 @@ from worm_model.simulation.kernel.march import (
 )
 from worm_model.simulation.kernel.mode import Constants, Motion, region_of
 
-# Columns of a parameter row, the keys of a parameter file in the order of `worm_model.parameters.KEYS`
+# Columns of a parameter row, in the order of `worm_model.parameters.Parameters`; the last one is 0 or 1
 (
     REAR_MASS,
     FRONT_MASS,
@@ -49,8 +49,9 @@ from worm_model.simulation.kernel.mode import Constants, Motion, region_of
     POWER_FACTOR,
     REAR_DRY_FRICTION,
     FRONT_DRY_FRICTION,
-) = range(19)
-PARAMETER_COLUMNS = 19
+    ONE_SIDED_CABLE,
+) = range(20)
+PARAMETER_COLUMNS = 20
 # Columns of a result row
 MEAN_ADVANCE, MEAN_POWER, LEAST_ADVANCE, RUN_SWITCHES, RUN_CHATTER = range(5)
 RESULT_COLUMNS = 5
@@ -77,6 +78,7 @@ def constants_of(p: np.ndarray, direction: float, margin: float) -> Constants:
         p[UNSTRESSED_LENGTH],
         p[REAR_DRY_FRICTION],
         p[FRONT_DRY_FRICTION],
+        p[ONE_SIDED_CABLE] != 0.0,
     )
 
 

@@ -1,10 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Antiderivative of F_c·L̇ over a mode, in closed form (the work of eq:power_model)."""
+"""The cable's mechanical power (of eq:power_model), and the antiderivative of F_c·L̇ over a mode, in closed form."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+
 from worm_model.simulation.kernel.compiled import inlined
 from worm_model.simulation.kernel.linear import Basis, Coefficients, Roots, Wave
+
+
+def cable_power(force: Any, rate: Any, one_sided_cable: Any) -> Any:
+    """What the cable puts in, W: max(−F_c·L̇, 0), and nothing of a one-sided cable that would have to push (F_c < 0).
+
+    ``force`` F_c in N and ``rate`` L̇ in m/s are numbers or, outside the kernel, arrays.
+    """
+    if one_sided_cable:
+        force = np.maximum(force, 0.0)
+    return np.maximum(-force * rate, 0.0)
+
+
+cable_power_of = inlined(cable_power)  # of numbers, within the kernel
 
 
 @inlined

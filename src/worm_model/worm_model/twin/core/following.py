@@ -44,6 +44,7 @@ from worm_model.simulation.kernel.march import (
 )
 from worm_model.simulation.kernel.mode import Constants, Motion, region_of
 from worm_model.simulation.kernel.whole_run import IDLE_POWER, POWER_FACTOR, step
+from worm_model.simulation.kernel.work import cable_power_of
 from worm_model.twin.core.intake import COMMAND, GAIT, JUMPED_BACK, LENGTH, POSITION, QUIET, admit
 from worm_model.twin.core.judging import judge
 from worm_model.twin.core.memory import LENGTH as LENGTH_CHANNEL
@@ -266,7 +267,8 @@ def _spend(
         if m.on_estimate or m.answered:
             rate = (effective(m.command, a) - m.answer) / a.time_constant if m.engaged else 0.0
     force = sample[FORCE] - drag_of(c) * (rate - sample[LENGTH_RATE])
-    power = p[IDLE_POWER] + p[POWER_FACTOR] * max(-force * rate - drag_of(c) * variance, 0.0)
+    mechanical = cable_power_of(force, rate, c.one_sided_cable)
+    power = p[IDLE_POWER] + p[POWER_FACTOR] * max(mechanical - drag_of(c) * variance, 0.0)
     before = m.power if stamp > m.track_ns else power
     m.energy += 0.5 * (before + power) * (stamp - m.power_ns) * SECOND
     m.power_ns, m.power = stamp, power
