@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
@@ -17,6 +18,7 @@ from worm_optimizer.orders import FrontOrder, ScanOrder, SearchResult
 from worm_optimizer.search.nsga2 import SearchSettings
 
 _LOOK_S = 0.25
+_ANSWER_S = 10.0  # to a cancellation; an optimizer that was started again does not know of the goal
 
 
 class SearchGoal(ActionGoal):
@@ -34,6 +36,7 @@ class SearchGoal(ActionGoal):
         self.fraction = 0.0
         self.wanted = True
         self._on_end = on_end
+        self._cancelled_at = math.inf
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(_LOOK_S, self._look, clock=clock)
 
@@ -48,7 +51,11 @@ class SearchGoal(ActionGoal):
         elif self.answered and not self.possible:
             self._end(SearchResult(success=False, message="the optimizer is not there any more"))
         elif not self.wanted and not self._cancelled:
+            self._cancelled_at = time.monotonic()
             self.cancel()
+        elif time.monotonic() > self._cancelled_at + _ANSWER_S:
+            words = "cancelled; the optimizer does not answer, it may have started again since"
+            self._end(SearchResult(success=False, message=words))
 
     def _end(self, result: SearchResult) -> None:
         self._timer.cancel()
