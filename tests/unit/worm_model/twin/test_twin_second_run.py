@@ -20,7 +20,7 @@ from twin_samples import (
 from worm_driver.virtual_robot.plant import BodyParameters, Plant, PlantEffects, make_grooves
 from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_model.parameters import PAPER
-from worm_model.twin.records import Activity
+from worm_model.twin.records import Activity, Health
 
 ONSET = 1_700_000_000_000_000_000
 CYCLES, PAUSE_S, STEP_S, ORIGIN = 3, 6.0, 1e-3, 0.4
@@ -142,3 +142,12 @@ def test_slack_that_is_still_taken_up_is_not_another_l0(second):
     rows = [r for r in output.residuals if r.stamp_ns > again + 1_000_000_000]
     assert max(abs(r.length) for r in rows if math.isfinite(r.length)) < 1.5e-3
     assert max(abs(r.rear_position) for r in rows if math.isfinite(r.rear_position)) < 1.5e-3
+
+
+def test_the_slack_that_comes_back_after_a_run_makes_nobody_suspect():
+    """The body grows by 7 mm while the command stays, and the twin goes on saying how well the run went."""
+    rows = follow(session(Gait(0.07, 0.2))).residuals
+    end = at(CYCLES * FIRST.period)
+    rest = [row for row in rows if end + 10**9 < row.stamp_ns < at(CYCLES * FIRST.period + PAUSE_S)]
+    assert len(rest) > 50
+    assert {row.health for row in rest} <= {Health.HEALTHY, Health.UNKNOWN}

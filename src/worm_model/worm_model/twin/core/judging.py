@@ -224,7 +224,8 @@ def judge(memory: Memory, rules: Rules, c: Constants, out: Rows) -> bool:
     """Compares the sample that is being taken, as far as answer and motion came to it; True if the tracker moved."""
     m = memory.record[0]
     row = memory.rows[m.place]
-    if row.kind == LENGTH_SAMPLE and m.answered:
+    if row.kind == LENGTH_SAMPLE and m.answered and not m.end_ns:
+        # After a run the slack of a resting cable comes back, the actuation model does not say when.
         residual = row.a - m.initial_length - m.answer
         observe(memory, LENGTH, row.stamp, residual, rules.length_scale)
         _sum_up(memory, row.stamp, LENGTH_SUM, residual)
