@@ -6,50 +6,14 @@ import os
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import pytest
+from worker_jobs import Dying, Endless, Refusing, Steps
 
-from worm_optimizer.search.front import Progress, Report
-from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.front import Progress
 from worm_optimizer.search.worker import Outcome, Ticket, WorkQueue
 
 DEADLINE_S = 60.0
-
-
-@dataclass(frozen=True)
-class Steps:
-    """Reports a number of steps and returns the process that it ran in."""
-
-    count: int
-
-    def run(self, report: Report) -> int:
-        for step in range(self.count):
-            report(Progress((step + 1) / self.count, f"step {step}"))
-        return os.getpid()
-
-
-@dataclass(frozen=True)
-class Endless:
-    """Says which process it is and never ends."""
-
-    def run(self, report: Report) -> object:
-        report(Progress(0.0, str(os.getpid())))
-        while True:
-            time.sleep(1.0)
-
-
-@dataclass(frozen=True)
-class Refusing:
-    def run(self, report: Report) -> object:
-        raise OptimizerError("nothing moves")
-
-
-@dataclass(frozen=True)
-class Dying:
-    def run(self, report: Report) -> object:
-        os.kill(os.getpid(), signal.SIGKILL)
-        return None
 
 
 class Listener:
