@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs for a worker; here, as its process must find them, whatever pytest calls the module of the test."""
+"""Jobs for workers; here, as their processes must find them, whatever pytest calls the module of the test."""
 
 import os
 import signal
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 from worm_optimizer.search.front import Progress, Report
 from worm_optimizer.search.optimizer_errors import OptimizerError
@@ -43,3 +44,15 @@ class Dying:
     def run(self, report: Report) -> object:
         os.kill(os.getpid(), signal.SIGKILL)
         return None
+
+
+def suicide(place: int, marker: str) -> int:
+    """Ends its worker the first time it is called."""
+    if not Path(marker).exists():
+        Path(marker).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return place
+
+
+def refuse(place: int) -> int:
+    raise ValueError(f"piece {place}")

@@ -3,7 +3,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 from distributed import Client, LocalCluster
 from study_cases import SMALL, contents
+from worker_jobs import refuse, suicide
 
 from worm_optimizer.study.engine import ClusterError, LostError, connected, spread
 from worm_optimizer.study.plan import parse_study
@@ -55,18 +55,6 @@ def until(condition: Callable[[], object], seconds: float = 120.0) -> None:
     while not condition():
         assert time.monotonic() < deadline, "it did not happen in time"
         time.sleep(0.05)
-
-
-def suicide(place: int, marker: str) -> int:
-    """Ends its worker the first time it is called."""
-    if not Path(marker).exists():
-        Path(marker).touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return place
-
-
-def refuse(place: int) -> int:
-    raise ValueError(f"piece {place}")
 
 
 def test_what_a_killed_worker_had_is_done_by_another(cluster, tmp_path):
