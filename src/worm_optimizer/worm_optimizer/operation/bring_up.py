@@ -38,9 +38,8 @@ _EXCLUDE = "--exclude"
 FAILURES = (ProcessError, OperatorError, RecordingError)
 
 Say = Callable[[str], None]
-Check = Callable[
-    [], None
-]  # called while waiting; raises where what is waited for is to be given up
+#: called while waiting; raises where what is waited for is to be given up
+Check = Callable[[], None]
 
 
 class ProgressLog:
