@@ -150,6 +150,7 @@ def test_a_worker_of_another_version_is_refused_by_name(tmp_path):
         subprocess.Popen(
             [sys.executable, "-m", "distributed.cli.dask_worker", empty.scheduler_address]
             + ["--no-nanny", "--nthreads", "1", "--no-dashboard"],
+            cwd=tmp_path,  # a folder of ours would come before the path
             env={**os.environ, "PYTHONPATH": path},
             stderr=subprocess.DEVNULL,
         ) as worker,
