@@ -16,7 +16,12 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from worm_driver.clock import Clock, MachineClock
-from worm_driver.control.real_time import NOT_ASKED, VIRTUAL, ask_for_urgency
+from worm_driver.control.real_time import (
+    NOT_ASKED,
+    VIRTUAL,
+    ask_for_urgency,
+    return_to_normal,
+)
 from worm_driver.control.robot import Robot
 from worm_driver.control.telemetry import Snapshot
 from worm_driver.control.timing import DeadlineGrid, PeriodMeter, TimingReport
@@ -277,6 +282,8 @@ class ControlLoop:
 
     def _at_end(self) -> None:
         self.release_problems = self._robot.release()
+        if self.urgency not in (NOT_ASKED, VIRTUAL):
+            return_to_normal()
         self._clock.close()  # a thread that has ended must not keep a virtual robot's time
         self._serve(math.inf)
 

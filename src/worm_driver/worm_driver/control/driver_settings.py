@@ -46,7 +46,7 @@ class DriverSettings:
         watchdog: s without packets after which the servos stop by themselves.
         home_at_start: the robot stands at its initial length when the driver is configured.
         rate: Hz, of commands and telemetry.
-        real_time_priority: of the servo thread (SCHED_FIFO), 0 for none.
+        real_time_priority: of the servo thread (SCHED_FIFO), half for the others; 0 for none.
     """
 
     port: str

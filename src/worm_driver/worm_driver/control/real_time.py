@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Asks Linux for what the servo thread needs to keep its deadlines beside other work: sched(7), mlockall(2)."""
 
+import contextlib
 import ctypes
 import os
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4  # MCL_…, asm-generic/mman.h
 _REMEDY = (
@@ -31,8 +34,27 @@ VIRTUAL = Urgency(granted=True, words="not needed: the virtual robot's time wait
 
 
 def _set_priority(priority: int) -> None:
-    """Of the calling thread alone. Raises OSError."""
-    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    """Of the calling thread; half of it for the others, which share its interpreter. Raises OSError.
+
+    A thread of normal priority that has the interpreter and waits for a processor keeps the first one waiting, too.
+    """
+    _schedule(os.SCHED_FIFO, priority, max(priority // 2, 1))
+
+
+def return_to_normal() -> None:
+    """Gives the priority of the process's threads back."""
+    with contextlib.suppress(OSError):
+        _schedule(os.SCHED_OTHER, 0, 0)
+
+
+def _schedule(policy: int, own: int, others: int) -> None:
+    """A policy for the process's threads, with the priorities of the calling one and of the others. Raises OSError."""
+    caller = threading.get_native_id()
+    for thread in [int(entry.name) for entry in Path("/proc/self/task").iterdir()]:
+        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+            os.sched_setscheduler(
+                thread, policy, os.sched_param(own if thread == caller else others)
+            )
 
 
 def _lock_memory() -> None:
@@ -47,9 +69,9 @@ def ask_for_urgency(
     set_priority: Callable[[int], None] = _set_priority,
     lock_memory: Callable[[], None] = _lock_memory,
 ) -> Urgency:
-    """SCHED_FIFO for the calling thread and locked memory for its process, as far as Linux grants them.
+    """SCHED_FIFO for the calling thread, half of it and locked memory for its process, as far as Linux grants them.
 
-    The thread must sleep wherever it waits: one that spins would starve a core.
+    The threads must sleep wherever they wait: one that spins would starve a core.
 
     Args:
         priority: 1 to 99; 0 asks for nothing.

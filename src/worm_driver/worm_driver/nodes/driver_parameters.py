@@ -64,7 +64,7 @@ _ROWS = (
     _Row(
         "real_time_priority",
         40,
-        "SCHED_FIFO of the servo thread, with locked memory; 0: none.",
+        "SCHED_FIFO of the servo thread, half for the others, with locked memory; 0: none.",
         (0, 99),
     ),
     _Row("bus_watchdog_s", 0.08, "Silence after which the servos stop by themselves.", (0.04, 2.0)),

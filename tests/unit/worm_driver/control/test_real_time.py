@@ -2,12 +2,20 @@
 """What the servo thread asks Linux for, with a Linux that is made up."""
 
 import errno
+import os
 import threading
 import time
 
+import pytest
+
 from worm_driver.control.control_loop import PeriodicThread
 from worm_driver.control.diagnostics import Level, timing_report
-from worm_driver.control.real_time import NOT_ASKED, Urgency, ask_for_urgency
+from worm_driver.control.real_time import (
+    NOT_ASKED,
+    Urgency,
+    ask_for_urgency,
+    return_to_normal,
+)
 from worm_driver.control.timing import TimingReport
 
 
@@ -40,6 +48,27 @@ def test_what_is_refused_is_named_with_a_remedy_and_the_rest_is_kept():
 
 def test_it_may_be_turned_off():
     assert ask_for_urgency(0, refused, refused) is NOT_ASKED
+
+
+def test_who_shares_the_interpreter_gets_half_until_it_is_given_back():
+    def priorities() -> tuple[int, int]:
+        main = threading.main_thread().native_id
+        return os.sched_getparam(0).sched_priority, os.sched_getparam(main).sched_priority
+
+    def servo_thread() -> None:
+        urgencies.append(ask_for_urgency(10, lock_memory=lambda: None))
+        found.append(priorities())
+        return_to_normal()
+        found.append(priorities())
+
+    found: list[tuple[int, int]] = []
+    urgencies: list[Urgency] = []
+    thread = threading.Thread(target=servo_thread)
+    thread.start()
+    thread.join()
+    if not urgencies[0].granted:
+        pytest.skip(urgencies[0].words)
+    assert found == [(10, 5), (0, 0)]
 
 
 def test_it_is_asked_for_by_the_thread_itself_before_its_first_step():
