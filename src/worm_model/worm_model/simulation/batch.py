@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from worm_model.gait import Gait, GaitError
 from worm_model.parameters import KEYS, PAPER, ParameterError, Parameters
 from worm_model.simulation.kernel import whole_run as run
+from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.simulator import (
     AVERAGED,
     CYCLES,
@@ -24,7 +25,7 @@ from worm_model.simulation.simulator import (
 
 Array = NDArray[np.float64]
 
-CHUNK = 256  # gaits that one thread takes at a time: some ten milliseconds
+CHUNK = 256  # gaits that one thread takes at a time: some milliseconds
 
 
 @dataclass(frozen=True)
@@ -126,26 +127,61 @@ def _evaluate_rows(
     results: Array,
     progress: Callable[[float], None] | None,
 ) -> None:
-    """Fills the results chunk by chunk; the kernel releases the interpreter's lock."""
+    """Fills the results."""
     shared = parameter_rows.shape[0] == 1
 
-    def work(start: int) -> int:
-        part = slice(start, start + CHUNK)
+    def work(part: slice) -> None:
         own = parameter_rows if shared else parameter_rows[part]
         run.evaluate_many(rows[part], own, cycles, averaged, results[part])
-        return rows[part].shape[0]
 
+    _on_all_cores(work, rows.shape[0], progress)
+
+
+def _on_all_cores(
+    work: Callable[[slice], None],
+    count: int,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Does the work chunk by chunk; the kernel releases the interpreter's lock."""
     done = 0
     with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-        futures = [pool.submit(work, start) for start in range(0, rows.shape[0], CHUNK)]
+        parts = [slice(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
+        futures = {pool.submit(work, part): part for part in parts}
         try:
             for future in as_completed(futures):
-                done += future.result()
+                future.result()
+                done += futures[future].stop - futures[future].start
                 if progress is not None:
-                    progress(done / rows.shape[0])
+                    progress(done / count)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def sample_cycle(
+    stroke: ArrayLike,
+    frequency: ArrayLike,
+    direction: int,
+    parameters: Parameters,
+    cycle: int,
+    phases: ArrayLike,
+) -> tuple[Array, Array]:
+    """(cable force F_c in N, source power in W) within a cycle of gaits from the start, as `simulator.simulate` has it.
+
+    ``stroke`` m and ``frequency`` Hz of shape (n,); ``cycle`` counts from 0; ``phases`` (m,) in [0, 1], ascending, are
+    shares of it. Both results have the shape (n, m); NaN where the simulator gave up (chatter).
+    """
+    gaits = np.broadcast_arrays(*np.atleast_1d(stroke, frequency, float(direction), 0.0))
+    rows = _gait_rows([np.asarray(column, dtype=float) for column in gaits])
+    shares, row = np.asarray(phases, dtype=float), parameter_row(parameters)
+    force, length_rate = np.empty((2, rows.shape[0], shares.size))
+
+    def work(part: slice) -> None:
+        run.sample_many(rows[part], row, cycle, shares, force[part], length_rate[part])
+
+    _on_all_cores(work, rows.shape[0])
+    mechanical = cable_power(force, length_rate, parameters.one_sided_cable)
+    return force, parameters.idle_power + parameters.power_factor * mechanical
 
 
 def _table(

@@ -216,7 +216,6 @@ class Trajectory:
             self.gait.margin,
             parameter_row(self.parameters),
             self.cycles,
-            np.empty((self.cycles + 1, 2)),
             totals,
             samples,
             events,

@@ -18,7 +18,7 @@ from worm_model.run import (
     TrackerSamples,
 )
 from worm_model.simulation.actuation import length_change_of_command
-from worm_model.simulation.batch import evaluate_gaits
+from worm_model.simulation.batch import evaluate_gaits, sample_cycle
 from worm_model.simulation.kernel import cache_directory
 from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
 from worm_model.simulation.simulator import Locomotion, evaluate_gait, simulate
@@ -30,6 +30,7 @@ def main() -> None:
     gait = Gait(0.07, 0.2)
     evaluate_gait(gait)
     evaluate_gaits([0.07, 0.08], 0.2)
+    sample_cycle([0.07], [0.2], FORWARD, PAPER, 0, [0.5])
     evaluate_gait(gait, PAPER.replace(rear_dry_friction=0.1))
     trajectory = simulate(gait, cycles=1)
     trajectory.at([0.0])

@@ -4,22 +4,20 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from worm_model.gait import Gait
 from worm_model.parameters import Parameters
-from worm_model.simulation.simulator import simulate
+from worm_model.simulation.batch import sample_cycle
 from worm_optimizer.search.optimizer_errors import OptimizerError
 
 Array = NDArray[np.float64]
 
-_CYCLES = 3  # the third is periodic, up to the groove it is in
-_SAMPLES = 400  # moments of that cycle at which force and power are looked at
+_CYCLE = 2  # counted from 0: the third is periodic, up to the groove it is in
+_SAMPLES = 400  # moments of that cycle at which force and power are looked at; in the first half the cable is pulled
 
 
 @dataclass(frozen=True)
@@ -85,24 +83,28 @@ NO_LIMITS = ActuatorLimits()
 
 @dataclass(frozen=True)
 class Peaks:
-    """Greatest cable force in N, electrical power in W and share (1) of the motors' line in a cycle."""
+    """Greatest cable force in N, electrical power in W and share (1) of the motors' line in a cycle, each (n,)."""
 
-    force: float
-    power: float
-    motor_load: float
+    force: Array
+    power: Array
+    motor_load: Array
 
 
-@functools.lru_cache(maxsize=2**15)  # the margins of a scan share the gaits of their grid
-def peaks(gait: Gait, parameters: Parameters, limits: ActuatorLimits = NO_LIMITS) -> Peaks:
-    """Peaks over a periodic cycle of a gait; ``limits`` hold the ends of the motors' line."""
-    period = gait.period
-    times = (_CYCLES - 1) * period + np.linspace(0.0, period, _SAMPLES, endpoint=False)
-    sampled = simulate(gait, parameters, cycles=_CYCLES).at(times)
-    turn = 2.0 * np.pi * gait.frequency
-    pulled = np.maximum(0.5 * turn * gait.stroke * np.sin(turn * times), 0.0)
-    load = np.maximum(sampled.cable_force, 0.0) / limits.stall_force + pulled / limits.no_load_speed
-    return Peaks(
-        force=float(np.max(sampled.cable_force)),
-        power=float(np.max(sampled.power)),
-        motor_load=float(np.max(np.where(pulled > 0.0, load, 0.0))),
-    )
+def peaks(
+    stroke: ArrayLike,
+    frequency: ArrayLike,
+    direction: int,
+    parameters: Parameters,
+    limits: ActuatorLimits = NO_LIMITS,
+) -> Peaks:
+    """Peaks over a periodic cycle of gaits, ``stroke`` in m and ``frequency`` in Hz of shape (n,).
+
+    ``limits`` hold the ends of the motors' line. NaN where the simulator gave up on a gait.
+    """
+    phases = np.arange(_SAMPLES) / _SAMPLES
+    force, power = sample_cycle(stroke, frequency, direction, parameters, _CYCLE, phases)
+    pull = slice(1, _SAMPLES // 2)
+    fastest = np.pi * np.multiply(frequency, stroke)
+    pulled = np.multiply.outer(fastest, np.sin(2.0 * np.pi * phases[pull]))
+    load = np.maximum(force[:, pull], 0.0) / limits.stall_force + pulled / limits.no_load_speed
+    return Peaks(force.max(axis=1), power.max(axis=1), load.max(axis=1))

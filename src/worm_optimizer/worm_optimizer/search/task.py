@@ -24,7 +24,6 @@ from worm_model.gait import (
     MAX_STROKE,
     REVERSE,
     STROKE_RANGE,
-    Gait,
 )
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.batch import GaitTable, evaluate_gaits
@@ -194,10 +193,15 @@ class MarginTask:
         )
 
     def _excess(self, stroke: Array, frequency: Array, moving: Mask) -> Array:
-        """Relative excess over the actuator limits; what needs a simulation only of the moving gaits."""
+        """Relative excess over the actuator limits; what needs a simulation only of the moving gaits.
+
+        Of a gait that the simulator gives up on, all of it.
+        """
         loads = np.zeros((3, stroke.size))
         if self.limits.need_simulation:
-            for k in np.flatnonzero(moving):
-                gait = Gait(float(stroke[k]), float(frequency[k]), self.direction)
-                loads[:, k] = dataclasses.astuple(peaks(gait, self.parameters, self.limits))
-        return self.limits.excess(np.pi * stroke * frequency, *loads)
+            peak = peaks(
+                stroke[moving], frequency[moving], self.direction, self.parameters, self.limits
+            )
+            loads[:, moving] = peak.force, peak.power, peak.motor_load
+        excess = self.limits.excess(np.pi * stroke * frequency, *loads)
+        return np.nan_to_num(excess, nan=1.0)

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from random_cases import random_case
 
-from worm_model.gait import GaitError
-from worm_model.parameters import KEYS, ParameterError
-from worm_model.simulation.batch import CHUNK, evaluate_gaits
-from worm_model.simulation.simulator import evaluate_gait
+from worm_model.gait import Gait, GaitError
+from worm_model.parameters import KEYS, PAPER, ParameterError
+from worm_model.simulation.batch import CHUNK, evaluate_gaits, sample_cycle
+from worm_model.simulation.simulator import evaluate_gait, simulate
 
 
 def test_batch_equals_single_gaits() -> None:
@@ -27,6 +27,31 @@ def test_batch_equals_single_gaits() -> None:
             assert getattr(table, name)[k] == getattr(single, name), name
         assert table.switches[k] == single.switches
         assert table.groove_phase[k] == pytest.approx(single.groove_phase, abs=1e-15)
+
+
+def test_a_cycle_that_begins_like_the_one_before_is_that_one_again() -> None:
+    """The figures of a gait, some of whose cycles are not run, are those of its whole trajectory."""
+    for seed in range(30):
+        _, gait, parameters = random_case(seed)
+        result, cycles = evaluate_gait(gait, parameters, cycles=12, averaged=10), 12
+        run = simulate(gait, parameters, cycles)
+        ends = run.at(np.array([2, cycles]) * gait.period)
+        assert result.speed * 10 * gait.period == pytest.approx(
+            gait.direction * (ends.x1[1] - ends.x1[0]), rel=1e-11, abs=1e-12
+        )
+        work = ends.energy[1] - ends.energy[0]
+        assert result.power * 10 * gait.period == pytest.approx(work, rel=1e-11)
+        assert result.switches == sum(event.switched for event in run.events())
+
+
+def test_a_cycle_of_many_gaits_is_that_of_each() -> None:
+    stroke, frequency, phases = np.array([0.05, 0.07]), np.array([0.1, 0.3]), np.arange(20) / 20
+    force, power = sample_cycle(stroke, frequency, -1, PAPER, 2, phases)
+    for k in range(2):
+        gait = Gait(stroke[k], frequency[k], -1)
+        alone = simulate(gait).at((2 + phases) * gait.period)
+        assert force[k] == pytest.approx(alone.cable_force, rel=1e-9)
+        assert power[k] == pytest.approx(alone.power, rel=1e-9)
 
 
 def test_shapes_broadcast_and_progress_reaches_one() -> None:

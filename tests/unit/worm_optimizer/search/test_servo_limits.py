@@ -11,7 +11,7 @@ from gaits_for_tests import COARSE_MAP
 
 from worm_driver.servos import registers
 from worm_driver.virtual_robot.servo import control_table
-from worm_model.gait import Gait
+from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
 from worm_optimizer.search.actuator_limits import NO_LIMITS, ActuatorLimits, peaks
 from worm_optimizer.search.gait_map import build_map
@@ -163,8 +163,8 @@ def test_a_front_keeps_a_limit_that_only_a_simulation_can_tell(limits, peak):
     bound = {"force": limits.cable_force, "power": limits.electrical_power, "motor_load": 1.0}[peak]
 
     def worst(front) -> float:
-        gaits = zip(front.stroke, front.frequency, strict=True)
-        return max(getattr(peaks(Gait(float(s), float(f)), PAPER, limits), peak) for s, f in gaits)
+        found = peaks(front.stroke, front.frequency, FORWARD, PAPER, limits)
+        return float(getattr(found, peak).max())
 
     assert worst(free) > bound  # so the limit takes something away
     assert worst(limited) <= bound
@@ -176,8 +176,8 @@ def test_a_front_keeps_a_limit_that_only_a_simulation_can_tell(limits, peak):
 def test_the_motors_line_counts_while_the_cable_is_pulled():
     """F/F_stall + v/v0 at the moment where it is greatest, and below the sum of both peaks."""
     gait, limits = Gait(0.07, 0.3), ActuatorLimits(stall_force=164.0, no_load_speed=0.12)
-    peak = peaks(gait, PAPER, limits)
+    peak = peaks([gait.stroke], [gait.frequency], FORWARD, PAPER, limits)
     speed = math.pi * gait.stroke * gait.frequency
     assert peak.motor_load < peak.force / 164.0 + speed / 0.12
     assert peak.motor_load > max(peak.force / 164.0, speed / 0.12)
-    assert peaks(gait, PAPER).motor_load == 0.0
+    assert peaks([gait.stroke], [gait.frequency], FORWARD, PAPER).motor_load == 0.0

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from worm_model.gait import REVERSE, Gait
+from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import PAPER
 from worm_model.simulation.batch import evaluate_gaits
 from worm_optimizer.search.actuator_limits import ActuatorLimits, peaks
@@ -71,7 +71,7 @@ def test_limits_exclude_gaits_and_tell_by_how_much():
     limits = ActuatorLimits(cable_force=100.0, electrical_power=38.4)
     free = MarginTask().points(stroke, frequency)
     limited = MarginTask(limits=limits).points(stroke, frequency)
-    peak = peaks(Gait(0.09, 0.4), PAPER)
+    peak = peaks([0.09], [0.4], FORWARD, PAPER)
     assert free.admissible.tolist() == [True, True]
     assert limited.admissible.tolist() == [True, False]
     assert limited.violation[1] == pytest.approx(max(peak.force / 100.0, peak.power / 38.4) - 1.0)
@@ -85,7 +85,7 @@ def test_the_cable_speed_limit_is_that_of_the_command():
 
 def test_peaks_at_the_fast_corner_are_those_of_the_notes():
     """model_notes.md, 16: the electrical peak there is 38 W, beyond a 3.2 A sensor at 12 V."""
-    peak = peaks(Gait(0.09, 0.4), PAPER)
+    peak = peaks([0.09], [0.4], FORWARD, PAPER)
     assert 130.0 < peak.force < 140.0
     assert 38.0 < peak.power < 41.0
 

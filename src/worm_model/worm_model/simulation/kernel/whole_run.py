@@ -17,6 +17,8 @@ from worm_model.simulation.kernel.compiled import compiled, entry, inlined, unlo
 from worm_model.simulation.kernel.linear import Coefficients, Wave
 from worm_model.simulation.kernel.march import (
     CHATTER,
+    FORCE,
+    LENGTH_RATE,
     SAMPLE_COLUMNS,
     SAMPLED,
     SWITCHES,
@@ -55,6 +57,11 @@ PARAMETER_COLUMNS = 20
 # Columns of a result row
 MEAN_ADVANCE, MEAN_POWER, LEAST_ADVANCE, RUN_SWITCHES, RUN_CHATTER = range(5)
 RESULT_COLUMNS = 5
+# Columns of a row of how far a run is at the start of a cycle
+REACHED, CABLE_WORK, SWITCHED = range(3)
+BOUNDARY_COLUMNS = 3
+
+STEADY = 1e-14  # m, m/s, to which two states are one: as exactly as events are located
 
 
 @entry
@@ -83,8 +90,9 @@ def constants_of(p: np.ndarray, direction: float, margin: float) -> Constants:
 
 
 @compiled
-def start_motion(c: Constants, length_rate: float) -> Motion:
+def start_motion(c: Constants, a: Actuator) -> Motion:
     """x1 = 0, v1 = 0, A1 = 0, ΔL = 0, the front anchor on the nearest groove; ẏ = v1 + μ·L̇."""
+    length_rate = -a.gain * a.slack / a.time_constant
     front_groove = math.ceil(c.initial_length / c.pitch - 0.5 - 1e-12)
     phase = c.initial_length - front_groove * c.pitch
     return Motion(0.0, c.mu * length_rate, 0, front_groove, 1, region_of(phase, c.half_clearance))
@@ -149,30 +157,69 @@ def run_gait(
     margin: float,
     p: np.ndarray,
     cycles: int,
-    boundaries: np.ndarray,
     totals: np.ndarray,
     samples: np.ndarray,
     events: np.ndarray,
 ) -> None:
-    """Runs a gait from the start for a number of cycles.
-
-    ``boundaries`` (cycles + 1, 2) receives x1 in m and the cable work so far in J at the start of each
-    cycle and at the end; the other arrays are those of `march`.
-    """
+    """Runs a gait from the start for a number of cycles; the arrays are those of `march`."""
     c, a = constants_of(p, direction, margin), actuator_of(p)
-    motion = start_motion(c, -p[GAIN] * p[SLACK] / p[TIME_CONSTANT])
-    length_change, period = 0.0, 1.0 / frequency
-    boundaries[0, 0] = boundaries[0, 1] = 0.0
-    for cycle in range(cycles):
-        first = cycle * period
+    motion, last = start_motion(c, a), cycles * (1.0 / frequency)
+    play(0.0, last, stroke, frequency, 0.0, motion, c, a, totals, samples, events)
+
+
+@inlined
+def _alike(before: Motion, after: Motion, c: Constants) -> bool:
+    """Whether two motions are one within STEADY, but for the grooves that both anchors have gained."""
+    gained = after.rear_groove - before.rear_groove
+    moved = after.y - before.y - gained * c.pitch
+    return (
+        after.front_groove - before.front_groove == gained
+        and after.rear_region == before.rear_region
+        and after.front_region == before.front_region
+        and abs(moved) <= STEADY
+        and abs(after.rate - before.rate) <= STEADY
+    )
+
+
+@compiled
+def run_cycles(
+    stroke: float,
+    frequency: float,
+    c: Constants,
+    a: Actuator,
+    boundaries: np.ndarray,
+    totals: np.ndarray,
+) -> None:
+    """Runs a gait from the start for a number of cycles, unless the march gives up; ``totals`` are those of `march`.
+
+    ``boundaries`` (cycles + 1, BOUNDARY_COLUMNS) receives x1 in m, the cable work so far in J and the switches so far
+    at the start of each cycle and at the end. All that a cycle does follows from the state in which it begins: once
+    that is the state in which the cycle before began, every further cycle is that one again, and not run.
+    """
+    nothing = np.empty((0, SAMPLE_COLUMNS))
+    motion, length_change, steady = start_motion(c, a), 0.0, False
+    before, period = motion, 1.0 / frequency
+    boundaries[0] = 0.0
+    for cycle in range(boundaries.shape[0] - 1):
+        now, then = boundaries[cycle], boundaries[cycle + 1]
+        if steady:
+            gained = motion.rear_groove - before.rear_groove
+            then[REACHED] = now[REACHED] + gained * c.pitch
+            for k in (CABLE_WORK, SWITCHED):
+                then[k] = now[k] + (now[k] - boundaries[cycle - 1, k])
+            continue
+        before, length_before, first = motion, length_change, cycle * period
         last = first + period
         length_change, motion = play(
-            first, last, stroke, frequency, length_change, motion, c, a, totals, samples, events
+            first, last, stroke, frequency, length_change, motion, c, a, totals, nothing, nothing
         )
         if totals[CHATTER] != 0.0:
             return
-        boundaries[cycle + 1, 0] = motion.y - c.mu * length_change
-        boundaries[cycle + 1, 1] = totals[WORK_DONE]
+        steady = abs(length_change - length_before) <= STEADY and _alike(before, motion, c)
+        then[REACHED] = motion.y - c.mu * length_change
+        then[CABLE_WORK] = totals[WORK_DONE]
+        then[SWITCHED] = totals[SWITCHES]
+    totals[SWITCHES] = then[SWITCHED]
 
 
 @entry
@@ -191,10 +238,10 @@ def evaluate(
     Its entries: mean advance of x1 a cycle in m along the direction, mean power in W, least advance of an
     averaged cycle in m, switches in the whole run, and whether the run gave up.
     """
-    boundaries = np.empty((cycles + 1, 2))
+    boundaries = np.empty((cycles + 1, BOUNDARY_COLUMNS))
     totals = np.zeros(TOTALS_SIZE)
-    nothing = np.empty((0, SAMPLE_COLUMNS))
-    run_gait(stroke, frequency, direction, margin, p, cycles, boundaries, totals, nothing, nothing)
+    c, a = constants_of(p, direction, margin), actuator_of(p)
+    run_cycles(stroke, frequency, c, a, boundaries, totals)
     result[RUN_SWITCHES] = totals[SWITCHES]
     result[RUN_CHATTER] = totals[CHATTER]
     if totals[CHATTER] != 0.0:
@@ -203,10 +250,12 @@ def evaluate(
     first = cycles - averaged
     least = math.inf
     for cycle in range(first, cycles):
-        least = min(least, direction * (boundaries[cycle + 1, 0] - boundaries[cycle, 0]))
+        gained = boundaries[cycle + 1, REACHED] - boundaries[cycle, REACHED]
+        least = min(least, direction * gained)
     result[LEAST_ADVANCE] = least
-    result[MEAN_ADVANCE] = direction * (boundaries[cycles, 0] - boundaries[first, 0]) / averaged
-    work = boundaries[cycles, 1] - boundaries[first, 1]
+    way = boundaries[cycles, REACHED] - boundaries[first, REACHED]
+    result[MEAN_ADVANCE] = direction * way / averaged
+    work = boundaries[cycles, CABLE_WORK] - boundaries[first, CABLE_WORK]
     result[MEAN_POWER] = p[IDLE_POWER] + p[POWER_FACTOR] * work * frequency / averaged
 
 
@@ -230,6 +279,31 @@ def evaluate_many(
             averaged,
             results[k],
         )
+
+
+@unlocked
+def sample_many(
+    gaits: np.ndarray,
+    p: np.ndarray,
+    cycle: int,
+    phases: np.ndarray,
+    force: np.ndarray,
+    length_rate: np.ndarray,
+) -> None:
+    """Samples a cycle, counted from 0, of rows (stroke, frequency, direction, margin), without the interpreter's lock.
+
+    ``phases`` (m,), ascending, are shares of the cycle; ``force`` and ``length_rate`` (n, m) receive F_c in N and L̇ in
+    m/s there, NaN where the run gave up.
+    """
+    samples = np.empty((phases.size, SAMPLE_COLUMNS))
+    for k in range(gaits.shape[0]):
+        stroke, frequency, direction, margin = gaits[k, 0], gaits[k, 1], gaits[k, 2], gaits[k, 3]
+        totals = np.zeros(TOTALS_SIZE)
+        samples[:, TIME] = (cycle + phases) / frequency
+        run_gait(stroke, frequency, direction, margin, p, cycle + 1, totals, samples, samples[:0])
+        if totals[CHATTER] != 0.0:
+            samples[:] = math.nan
+        force[k], length_rate[k] = samples[:, FORCE], samples[:, LENGTH_RATE]
 
 
 @unlocked
