@@ -160,7 +160,12 @@ def _growth() -> list[Row]:
     more = cpu_time(lambda: evaluate_gaits(stroke, frequency, cycles=50), 3)
     many = cpu_time(lambda: evaluate_gaits(*_box(10240)), 3)
     return [
-        Row("ten times the cycles cost", f"{more / few:.1f} times", "at most linear", "5 and 50 cycles"),
+        Row(
+            "ten times the cycles cost",
+            f"{more / few:.1f} times",
+            "at most linear",
+            "5 and 50 cycles",
+        ),
         Row(
             "ten times the gaits cost",
             f"{many / few:.1f} times",
