@@ -161,7 +161,8 @@ def _drawn(outcome: Outcome, fault: Fault, signs: Signatures, draw: np.random.Ge
     if cause is None:
         return outcome
     what, size = cause
-    values = data.nuisances @ draw.normal(size=data.nuisances.shape[1])
+    values = data.nuisances @ draw.normal(size=data.nuisances.shape[-1])
+    values += data.offsets * draw.normal(size=data.offsets.shape)
     values += 0.0 if what is None else size * data.direction(what)
     some = data.weight > 0.0
     values[some] += draw.normal(size=int(some.sum())) / np.sqrt(data.weight[some])

@@ -11,7 +11,7 @@ something odd in one cycle alone. Each explains all instruments at once, or is w
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -96,17 +96,16 @@ def weigh_causes(
             *map(data.direction, grooves),
             *(direction for _, direction in lengths),
         ]
-    ).reshape(len(found), -1)
+    )
     known = np.array([candidate.fact for candidate in found])
-    some = data.weight > 0.0
-    sound = Sound(data.seen[some], data.weight[some], data.nuisances[some])
-    weighed = sound.weigh(causes[:, some], known)
+    sound = Sound(data.seen, data.weight, data.nuisances, data.offsets)
+    weighed = sound.weigh(causes, known)
     logs = np.array([c.log_prior for c in found]) + weighed.evidence
     weights = np.exp(np.minimum(logs, 300.0))
     weights[
         [_is_impossible(*c) for c in zip(found, weighed.size, weighed.deviation, strict=True)]
     ] = 0.0
-    strange = sound.weigh_noise(data.odd()[:, some])
+    strange = sound.weigh_noise(data.odd())
     return [
         *(
             c._replace(weight=w, size=s, deviation=d)
@@ -132,7 +131,7 @@ def _is_impossible(candidate: Candidate, size: float, deviation: float) -> bool:
 
 
 class Data:
-    """The cycles as one vector, its weights, and what even a sound robot shows."""
+    """The cycles, (cycles, channels times bins), their weights, and what even a sound robot shows."""
 
     def __init__(
         self, cycles: Sequence[CycleData], told: Sequence[Told], signs: Signatures
@@ -144,53 +143,48 @@ class Data:
             if not event.name and event.cycle in self.numbers:
                 variance[self.numbers.index(event.cycle), POWER] = np.inf
         variance *= _excess(values, variance)[None, :, None]
-        self.seen = values.ravel()
-        self.weight = 1.0 / variance.ravel()
+        self.seen = values.reshape(len(cycles), -1)
+        self.weight = 1.0 / variance.reshape(self.seen.shape)
+        scatter = np.tile(np.array(SCATTER)[:, None], BINS)
+        scatter[POWER] += POWER_SHARE * signs.power
+        self.offsets = scatter.ravel()
         nuisances = [*self._of_the_run(), *self._of_a_cycle(), *self._told(told)]
-        self.nuisances = np.array(nuisances).T
+        self.nuisances = np.moveaxis(np.array(nuisances), 0, -1)
 
     def direction(self, candidate: Candidate) -> Array:
-        """What a candidate does, flat."""
+        """What a candidate does, (cycles, channels times bins)."""
         if not candidate.cycles:
             return self.lasting([candidate])[0]
-        direction = sum(
-            self._groove(candidate.name, candidate.code == GAINED, candidate.cycle + k)
-            for k in range(candidate.cycles)
-        )
-        return np.asarray(direction)
+        numbers = range(candidate.cycle, candidate.cycle + candidate.cycles)
+        return self._grooves(candidate.name, candidate.code == GAINED, numbers)
 
     def lasting(self, causes: Sequence[Candidate | Told]) -> Array:
-        """What causes that stay do, (causes, n)."""
+        """What causes that stay do, (causes, cycles, channels times bins)."""
         changes = np.array([self.signs.lasting[cause.name] for cause in causes])
         since = np.array([self._bins_before(cause.cycle, cause.phase) for cause in causes])
         bins = np.arange(len(self.numbers) * BINS).reshape(-1, 1, BINS)
         whole = changes[:, None] * (bins >= since[:, None, None, None])
-        return whole.reshape(len(causes), -1)
+        return whole.reshape(len(causes), *self.seen.shape)
 
     def odd(self) -> Array:
-        """Weights, flat, with each cycle in turn as it may be if something odd happened in it."""
-        shape = (len(self.numbers), CHANNELS, BINS)
-        strange = np.array(STRANGE_SCATTER)[:, None] ** 2
-        usual = self.weight.reshape(shape)
-        odd = np.repeat(usual[None], len(self.numbers), axis=0)
-        for k in range(len(self.numbers)):
-            odd[k, k] = usual[k] / (1.0 + strange * usual[k])
-        return odd.reshape(len(self.numbers), -1)
+        """Weights with each cycle in turn as it may be if something odd happened in it."""
+        strange = np.array(STRANGE_SCATTER).repeat(BINS) ** 2
+        odd = np.repeat(self.weight[None], len(self.numbers), axis=0)
+        for k, usual in enumerate(self.weight):
+            odd[k, k] = usual / (1.0 + strange * usual)
+        return odd
 
     def _of_the_run(self) -> Array:
-        """(changes, n) that are the same in every cycle."""
-        scatter = np.tile(np.array(SCATTER)[:, None], BINS)
-        scatter[POWER] += POWER_SHARE * self.signs.power
-        sound = np.array(list(self.signs.sound.values())).reshape(-1, scatter.size)
-        every = np.concatenate([sound, np.diag(scatter.ravel())])
-        return np.tile(every, len(self.numbers))
+        """Changes that are the same in every cycle."""
+        sound = np.array(list(self.signs.sound.values())).reshape(-1, 1, CHANNELS * BINS)
+        return sound.repeat(len(self.numbers), axis=1)
 
     def _of_a_cycle(self) -> Array:
-        """(changes, n) of one cycle each."""
+        """Changes of one cycle each."""
         channels = np.diag(np.array(SCATTER) * SHIFT).repeat(BINS, axis=1)
         thresholds = THRESHOLDS * self.signs.sound["switching_threshold"].ravel()
         changes = np.kron(np.eye(len(self.numbers)), np.vstack([channels, thresholds]))
-        return np.asarray(changes, np.float64)
+        return np.asarray(changes, np.float64).reshape(-1, *self.seen.shape)
 
     def _told(self, told: Sequence[Told]) -> Iterator[Array]:
         for event in told:
@@ -198,25 +192,25 @@ class Data:
                 yield BROAD * self.lasting([event])[0]
             elif event.name == "missed":
                 for fin in self.signs.missed:
-                    yield self._groove(fin, gained=False, number=event.cycle)
+                    yield self._grooves(fin, False, [event.cycle])
             elif event.name == "gained":
                 for fin in self.signs.gained:
-                    yield self._groove(fin, gained=True, number=event.cycle)
-
-    def _in(self, number: int, change: Array) -> Array:
-        whole = np.zeros((len(self.numbers), CHANNELS, BINS))
-        if number in self.numbers:
-            whole[self.numbers.index(number)] = change
-        return whole.ravel()
+                    yield self._grooves(fin, True, [event.cycle])
 
     def _bins_before(self, number: int, phase: float) -> int:
         """Bins of all cycles before a phase of one."""
         before = sum(own < number for own in self.numbers) * BINS
         return before + round(phase * BINS) if number in self.numbers else before
 
-    def _groove(self, fin: str, gained: bool, number: int) -> Array:  # noqa: FBT001
+    def _grooves(self, fin: str, gained: bool, numbers: Iterable[int]) -> Array:  # noqa: FBT001
+        """What a fin does that misses or gains a groove in each of some cycles; it begins in the cycle before."""
+        whole = np.zeros_like(self.seen)
         before, after = (self.signs.gained if gained else self.signs.missed)[fin]
-        return self._in(number - 1, before) + self._in(number, after)
+        for number in numbers:
+            for cycle, change in ((number - 1, before), (number, after)):
+                if cycle in self.numbers:
+                    whole[self.numbers.index(cycle)] += change.ravel()
+        return whole
 
 
 def _excess(values: Array, variance: Array) -> Array:
@@ -280,4 +274,4 @@ def _lengths(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[tuple[C
             prior -= math.log(usual)
             before = cycle.gained
         candidate = Candidate(LENGTH, "", cycles[0].number, prior, fact=True, error=length.error)
-        yield candidate, np.tile(length.change.ravel(), len(cycles))
+        yield candidate, np.tile(length.change.ravel(), (len(cycles), 1))

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much better a cause explains what was seen than none does: normal noise, sizes integrated out.
 
-What was seen, y (n,), is taken as N a + x s + noise: N (n, m) are nuisances whose sizes a are standard normal, x the
+What was seen in k cycles of b bins, y (k, b), is taken as N a + c b' + x s + noise: N (k, b, m) are nuisances whose
+sizes a are standard normal, c (b,) the deviation of an offset of each bin that is the same in all cycles, x the
 direction of a cause and s its size, itself standard normal or known to be 1, the noise independent with a variance
-each. All integrals have a closed form; a datum that was not seen has the weight 0.
+each. All integrals have a closed form (Woodbury's identity, that of Sherman and Morrison for each bin's offset); a
+datum that was not seen has the weight 0.
 """
 
 from __future__ import annotations
@@ -29,23 +31,36 @@ class Sound:
     """What none of the causes explains: normal noise and the nuisances.
 
     Args:
-        seen: (n,).
-        weight: (n,), one over the variance of its noise.
-        nuisances: (n, m).
+        seen: (k, b).
+        weight: (k, b), one over the variance of its noise.
+        nuisances: (k, b, m).
+        offsets: (b,), standard deviations of what is added to a bin in all cycles.
     """
 
-    def __init__(self, seen: Array, weight: Array, nuisances: Array) -> None:
-        self._seen, self._weight, self._nuisances = seen, weight, nuisances
-        self._weighted = nuisances * weight[:, None]
-        self._inner = np.eye(nuisances.shape[1]) + nuisances.T @ self._weighted
-        self._match = self._weighted.T @ seen
+    def __init__(self, seen: Array, weight: Array, nuisances: Array, offsets: Array) -> None:
+        self._seen, self._weight, self._nuisances, self._offsets = seen, weight, nuisances, offsets
+        self._shared = offsets**2 / (1.0 + offsets**2 * weight.sum(axis=0))  # (b,)
+        directions = nuisances.reshape(seen.size, -1)
+        self._weighted = self._weigh(np.moveaxis(nuisances, -1, 0)).reshape(-1, seen.size)  # (m, n)
+        self._inner = np.eye(len(self._weighted)) + self._weighted @ directions
+        self._match = self._weighted @ seen.ravel()
+
+    def _weigh(self, vectors: Array) -> Array:
+        """Vectors (..., k, b), multiplied by the inverse covariance of noise and offsets."""
+        weighted = self._weight * vectors
+        common = self._shared * weighted.sum(axis=-2)
+        return np.asarray(weighted - self._weight * common[..., None, :])
 
     def weigh(self, causes: Array, known: NDArray[np.bool_]) -> Weighed:
-        """Weighs causes (h, n) against none; ``known`` (h,) where s is 1."""
-        cross = causes @ self._weighted  # (h, m)
+        """Weighs causes (h, k, b) against none; ``known`` (h,) where s is 1."""
+        flat = causes.reshape(len(causes), -1)
+        cross = flat @ self._weighted.T  # (h, m)
         solved = np.linalg.solve(self._inner, np.column_stack([self._match, cross.T]))
-        match = causes @ (self._weight * self._seen) - cross @ solved[:, 0]
-        power = causes**2 @ self._weight - np.sum(cross * solved[:, 1:].T, axis=1)
+        match = flat @ self._weigh(self._seen).ravel() - cross @ solved[:, 0]
+        weighted = self._weight * causes
+        alone = np.einsum("hkb,hkb->h", weighted, causes)
+        alone -= weighted.sum(axis=1) ** 2 @ self._shared
+        power = alone - np.sum(cross * solved[:, 1:].T, axis=1)
         power = np.maximum(power, 0.0)  # rounding
         free = 0.5 * (match**2 / (1.0 + power) - np.log1p(power))
         return Weighed(
@@ -55,18 +70,20 @@ class Sound:
         )
 
     def weigh_noise(self, others: Array) -> Array:
-        """Logarithm of the Bayes factor of noise of other weights, each of ``others`` (h, n), against its own."""
-        inner, match, of_noise = [self._inner], [self._match], [0.0]
-        for other in others:
-            rows = other != self._weight  # few
-            seen, nuisances = self._seen[rows], self._nuisances[rows]
-            change = (other - self._weight)[rows]
-            inner.append(self._inner + nuisances.T @ (nuisances * change[:, None]))
-            match.append(self._match + nuisances.T @ (change * seen))
-            of_noise.append(np.sum(np.log(other[rows] / self._weight[rows]) - change * seen**2))
-        matches = np.array(match)
-        explained = np.linalg.solve(np.array(inner), matches[..., None])[..., 0]
-        spread = np.linalg.slogdet(np.array(inner))[1]
-        density = 0.5 * (np.sum(matches * explained, axis=1) - spread + np.array(of_noise))
-        factors: Array = density[1:] - density[0]
-        return factors
+        """Logarithm of the Bayes factor of noise of other weights, each of ``others`` (h, k, b), against its own."""
+        own = self._log_density()
+        return np.array(
+            [
+                Sound(self._seen, other, self._nuisances, self._offsets)._log_density() - own
+                for other in others
+            ]
+        )
+
+    def _log_density(self) -> float:
+        """Of what was seen, but for a constant."""
+        explained = self._match @ np.linalg.solve(self._inner, self._match)
+        distance = np.sum(self._seen * self._weigh(self._seen)) - explained
+        spread = np.linalg.slogdet(self._inner)[1]
+        spread += np.sum(np.log1p(self._offsets**2 * self._weight.sum(axis=0)))
+        spread -= np.sum(np.log(self._weight[self._weight > 0.0]))
+        return float(-0.5 * (distance + spread))

@@ -25,6 +25,18 @@ from worm_optimizer.search.search_settings import (
 )
 
 _OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
+# By what a parameter's name ends with; the longest first.
+_VALUES = {
+    "_m_s": "MPS",
+    "_m": "M",
+    "_n": "NEWTON",
+    "_w": "W",
+    "_v": "V",
+    "_file": "FILE",
+    "_model": "NAME",
+    "probability": "P",
+    "": "N",
+}
 _NAMED = {objective.name.lower(): objective for objective in _OBJECTIVES}
 
 
@@ -73,9 +85,15 @@ def _add_settings(parser: Parser, chosen: tuple[SettingRow, ...]) -> None:
             type=str if isinstance(first.default, str) else number_kind,
             nargs=len(rows) if len(rows) > 1 else None,
             choices=first.choices or None,
-            metavar=("LOW", "HIGH") if len(rows) > 1 else None if first.choices else "X",
+            metavar=("LOW", "HIGH") if len(rows) > 1 else None if first.choices else _value(first),
             help=f"{meaning} (default: {default})".replace("%", "%%").replace(" (default: )", ""),
         )
+
+
+def _value(row: SettingRow) -> str:
+    """What the help calls a setting's value."""
+    endings = (ending for ending in _VALUES if row.parameter.endswith(ending))
+    return _VALUES[next(endings, "")]
 
 
 def _by_option(

@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from faulty_robots import ONSET, Fault, Lab, Robots, run_robots
+from scipy.stats import multivariate_normal
 
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
@@ -137,33 +138,43 @@ def test_a_slow_camera_and_noise_make_no_sound_robot_suspect(lab: Lab):
 
 
 def test_noise_of_another_weight_is_weighed_as_its_density():
-    """Against normal densities, without nuisances."""
-    seen, weight = np.array([0.3, -2.0, 1.0]), np.array([1.0, 4.0, 0.5])
-    others = np.array([weight, [0.1, 0.2, 0.5]])
+    """Against the normal density of all data at once, with its whole covariance."""
+    draw = np.random.default_rng(1)
+    seen, nuisances = draw.normal(size=(3, 4)), draw.normal(size=(3, 4, 2))
+    weight, offsets = draw.uniform(0.5, 2.0, (3, 4)), np.array([0.0, 0.5, 2.0, 1.0])
+    others = np.array([weight, weight])
+    others[1, 2] /= 7.0
 
-    def density(weights: np.ndarray) -> float:
-        return float(np.sum(0.5 * np.log(weights) - 0.5 * weights * seen**2))
+    def log_density(weights: np.ndarray) -> float:
+        directions = nuisances.reshape(12, 2)
+        covariance = np.diag(1.0 / weights.ravel()) + directions @ directions.T
+        covariance += np.kron(np.ones((3, 3)), np.diag(offsets**2))
+        return float(multivariate_normal(cov=covariance).logpdf(seen.ravel()))
 
-    found = Sound(seen, weight, np.zeros((3, 1))).weigh_noise(others)
-    assert found == pytest.approx([0.0, density(others[1]) - density(weight)], abs=1e-9)
+    found = Sound(seen, weight, nuisances, offsets).weigh_noise(others)
+    assert found == pytest.approx([0.0, log_density(others[1]) - log_density(weight)], abs=1e-9)
 
 
 def test_the_bayes_factor_is_that_of_the_integral():
-    """Against a sum over the size of the cause and that of a nuisance."""
+    """Against a sum over the size of the cause and that of a nuisance; one bin's offset is another nuisance."""
     draw = np.random.default_rng(0)
-    seen, cause, nuisance = draw.normal(size=(3, 6))
-    weight = 1.0 / draw.uniform(0.5, 2.0, 6)
+    seen, cause, nuisance = draw.normal(size=(3, 6, 1))
+    weight = 1.0 / draw.uniform(0.5, 2.0, (6, 1))
     grid = np.linspace(-8.0, 8.0, 1601)
     normal = np.exp(-0.5 * grid**2) / math.sqrt(2 * math.pi) * (grid[1] - grid[0])
 
     def likelihood(size: float) -> float:
-        rest = seen - size * cause - grid[:, None] * nuisance
-        return float(normal @ np.exp(-0.5 * rest**2 @ weight))
+        rest = (seen - size * cause)[:, 0] - grid[:, None] * nuisance[:, 0]
+        return float(normal @ np.exp(-0.5 * rest**2 @ weight[:, 0]))
 
     none = likelihood(0.0)
     integral = sum(p * likelihood(s) for p, s in zip(normal, grid, strict=True))
-    sound = Sound(seen, weight, nuisance[:, None])
+    sound = Sound(seen, weight, nuisance[..., None], np.zeros(1))
     found = sound.weigh(np.array([cause, cause]), np.array([False, True]))
+    as_offset = Sound(seen, weight, np.zeros((6, 1, 0)), np.ones(1))
+    constant = Sound(seen, weight, np.ones((6, 1, 1)), np.zeros(1))
+    both = [each.weigh(cause[None], np.array([False])).evidence for each in (as_offset, constant)]
+    assert both[0] == pytest.approx(both[1], abs=1e-12)
     assert found.evidence[0] == pytest.approx(math.log(integral / none), abs=1e-6)
     assert found.evidence[1] == pytest.approx(math.log(likelihood(1.0) / none), abs=1e-6)
 
