@@ -25,7 +25,12 @@ class Stillness:
         self._seen: deque[tuple[float, float, float]] = deque()
 
     def observe(self, time: float, rear: float, front: float) -> None:
-        """Takes a sample: s, and positions in m, NaN while a marker is hidden."""
+        """Takes a sample: s, and positions in m, NaN while a marker is hidden.
+
+        Where the time is earlier than the last one's, it is another clock's, and what was seen before is forgotten.
+        """
+        if self._seen and time < self._seen[-1][0]:
+            self._seen.clear()
         self._seen.append((time, rear, front))
         while self._seen[0][0] < time - SPAN:
             self._seen.popleft()

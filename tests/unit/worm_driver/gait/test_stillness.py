@@ -51,3 +51,16 @@ def test_what_is_hidden_is_not_seen_to_stand(module: str):
 
 def test_a_robot_that_slides_whole_does_not_stand():
     assert not any(lasts for _, lasts in seen(lambda _: LENGTH, 3.0, rear=lambda time: 2e-3 * time))
+
+
+def test_another_clock_begins_anew_and_keeps_no_more_than_a_span():
+    """A virtual robot's clock begins at 0, after samples by that of the computer."""
+    still = Stillness()
+    for index in range(100):
+        still.observe(4e4 + index / RATE_HZ, 0.1, 0.1 + LENGTH)
+    still.observe(0.0, 0.2, 0.2 + LENGTH)
+    assert not still.lasts
+    for index in range(1, 1000):
+        still.observe(index / RATE_HZ, 0.2, 0.2 + LENGTH)
+    assert still.lasts
+    assert len(still._seen) <= SPAN * RATE_HZ + 1
