@@ -38,9 +38,9 @@ def shared() -> Path:
     return path
 
 
-DOMAINS = itertools.cycle(
-    range(1, 101)
-)  # no test has its predecessor's, whose killed processes are still announced
+_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+# No test has its predecessor's domain, whose killed processes are still announced, nor one of another worker's.
+DOMAINS = itertools.cycle(sorted(range(1, 101), key=lambda domain: (domain - 33 * _WORKER) % 100))
 
 
 def _free_domain(environment: pytest.MonkeyPatch) -> Iterator[int]:
