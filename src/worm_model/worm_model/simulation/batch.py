@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from worm_model.gait import Gait, GaitError
 from worm_model.parameters import KEYS, PAPER, ParameterError, Parameters
 from worm_model.simulation.kernel import whole_run as run
+from worm_model.simulation.kernel.mode import nearest_groove
 from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.simulator import (
     AVERAGED,
@@ -207,6 +208,6 @@ def _table(
         cost_of_transport=cost_of_transport(speed, power, mass),
         grooves_per_cycle=advance / pitch,
         min_grooves=results[:, run.LEAST_ADVANCE].reshape(shape) / pitch,
-        groove_phase=initial_length - np.ceil(initial_length / pitch - 0.5 - 1e-12) * pitch,
+        groove_phase=initial_length - nearest_groove(initial_length, pitch) * pitch,
         switches=results[:, run.RUN_SWITCHES].reshape(shape).astype(np.int64),
     )

@@ -13,11 +13,12 @@ import math
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.simulation.actuation import length_change_range
+from worm_model.simulation.kernel.mode import nearest_groove
 
 
 def front_groove(parameters: Parameters) -> int:
     """N of the groove nearest to the front module at the start: A2 = n·d, x1 = 0."""
-    return math.ceil(parameters.initial_length / parameters.pitch - 0.5 - 1e-12)
+    return int(nearest_groove(parameters.initial_length, parameters.pitch))
 
 
 def groove_phase(parameters: Parameters) -> float:

@@ -9,7 +9,9 @@ dynamics (eq:continuous_model) need no second derivative of the length:
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from worm_model.simulation.kernel.compiled import inlined
 from worm_model.simulation.kernel.linear import (
@@ -69,6 +71,17 @@ class Mode(NamedTuple):
     front: Coefficients
     roots: Roots
     resonant: bool
+
+
+def nearest_groove(length: Any, pitch: Any) -> Any:
+    """N of the groove nearest to the front module at a length in m, the rear one at 0; halfway, the lower of both.
+
+    Numbers or, outside the kernel, arrays; a whole number as a float.
+    """
+    return np.ceil(length / pitch - 0.5 - 1e-12)
+
+
+nearest_groove_of = inlined(nearest_groove)  # of numbers, within the kernel
 
 
 @inlined

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from worm_model.simulation.kernel.compiled import inlined, unlocked
+from worm_model.simulation.kernel.mode import nearest_groove_of
 
 FADING_SPEED = 1e-3  # m/s
 SHORTEST_STEP = 1e-9  # s, after a switch at a step's end
@@ -242,7 +243,7 @@ def slide(
     and fro without end.
     """
     mu = worm.front_mass / (worm.rear_mass + worm.front_mass)
-    lattice = worm.pitch * math.ceil(worm.initial_length / worm.pitch - 0.5 - 1e-12)
+    lattice = worm.pitch * nearest_groove_of(worm.initial_length, worm.pitch)
     onset_rate = worm.onset * mu * (length_changes[1] - length_changes[0]) / step
     state, total = _State(mu * length_changes[0], onset_rate, 0, 0), 0
     samples[0, X1], samples[0, V1], samples[0, HOLDING_FORCE] = 0.0, 0.0, 0.0

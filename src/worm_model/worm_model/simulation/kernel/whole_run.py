@@ -28,7 +28,7 @@ from worm_model.simulation.kernel.march import (
     Segment,
     march,
 )
-from worm_model.simulation.kernel.mode import Constants, Motion, region_of
+from worm_model.simulation.kernel.mode import Constants, Motion, nearest_groove_of, region_of
 
 # Columns of a parameter row, in the order of `worm_model.parameters.Parameters`; the last one is 0 or 1
 (
@@ -93,7 +93,7 @@ def constants_of(p: np.ndarray, direction: float, margin: float) -> Constants:
 def start_motion(c: Constants, a: Actuator) -> Motion:
     """x1 = 0, v1 = 0, A1 = 0, ΔL = 0, the front anchor on the nearest groove; ẏ = v1 + μ·L̇."""
     length_rate = -a.gain * a.slack / a.time_constant
-    front_groove = math.ceil(c.initial_length / c.pitch - 0.5 - 1e-12)
+    front_groove = int(nearest_groove_of(c.initial_length, c.pitch))
     phase = c.initial_length - front_groove * c.pitch
     return Motion(0.0, c.mu * length_rate, 0, front_groove, 1, region_of(phase, c.half_clearance))
 

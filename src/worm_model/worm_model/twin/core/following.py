@@ -42,7 +42,7 @@ from worm_model.simulation.kernel.march import (
     X2,
     Segment,
 )
-from worm_model.simulation.kernel.mode import Constants, Motion, region_of
+from worm_model.simulation.kernel.mode import Constants, Motion, nearest_groove_of, region_of
 from worm_model.simulation.kernel.whole_run import IDLE_POWER, POWER_FACTOR, step
 from worm_model.simulation.kernel.work import cable_power_of
 from worm_model.twin.core.intake import COMMAND, GAIT, JUMPED_BACK, LENGTH, POSITION, QUIET, admit
@@ -282,7 +282,7 @@ def publish(memory: Memory, rate: float, c: Constants, out: Rows) -> None:
     m, sample = memory.record[0], memory.sample[0]
     row = out.states[out.counts[0]]
     zero = m.origin + m.moved * c.pitch
-    front = math.ceil(c.initial_length / c.pitch - 0.5 - 1e-12)
+    front = int(nearest_groove_of(c.initial_length, c.pitch))
     y_rate = sample[V1] + c.mu * sample[LENGTH_RATE]
     row.stamp_ns, row.length_source = m.motion_ns, m.source
     row.initial_length = c.initial_length
