@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,21 +18,10 @@ from worm_model.simulation.simulator import (
     cost_of_transport,
     evaluate_gait,
 )
-from worm_optimizer.robustness.uncertainty import correlated, phase_known
+from worm_optimizer.robustness.uncertainty import phase_known, power_draws
 
-# 95 % half-widths relative to the value, of the parameters that touch the power only, for those without an interval
-# in the parameter file. This project's judgement, as those of `robustness.uncertainty`. A fit knows the product of
-# damping and power factor better than either: what the file says of their correlation decides the band of power.
-POWER_HALF_WIDTHS: Mapping[str, float] = {
-    "bellows_stiffness": 0.03,
-    "bellows_damping": 0.10,
-    "idle_power": 0.05,
-    "power_factor": 0.05,
-}
 SAMPLES = 500
 SEED = 1
-_STREAM = 1000  # of the random numbers, apart from those of the parameters of motion
-NORMAL_95 = 1.959963984540054  # standard deviations within which a normal variable lies in 95 %
 _STEADY = (CYCLES - AVERAGED + 1, CYCLES)
 _TAIL = 2.5  # percent beyond each end of a 95 % interval
 
@@ -79,7 +67,8 @@ def expect(gait: Gait, content: ParameterFile, averaged: tuple[int, int] = _STEA
     count = last - first + 1
     unmargined = Gait(gait.stroke, gait.frequency, gait.direction)
     nominal = evaluate_gait(unmargined, content.parameters, last, count)
-    overrides = {**phase_known(content, SAMPLES, SEED).overrides, **_power_draws(content)}
+    draws = phase_known(content, SAMPLES, SEED).overrides
+    overrides = {**draws, **power_draws(content, SAMPLES, SEED)}
     table = evaluate_gaits(
         gait.stroke,
         gait.frequency,
@@ -100,23 +89,6 @@ def expect(gait: Gait, content: ParameterFile, averaged: tuple[int, int] = _STEA
             _band(nominal.cost_of_transport, cost),
         ),
     )
-
-
-def _power_draws(content: ParameterFile) -> dict[str, np.ndarray]:
-    values = content.parameters.as_dict()
-    independent = {
-        key: np.random.default_rng([SEED, stream]).standard_normal(SAMPLES)
-        for stream, key in enumerate(POWER_HALF_WIDTHS, start=_STREAM)
-    }
-    deviates = correlated(independent, content.correlations)
-    draws = {}
-    for key, width in POWER_HALF_WIDTHS.items():
-        value = values[key]
-        low, high = content.intervals.get(key, (value * (1.0 - width), value * (1.0 + width)))
-        deviate = deviates[key] / NORMAL_95
-        drawn = value + np.where(deviate > 0.0, deviate * (high - value), deviate * (value - low))
-        draws[key] = np.clip(drawn, 0.1 * value, 10.0 * value)
-    return draws
 
 
 def _band(value: float, drawn: ArrayLike) -> Band:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +15,8 @@ from worm_optimizer.search.task import Array
 
 # 95 % half-widths relative to the value, of the parameters that decide the motion, for those without an
 # interval in the parameter file. They are this project's judgement, not the paper's: what careful
-# weighing, a caliper, a force gauge and a camera give. The others touch the power only.
-DEFAULT_HALF_WIDTHS: Mapping[str, float] = {
+# weighing, a caliper, a force gauge and a camera give.
+MOTION_HALF_WIDTHS: Mapping[str, float] = {
     "rear_mass": 0.01,
     "front_mass": 0.01,
     "pitch": 0.005,
@@ -31,8 +31,18 @@ DEFAULT_HALF_WIDTHS: Mapping[str, float] = {
     "rear_dry_friction": 0.0,
     "front_dry_friction": 0.0,
 }
+# The same of those that touch the power only. A fit knows the product of damping and power factor better than
+# either: what the file says of their correlation decides the band of power.
+POWER_HALF_WIDTHS: Mapping[str, float] = {
+    "bellows_stiffness": 0.03,
+    "bellows_damping": 0.10,
+    "idle_power": 0.05,
+    "power_factor": 0.05,
+}
 
 _PHASES = 64  # of every_phase
+# Streams of the random numbers of the first parameter of either kind
+_MOTION_STREAM, _POWER_STREAM = 10, 1000
 _NORMAL_95 = 1.959963984540054  # standard deviations within which a normal variable lies in 95 %
 _MOST_DEVIATIONS = 4.0  # draws are cut there, so that none leaves the admissible range
 
@@ -47,16 +57,12 @@ class Scenarios:
         return len(self.overrides["initial_length"])
 
 
-def half_widths(content: ParameterFile) -> dict[str, tuple[float, float]]:
-    """95 % reach below and above each value, by key: the file's intervals, else the stated defaults.
+def reach_of(content: ParameterFile, key: str) -> tuple[float, float]:
+    """95 % reach below and above a value: the file's interval, else the stated default (of others 0).
 
     What differs from run to run is added to either.
     """
-    return {key: reach_of(content, key, width) for key, width in DEFAULT_HALF_WIDTHS.items()}
-
-
-def reach_of(content: ParameterFile, key: str, width: float) -> tuple[float, float]:
-    """95 % reach of one value, ``width`` relative to it without an interval."""
+    width = MOTION_HALF_WIDTHS.get(key, POWER_HALF_WIDTHS.get(key, 0.0))
     value = content.parameters.as_dict()[key]
     low, high = content.intervals.get(key, (value * (1.0 - width), value * (1.0 + width)))
     scatter = _NORMAL_95 * content.run_to_run.get(key, 0.0)
@@ -65,18 +71,18 @@ def reach_of(content: ParameterFile, key: str, width: float) -> tuple[float, flo
 
 def description(content: ParameterFile) -> str:
     """Where the uncertainty of a parameter file comes from, in words."""
-    reach = max(reach_of(content, "initial_length", 0.0))
+    reach = max(reach_of(content, "initial_length"))
     phase = f"; φ known to ±{1e3 * reach:.2f} mm in the next run" if reach > 0.0 else ""
     return _parameters_described(content) + phase
 
 
 def _parameters_described(content: ParameterFile) -> str:
-    own = [key for key in DEFAULT_HALF_WIDTHS if key in content.intervals]
-    if all(key in own for key, width in DEFAULT_HALF_WIDTHS.items() if width > 0.0):
+    own = [key for key in MOTION_HALF_WIDTHS if key in content.intervals]
+    if all(key in own for key, width in MOTION_HALF_WIDTHS.items() if width > 0.0):
         return "the parameter file's 95 % intervals"
     others = ", ".join(
         f"{key} ±{100.0 * width:g} %"
-        for key, width in DEFAULT_HALF_WIDTHS.items()
+        for key, width in MOTION_HALF_WIDTHS.items()
         if key not in content.intervals and width > 0.0
     )
     mine = f"the parameter file's 95 % intervals of {', '.join(own)}; " if own else ""
@@ -90,20 +96,23 @@ def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
     The phase is held and not the length: φ = L0 − n·d, so that seventeen times a pitch's error would
     otherwise pass for a phase. Deviations are normal, with a width of its own on either side.
     """
-    overrides = _draws(content, samples, seed)
-    below, above = reach_of(content, "initial_length", 0.0)
-    deviate = _deviates(samples, seed, stream=1) / _NORMAL_95
-    trim = np.where(deviate > 0.0, deviate * above, deviate * below)
+    overrides = _draws(content, MOTION_HALF_WIDTHS, samples, seed, _MOTION_STREAM)
+    trim = _offset(_deviates(samples, seed, stream=1), reach_of(content, "initial_length"))
     phase = groove_phase(content.parameters) + trim
     return Scenarios({**overrides, **_at_phase(content.parameters, overrides["pitch"], phase)})
 
 
 def phase_unknown(content: ParameterFile, samples: int, seed: int) -> Scenarios:
     """The same draws with the groove phase uniform over a pitch."""
-    overrides = _draws(content, samples, seed)
+    overrides = _draws(content, MOTION_HALF_WIDTHS, samples, seed, _MOTION_STREAM)
     turn = np.random.default_rng([seed, 2]).uniform(-0.5, 0.5, samples)
     phase = turn * overrides["pitch"]
     return Scenarios({**overrides, **_at_phase(content.parameters, overrides["pitch"], phase)})
+
+
+def power_draws(content: ParameterFile, samples: int, seed: int) -> dict[str, Array]:
+    """Draws of the parameters that touch the power only, by key."""
+    return _draws(content, POWER_HALF_WIDTHS, samples, seed, _POWER_STREAM)
 
 
 def every_phase(parameters: Parameters) -> Scenarios:
@@ -132,8 +141,11 @@ def _at_phase(parameters: Parameters, pitch: Array, phase: Array) -> dict[str, A
 
 def _deviates(samples: int, seed: int, stream: int) -> Array:
     """Standard normal deviates, cut at `_MOST_DEVIATIONS`."""
-    normal = np.random.default_rng([seed, stream]).standard_normal(samples)
-    return np.clip(normal, -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+    return _cut(np.random.default_rng([seed, stream]).standard_normal(samples))
+
+
+def _cut(deviate: Array) -> Array:
+    return np.clip(deviate, -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
 
 
 def correlated(
@@ -156,19 +168,40 @@ def correlated(
     return dict(zip(keys, root @ np.array(list(deviates.values())), strict=True))
 
 
-def _draws(content: ParameterFile, samples: int, seed: int) -> dict[str, Array]:
-    values = content.parameters.as_dict()
-    reach = half_widths(content)
-    independent = {
-        key: _deviates(samples, seed, stream) for stream, key in enumerate(reach, start=10)
+def _offset(deviate: Array, reach: tuple[float, float]) -> Array:
+    """How far standard normal deviates (n,) lie from the value, in its unit, at a 95 % reach below and above."""
+    below, above = reach
+    share = _cut(deviate) / _NORMAL_95
+    return np.where(share > 0.0, share * above, share * below)
+
+
+def values_at(
+    parameters: Parameters,
+    reach: Mapping[str, tuple[float, float]],
+    deviates: Mapping[str, Array],
+) -> dict[str, Array]:
+    """Values by key at standard normal deviates (n,), as far as `Parameters` admits them."""
+    values = parameters.as_dict()
+    drawn = {
+        key: np.maximum(values[key] + _offset(deviates[key], reach[key]), 0.1 * values[key])
+        for key in reach
     }
-    deviates = correlated(independent, content.correlations)
-    draws = {}
-    for key, (below, above) in reach.items():
-        deviate = np.clip(deviates[key], -_MOST_DEVIATIONS, _MOST_DEVIATIONS) / _NORMAL_95
-        drawn = values[key] + np.where(deviate > 0.0, deviate * above, deviate * below)
-        draws[key] = np.maximum(drawn, 0.1 * values[key])
-    # What `Parameters` demands of every set: a fin that switches must stay where it lands.
-    least = np.maximum(0.5 * draws["pitch"], 0.5 * draws["clearance"]) * 1.001
-    draws["switching_threshold"] = np.maximum(draws["switching_threshold"], least)
-    return draws
+    if drawn.keys() & {"switching_threshold", "pitch", "clearance"}:
+        threshold, pitch, clearance = (
+            drawn.get(key, values[key]) for key in ("switching_threshold", "pitch", "clearance")
+        )
+        # What `Parameters` demands of every set: a fin that switches must stay where it lands.
+        least = np.maximum(0.5 * pitch, 0.5 * clearance) * 1.001
+        drawn["switching_threshold"] = np.maximum(threshold, least)
+    return drawn
+
+
+def _draws(
+    content: ParameterFile, keys: Iterable[str], samples: int, seed: int, stream: int
+) -> dict[str, Array]:
+    """Draws within the reach of each key, those that the file correlates together."""
+    reach = {key: reach_of(content, key) for key in keys}
+    independent = {
+        key: _deviates(samples, seed, number) for number, key in enumerate(reach, stream)
+    }
+    return values_at(content.parameters, reach, correlated(independent, content.correlations))

@@ -2,7 +2,7 @@
 """What decides speed, power and the cliff: Sobol indices over the parameters' uncertainty.
 
 The parameters vary independently, each normally within its 95 % interval: that of the parameter file, else the stated
-default (`robustness.uncertainty`, `report.expectation`). The variance of a figure is then shared out: the first-order
+default (`robustness.uncertainty`). The variance of a figure is then shared out: the first-order
 index of a parameter is the part of it that knowing this parameter alone would take away, the total index the part in
 which it has a hand, together with others. Saltelli's samples and estimators are SciPy's.
 """
@@ -19,14 +19,17 @@ from scipy.stats import norm, sobol_indices
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import evaluate_gaits
-from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
-from worm_optimizer.report.expectation import NORMAL_95, POWER_HALF_WIDTHS
-from worm_optimizer.robustness.uncertainty import half_widths, reach_of
+from worm_model.simulation.closed_form import cliff_margin, front_groove
+from worm_optimizer.robustness.uncertainty import (
+    MOTION_HALF_WIDTHS,
+    POWER_HALF_WIDTHS,
+    reach_of,
+    values_at,
+)
 from worm_optimizer.search.task import Array
 
 FIGURES = ("speed", "power", "cliff_margin")
 LENGTH = "initial_length"
-_CUT = 4.0  # standard deviations at which a draw ends, so that it stays admissible
 _LEAST_VARIANCE = 1e-24  # of a figure, below which it does not vary
 
 
@@ -96,8 +99,9 @@ def _interval(bounds: object, row: int) -> Array:
 
 def _reach(content: ParameterFile) -> dict[str, tuple[float, float]]:
     """Of every parameter that is not exact; that of L0 stands for the groove phase."""
-    power = {key: reach_of(content, key, width) for key, width in POWER_HALF_WIDTHS.items()}
-    found = {**half_widths(content), **power, LENGTH: reach_of(content, LENGTH, 0.0)}
+    found = {
+        key: reach_of(content, key) for key in (*MOTION_HALF_WIDTHS, *POWER_HALF_WIDTHS, LENGTH)
+    }
     return {key: ends for key, ends in found.items() if max(ends) > 0.0}
 
 
@@ -106,17 +110,11 @@ def _figures(
 ) -> Array:
     """(figures, n) under standard normal deviates (parameters, n)."""
     p = content.parameters
-    values = p.as_dict()
-    offset = {
-        key: np.where(row > 0.0, row * reach[key][1], row * reach[key][0])
-        for key, row in zip(reach, np.clip(deviates, -_CUT, _CUT) / NORMAL_95, strict=True)
-    }
-    drawn = {key: np.maximum(values[key] + row, 0.1 * values[key]) for key, row in offset.items()}
-    pitch = drawn.get("pitch", np.full(deviates.shape[1], p.pitch))
-    drawn[LENGTH] = front_groove(p) * pitch + groove_phase(p) + offset.get(LENGTH, 0.0)
-    least = 0.5001 * np.maximum(pitch, drawn.get("clearance", p.clearance))
-    threshold = drawn.get("switching_threshold", p.switching_threshold)
-    drawn["switching_threshold"] = np.maximum(threshold, least)
+    drawn = values_at(p, reach, dict(zip(reach, deviates, strict=True)))
+    longer = front_groove(p) * (drawn.get("pitch", np.full(deviates.shape[1], p.pitch)) - p.pitch)
+    drawn[LENGTH] = (
+        drawn.get(LENGTH, p.initial_length) + longer
+    )  # the groove phase is what was drawn
     table = evaluate_gaits(
         gait.stroke, gait.frequency, direction=gait.direction, parameters=p, overrides=drawn
     )

@@ -12,15 +12,15 @@ from worm_model.simulation.closed_form import groove_phase
 from worm_optimizer.robustness.chance import PromiseTask, margins_stood
 from worm_optimizer.robustness.success_probability import stroke_to_edges, success_probability
 from worm_optimizer.robustness.uncertainty import (
-    DEFAULT_HALF_WIDTHS,
+    MOTION_HALF_WIDTHS,
     Scenarios,
     correlated,
     description,
     every_phase,
-    half_widths,
     phase_guard,
     phase_known,
     phase_unknown,
+    reach_of,
 )
 from worm_optimizer.search.gait_map import MapSettings, build_map
 from worm_optimizer.search.optimizer_errors import OptimizerError
@@ -50,7 +50,7 @@ def any_phase_task() -> PromiseTask:
 
 def test_draws_have_the_stated_widths():
     draws = phase_known(FILE, 4000, seed=1).overrides
-    for key, width in DEFAULT_HALF_WIDTHS.items():
+    for key, width in MOTION_HALF_WIDTHS.items():
         value = PAPER.as_dict()[key]
         inside = np.mean(np.abs(draws[key] - value) <= width * value)
         low, high = (0.93, 0.97) if width else (1.0, 1.0)
@@ -59,7 +59,7 @@ def test_draws_have_the_stated_widths():
 
 def test_a_files_intervals_replace_the_defaults_on_each_side():
     file = ParameterFile(intervals={"slack": (0.0079, 0.0090), "pitch": (0.0173, 0.0173)})
-    below, above = half_widths(file)["slack"]
+    below, above = reach_of(file, "slack")
     assert (below, above) == pytest.approx((1e-4, 1e-3))
     draws = phase_known(file, 4000, seed=1).overrides
     assert np.all(draws["pitch"] == 0.0173)
@@ -73,7 +73,7 @@ def test_what_is_assumed_is_told_apart_from_what_the_file_says():
     mixed = description(ParameterFile(intervals={"slack": (0.0079, 0.0090)}))
     assert mixed.startswith("the parameter file's 95 % intervals of slack; assumed")
     assert "slack ±" not in mixed
-    everything = {key: (0.9 * PAPER.as_dict()[key], 1.1) for key in DEFAULT_HALF_WIDTHS}
+    everything = {key: (0.9 * PAPER.as_dict()[key], 1.1) for key in MOTION_HALF_WIDTHS}
     assert description(ParameterFile(intervals=everything)) == "the parameter file's 95 % intervals"
     phase = description(ParameterFile(intervals=everything, run_to_run={"initial_length": 4e-4}))
     assert phase == "the parameter file's 95 % intervals; φ known to ±0.78 mm in the next run"
