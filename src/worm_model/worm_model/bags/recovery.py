@@ -18,7 +18,7 @@ from worm_model.bags.bag_metadata import (
     read_metadata,
     silent_topics,
 )
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.mcap_scan import verify
 from worm_model.bags.mcap_storage import McapFile, McapStorage, explained
 from worm_model.bags.message_block import Topic
@@ -118,7 +118,7 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
         target = recovered_path(path) if output is None else output
         bag = Bag(path, McapStorage(files))
         custom = {SOURCE: path.name, SOURCE_SHA256: fingerprint(files)}
-        with BagWriter(target, custom) as writer:
+        with new_bag(target, custom) as writer:
             writer.copy_records(bag)
             for channel in bag.channels:
                 writer.add_topic(channel)

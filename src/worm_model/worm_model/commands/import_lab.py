@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.lab_logs import LabRun, LabSettings, read_lab_run
 from worm_model.bags.run_writer import write_run
 from worm_model.commands.command_line import (
@@ -37,7 +37,7 @@ def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str
         BagError: the bag cannot be written.
     """
     lab = read_lab_run(folder, settings)
-    with BagWriter(output) as writer:
+    with new_bag(output) as writer:
         writer.add_metadata("worm_run", _manifest(folder, lab))
         if lab.gait is not None:
             writer.add_metadata("worm_gait", _gait(lab, settings))

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.block_least_squares import Problem, Quantity, Solution, solve
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.robust import noise_of
 from worm_model.simulation.kernel.actuation_law import Actuator, respond_at
-
-Array = NDArray[np.float64]
 
 CLOCK_SPREAD = 0.02  # s, standard deviation of the offset before the data are seen: clocks, and the servo's delay
 LATEST_ENGAGEMENT = 0.25  # s after the onset

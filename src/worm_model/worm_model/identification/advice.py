@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.identification.actuation_fit import actuation_problem
 from worm_model.identification.block_least_squares import Problem, evaluate, normal_equations
@@ -26,8 +26,6 @@ from worm_model.identification.observed_run import Recording
 from worm_model.identification.stages import Identification
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import simulate
-
-Array = NDArray[np.float64]
 
 STROKES = (0.05, 0.07, 0.09)  # m
 FREQUENCIES = (0.08, 0.12, 0.2, 0.3, 0.4)  # Hz

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from worm_model.arrays import Array
+
 Residuals = Callable[[int, Array, Array], Array]
 
 HUBER = 2.5  # scales beyond which a residual counts by its size, not by its square

@@ -6,11 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.block_least_squares import Problem, Solution, normal_equations
-
-Array = NDArray[np.float64]
 
 TOLD = 0.5  # of what was assumed before the data: a deviation above it is mostly the assumption
 

@@ -7,10 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
-
-Array = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 MOST_STEPS = 12  # by which a profile looks for its end

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
+from worm_model.arrays import Array
 from worm_model.identification.estimate import Estimate, follow_profile, if_told, quantile
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.robust import SIGMA_PER_MAD, dependence
-
-Array = NDArray[np.float64]
 
 COLUMNS = ("displacement_m", "force_N")
 FEWEST_POINTS = 12

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.locomotion import Traverse
 from worm_model.identification.locomotion_stage import LocomotionResult, motions
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.parameters import Parameters
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

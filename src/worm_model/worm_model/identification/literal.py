@@ -12,9 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
+from worm_model.arrays import Array
 from worm_model.identification.actuation_fit import START, predicted_length_change
 from worm_model.identification.bellows import fit_bellows
 from worm_model.identification.fin import fit_fin
@@ -33,8 +33,6 @@ from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import Locomotion, SimulationError
 from worm_model.simulation.smoothing import smooth
-
-Array = NDArray[np.float64]
 
 THRESHOLD_STEP = 2.5e-4  # m, of the grid
 REFINED = 3  # best points of the grid from which a simplex starts

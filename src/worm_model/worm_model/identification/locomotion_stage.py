@@ -14,8 +14,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.block_least_squares import (
     Solution,
     normal_equations,
@@ -52,7 +52,6 @@ from worm_model.simulation.kernel.stepped_dry_friction import (
     X1,
 )
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 FRICTION, SWITCHING, REAR_DRY, FRONT_DRY, PITCH, ONSET = range(6)  # entries of the means

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from worm_model.identification.actuation_stage import ActuationResult, identify_actuation
 from worm_model.identification.bellows import BellowsFit, fit_bellows
@@ -40,7 +39,6 @@ from worm_model.identification.run_selection import (
 from worm_model.identification.strides import check_pitch
 from worm_model.parameters import FITTED_WITH_FORM, KEYS, Parameters
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 FIN = ("clearance", "engaged_stiffness", "disengaged_stiffness")

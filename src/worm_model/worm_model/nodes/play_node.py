@@ -10,7 +10,6 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from std_srvs.srv import Trigger
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_metadata import qos_profiles
+from worm_model.bags.bag_metadata import first_qos_profile
 from worm_model.bags.cdr import Converter
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import topic_of, with_definition
@@ -55,15 +54,9 @@ def message_class(type_name: str) -> Any:
         return None
 
 
-def _offered(topic: Topic) -> Any:
-    """What a topic's first publisher offered; empty where the bag does not tell."""
-    profiles = qos_profiles(topic.offered_qos)
-    return profiles[0] if profiles and isinstance(profiles[0], dict) else {}
-
-
 def _latched_depth(topic: Topic) -> int:
     """Samples that somebody who comes late gets: what the publisher kept, the last state if that is not known."""
-    depth = _offered(topic).get("depth")
+    depth = first_qos_profile(topic).get("depth")
     return depth if isinstance(depth, int) and 0 < depth <= VOLATILE_DEPTH else 1
 
 
@@ -72,7 +65,7 @@ def play_qos(topic: Topic) -> QoSProfile:
 
     Where the bag does not tell, it is reliable and latched, which serves every subscriber.
     """
-    offered = _offered(topic)
+    offered = first_qos_profile(topic)
     latched = is_latched(topic) or not offered
     best_effort = offered.get("reliability") in ("best_effort", 2)
     return QoSProfile(
@@ -99,7 +92,6 @@ class PlayNode(Node):
         self._converters: dict[Topic, Converter] = {}
         self._skipped: Counter[str] = Counter()
         self._publishers_by_topic = self._advertise()
-        self._converters = {replace(c, count=0): found for c, found in self._converters.items()}
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._clock_due = 0.0
         self._pending: Message | None = None

@@ -29,8 +29,6 @@ from worm_model.bags.bag_metadata import dump_yaml
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_loss import LossCounter
 from worm_model.bags.message_types import installed_definition
-from worm_model.bags.recording_thread import Note
-from worm_model.bags.run_manifest import GAIT_RECORD
 from worm_model.bags.topic_selection import SelectionError, TopicSelection
 from worm_model.nodes.recording_qos import describe, subscription_qos
 from worm_model.run import INACTIVE
@@ -250,7 +248,7 @@ class RecordNode(Node):
             for sample in subscription.take()
         ]
 
-    def new_gaits(self, samples: Sequence[Message]) -> Iterator[Note]:
+    def new_gaits(self, samples: Sequence[Message]) -> Iterator[dict[str, str]]:
         """The gaits that have begun according to the messages, each once for its run."""
         for sample in samples:
             if sample.channel.type_name == GAIT_STATE:
@@ -258,7 +256,7 @@ class RecordNode(Node):
                 self._drivers[sample.topic] = state.state
                 gait = _describe_gait(state)
                 if gait and not self._is_known(state):
-                    yield Note(GAIT_RECORD, gait)
+                    yield gait
 
     @property
     def awaits_rest(self) -> bool:

@@ -19,7 +19,7 @@ from worm_model.bags.cleaning import Cleaner
 from worm_model.bags.message_block import Message
 from worm_model.bags.recorder import Manifest
 from worm_model.bags.recording_session import RecordingSession, SessionOptions
-from worm_model.bags.run_manifest import is_text, run_manifest
+from worm_model.bags.run_manifest import GAIT_RECORD, is_text, run_manifest
 from worm_model.bags.topic_selection import TopicSelection
 from worm_model.commands.command_line import Parser, number
 from worm_model.nodes.raw_subscriptions import RecordNode
@@ -186,8 +186,8 @@ class _Recording:
         if not messages:
             return
         self._session.offer(self._cleaned(messages))
-        for note in self._node.new_gaits(messages):
-            self._session.note(note)
+        for gait in self._node.new_gaits(messages):
+            self._session.note(GAIT_RECORD, gait)
         alarm = self._node.alarm(messages) if self._session.options.ring_s else ""
         if alarm:
             try:
