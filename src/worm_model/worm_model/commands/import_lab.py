@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -57,13 +58,8 @@ def _manifest(folder: Path, lab: LabRun) -> dict[str, str]:
 def _gait(lab: LabRun, settings: LabSettings) -> dict[str, str]:
     gait = lab.gait
     assert gait is not None
-    return {
-        "stroke": repr(gait.stroke),
-        "frequency": repr(gait.frequency),
-        "direction": str(gait.direction),
-        "margin": repr(gait.margin),
-        "onset_ns": str(settings.epoch + round(lab.transmission.onset * 1e9)),
-    }
+    onset = settings.epoch + round(lab.transmission.onset * 1e9)
+    return {key: repr(value) for key, value in asdict(gait).items()} | {"onset_ns": str(onset)}
 
 
 def _parser() -> Parser:

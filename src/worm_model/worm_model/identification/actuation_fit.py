@@ -23,6 +23,7 @@ CLOCK_SPREAD = 0.02  # s, standard deviation of the offset before the data are s
 LATEST_ENGAGEMENT = 0.25  # s after the onset
 ENGAGEMENT_SPREAD = 0.05  # s
 LEAST_NOISE = 2e-5  # m, of a length: that of a perfect camera
+KEYS = ("slack", "gain", "time_constant")
 START = (0.008, 0.86, 0.155)  # the paper's
 SHARED = (
     Quantity(1e-5, 0.0, 0.05),  # slack, m
@@ -52,7 +53,7 @@ class ActuationFit:
     @property
     def values(self) -> Array:
         """(slack, gain, time constant)."""
-        return np.array([self.slack, self.gain, self.time_constant])
+        return np.array([getattr(self, key) for key in KEYS])
 
 
 def predicted_length_change(

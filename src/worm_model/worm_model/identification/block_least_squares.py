@@ -196,6 +196,14 @@ def normal_equations(
     return matrix, gradient + precision * (values - centre)
 
 
+def inverse(matrix: Array) -> Array:
+    """Of a symmetric matrix whose entries are of very different sizes."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    unit = np.outer(scale, scale)
+    found: Array = np.linalg.pinv(matrix * unit, hermitian=True) * unit
+    return found
+
+
 def _jacobian(problem: Problem, state: Solution, run: int, width: float) -> Array:
     """Of a run's residuals by the shared parameters and its own nuisances, by central differences.
 

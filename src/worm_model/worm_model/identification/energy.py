@@ -28,6 +28,7 @@ from worm_model.simulation.quadrature import accumulated
 CLOCK_SPREAD = 0.02  # s
 SCALE = 0.05  # J, of a residual: beyond some of these a sample counts as an outlier
 INDEPENDENT = 20.0  # residuals that a run is worth: those of an accumulated energy wander and resemble their neighbours
+KEYS = ("bellows_damping", "power_factor")
 START = (860.0, 3.2)  # the paper's, rounded
 SHARED = (Quantity(5.0, 0.0, 1e5), Quantity(0.01, 0.05, 50.0))
 

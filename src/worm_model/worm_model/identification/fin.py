@@ -19,6 +19,7 @@ from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.robust import SIGMA_PER_MAD, dependence
 
 COLUMNS = ("displacement_m", "force_N")
+KEYS = ("clearance", "engaged_stiffness", "disengaged_stiffness")
 FEWEST_POINTS = 12
 TOO_VAGUE = "the fin test leaves it open by more than half its value; repeat it with more points"
 ANISOTROPY = 1.15  # between the stiffnesses, below which a test does not tell which side engages
@@ -47,9 +48,7 @@ class FinFit:
     @property
     def values(self) -> Array:
         """(clearance, engaged, disengaged stiffness)."""
-        return np.array(
-            [self.clearance.value, self.engaged_stiffness.value, self.disengaged_stiffness.value]
-        )
+        return np.array([getattr(self, key).value for key in KEYS])
 
     def force_at(self, displacement: Array) -> Array:
         """The fitted force in N at displacements (m,) in m."""

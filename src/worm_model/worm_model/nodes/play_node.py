@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import re
 import sys
 import time
@@ -12,7 +11,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
@@ -33,8 +31,9 @@ from worm_model.bags.message_types import topic_of, with_definition
 from worm_model.bags.opening import open_bag
 from worm_model.bags.play_clock import Timeline
 from worm_model.bags.recording_session import is_latched
-from worm_model.commands.command_line import InputError, Parser, number, run_command
+from worm_model.commands.command_line import InputError, Parser, not_negative, number, run_command
 from worm_model.nodes.keyboard import keys_of_terminal, pressed
+from worm_model.nodes.raw_subscriptions import message_class
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import own_arguments, ros_process
 
@@ -43,15 +42,6 @@ MATCHING_S = 3.0  # that a subscriber which cannot be connected is waited for
 ACKNOWLEDGED_S = 2.0  # that the last messages have to reach their subscribers
 VOLATILE_DEPTH = 1000  # of samples that may wait for a slow subscriber
 HELP = "space: pause and resume, s or right arrow: one message, q: quit"
-
-
-def message_class(type_name: str) -> Any:
-    """Python class of ``package/msg/Type``; None if its package is not installed."""
-    package, _, kind = type_name.partition("/msg/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), kind)
-    except (ImportError, AttributeError, ValueError, TypeError):
-        return None
 
 
 def _latched_depth(topic: Topic) -> int:
@@ -132,8 +122,7 @@ class PlayNode(Node):
 
     def _converter(self, channel: Topic, type_name: str) -> Converter:
         """What makes the bag's messages those that are installed; fields that these have besides are told."""
-        if message_class(type_name) is None:
-            raise BagError(f"{type_name or 'a type that is not told'} is not installed")
+        message_class(type_name)  # which must be installed
         converter = Converter(with_definition(channel), topic_of(channel.name, type_name))
         if converter.added:
             added = ", ".join(converter.added)
@@ -304,13 +293,6 @@ def _positive(text: str) -> float:
     return value
 
 
-def _not_negative(text: str) -> float:
-    value = number(text)
-    if value < 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is below 0")
-    return value
-
-
 def _parser() -> Parser:
     parser = Parser(
         prog="play",
@@ -321,19 +303,19 @@ def _parser() -> Parser:
     parser.add_argument("-r", "--rate", type=_positive, default=1.0, help="default 1")
     parser.add_argument("-l", "--loop", action="store_true", help="begin anew at the end")
     parser.add_argument(
-        "--start", type=_not_negative, default=0.0, metavar="S", help="from this time on, in s"
+        "--start", type=not_negative, default=0.0, metavar="S", help="from this time on, in s"
     )
     parser.add_argument("--paused", action="store_true", help="begin paused")
     parser.add_argument(
         "--delay",
-        type=_not_negative,
+        type=not_negative,
         default=1.0,
         metavar="S",
         help="without a new subscriber, before the first message (default 1 s)",
     )
     parser.add_argument(
         "--clock",
-        type=_not_negative,
+        type=not_negative,
         default=100.0,
         metavar="HZ",
         help="rate of /clock, 0: none (default 100)",

@@ -30,12 +30,10 @@ from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_loss import LossCounter
 from worm_model.bags.message_types import installed_definition
 from worm_model.bags.topic_selection import SelectionError, TopicSelection
+from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
 from worm_model.nodes.recording_qos import describe, subscription_qos
 from worm_model.run import INACTIVE
 from worm_msgs.node_command import declare_none
-
-GAIT_STATE = "worm_msgs/msg/GaitState"
-ALARM_TYPE = "worm_msgs/msg/TwinEvent"
 
 OVERLAP_LOOKS = (
     50  # with both subscriptions: publishers learn of the second one later than it does of them
@@ -269,9 +267,9 @@ class RecordNode(Node):
     def alarm(self, samples: Sequence[Message]) -> str:
         """What the twin raises an alarm about in the messages, the last one; empty without one."""
         events: list[Any] = [
-            deserialize_message(sample.data, message_class(ALARM_TYPE))
+            deserialize_message(sample.data, message_class(TWIN_EVENT))
             for sample in samples
-            if sample.channel.type_name == ALARM_TYPE
+            if sample.channel.type_name == TWIN_EVENT
         ]
         return next((e.message or e.code for e in reversed(events) if e.code), "")
 
@@ -289,12 +287,13 @@ def message_class(type_name: str) -> type:
     Raises:
         DefinitionError: its package is not installed.
     """
-    package, _, kind = type_name.split("/")
+    package, _, kind = type_name.partition("/msg/")
     try:
         found: type = getattr(importlib.import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError):
+        name = type_name or "a type that is not told"
         raise DefinitionError(
-            f"{type_name} is not installed; source the workspace that has it"
+            f"{name} is not installed; source the workspace that has it"
         ) from None
     return found
 
