@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.report import Row, wall_time
 from worm_model.analysis.replay_metrics import report_replay
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_run
@@ -40,7 +40,7 @@ def _measure(cycles: int) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "bag")
         recorded = _simulated_run(cycles)
-        with BagWriter(path) as writer:
+        with new_bag(path) as writer:
             write_run(writer, recorded)
         duration = (recorded.power.stamp[-1] - recorded.origin) * 1e-9
 

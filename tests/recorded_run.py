@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.run_writer import write_run
 from worm_model.gait import Gait
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
@@ -70,7 +70,7 @@ def _gait_states(cycles: int, end: float) -> GaitStates:
 
 def write_bag(path: Path, run: Run, namespace: str = "/worm") -> Path:
     """The run as a bag."""
-    with BagWriter(path) as writer:
+    with new_bag(path) as writer:
         writer.add_metadata("worm_run", {"made_by": "tests/recorded_run.py"})
         write_run(writer, run, namespace)
     return path

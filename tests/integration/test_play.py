@@ -14,7 +14,7 @@ from recorded_run import AFTER_S, EPOCH, GAIT, REST_S, simulated_run, write_bag
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.cdr import encode
 from worm_model.bags.message_block import Topic
 from worm_model.bags.message_types import topic_of
@@ -162,7 +162,7 @@ def test_messages_that_are_not_what_is_installed_are_not_played(
     processes: Processes, tmp_path: Path
 ):
     other = Topic("/worm/power", "worm_msgs/msg/Power", 0, "float32 power\n", "ros2msg", "cdr")
-    with BagWriter(tmp_path / "bag") as writer:
+    with new_bag(tmp_path / "bag") as writer:
         writer.write(other, b"\0\1\0\0" + bytes(4), 1, 1)
     player = processes.start_executable("worm_model", "play", str(tmp_path / "bag"))
     assert player.wait(TIMEOUT_S) == 2
@@ -175,7 +175,7 @@ def test_what_cannot_be_published_is_left_out_and_told(
     """A type without a name, a topic that ROS cannot have, and a message that is cut short."""
     power = topic_of("/worm/power", "worm_msgs/msg/Power")
     samples = encode(power, 3, {"power": np.arange(3.0)}, {})
-    with BagWriter(tmp_path / "bag") as writer:
+    with new_bag(tmp_path / "bag") as writer:
         writer.write(Topic("/a", "", 0, "", "", "cdr"), b"\0\1\0\0" + bytes(4), 1, 1)
         writer.write(replace(power, name="/../x"), samples[0], 2, 2)
         writer.write(power, samples[0], 3, 3)

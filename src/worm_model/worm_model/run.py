@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
+from worm_model.arrays import Array, Stamps
+
 Codes = NDArray[np.int64]
 
 # The values of GaitState.state and of Power.status, for what knows no ROS; a test holds them to worm_msgs.

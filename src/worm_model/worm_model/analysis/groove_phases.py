@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from worm_model.analysis.plot_style import (
     BLUE,
@@ -24,11 +23,10 @@ from worm_model.analysis.plot_style import (
     letter,
     new_figure,
 )
+from worm_model.arrays import Array
 from worm_model.parameters import Parameters
 from worm_model.simulation.batch import evaluate_gaits
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,11 @@ from worm_model.analysis.run_metrics import (
     played_gaits,
     root_mean_square,
 )
+from worm_model.arrays import Array
 from worm_model.run import RUNNING, STOPPING, Run
 from worm_model.simulation.quadrature import accumulated
 from worm_model.twin.offline_replay import Replay, Series
 from worm_model.twin.records import Event, Health
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

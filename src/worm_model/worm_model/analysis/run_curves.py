@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from worm_model.analysis.plot_style import (
     CABLE,
@@ -24,12 +23,11 @@ from worm_model.analysis.run_metrics import (
     last_played_gait,
 )
 from worm_model.analysis.run_plots import Curve, Curves, Frame, overview_figure
+from worm_model.arrays import Array
 from worm_model.parameters import Parameters
 from worm_model.run import LengthSamples, Run, seconds
 from worm_model.simulation.actuation import effective_command, length_change_of_command
 from worm_model.twin.offline_replay import Replay, Series
-
-Array = NDArray[np.float64]
 
 TWIN = "twin, by the measured length"
 _AROUND_S = 2.0  # of rest before and after the gait that an overview shows

@@ -16,14 +16,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array, Stamps
 from worm_model.errors import InputError
 from worm_model.gait import Gait, GaitError
 from worm_model.run import FAULT, RESTING, RUNNING, STOPPING, GaitStates, Run, state_name
 from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import AVERAGED, cost_of_transport
 
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 Samples = tuple[Stamps, Array]  # stamps in ns since the epoch and values, NaN where there is none
 
 AVERAGED_CYCLES = AVERAGED

@@ -14,7 +14,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
-from numpy.typing import NDArray
 
 from worm_model.analysis.plot_style import (
     CYCLE,
@@ -25,8 +24,7 @@ from worm_model.analysis.plot_style import (
     new_figure,
     shade,
 )
-
-Array = NDArray[np.float64]
+from worm_model.arrays import Array
 
 WIDTH, _HEIGHT = 8.5, 1.75  # inches; the height is that of a panel of weight 1
 _TIME = "time since the gait's onset (s)"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.run import (
@@ -25,8 +26,6 @@ from worm_model.run import (
 from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.simulator import Motions, simulate
 from worm_model.twin.records import LengthSource
-
-Array = NDArray[np.float64]
 
 EPOCH_NS = (
     1_767_225_600 * 10**9
@@ -76,7 +75,7 @@ class SimulatedRun:
         motions, p = self.motions, self.parameters
         one = np.ones(self.time.size)
         return {
-            "length_source": LengthSource.ESTIMATED * one,
+            "length_source": np.full(self.time.size, LengthSource.ESTIMATED),
             "initial_length": p.initial_length * one,
             "groove_phase": groove_phase(p) * one,
             "length": motions.length,

@@ -103,12 +103,8 @@ class Bag:
         """
         bare = [c for c in self.channels if c.count and not c.definition]
         given = [c for c in bare if definitions and _is_defined(c, definitions)]
-        for channel in given:
-            defined = with_definition(channel, definitions)
-            self._given[replace(channel, count=0)] = replace(defined, count=0)
-        self.channels = tuple(
-            replace(self._given.get(replace(c, count=0), c), count=c.count) for c in self.channels
-        )
+        self._given = {channel: with_definition(channel, definitions) for channel in given}
+        self.channels = tuple(self._given.get(channel, channel) for channel in self.channels)
         self.topics = _by_name(self.channels)
         self._tell(given, f"those in {definitions} are taken")
         rest = [c for c in bare if c not in given]

@@ -142,6 +142,12 @@ def qos_profiles(text: str) -> list[Any]:
     return profiles if isinstance(profiles, list) else []
 
 
+def first_qos_profile(topic: Topic) -> dict[str, Any]:
+    """What a topic's first publisher offered; empty where the bag does not tell."""
+    first, *_ = qos_profiles(topic.offered_qos) or [None]
+    return first if isinstance(first, dict) else {}
+
+
 # --- writing --------------------------------------------------------------------------------------
 
 
@@ -163,7 +169,6 @@ def metadata_text(
     topics: Iterable[tuple[Topic, int]],
     files: Mapping[str, Extent],
     custom: Mapping[str, str],
-    ros_distro: str = "jazzy",
 ) -> str:
     """The content of metadata.yaml below its root key, which the MCAP record "rosbag2" repeats."""
     return dump_yaml(
@@ -180,7 +185,7 @@ def metadata_text(
             "relative_file_paths": list(files),
             "files": [{"path": name, **extent.fields()} for name, extent in files.items()],
             "custom_data": dict(custom),
-            "ros_distro": ros_distro,
+            "ros_distro": "jazzy",
         }
     )
 

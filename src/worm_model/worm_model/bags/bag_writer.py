@@ -6,11 +6,10 @@ from __future__ import annotations
 import fcntl
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO
 
 from mcap.writer import CompressionType, Writer
@@ -66,7 +65,6 @@ class BagFiles:
         name: of the bag, with which the names of its files begin.
         options: how to write.
         custom: rosbag2's `custom_data`: text by key.
-        ros_distro: for metadata.yaml.
         synchronise: brings an open file, given by its descriptor, to the disk.
 
     Raises:
@@ -79,7 +77,6 @@ class BagFiles:
         name: str,
         options: WriteOptions | None = None,
         custom: Mapping[str, str] | None = None,
-        ros_distro: str = "jazzy",
         synchronise: Callable[[int], None] = os.fsync,
     ) -> None:
         self.directory = directory
@@ -88,28 +85,11 @@ class BagFiles:
         self.counts: Counter[Topic] = Counter()
         self._name = name
         self._options = options or WriteOptions()
-        self._ros_distro = ros_distro
         self._total = Extent()
         self._extents: dict[str, Extent] = {}
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: list[AttachedFile] = []
-        self._closed_bytes = 0
         self._file = self._open()
-
-    @property
-    def size(self) -> int:
-        """Bytes of the files so far, without the open chunk."""
-        return self._closed_bytes + self._file.size
-
-    @property
-    def is_there(self) -> bool:
-        """Whether the open file still has its name: nobody has removed or moved it."""
-        return self._file.is_there
-
-    @property
-    def messages(self) -> int:
-        """Number of messages so far."""
-        return self._total.count
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Keep a record; the last one of each name is repeated in every file that follows."""
@@ -123,23 +103,35 @@ class BagFiles:
 
     def add_topic(self, topic: Topic) -> None:
         """Make a topic known; one without messages is kept, too."""
-        topic = replace(topic, count=0)
         self.counts.setdefault(topic, 0)
         self._file.channel(topic)
 
     def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int) -> None:
-        """Append a message; times in ns since the epoch."""
+        """Append a message: CDR with its encapsulation header, received and sent at these times, ns since the epoch."""
         if self._file.is_full(self._options, log_time):
             self.split()
-        topic = topic if topic in self.counts else replace(topic, count=0)
         self._file.write(topic, data, log_time, publish_time)
         self._total.add(log_time)
         self.counts[topic] += 1
 
+    def write_all(self, messages: Iterable[Message]) -> int:
+        """Append messages, each with its own definition; returns how many."""
+        before = self._total.count
+        for message in messages:
+            self.write(message.channel, message.data, message.log_time, message.publish_time)
+        return self._total.count - before
+
+    def copy_records(self, bag: Bag) -> None:
+        """Keep what a bag has beside its messages."""
+        for attached in bag.attachments():
+            self.add_attachment(attached)
+        for record in bag.records:
+            if record.name != ROSBAG2_RECORD:
+                self.add_metadata(record.name, dict(record.values))
+
     def split(self) -> None:
         """Go on in a new file."""
         self._file.finish(self._text({}))
-        self._closed_bytes += self._file.size
         self._file = self._open()
         self.describe()
 
@@ -167,7 +159,7 @@ class BagFiles:
         for topic, count in self.counts.items():
             _, before = counts.get(topic.name, (topic, 0))
             counts[topic.name] = topic, before + count
-        return metadata_text(self._total, counts.values(), files, self.custom, self._ros_distro)
+        return metadata_text(self._total, counts.values(), files, self.custom)
 
     def _open(self) -> _OpenFile:
         name = f"{self._name}_{len(self._extents)}.mcap"
@@ -205,12 +197,6 @@ class _OpenFile:
         self._extent = extent
         self._schemas: dict[tuple[str, str], int] = {}
         self._channels: dict[Topic, int] = {}
-        self._size_at_end = 0
-
-    @property
-    def size(self) -> int:
-        """Bytes written so far; what is in the open chunk is not."""
-        return self._size_at_end if self.stream.closed else self.stream.tell()
 
     @property
     def is_there(self) -> bool:
@@ -224,7 +210,7 @@ class _OpenFile:
         """Whether a message of that log time (ns) belongs into the next file."""
         if not self._extent.count:
             return False  # a file has at least one message
-        by_size = 0 < options.split_bytes <= self.size
+        by_size = 0 < options.split_bytes <= self.stream.tell()  # without the open chunk
         by_time = 0 < options.split_s * 1e9 <= log_time - self._extent.first
         return by_size or by_time
 
@@ -264,12 +250,12 @@ class _OpenFile:
         self.mcap.finish()
         self.stream.flush()
         self._synchronise(self.stream.fileno())
-        self._size_at_end = self.stream.tell()
         self.stream.close()
 
 
-class BagWriter:
-    """A bag in the making; a context manager that leaves the bag, or nothing after an exception.
+@contextmanager
+def new_bag(directory: Path, custom: Mapping[str, str] | None = None) -> Iterator[BagFiles]:
+    """A bag to write, which is there when this ends; after an exception nothing is left.
 
     The same messages give the same bytes.
 
@@ -281,72 +267,16 @@ class BagWriter:
         BagError: the directory exists, or another process is writing it.
         UnwritableError: the system does not let it be made or written.
     """
-
-    def __init__(self, directory: Path, custom: Mapping[str, str] | None = None) -> None:
-        self.directory = directory
-        with ExitStack() as resources:
+    try:
+        with new_folder(directory) as unfinished:
+            # The folder is brought to the disk once it is whole.
+            files = BagFiles(unfinished, directory.name, custom=custom, synchronise=lambda _: None)
             try:
-                unfinished = resources.enter_context(new_folder(directory))
-                self._files = BagFiles(
-                    unfinished,
-                    directory.name,
-                    custom=custom,
-                    synchronise=lambda _: None,  # the folder is, once it is whole
-                )
-                resources.callback(self._files.abandon)
-            except OSError as error:
-                raise UnwritableError(f"{directory} cannot be written: {error.strerror}") from None
-            self._resources = resources.pop_all()
-
-    def __enter__(self) -> BagWriter:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        try:
-            with self._resources:  # ends with what is raised in it: then the folder is thrown away
-                if error is not None:
-                    raise error
-                self._files.finish()
-        except UnwritableError:
-            raise
-        except OSError as failure:
-            raise UnwritableError(
-                f"{self.directory} cannot be written: {failure.strerror}"
-            ) from failure
-
-    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Keep a metadata record."""
-        self._files.add_metadata(name, values)
-
-    def add_attachment(self, attached: AttachedFile) -> None:
-        """Keep a file inside."""
-        self._files.add_attachment(attached)
-
-    def add_topic(self, topic: Topic) -> None:
-        """Make a topic known before its first message; one without messages is kept, too."""
-        self._files.add_topic(topic)
-
-    def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int) -> None:
-        """Append a message; times in ns since the epoch."""
-        self._files.write(topic, data, log_time, publish_time)
-
-    def write_all(self, messages: Iterable[Message]) -> int:
-        """Append messages, each with its own definition; returns how many."""
-        count = 0
-        for message in messages:
-            self._files.write(message.channel, message.data, message.log_time, message.publish_time)
-            count += 1
-        return count
-
-    def copy_records(self, bag: Bag) -> None:
-        """Keep what a bag has beside its messages."""
-        for attached in bag.attachments():
-            self.add_attachment(attached)
-        for record in bag.records:
-            if record.name != ROSBAG2_RECORD:
-                self.add_metadata(record.name, dict(record.values))
+                yield files
+                files.finish()
+            finally:
+                files.abandon()
+    except UnwritableError:
+        raise
+    except OSError as error:
+        raise UnwritableError(f"{directory} cannot be written: {error.strerror}") from error

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.convert.converter import default_message, migrate_message
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys.store import Typestore
 
 from worm_model.bags.bag_errors import BagError, DefinitionError
 from worm_model.bags.message_block import Bytes, Integers, Message, Messages, Topic
@@ -244,7 +244,8 @@ def encode(
     Args:
         topic: with its definition.
         count: number of messages.
-        numbers: by path; one value for all messages, shape (count,), or (count, k) for an array of k numbers.
+        numbers: by path; one value for all messages, shape (count,), or (count, k) for an array of k numbers; whole
+            ones for a field of integers.
         texts: by path; one text for all messages, or one a message.
 
     Raises:
@@ -269,7 +270,7 @@ def encode(
 
 
 def _setter(message: Any, path: str) -> Callable[[Any], None]:
-    """Sets a field of a message, as what it was: integers where a column has none but floats."""
+    """Sets a field of a message."""
     *parents, name = path.split(".")
     for parent in parents:
         message = getattr(message, parent, None)
@@ -278,29 +279,7 @@ def _setter(message: Any, path: str) -> Callable[[Any], None]:
     before = getattr(message, name)
     if isinstance(before, np.ndarray):
         return lambda value: setattr(message, name, np.asarray(value, before.dtype))
-    if type(before) is int:
-        return lambda value: setattr(message, name, int(value))
     return lambda value: setattr(message, name, value)
-
-
-def default_message(store: Typestore, type_name: str) -> Any:
-    """A message of `rosbags` whose numbers are zero and whose texts and sequences are empty."""
-    fields = store.fielddefs[type_name][1]
-    return store.types[type_name](**{name: _default(store, field) for name, field in fields})
-
-
-def _default(store: Typestore, description: Any) -> Any:
-    kind, argument = description
-    if kind == Nodetype.NAME:
-        return default_message(store, argument)
-    if kind == Nodetype.BASE:
-        base = argument[0]
-        return "" if base == "string" else np.dtype(_CODES[base]).type(0).item()
-    element, size = argument
-    count = size if kind == Nodetype.ARRAY else 0
-    if element[0] == Nodetype.BASE and element[1][0] in _CODES:
-        return np.zeros(count, _CODES[element[1][0]])
-    return [_default(store, element) for _ in range(count)]
 
 
 def check_length(topic: Topic, data: bytes) -> None:
@@ -365,6 +344,7 @@ class Converter:
             raise DefinitionError(f"it is not a {target.type_name}")
         self.same = not self.added and same_order
         self._source, self._target = source, target
+        self._defaults: dict[str, object] = {}
         self._stores = [
             typestore(t.type_name, t.definition, t.definition_format) for t in (source, target)
         ]
@@ -382,20 +362,6 @@ class Converter:
             raise BagError("a message is not as long as its definition says") from None
         if self.same:
             return data
-        message = default_message(new, self._target.type_name)
-        self._copy(content, message)
+        kinds = self._source.type_name, self._target.type_name
+        message = migrate_message(old, new, *kinds, self._defaults, content)
         return bytes(new.serialize_cdr(message, self._target.type_name))
-
-    def _copy(self, source: Any, target: Any) -> None:
-        old, new = self._stores
-        for name, (kind, argument) in old.fielddefs[source.__msgtype__][1]:
-            value = getattr(source, name)
-            if kind == Nodetype.NAME:
-                self._copy(value, getattr(target, name))
-            elif kind != Nodetype.BASE and argument[0][0] == Nodetype.NAME:
-                items = [default_message(new, argument[0][1]) for _ in value]
-                for before, after in zip(value, items, strict=True):
-                    self._copy(before, after)
-                setattr(target, name, items)
-            else:
-                setattr(target, name, value)

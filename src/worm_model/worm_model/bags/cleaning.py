@@ -13,7 +13,7 @@ from rosbags.serde import SerdeError
 
 from worm_model.bags.bag import AttachedFile, Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_writer import ROSBAG2_RECORD, BagWriter
+from worm_model.bags.bag_writer import ROSBAG2_RECORD, new_bag
 from worm_model.bags.cdr import defined_message
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import Types, parse_types, typestore, with_definition
@@ -138,7 +138,7 @@ def clean_bag(bag: Bag, output: Path) -> Cleaner:
     """
     host = bag.metadata.get(RUN_RECORD, {}).get(HOST, "")
     cleaner = Cleaner(host, bag.topics)
-    with BagWriter(output) as writer:
+    with new_bag(output) as writer:
         for attached in bag.attachments():
             writer.add_attachment(cleaner.attachment(attached))
         for record in bag.records:

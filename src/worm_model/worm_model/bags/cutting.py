@@ -10,7 +10,7 @@ from pathlib import Path
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.cdr import defined_message
 from worm_model.bags.message_block import Message
 from worm_model.bags.message_types import with_definition
@@ -31,7 +31,7 @@ def trim(bag: Bag, output: Path, first: int, last: int) -> int:
             f"{bag.path} holds nothing from {_since(bag, first):.3f} to {_since(bag, last):.3f} s; it is "
             f"{_since(bag, bag.end):.3f} s long"
         )
-    with BagWriter(output) as writer:
+    with new_bag(output) as writer:
         writer.copy_records(bag)
         for channel in bag.channels:
             writer.add_topic(with_definition(channel))
@@ -68,7 +68,7 @@ def merge(bags: Sequence[Bag], output: Path) -> int:
     Raises:
         BagError: the output exists.
     """
-    with BagWriter(output) as writer:
+    with new_bag(output) as writer:
         for bag in bags:
             writer.copy_records(bag)
             for channel in bag.channels:

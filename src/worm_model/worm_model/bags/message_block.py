@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ class Topic:
     Attributes:
         name: full name.
         type_name: ``package/msg/Type``.
-        count: number of messages.
+        count: number of messages; not part of what topics are compared by.
         definition: text of the type with all that it needs, empty if the bag has none.
         definition_format: ``ros2msg`` or ``ros2idl``.
         encoding: of messages; only ``cdr`` can be decoded.
@@ -31,7 +31,7 @@ class Topic:
 
     name: str
     type_name: str
-    count: int
+    count: int = field(compare=False)
     definition: str
     definition_format: str
     encoding: str

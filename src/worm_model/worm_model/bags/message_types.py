@@ -56,22 +56,6 @@ def _folders(package: str, definitions: Path | None = None) -> Iterator[Path]:
         yield Path(__file__).resolve().parents[3] / PACKAGE / "msg"
 
 
-def definition_files() -> dict[str, Path]:
-    """Paths of worm_msgs' message definitions by type name.
-
-    Raises:
-        DefinitionError: they are nowhere to be found.
-    """
-    for folder in _folders(PACKAGE):
-        files = sorted(folder.glob("*.msg"))
-        if files:
-            return {f"{PACKAGE}/msg/{path.stem}": path for path in files}
-    raise DefinitionError(
-        f"the definitions of {PACKAGE} are not installed; source the workspace, or install worm_model "
-        "from its checkout with pip install --editable"
-    )
-
-
 def _installed_text(package: str, kind: str, definitions: Path | None) -> str:
     for folder in _folders(package, definitions):
         path = folder / f"{kind}.msg"
@@ -130,15 +114,6 @@ def _named(field: Any) -> Iterator[str]:
         yield argument
     elif kind != Nodetype.BASE:
         yield from _named(argument[0])
-
-
-def installed_types(type_name: str) -> Types:
-    """Fields of an installed type and of all that it needs, by type name.
-
-    Raises:
-        DefinitionError: it is not installed.
-    """
-    return parse_types(type_name, installed_definition(type_name), "ros2msg")
 
 
 @lru_cache(maxsize=256)

@@ -17,7 +17,6 @@ from worm_model.bags.bag import AttachedFile
 from worm_model.bags.bag_errors import ExistsError
 from worm_model.bags.bag_metadata import sync_directory
 from worm_model.bags.bag_writer import BagFiles, WriteOptions
-from worm_model.bags.message_block import Topic
 
 STATE = "state"  # of a bag, in its custom_data
 UNFINISHED, CLOSED = "being recorded", "closed"
@@ -36,72 +35,34 @@ class Manifest:
     attachments: tuple[AttachedFile, ...] = ()
 
 
-class BagRecorder:
+class BagRecorder(BagFiles):
     """One bag in the making. Not thread-safe: one thread writes.
 
     Args:
         directory: the bag, a directory that must not exist.
         manifest: what goes into every file of the bag.
         options: how to write.
-        ros_distro: for metadata.yaml.
 
     Raises:
         ExistsError: the directory exists.
         OSError: it cannot be made or written.
     """
 
-    def __init__(
-        self,
-        directory: Path,
-        manifest: Manifest,
-        options: WriteOptions,
-        ros_distro: str = "jazzy",
-    ) -> None:
+    def __init__(self, directory: Path, manifest: Manifest, options: WriteOptions) -> None:
         try:
             directory.mkdir(parents=True)
         except FileExistsError:
             raise ExistsError(
                 f"{directory} exists already and is not overwritten; choose another name"
             ) from None
-        self.directory = directory
-        self._files = BagFiles(directory, directory.name, options, {STATE: UNFINISHED}, ros_distro)
+        super().__init__(directory, directory.name, options, {STATE: UNFINISHED})
         for name, values in manifest.metadata.items():
-            self._files.add_metadata(name, values)
+            self.add_metadata(name, values)
         for attached in manifest.attachments:
-            self._files.add_attachment(attached)
-        self._files.sync()
-        self._files.describe()
+            self.add_attachment(attached)
+        super().sync()
+        self.describe()
         sync_directory(directory.parent)
-
-    def add_topic(self, topic: Topic) -> None:
-        """Make a topic known; it is in the bag even if no message of it comes."""
-        self._files.add_topic(topic)
-
-    def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int) -> None:
-        """Append a message.
-
-        Args:
-            topic: where it came from.
-            data: CDR, encapsulation header included.
-            log_time: when it was received, ns since the epoch.
-            publish_time: when it was sent, ns since the epoch.
-
-        Raises:
-            OSError: the disk is full or gone; what was synchronised stays.
-        """
-        self._files.write(topic, data, log_time, publish_time)
-
-    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Keep a record, such as the gait that has just begun; the last one of a name counts."""
-        self._files.add_metadata(name, values)
-
-    def split(self) -> None:
-        """Go on in a new file.
-
-        Raises:
-            OSError: as `write`.
-        """
-        self._files.split()
 
     def sync(self) -> None:
         """Bring all messages to the disk.
@@ -110,8 +71,8 @@ class BagRecorder:
             FileNotFoundError: somebody has removed the bag, and what was in it is lost.
             OSError: the disk is full or gone.
         """
-        self._files.sync()
-        if not self._files.is_there:
+        super().sync()
+        if not self._file.is_there:
             raise FileNotFoundError(
                 errno.ENOENT, "it was removed while it was recorded", str(self.directory)
             )
@@ -122,10 +83,6 @@ class BagRecorder:
         Raises:
             OSError: the disk is full or gone; the bag then wants `worm_model recover`.
         """
-        self._files.custom = {STATE: CLOSED}
+        self.custom = {STATE: CLOSED}
         self.sync()
-        self._files.finish()
-
-    def abandon(self) -> None:
-        """Let go of the file as it is, as a crash would."""
-        self._files.abandon()
+        self.finish()

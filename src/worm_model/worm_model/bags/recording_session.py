@@ -4,16 +4,17 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import methodcaller
 from pathlib import Path
 
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_metadata import qos_profiles
+from worm_model.bags.bag_metadata import first_qos_profile
 from worm_model.bags.bag_writer import WriteOptions
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.recorder import BagRecorder, Manifest
-from worm_model.bags.recording_thread import Note, RecordingThread, Tally
+from worm_model.bags.recording_thread import RecordingThread, Tally
 
 BACKLOG_BYTES = 100 * 2**20  # rosbag2's cache; also what a ring holds at most
 
@@ -61,7 +62,7 @@ class RecordingSession:
         self._current: RecordingThread | None = None
         self._ring = _Ring(round(options.ring_s * 1e9))
         self._numbers = {"": 0, "_snapshot": 0}
-        self._notes: dict[str, Note] = {}
+        self._notes: dict[str, Mapping[str, str]] = {}
         self._topics: dict[Topic, None] = {}
         if not options.ring_s:
             self.start()
@@ -99,14 +100,15 @@ class RecordingSession:
         """Keep topics even if no message of them comes, also in the bags that follow."""
         new = [topic for topic in topics if topic not in self._topics]
         self._topics.update(dict.fromkeys(new))
-        if self._current is not None and new:
-            self._current.know(new)
-
-    def note(self, note: Note) -> None:
-        """Keep a metadata record, also for the bags that follow."""
-        self._notes[note.name] = note
         if self._current is not None:
-            self._current.note(note)
+            for topic in new:
+                self._current.act(methodcaller("add_topic", topic))
+
+    def note(self, name: str, values: Mapping[str, str]) -> None:
+        """Keep a metadata record, also for the bags that follow."""
+        self._notes[name] = values
+        if self._current is not None:
+            self._current.act(methodcaller("add_metadata", name, values))
 
     def start(self) -> str:
         """Begin a bag, or go on with one that is paused."""
@@ -140,7 +142,7 @@ class RecordingSession:
         """Go on in a new file of the bag."""
         if self._current is None:
             raise BagError("nothing is being recorded")
-        self._current.split()
+        self._current.act(BagRecorder.split)
         return f"{self._current.directory} goes on in a new file"
 
     def snapshot(self) -> str:
@@ -170,11 +172,12 @@ class RecordingSession:
         suffix = kind if number == 1 and not kind else f"{kind}_{number}"
         directory = Path(f"{output}{suffix}")
         recorder = BagRecorder(directory, self.options.manifest(), self.options.write)
-        for note in self._notes.values():
-            recorder.add_metadata(note.name, note.values)
+        for name, values in self._notes.items():
+            recorder.add_metadata(name, values)
+        for topic in self._topics:
+            recorder.add_topic(topic)
         limit = BACKLOG_BYTES * (2 if kind else 1)  # a ring comes at once
         thread = RecordingThread(recorder, self.options.sync_s, limit)
-        thread.know(self._topics)
         self._threads.append(thread)
         self.bags.append(directory)
         return thread
@@ -215,6 +218,7 @@ class _Ring:
 
 def is_latched(topic: Topic) -> bool:
     """Whether a topic was published for those who come later, too."""
-    profiles = qos_profiles(topic.offered_qos)
-    first = profiles[0] if profiles and isinstance(profiles[0], dict) else {}
-    return first.get("durability") in ("transient_local", 1)  # a number before version 9
+    return first_qos_profile(topic).get("durability") in (
+        "transient_local",
+        1,
+    )  # 1: before version 9

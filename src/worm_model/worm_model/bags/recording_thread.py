@@ -6,26 +6,11 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from worm_model.bags.message_block import Message, Topic
+from worm_model.bags.message_block import Message
 from worm_model.bags.recorder import BagRecorder
-
-
-@dataclass(frozen=True)
-class Note:
-    """A metadata record to write between messages."""
-
-    name: str
-    values: Mapping[str, str]
-
-
-class Split:
-    """Go on in a new file."""
-
-
-Item = Message | Topic | Note | Split
 
 
 @dataclass
@@ -35,15 +20,16 @@ class Tally:
     messages: int = 0
     bytes: int = 0
 
-    def add(self, batch: Sequence[Item]) -> None:
+    def add(self, batch: Sequence[Message]) -> None:
         """Count the messages of a batch."""
-        for item in batch:
-            if isinstance(item, Message):
-                self.messages += 1
-                self.bytes += len(item.data)
+        self.messages += len(batch)
+        self.bytes += sum(len(message.data) for message in batch)
 
     def __add__(self, other: Tally) -> Tally:
         return Tally(self.messages + other.messages, self.bytes + other.bytes)
+
+
+Act = Callable[[BagRecorder], None]
 
 
 class RecordingThread:
@@ -68,9 +54,9 @@ class RecordingThread:
         self._backlog_limit = backlog_bytes
         self._backlog = 0
         self._accounting = threading.Lock()
-        self._unsynchronised: list[Sequence[Item]] = []
+        self._unsynchronised: list[Sequence[Message]] = []
         self._synchronised = Tally()
-        self._queue: queue.SimpleQueue[Sequence[Item] | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[Sequence[Message] | Act | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="bag writer")
         self.offered = Tally()
         self.dropped = Tally()
@@ -88,17 +74,9 @@ class RecordingThread:
             self._backlog += size
             self._queue.put(batch)
 
-    def note(self, note: Note) -> None:
-        """Hand over a metadata record."""
-        self._queue.put([note])
-
-    def know(self, topics: Iterable[Topic]) -> None:
-        """Hand over topics that are kept even if no message of them comes."""
-        self._queue.put(list(topics))
-
-    def split(self) -> None:
-        """Go on in a new file behind what has been offered."""
-        self._queue.put([Split()])
+    def act(self, act: Act) -> None:
+        """Hand over what else is to be done with the bag, behind what has been offered."""
+        self._queue.put(act)
 
     def finish(self) -> None:
         """Write what is left and close the bag, without waiting for it."""
@@ -126,12 +104,15 @@ class RecordingThread:
         due = time.monotonic() + self._sync_s
         while True:
             try:
-                batch = self._queue.get(timeout=max(due - time.monotonic(), 0.0))
+                item = self._queue.get(timeout=max(due - time.monotonic(), 0.0))
             except queue.Empty:
-                batch = ()
-            if batch is None:
+                item = ()
+            if item is None:
                 return
-            self._write(batch)
+            if callable(item):
+                item(self._recorder)
+            else:
+                self._write(item)
             if time.monotonic() >= due:
                 self._recorder.sync()
                 for written in self._unsynchronised:
@@ -139,23 +120,15 @@ class RecordingThread:
                 self._unsynchronised.clear()
                 due = time.monotonic() + self._sync_s
 
-    def _write(self, batch: Sequence[Item]) -> None:
-        size = 0
+    def _write(self, batch: Sequence[Message]) -> None:
         self._unsynchronised.append(batch)
-        for item in batch:
-            if isinstance(item, Message):
-                self._recorder.write(item.channel, item.data, item.log_time, item.publish_time)
-                size += len(item.data)
-            elif isinstance(item, Topic):
-                self._recorder.add_topic(item)
-            elif isinstance(item, Note):
-                self._recorder.add_metadata(item.name, item.values)
-            else:
-                self._recorder.split()
+        self._recorder.write_all(batch)
         with self._accounting:
-            self._backlog -= size
+            self._backlog -= sum(len(message.data) for message in batch)
 
-    def _waiting(self) -> Iterator[Sequence[Item]]:
+    def _waiting(self) -> Iterator[Sequence[Message]]:
         """What nobody will write any more."""
         while not self._queue.empty():
-            yield self._queue.get() or ()
+            item = self._queue.get()
+            if item is not None and not callable(item):
+                yield item

@@ -18,7 +18,7 @@ from worm_model.bags.bag_metadata import (
     read_metadata,
     silent_topics,
 )
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.mcap_scan import verify
 from worm_model.bags.mcap_storage import McapFile, McapStorage, explained
 from worm_model.bags.message_block import Topic
@@ -65,9 +65,8 @@ class Recovery:
         bag: the new bag.
         messages: number of messages in it.
         lost_bytes: bytes at the ends of the files that are not part of anything whole.
-        damaged_chunks: spoilt parts in between, left out.
         unreadable: files of the old bag that hold nothing.
-        lost: what the spoilt parts held.
+        lost: the spoilt parts in between, left out, and what they held.
         undeclared: difference between the numbers of messages in metadata.yaml and in the new bag, by topic.
         complaints: in what the summary of a file contradicted its data.
     """
@@ -75,7 +74,6 @@ class Recovery:
     bag: Path
     messages: int
     lost_bytes: int
-    damaged_chunks: int
     unreadable: tuple[str, ...]
     lost: tuple[LostMessages, ...] = ()
     undeclared: tuple[tuple[str, int], ...] = ()
@@ -118,22 +116,20 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
         target = recovered_path(path) if output is None else output
         bag = Bag(path, McapStorage(files))
         custom = {SOURCE: path.name, SOURCE_SHA256: fingerprint(files)}
-        with BagWriter(target, custom) as writer:
+        with new_bag(target, custom) as writer:
             writer.copy_records(bag)
             for channel in bag.channels:
                 writer.add_topic(channel)
             for topic in _silent_topics(path, bag):
                 writer.add_topic(topic)
             messages = writer.write_all(bag.messages())
-        lost = tuple(loss for file in files for loss in _losses(file))
         whole = [file for file in files if file.contents.whole]
         return Recovery(
             bag=target,
             messages=messages,
             lost_bytes=sum(f.size - f.contents.end for f in files if f not in whole),
-            damaged_chunks=len(lost),
             unreadable=unreadable,
-            lost=lost,
+            lost=tuple(loss for file in files for loss in _losses(file)),
             undeclared=undeclared(path, {t.name: t.count for t in bag.topics.values()}),
             complaints=tuple(f"{f.path.name}: {c}" for f in files for c in f.contents.complaints),
         )
@@ -166,16 +162,12 @@ def recovered_path(path: Path, number: int = 1) -> Path:
 def _losses(file: McapFile) -> Iterable[LostMessages]:
     channels = file.channels
     for loss in sorted(file.contents.losses):
-        counts: Counter[str] | None = None
-        if loss.counts is not None:
-            counts = Counter()
-            for number, count in loss.counts.items():
-                counts[channels[number].name if number in channels else f"channel {number}"] += (
-                    count
-                )
+        counts: Counter[str] = Counter()
+        for number, count in (loss.counts or {}).items():
+            counts[channels[number].name if number in channels else f"channel {number}"] += count
         after = [e.start for e in file.contents.extents if e.start > loss.start]
         end = loss.end or min(after, default=0)
-        plain = None if counts is None else dict(counts)
+        plain = None if loss.counts is None else dict(counts)
         yield LostMessages(file.path.name, loss.start, end, loss.size, plain)
 
 

@@ -5,21 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
-from enum import Enum
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag2,
     MessageDefinitionFormat,
-    Qos,
-    QosTime,
 )
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.metadata import dump_qos_v9
 
 from worm_model.bags.bag import AttachedFile, MetadataRecord
 from worm_model.bags.bag_errors import BagError
@@ -77,7 +73,7 @@ class RosbagsStorage:
     def blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
         """Messages of some topics by rising log time; the sending time is not known and taken for the same."""
         wanted = [c for c in self._reader.connections if c.topic in topics]
-        channels = {c.id: replace(_topic(c), count=0) for c in wanted}
+        channels = {c.id: _topic(c) for c in wanted}
         count = 0
         with _explained(self._path):
             found = self._reader.messages(wanted)
@@ -108,22 +104,7 @@ def _topic(connection: Connection) -> Topic:
         definition_format=_FORMATS[connection.msgdef.format],
         encoding=extension.serialization_format,
         metadata=(
-            (
-                "offered_qos_profiles",
-                dump_yaml([_profile(q) for q in extension.offered_qos_profiles]),
-            ),
+            ("offered_qos_profiles", dump_yaml(dump_qos_v9(extension.offered_qos_profiles))),
             ("topic_type_hash", connection.digest),
         ),
     )
-
-
-def _profile(qos: Qos) -> dict[str, Any]:
-    """A quality of service as rosbag2 writes it since version 9."""
-    return {key: _plain(value) for key, value in qos._asdict().items()}
-
-
-def _plain(value: Any) -> Any:
-    """Policies by their names in lower case, times as seconds and nanoseconds."""
-    if isinstance(value, Enum):
-        return value.name.lower()
-    return value._asdict() if isinstance(value, QosTime) else value

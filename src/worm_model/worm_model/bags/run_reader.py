@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,26 +15,10 @@ from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.cdr import ColumnBuilder, Columns
 from worm_model.bags.message_block import Topic
-from worm_model.bags.worm_topics import TYPES, find_topic
-from worm_model.run import (
-    GaitStates,
-    JointSamples,
-    LengthSamples,
-    PowerSamples,
-    Run,
-    TrackerSamples,
-)
+from worm_model.bags.worm_topics import SERIES, TYPES, find_topic, path_of
+from worm_model.run import Run
 
-RUN_TOPICS = (
-    "body_length/commanded",
-    "body_length/cable",
-    "body_length/estimated",
-    "body_length/measured",
-    "tracker",
-    "power",
-    "gait_state",
-    "joint_states",
-)
+RUN_TOPICS = tuple(SERIES)
 
 
 def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -> Run:
@@ -59,7 +45,6 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
         for name, found in read_columns(bag, list(topics.values())).items()
     }
     samples = {name: columns[topic.name] for name, topic in topics.items()}
-    lengths = {name: _lengths(samples.get(name)) for name in RUN_TOPICS[:4]}
     stamps = [_stamp(c) for c in samples.values()]
     for topic, stamp in zip(topics.values(), stamps, strict=True):
         if backwards := np.count_nonzero(np.diff(stamp) < 0):
@@ -67,23 +52,15 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
                 f"{bag.path}: stamps of {topic.name} go back {backwards} times: runs that were merged, "
                 "several publishers, or a clock that was set"
             )
-    gait_state = _gait_states(samples.get("gait_state"))
-    if gait_state.mixed:
+    series = {
+        attribute: _series(kind, samples.get(name)) for name, (attribute, kind) in SERIES.items()
+    }
+    if series["gait_state"].mixed:
         raise BagError(
             f"{bag.path}: runs of gaits overlap, as where recordings were merged or two drivers published at once: "
             "give the recordings one by one, or name the robot with --namespace"
         )
-    return Run(
-        origin=int(min((s.min() for s in stamps if len(s)), default=0)),
-        commanded=lengths["body_length/commanded"],
-        cable=lengths["body_length/cable"],
-        estimated=lengths["body_length/estimated"],
-        measured=lengths["body_length/measured"],
-        tracker=_tracker(samples.get("tracker")),
-        power=_power(samples.get("power")),
-        gait_state=gait_state,
-        joint_states=_joints(samples.get("joint_states")),
-    )
+    return Run(origin=int(min((s.min() for s in stamps if len(s)), default=0)), **series)
 
 
 def _tell_odd_topics(bag: Bag, found: Mapping[str, Topic | None], namespace: str) -> None:
@@ -182,49 +159,19 @@ def _numbers(columns: Columns, path: str, kind: type = np.float64) -> NDArray[An
     return values.astype(kind)
 
 
-def _lengths(columns: Columns | None) -> LengthSamples:
+def _series(kind: type[Any], columns: Columns | None) -> Any:
+    """Samples of a kind of `worm_model.run`."""
+    nothing = kind()
     if columns is None or not columns.numbers:
-        return LengthSamples()
-    return LengthSamples(
-        _stamp(columns), _numbers(columns, "length"), _numbers(columns, "length_change")
-    )
-
-
-def _tracker(columns: Columns | None) -> TrackerSamples:
-    if columns is None or not columns.numbers:
-        return TrackerSamples()
-    return TrackerSamples(
-        _stamp(columns), _numbers(columns, "rear_position"), _numbers(columns, "front_position")
-    )
-
-
-def _power(columns: Columns | None) -> PowerSamples:
-    if columns is None or not columns.numbers:
-        return PowerSamples()
-    return PowerSamples(
-        _stamp(columns),
-        _numbers(columns, "status", np.int64),
-        _numbers(columns, "bus_voltage"),
-        _numbers(columns, "current"),
-        _numbers(columns, "power"),
-    )
-
-
-def _gait_states(columns: Columns | None) -> GaitStates:
-    if columns is None or not columns.numbers:
-        return GaitStates()
-    return GaitStates(
-        stamp=_stamp(columns),
-        state=_numbers(columns, "state", np.int64),
-        stroke=_numbers(columns, "gait.stroke"),
-        frequency=_numbers(columns, "gait.frequency"),
-        direction=_numbers(columns, "gait.direction", np.int64),
-        margin=_numbers(columns, "gait.margin"),
-        onset=_stamp(columns, "onset"),
-        cycle=_numbers(columns, "cycle", np.int64),
-        cycles=_numbers(columns, "cycles", np.int64),
-        run=_run_numbers(columns),
-    )
+        return nothing
+    found = {}
+    for field in fields(kind):
+        if field.name in _READERS:
+            found[field.name] = _READERS[field.name](columns)
+        else:
+            number = getattr(nothing, field.name).dtype.type
+            found[field.name] = _numbers(columns, path_of(field.name), number)
+    return kind(**found)
 
 
 def _run_numbers(columns: Columns) -> NDArray[np.int64]:
@@ -235,16 +182,16 @@ def _run_numbers(columns: Columns) -> NDArray[np.int64]:
     return values.astype(np.int64)
 
 
-def _joints(columns: Columns | None) -> JointSamples:
-    if columns is None or not columns.numbers:
-        return JointSamples()
+def _joint_names(columns: Columns) -> tuple[str, ...]:
     names = [texts for path, texts in columns.texts.items() if path.startswith("name[")]
     if any(set(texts) != {texts[0]} or texts[0] is None for texts in names):
         raise BagError("the joints of joint_states change within the bag")
-    return JointSamples(
-        tuple(str(texts[0]) for texts in names),
-        _stamp(columns),
-        _numbers(columns, "position"),
-        _numbers(columns, "velocity"),
-        _numbers(columns, "effort"),
-    )
+    return tuple(str(texts[0]) for texts in names)
+
+
+_READERS: Mapping[str, Callable[[Columns], Any]] = {
+    "stamp": _stamp,
+    "onset": partial(_stamp, path="onset"),
+    "run": _run_numbers,
+    "names": _joint_names,
+}

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
@@ -14,29 +15,33 @@ from numpy.typing import NDArray
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import BagFiles, new_bag
 from worm_model.bags.cdr import defined_message, encode
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import topic_of, with_definition
-from worm_model.bags.worm_topics import TYPES, offered_qos
-from worm_model.run import LengthSamples, Run, Stamps
+from worm_model.bags.worm_topics import SERIES, TYPES, offered_qos, path_of
+from worm_model.run import Run, Stamps
 
 Numbers = Mapping[str, NDArray[Any] | float]
 LENGTH_SOURCES = {"commanded": 0, "cable": 1, "estimated": 2, "measured": 3}  # BodyLength.source
 
 
-def write_run(writer: BagWriter, run: Run, namespace: str = "/worm") -> None:
+def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
     """Append a run's samples by rising stamp; each is taken to be received and sent at its stamp.
 
     Raises:
         BagError: the definitions of worm_msgs are not installed.
     """
     series = []
-    for name, stamp, numbers in _series(run):
-        if len(stamp):
+    for name, (attribute, _) in SERIES.items():
+        samples = getattr(run, attribute)
+        if len(samples.stamp) and name != "joint_states":
+            numbers = _columns(samples)
+            if attribute in LENGTH_SOURCES:
+                numbers["source"] = LENGTH_SOURCES[attribute]
             topic = topic_of(f"{namespace.rstrip('/')}/{name}", TYPES[name], offered_qos(name))
             writer.add_topic(topic)
-            series.append(stamped_messages(topic, stamp, numbers))
+            series.append(stamped_messages(topic, samples.stamp, numbers))
     writer.write_all(heapq.merge(*series, key=attrgetter("log_time")))
 
 
@@ -74,7 +79,7 @@ def write_beside(
         BagError: the output exists, or a topic has no definition.
     """
     kept = [with_definition(channel) for channel in bag.channels if channel.name in topics]
-    with BagWriter(output) as writer:
+    with new_bag(output) as writer:
         writer.copy_records(bag)
         for topic in kept:
             writer.add_topic(topic)
@@ -82,52 +87,10 @@ def write_beside(
         writer.write_all(heapq.merge(own, *messages, key=attrgetter("log_time")))
 
 
-def _series(run: Run) -> list[tuple[str, Stamps, Numbers]]:
-    """Name, stamps and columns of each topic."""
-    lengths = [_length(name, getattr(run, name)) for name in LENGTH_SOURCES]
-    tracker, power = run.tracker, run.power
-    return [
-        _gait_states(run),
-        *lengths,
-        (
-            "tracker",
-            tracker.stamp,
-            {"rear_position": tracker.rear_position, "front_position": tracker.front_position},
-        ),
-        (
-            "power",
-            power.stamp,
-            {
-                "status": power.status,
-                "bus_voltage": power.bus_voltage,
-                "current": power.current,
-                "power": power.power,
-            },
-        ),
-    ]
-
-
-def _length(name: str, samples: LengthSamples) -> tuple[str, Stamps, Numbers]:
-    numbers: Numbers = {
-        "source": float(LENGTH_SOURCES[name]),
-        "length": samples.length,
-        "length_change": samples.length_change,
-    }
-    return f"body_length/{name}", samples.stamp, numbers
-
-
-def _gait_states(run: Run) -> tuple[str, Stamps, Numbers]:
-    states = run.gait_state
-    numbers: Numbers = {
-        "state": states.state,
-        "gait.stroke": states.stroke,
-        "gait.frequency": states.frequency,
-        "gait.direction": states.direction,
-        "gait.margin": states.margin,
-        "onset.sec": np.asarray(states.onset) // 10**9,
-        "onset.nanosec": np.asarray(states.onset) % 10**9,
-        "run": states.run,
-        "cycle": states.cycle,
-        "cycles": states.cycles,
-    }
-    return "gait_state", states.stamp, numbers
+def _columns(samples: Any) -> dict[str, Any]:
+    """The fields of a series, but for its stamps, as the message has them."""
+    names = [field.name for field in fields(samples) if field.name not in ("stamp", "onset")]
+    numbers = {path_of(name): getattr(samples, name) for name in names}
+    if hasattr(samples, "onset"):
+        numbers["onset.sec"], numbers["onset.nanosec"] = np.divmod(samples.onset, 10**9)
+    return numbers

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.message_block import Topic
+from worm_model.run import GaitStates, JointSamples, LengthSamples, PowerSamples, TrackerSamples
 
 BODY_LENGTH = "worm_msgs/msg/BodyLength"
 TRACKER = "worm_msgs/msg/Tracker"
@@ -32,8 +34,25 @@ TYPES = {
     "twin/events": TWIN_EVENT,
 }
 
+#: of a run, by topic: where `worm_model.run.Run` has its samples, and of what kind they are
+SERIES: Mapping[str, tuple[str, type[Any]]] = {
+    "gait_state": ("gait_state", GaitStates),
+    "body_length/commanded": ("commanded", LengthSamples),
+    "body_length/cable": ("cable", LengthSamples),
+    "body_length/estimated": ("estimated", LengthSamples),
+    "body_length/measured": ("measured", LengthSamples),
+    "tracker": ("tracker", TrackerSamples),
+    "power": ("power", PowerSamples),
+    "joint_states": ("joint_states", JointSamples),
+}
+
 LATCHED = frozenset({"gait_state"})  # published once, for those who come later
 TWIN_TOPICS = ("body_length/estimated", "twin/state", "twin/residuals", "twin/events")
+
+
+def path_of(field: str) -> str:
+    """Where a message has a field of the samples, which is called the same."""
+    return f"gait.{field}" if field in ("stroke", "frequency", "direction", "margin") else field
 
 
 def offered_qos(name: str) -> str:

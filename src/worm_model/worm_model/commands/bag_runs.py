@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -98,12 +99,7 @@ def _row(
     return {
         "start": _date(played.onset),
         "duration_s": sum(cycle.complete for cycle in report.cycles) * gait.period,
-        "gait": {
-            "stroke": gait.stroke,
-            "frequency": gait.frequency,
-            "direction": gait.direction,
-            "margin": gait.margin,
-        },
+        "gait": asdict(gait),
         "cycles": played.whole_cycles_until(_last(run, played)),
         "groove_phase": float(after[0]) if after.size else math.nan,
         "grooves_per_cycle": speed / gait.frequency / p.pitch,

@@ -140,6 +140,14 @@ def number(text: str) -> float:
     return value
 
 
+def not_negative(text: str) -> float:
+    """A finite number from 0 on, for argparse."""
+    value = number(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is negative")
+    return value
+
+
 def new_file(path: str) -> Path:
     """A path that does not exist yet in a folder that does; raises `InputError` otherwise."""
     target = Path(path)

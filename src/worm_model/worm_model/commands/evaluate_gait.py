@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from worm_model.commands.command_line import (
@@ -26,10 +27,7 @@ if TYPE_CHECKING:
 def gait_json(result: GaitResult) -> dict[str, float]:
     """A gait as the machine-readable output has it."""
     return {
-        "stroke": result.gait.stroke,
-        "frequency": result.gait.frequency,
-        "direction": result.gait.direction,
-        "margin": result.gait.margin,
+        **asdict(result.gait),
         "speed": result.speed,
         "power": result.power,
         "cost_of_transport": result.cost_of_transport,

@@ -21,7 +21,6 @@ from worm_model.commands.command_line import (
 from worm_model.identification.drift import ADVICE, FEWEST_BAGS, Chart, State, chart_of
 from worm_model.identification.drift_estimates import BagEstimates, LeftOut, estimate_bags
 from worm_model.identification.drift_figure import draw_health
-from worm_model.identification.estimate import Estimate
 from worm_model.parameters import UNITS, load_parameter_file
 
 
@@ -73,7 +72,7 @@ def health_json(
                 "stroke": bag.gait.stroke,
                 "frequency": bag.gait.frequency,
                 "direction": bag.gait.direction,
-                "estimates": {key: _estimate_json(e) for key, e in bag.estimates.items()},
+                "estimates": {key: e.as_dict() for key, e in bag.estimates.items()},
                 "remarks": bag.remarks,
             }
             for bag in bags
@@ -103,15 +102,6 @@ def _chart_json(chart: Chart, bags: Sequence[BagEstimates]) -> dict[str, Any]:
             for signal in chart.signals
         ],
         "advice": chart.advice or None,
-    }
-
-
-def _estimate_json(estimate: Estimate) -> dict[str, Any]:
-    return {
-        "value": estimate.value,
-        "low": estimate.low,
-        "high": estimate.high,
-        "identifiable": estimate.identifiable,
     }
 
 

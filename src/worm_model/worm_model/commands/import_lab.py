@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.lab_logs import LabRun, LabSettings, read_lab_run
 from worm_model.bags.run_writer import write_run
 from worm_model.commands.command_line import (
@@ -37,7 +38,7 @@ def import_lab(folder: Path, output: Path, settings: LabSettings, namespace: str
         BagError: the bag cannot be written.
     """
     lab = read_lab_run(folder, settings)
-    with BagWriter(output) as writer:
+    with new_bag(output) as writer:
         writer.add_metadata("worm_run", _manifest(folder, lab))
         if lab.gait is not None:
             writer.add_metadata("worm_gait", _gait(lab, settings))
@@ -57,13 +58,8 @@ def _manifest(folder: Path, lab: LabRun) -> dict[str, str]:
 def _gait(lab: LabRun, settings: LabSettings) -> dict[str, str]:
     gait = lab.gait
     assert gait is not None
-    return {
-        "stroke": repr(gait.stroke),
-        "frequency": repr(gait.frequency),
-        "direction": str(gait.direction),
-        "margin": repr(gait.margin),
-        "onset_ns": str(settings.epoch + round(lab.transmission.onset * 1e9)),
-    }
+    onset = settings.epoch + round(lab.transmission.onset * 1e9)
+    return {key: repr(value) for key, value in asdict(gait).items()} | {"onset_ns": str(onset)}
 
 
 def _parser() -> Parser:

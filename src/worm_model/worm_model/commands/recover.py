@@ -25,15 +25,10 @@ def _parser() -> Parser:
 
 def _recover(options: argparse.Namespace) -> None:
     report = recover(options.bag, new_file(options.output) if options.output else None)
-    content = {
+    content = asdict(report) | {
         "bag": str(report.bag),
-        "messages": report.messages,
-        "lost_bytes": report.lost_bytes,
-        "damaged_chunks": report.damaged_chunks,
-        "unreadable": report.unreadable,
+        "damaged_chunks": len(report.lost),
         "undeclared": dict(report.undeclared),
-        "lost": [asdict(lost) for lost in report.lost],
-        "complaints": report.complaints,
     }
     print_result(options, content, str(report))
 

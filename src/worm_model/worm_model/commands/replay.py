@@ -151,16 +151,10 @@ def report_json(
 
 
 def _run_json(run: RunReport) -> dict[str, Any]:
-    gait = run.played.gait
     return {
         "onset_s": run.onset,
         "run": run.played.run,
-        "gait": {
-            "stroke": gait.stroke,
-            "frequency": gait.frequency,
-            "direction": gait.direction,
-            "margin": gait.margin,
-        },
+        "gait": asdict(run.played.gait),
         "cycles": [_cycle_json(cycle) for cycle in run.cycles],
         "events": [_event_json(*found) for found in run.events],
         "health": run.health.name.lower(),

@@ -68,7 +68,7 @@ def _write_figure(run: SimulatedRun, path: Path) -> None:
 
 def _write_recording(run: SimulatedRun, path: Path) -> None:
     """A bag's one file; anchors and forces are in the topic in which a twin tells them."""
-    from worm_model.bags.bag_writer import BagWriter
+    from worm_model.bags.bag_writer import new_bag
     from worm_model.bags.message_types import topic_of
     from worm_model.bags.run_manifest import RUN_RECORD
     from worm_model.bags.run_writer import stamped_messages, write_run
@@ -76,7 +76,7 @@ def _write_recording(run: SimulatedRun, path: Path) -> None:
 
     name = "twin/state"
     with TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as folder:
-        with BagWriter(Path(folder, path.stem)) as writer:
+        with new_bag(Path(folder, path.stem)) as writer:
             writer.add_metadata(RUN_RECORD, run.provenance())
             write_run(writer, run.as_recorded())
             topic = topic_of(f"/worm/{name}", TYPES[name], offered_qos(name))

@@ -13,17 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.block_least_squares import Problem, Quantity, Solution, solve
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.robust import noise_of
 from worm_model.simulation.kernel.actuation_law import Actuator, respond_at
 
-Array = NDArray[np.float64]
-
 CLOCK_SPREAD = 0.02  # s, standard deviation of the offset before the data are seen: clocks, and the servo's delay
 LATEST_ENGAGEMENT = 0.25  # s after the onset
 ENGAGEMENT_SPREAD = 0.05  # s
 LEAST_NOISE = 2e-5  # m, of a length: that of a perfect camera
+KEYS = ("slack", "gain", "time_constant")
 START = (0.008, 0.86, 0.155)  # the paper's
 SHARED = (
     Quantity(1e-5, 0.0, 0.05),  # slack, m
@@ -53,7 +53,7 @@ class ActuationFit:
     @property
     def values(self) -> Array:
         """(slack, gain, time constant)."""
-        return np.array([self.slack, self.gain, self.time_constant])
+        return np.array([getattr(self, key) for key in KEYS])
 
 
 def predicted_length_change(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.actuation_fit import (
     CLOCK_SPREAD,
     SHARED,
@@ -23,8 +24,6 @@ from worm_model.identification.estimate import Estimate, if_told, not_told, quan
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
 from worm_model.parameters import PAPER
-
-Array = NDArray[np.float64]
 
 USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)
 CLOCK = 1  # of a run's nuisances

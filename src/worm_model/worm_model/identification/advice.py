@@ -10,24 +10,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.gait import Gait
+from worm_model.identification.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.actuation_fit import actuation_problem
+from worm_model.identification.actuation_stage import ActuationResult
 from worm_model.identification.block_least_squares import Problem, evaluate, normal_equations
 from worm_model.identification.energy import INDEPENDENT, PowerRun, energy_problem
+from worm_model.identification.energy import KEYS as ENERGY
+from worm_model.identification.energy_stage import EnergyResult
 from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.grooves import groove_problem
 from worm_model.identification.locomotion import RIDGES, Known, traverse_of
+from worm_model.identification.locomotion_stage import LocomotionResult
 from worm_model.identification.measured_length import measured_length
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.stages import Identification
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import simulate
-
-Array = NDArray[np.float64]
 
 STROKES = (0.05, 0.07, 0.09)  # m
 FREQUENCIES = (0.08, 0.12, 0.2, 0.3, 0.4)  # Hz
@@ -36,8 +40,8 @@ CAMERA_RATE, COMMAND_RATE, POWER_RATE = 30.0, 100.0, 50.0  # Hz
 REST = 2.0  # s
 STAGES = {
     "locomotion": ("viscous_friction", "switching_threshold"),
-    "actuation": ("slack", "gain", "time_constant"),
-    "energy": ("bellows_damping", "power_factor"),
+    "actuation": ACTUATION,
+    "energy": ENERGY,
 }
 NO_RUN_HELPS = {
     "bellows_stiffness": "repeat the bellows test with four times the points",
@@ -124,20 +128,16 @@ def _best_gait(result: Identification, stage: str, key: str) -> tuple[Gait, floa
     inherited = _inherited(result, key)
     covariance = (1.0 - inherited) * _covariance(result, stage)
     found = []
-    for stroke in STROKES:
-        for frequency in FREQUENCIES:
-            gait = Gait(stroke, frequency)
-            recording = recorded(gait, result)
-            if recording is None:
-                continue
-            information = _information(result, stage, recording)
-            gain = (
-                np.eye(len(keys)) + information @ covariance
-            )  # covariances of few runs are singular
-            posterior = covariance @ np.linalg.inv(gain)
-            own = posterior[entry, entry] / covariance[entry, entry]
-            shrunk = float(np.sqrt(inherited + (1.0 - inherited) * own))
-            found.append((shrunk, stroke, frequency))
+    for stroke, frequency in product(STROKES, FREQUENCIES):
+        recording = recorded(Gait(stroke, frequency), result)
+        if recording is None:
+            continue
+        information = _information(result, stage, recording)
+        gain = np.eye(len(keys)) + information @ covariance  # covariances of few runs are singular
+        posterior = covariance @ np.linalg.inv(gain)
+        own = posterior[entry, entry] / covariance[entry, entry]
+        shrunk = float(np.sqrt(inherited + (1.0 - inherited) * own))
+        found.append((shrunk, stroke, frequency))
     if not found:
         return None
     shrunk, stroke, frequency = min(found)
@@ -147,12 +147,8 @@ def _best_gait(result: Identification, stage: str, key: str) -> tuple[Gait, floa
 def _covariance(result: Identification, stage: str) -> Array:
     keys = STAGES[stage]
     deviation = np.array([result.estimates[key].spread / quantile(np.inf) for key in keys])
-    if stage == "locomotion":
-        correlation = result.locomotion.correlation[:2, :2]
-    elif stage == "actuation":
-        correlation = result.actuation.correlation
-    else:
-        correlation = result.energy.correlation
+    found: LocomotionResult | ActuationResult | EnergyResult = getattr(result, stage)
+    correlation = found.correlation[: len(keys), : len(keys)]
     return correlation * np.outer(deviation, deviation)
 
 

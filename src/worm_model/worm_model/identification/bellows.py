@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.robust import OUTLIER, dependence, scale_of
-
-Array = NDArray[np.float64]
 
 COLUMNS = ("compression_m", "force_N")
 FEWEST_POINTS = 5

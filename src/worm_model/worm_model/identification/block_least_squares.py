@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from worm_model.arrays import Array
+
 Residuals = Callable[[int, Array, Array], Array]
 
 HUBER = 2.5  # scales beyond which a residual counts by its size, not by its square
@@ -193,6 +194,14 @@ def normal_equations(
     centre = np.array([q.centre for q in quantities])
     matrix += np.diag(precision)
     return matrix, gradient + precision * (values - centre)
+
+
+def inverse(matrix: Array) -> Array:
+    """Of a symmetric matrix whose entries are of very different sizes."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    unit = np.outer(scale, scale)
+    found: Array = np.linalg.pinv(matrix * unit, hermitian=True) * unit
+    return found
 
 
 def _jacobian(problem: Problem, state: Solution, run: int, width: float) -> Array:

@@ -10,14 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from worm_model.arrays import Array
 from worm_model.identification.actuation_stage import ActuationResult
 from worm_model.identification.estimate import Estimate, not_told, quantile
 from worm_model.identification.observed_run import Recording
-
-Array = NDArray[np.float64]
 
 LONGEST_LAG = 0.2  # s, of a servo that follows its goals
 STAMPED = 3e-3  # s, to which a driver's stamps of goals and encoders are believed

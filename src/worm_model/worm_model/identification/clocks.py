@@ -6,11 +6,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from worm_model.identification.block_least_squares import Problem, Solution, normal_equations
-
-Array = NDArray[np.float64]
+from worm_model.arrays import Array
+from worm_model.identification.block_least_squares import (
+    Problem,
+    Solution,
+    inverse,
+    normal_equations,
+)
 
 TOLD = 0.5  # of what was assumed before the data: a deviation above it is mostly the assumption
 
@@ -23,12 +26,8 @@ def clock_deviations(
     From the curvature of the cost, which does not jump in an offset; all other parameters are open.
     """
     matrix, _ = normal_equations(problem, solution, weights)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    variance = (
-        np.diag(np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True)) * scale * scale
-    )
     own = solution.own.shape[1]
-    deviation: Array = np.sqrt(variance[len(problem.shared) + entry :: own])
+    deviation: Array = np.sqrt(np.diag(inverse(matrix))[len(problem.shared) + entry :: own])
     return deviation
 
 

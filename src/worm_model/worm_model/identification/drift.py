@@ -14,10 +14,9 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.estimate import Estimate, quantile
 from worm_model.parameters import ParameterFile
-
-Array = NDArray[np.float64]
 
 FEWEST_BAGS = 5  # from which moving ranges make limits
 ONE_SIDE = 8  # bags in a row on one side of the centre

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.block_least_squares import (
     Problem,
     Quantity,
@@ -25,11 +25,10 @@ from worm_model.identification.observed_run import Recording
 from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.quadrature import accumulated
 
-Array = NDArray[np.float64]
-
 CLOCK_SPREAD = 0.02  # s
 SCALE = 0.05  # J, of a residual: beyond some of these a sample counts as an outlier
 INDEPENDENT = 20.0  # residuals that a run is worth: those of an accumulated energy wander and resemble their neighbours
+KEYS = ("bellows_damping", "power_factor")
 START = (860.0, 3.2)  # the paper's, rounded
 SHARED = (Quantity(5.0, 0.0, 1e5), Quantity(0.01, 0.05, 50.0))
 

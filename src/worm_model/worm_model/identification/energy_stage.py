@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.block_least_squares import evaluate
 from worm_model.identification.clocks import clock_deviations, told
 from worm_model.identification.energy import (
@@ -30,8 +30,6 @@ from worm_model.identification.energy import (
 from worm_model.identification.estimate import VAGUE, Estimate, not_told
 from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
 from worm_model.parameters import Parameters
-
-Array = NDArray[np.float64]
 
 LEAST_FREQUENCY_RATIO = 1.4  # of the fastest to the slowest gait
 FEWEST_RUNS = 2

@@ -4,13 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
-
-Array = NDArray[np.float64]
 
 CONFIDENCE = 0.95
 MOST_STEPS = 12  # by which a profile looks for its end
@@ -34,6 +32,10 @@ class Estimate:
     high: float
     identifiable: bool = True
     note: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """As the machine-readable output has it; with the note if there is one."""
+        return {name: value for name, value in asdict(self).items() if name != "note" or value}
 
     @property
     def spread(self) -> float:

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
+from worm_model.arrays import Array
 from worm_model.identification.estimate import Estimate, follow_profile, if_told, quantile
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.robust import SIGMA_PER_MAD, dependence
 
-Array = NDArray[np.float64]
-
 COLUMNS = ("displacement_m", "force_N")
+KEYS = ("clearance", "engaged_stiffness", "disengaged_stiffness")
 FEWEST_POINTS = 12
 TOO_VAGUE = "the fin test leaves it open by more than half its value; repeat it with more points"
 ANISOTROPY = 1.15  # between the stiffnesses, below which a test does not tell which side engages
@@ -48,9 +48,7 @@ class FinFit:
     @property
     def values(self) -> Array:
         """(clearance, engaged, disengaged stiffness)."""
-        return np.array(
-            [self.clearance.value, self.engaged_stiffness.value, self.disengaged_stiffness.value]
-        )
+        return np.array([getattr(self, key).value for key in KEYS])
 
     def force_at(self, displacement: Array) -> Array:
         """The fitted force in N at displacements (m,) in m."""

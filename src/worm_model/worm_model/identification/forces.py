@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.locomotion import Traverse
-from worm_model.identification.locomotion_stage import LocomotionResult, motions
+from worm_model.identification.locomotion_stage import LocomotionResult, holding_forces
 from worm_model.identification.reference_values import ReferenceValues
 from worm_model.parameters import Parameters
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -81,9 +79,7 @@ def forces_of(
 ) -> Forces:
     """What the locomotion fit, the bellows' ``stiffness`` and the ruler say of the force."""
     fits = [(parameters, locomotion.fit), *locomotion.variants, (parameters, locomotion.stiffer)]
-    holding = tuple(
-        tuple(motion.holding for motion in motions(traverses, values, fit)) for values, fit in fits
-    )
+    holding = tuple(holding_forces(traverses, values, fit) for values, fit in fits)
     free_length = reference.estimate("unstressed_length")
     return Forces(
         holding=holding,

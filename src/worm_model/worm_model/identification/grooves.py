@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.block_least_squares import (
     Problem,
     Quantity,
@@ -36,8 +37,6 @@ from worm_model.identification.locomotion import (
     x1_residuals,
 )
 from worm_model.simulation.kernel.stepped_dry_friction import GROOVE_COLUMNS, STIFFNESS, THRESHOLD
-
-Array = NDArray[np.float64]
 
 ROWS = 10  # grooves of each module: FIRST_GROOVE behind the start, the rest ahead
 MEANS = 6  # shared parameters before the deviations

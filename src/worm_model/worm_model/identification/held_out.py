@@ -7,18 +7,14 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+from worm_model.identification.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.actuation_fit import ActuationFit, fit_actuation
 from worm_model.identification.energy import PowerRun, fit_energy
 from worm_model.identification.energy_stage import EnergyResult
 from worm_model.identification.idle import idle_power
+from worm_model.identification.locomotion import SHARED as LOCOMOTION
 from worm_model.identification.locomotion import Known
-from worm_model.identification.locomotion_stage import (
-    FRONT_DRY,
-    PITCH,
-    REAR_DRY,
-    LocomotionResult,
-    refit,
-)
+from worm_model.identification.locomotion_stage import ONSET, LocomotionResult, refit
 from worm_model.identification.run_prediction import Errors, errors, predict
 from worm_model.identification.run_selection import Run
 from worm_model.parameters import PAPER, Parameters
@@ -68,14 +64,8 @@ def leave_one_out(
         fit = refit([runs[k].traverse for k in others], known, locomotion.fit, own, ITERATIONS)
         other_actuation = fit_actuation([runs[k].recording for k in others])
         values = parameters.replace(
-            viscous_friction=fit.means[0],
-            switching_threshold=fit.means[1],
-            rear_dry_friction=fit.means[REAR_DRY],
-            front_dry_friction=fit.means[FRONT_DRY],
-            pitch=fit.means[PITCH],
-            slack=other_actuation.slack,
-            gain=other_actuation.gain,
-            time_constant=other_actuation.time_constant,
+            **dict(zip(LOCOMOTION[:ONSET], fit.means[:ONSET], strict=True)),
+            **{key: getattr(other_actuation, key) for key in ACTUATION},
         )
         idle = idle_power([runs[k].idle for k in others])
         if idle is not None:

@@ -9,17 +9,13 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from worm_model.arrays import Array
 from worm_model.bags.lab_logs import LabError, LabSettings, read_columns, read_lab_run
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.identification import bellows, fin
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.observed_run import Recording, recordings_of
-
-Array = NDArray[np.float64]
 
 RUN_FILE = "camera.csv"  # by which a run of a lab is known
 BELLOWS_FILE, FIN_FILE = "bellows.csv", "fin.csv"

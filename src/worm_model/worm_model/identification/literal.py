@@ -12,11 +12,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
+from worm_model.arrays import Array
+from worm_model.identification.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.actuation_fit import START, predicted_length_change
 from worm_model.identification.bellows import fit_bellows
+from worm_model.identification.fin import KEYS as FIN
 from worm_model.identification.fin import fit_fin
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.idle import SAMPLES
@@ -33,8 +35,6 @@ from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import Locomotion, SimulationError
 from worm_model.simulation.smoothing import smooth
-
-Array = NDArray[np.float64]
 
 THRESHOLD_STEP = 2.5e-4  # m, of the grid
 REFINED = 3  # best points of the grid from which a simplex starts
@@ -73,8 +73,8 @@ def literal(
     p = p.replace(initial_length=float(np.mean([run.initial_length for run in runs])))
     (friction, threshold), j_loc = _locomotion(runs, p, lambda done: progress("J_loc", done))
     p = p.replace(viscous_friction=friction, switching_threshold=threshold)
-    (slack, gain, time_constant), j_act = _actuation(runs)
-    p = p.replace(slack=slack, gain=gain, time_constant=time_constant)
+    actuation, j_act = _actuation(runs)
+    p = p.replace(**dict(zip(ACTUATION, actuation, strict=True)))
     powered = [run for run in runs if run.recording.power_time.size >= SAMPLES]
     if not powered:
         raise IdentificationError("no run has power samples: J_E needs them")
@@ -92,11 +92,7 @@ def _with_bench(inputs: Inputs, p: Parameters) -> Parameters:
         )
     if inputs.fin is not None:
         fin = fit_fin(inputs.fin.x, inputs.fin.y, 0)
-        p = p.replace(
-            clearance=fin.clearance.value,
-            engaged_stiffness=fin.engaged_stiffness.value,
-            disengaged_stiffness=fin.disengaged_stiffness.value,
-        )
+        p = p.replace(**{key: getattr(fin, key).value for key in FIN})
     return p
 
 

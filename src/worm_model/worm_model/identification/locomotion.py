@@ -20,9 +20,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from worm_model.arrays import Array
 from worm_model.identification.block_least_squares import Problem, Quantity, Solution, solve
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.measured_length import MeasuredLength
@@ -30,8 +30,6 @@ from worm_model.identification.observed_run import Recording
 from worm_model.identification.robust import noise_of
 from worm_model.parameters import Parameters
 from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
-
-Array = NDArray[np.float64]
 
 RIDGES = 5  # of a traversal
 LEAST_NOISE = 2e-5  # m, of a position: that of a perfect camera

@@ -14,10 +14,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.block_least_squares import (
     Solution,
+    inverse,
     normal_equations,
     solve,
     with_fixed,
@@ -49,10 +50,8 @@ from worm_model.simulation.kernel.stepped_dry_friction import (
     HOLDING_FORCE,
     STIFFNESS,
     THRESHOLD,
-    X1,
 )
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 FRICTION, SWITCHING, REAR_DRY, FRONT_DRY, PITCH, ONSET = range(6)  # entries of the means
@@ -84,8 +83,8 @@ class LocomotionResult:
     """``viscous_friction`` N·s/m, ``switching_threshold`` m and ``pitch`` m with intervals; the rest are diagnostics.
 
     ``dry_friction`` N of the rear and the front module with intervals; ``onset`` as in
-    `simulation.kernel.stepped_dry_friction.Worm`; ``initial_length`` (runs,) m; ``residuals`` of each run in m;
-    ``inflation`` of the variance for what is not white in them; ``correlation`` of (η, p_sw, rear, front dry
+    `simulation.kernel.stepped_dry_friction.Worm`; ``initial_length`` (runs,) m;
+    ``inflation`` of the variance for what is not white in the residuals; ``correlation`` of (η, p_sw, rear, front dry
     friction, pitch, onset); ``variants``: fits under a fin test that is one standard deviation off, one a direction of
     its covariance; ``stiffer``: a fit whose η is one standard deviation higher; ``as_printed``: (η, p_sw) that minimise
     J_loc as it is printed, without dry friction and with grooves that are alike, at the fit's pitch and onset.
@@ -97,7 +96,6 @@ class LocomotionResult:
     dry_friction: tuple[Estimate, Estimate]
     onset: float
     initial_length: Array
-    residuals: tuple[Array, ...]
     inflation: float
     correlation: Array
     landscape: Landscape
@@ -105,14 +103,6 @@ class LocomotionResult:
     variants: tuple[tuple[Parameters, GrooveFit], ...]
     stiffer: GrooveFit
     as_printed: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Of a fit, at the times of a run's length: ``x1`` (n,) m and ``holding`` (n,) N of the rear module."""
-
-    x1: Array
-    holding: Array
 
 
 def identify_locomotion(
@@ -149,7 +139,7 @@ def identify_locomotion(
     matrix, _ = normal_equations(
         groove_problem(traverses, known, fit.places, fit.scatter), fit.solution
     )
-    covariance = _inverse(matrix)[:MEANS, :MEANS] * inflation
+    covariance = inverse(matrix)[:MEANS, :MEANS] * inflation
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
     friction, threshold, pitch = (
         _estimate(fit, entry, interval, variants)
@@ -166,9 +156,6 @@ def identify_locomotion(
         ),
         onset=float(fit.means[ONSET]),
         initial_length=fit.solution.own[:, 0],
-        residuals=tuple(
-            r * t.noise for r, t in zip(fit.solution.residuals, traverses, strict=True)
-        ),
         inflation=inflation,
         correlation=covariance / np.outer(deviation, deviation),
         landscape=landscape,
@@ -198,17 +185,17 @@ def refit(
     return replace(like, solution=solve(problem, like.solution.shared, own, iterations=iterations))
 
 
-def motions(
+def holding_forces(
     traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit
-) -> tuple[Motion, ...]:
-    """What a fit says of every run."""
+) -> tuple[Array, ...]:
+    """What friction and fin hold of the rear module by a fit, (n,) N at the times of every run's length."""
     grooves = tables_of(fit.solution.shared[MEANS:], fit.places)
     found = []
     for traverse, own in zip(traverses, fit.solution.own, strict=True):
         worm = with_values(worm_of(parameters, traverse.direction), fit.means, own[0])
         samples = slide(traverse, worm, *grooves)
         assert samples is not None, "a fit moves without end"
-        found.append(Motion(samples[:, X1], samples[:, HOLDING_FORCE]))
+        found.append(samples[:, HOLDING_FORCE])
     return tuple(found)
 
 
@@ -311,14 +298,6 @@ def deviations_of(covariance: Array) -> Array:
     values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
     kept = values > LEAST_EIGENVALUE
     found: Array = (vectors[:, kept] * np.sqrt(values[kept])).T * scale
-    return found
-
-
-def _inverse(matrix: Array) -> Array:
-    """Of a symmetric matrix whose entries are of very different sizes."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    unit = np.outer(scale, scale)
-    found: Array = np.linalg.pinv(matrix * unit, hermitian=True) * unit
     return found
 
 

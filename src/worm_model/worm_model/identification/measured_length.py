@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.actuation_fit import (
     fit_actuation,
     predicted_length_change,
@@ -22,8 +23,6 @@ from worm_model.identification.actuation_fit import (
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.robust import OUTLIER, scale_of
 from worm_model.simulation.smoothing import smooth
-
-Array = NDArray[np.float64]
 
 HALF_WINDOW = 2.0  # s
 GRID_STEP = 0.008  # s, of the smoothed length: a tenth of the fastest relaxation of a fin

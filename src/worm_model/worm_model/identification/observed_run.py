@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.run import (
@@ -22,8 +23,6 @@ from worm_model.run import (
     Stamps,
     seconds,
 )
-
-Array = NDArray[np.float64]
 
 LONGEST_REST = (
     3_000_000_000  # ns before the onset, of a recording that does not say when the rest began

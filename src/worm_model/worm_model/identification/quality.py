@@ -6,15 +6,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.locomotion import RIDGES, Traverse
 from worm_model.identification.measured_length import MeasuredLength
 from worm_model.identification.observed_run import SAME_PLACE, Recording
 from worm_model.identification.robust import noise_of
-
-Array = NDArray[np.float64]
 
 LONGEST_GAP = 1.0  # s without a length, which is bridged by the actuation model
 FOLLOWS = 0.4  # of the commanded range, which a body that follows covers at least

@@ -12,11 +12,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.identification.estimate import Estimate, quantile
-
-Array = NDArray[np.float64]
 
 REFITS = 120
 

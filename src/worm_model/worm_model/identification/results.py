@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, fields
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from worm_model.identification.estimate import Estimate, quantile
+from worm_model.identification.actuation_fit import KEYS as ACTUATION
+from worm_model.identification.energy import KEYS as ENERGY
+from worm_model.identification.estimate import quantile
 from worm_model.identification.fingerprint import code_version
 from worm_model.identification.inputs import Inputs
 from worm_model.identification.locomotion import SHARED as LOCOMOTION
+from worm_model.identification.run_prediction import Errors
 from worm_model.identification.stages import Identification
 from worm_model.parameters import FORM, KEYS, MADE_BY, ParameterFile
 
@@ -51,16 +55,16 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
 def summary(result: Identification) -> dict[str, Any]:
     """The JSON object of the command line; numbers that are not known are NaN."""
     return {
-        "parameters": {key: _estimate(e) for key, e in result.estimates.items()},
+        "parameters": {key: e.as_dict() for key, e in result.estimates.items()},
         FORM: result.parameters.one_sided_cable,
         "runs": {name: asdict(error) for name, error in result.held_out.items()}
-        or {run.name: dict.fromkeys(_ERRORS) for run in result.runs},
+        or {run.name: dict.fromkeys(error.name for error in fields(Errors)) for run in result.runs},
         "paper": {name: asdict(error) for name, error in result.paper.items()},
         "validation": {name: asdict(error) for name, error in result.validation.items()},
         "clock_offsets": {
             run.name: _clocks(result, index) for index, run in enumerate(result.runs)
         },
-        "camera_delay": _estimate(result.camera_delay),
+        "camera_delay": result.camera_delay.as_dict(),
         "nuisances": nuisances(result),
         "correlations": [
             {"parameters": [a, b], "correlation": rho} for a, b, rho in correlations(result)
@@ -80,19 +84,6 @@ def _clocks(result: Identification, index: int) -> dict[str, float]:
         "power_behind_camera": power,
         "power_behind_camera_half_width": z * power_deviation,
     }
-
-
-_ERRORS = ("x1_rmse", "length_rmse", "power_rmse", "energy_error")
-
-
-def _estimate(estimate: Estimate) -> dict[str, Any]:
-    found: dict[str, Any] = {
-        "value": estimate.value,
-        "low": estimate.low,
-        "high": estimate.high,
-        "identifiable": estimate.identifiable,
-    }
-    return {**found, "note": estimate.note} if estimate.note else found
 
 
 def nuisances(result: Identification) -> dict[str, Any]:
@@ -121,8 +112,8 @@ def correlations(result: Identification) -> list[tuple[str, str, float]]:
 
 def _correlated(result: Identification) -> list[tuple[str, str, float]]:
     found = _pairs(LOCOMOTION, result.locomotion.correlation)
-    found += _pairs(("slack", "gain", "time_constant"), result.actuation.correlation)
-    return found + _pairs(("bellows_damping", "power_factor"), result.energy.correlation)
+    found += _pairs(ACTUATION, result.actuation.correlation)
+    return found + _pairs(ENERGY, result.energy.correlation)
 
 
 def _of_parameters(result: Identification) -> dict[tuple[str, str], float]:
@@ -135,8 +126,5 @@ def _of_parameters(result: Identification) -> dict[tuple[str, str], float]:
 
 
 def _pairs(names: tuple[str, ...], matrix: Any) -> list[tuple[str, str, float]]:
-    return [
-        (names[i], names[j], float(matrix[i, j]))
-        for i in range(len(names))
-        for j in range(i + 1, len(names))
-    ]
+    pairs = combinations(range(len(names)), 2)
+    return [(names[i], names[j], float(matrix[i, j])) for i, j in pairs]

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from worm_model.arrays import Array
 
 SIGMA_PER_MAD = 1.4826  # of a normal distribution
 OUTLIER = 5.0  # scales

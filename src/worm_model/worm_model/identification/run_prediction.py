@@ -6,9 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from worm_model.analysis.run_metrics import root_mean_square
+from worm_model.arrays import Array
 from worm_model.identification.actuation_fit import predicted_length_change
 from worm_model.identification.locomotion import Traverse
 from worm_model.identification.observed_run import Recording
@@ -17,8 +17,6 @@ from worm_model.parameters import Parameters
 from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import Locomotion
 from worm_model.simulation.smoothing import Smoothed
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

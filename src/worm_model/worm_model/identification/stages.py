@@ -7,14 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.identification.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.actuation_stage import ActuationResult, identify_actuation
 from worm_model.identification.bellows import BellowsFit, fit_bellows
 from worm_model.identification.camera_delay import camera_delay
 from worm_model.identification.energy import PowerRun, power_run
 from worm_model.identification.energy_stage import EnergyResult, identify_energy
 from worm_model.identification.estimate import Estimate, not_told, quantile
+from worm_model.identification.fin import KEYS as FIN
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.forces import Forces, forces_of
 from worm_model.identification.held_out import leave_one_out, run_errors
@@ -40,10 +41,8 @@ from worm_model.identification.run_selection import (
 from worm_model.identification.strides import check_pitch
 from worm_model.parameters import FITTED_WITH_FORM, KEYS, Parameters
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-FIN = ("clearance", "engaged_stiffness", "disengaged_stiffness")
 NO_FIN = (
     "x1 tells its ratio to the fins' stiffness alone, fitted under the given one; add a fin test"
 )
@@ -132,7 +131,7 @@ def identify(
     estimates |= _locomotion_estimates(locomotion, estimates, fin)
     progress("actuation", 0.0)
     actuation = identify_actuation([run.recording for run in runs], random)
-    estimates |= _actuation_estimates(actuation)
+    estimates |= {key: getattr(actuation, key) for key in ACTUATION}
     progress("energy", 0.0)
     energy, power_runs = _energy(runs, known.parameters, estimates, locomotion, reference, random)
     estimates |= _energy_estimates(energy, reference)
@@ -226,11 +225,7 @@ def _bench_estimates(bellows: BellowsFit | None, fin: FinFit | None) -> dict[str
     found = {}
     if bellows is not None:
         found["bellows_stiffness"] = bellows.stiffness
-    if fin is not None:
-        found["clearance"] = fin.clearance
-        found["engaged_stiffness"] = fin.engaged_stiffness
-        found["disengaged_stiffness"] = fin.disengaged_stiffness
-    return found
+    return found | ({key: getattr(fin, key) for key in FIN} if fin is not None else {})
 
 
 def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> FinKnowledge | None:
@@ -264,14 +259,6 @@ def _locomotion_estimates(
         "rear_dry_friction": dry[0],
         "front_dry_friction": dry[1],
         "pitch": Estimate(pitch.value, pitch.low, pitch.high, pitch.identifiable, note),
-    }
-
-
-def _actuation_estimates(actuation: ActuationResult) -> dict[str, Estimate]:
-    return {
-        "slack": actuation.slack,
-        "gain": actuation.gain,
-        "time_constant": actuation.time_constant,
     }
 
 

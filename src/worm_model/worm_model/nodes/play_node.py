@@ -4,16 +4,13 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import re
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
@@ -27,15 +24,16 @@ from std_srvs.srv import Trigger
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_metadata import qos_profiles
+from worm_model.bags.bag_metadata import first_qos_profile
 from worm_model.bags.cdr import Converter
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import topic_of, with_definition
 from worm_model.bags.opening import open_bag
 from worm_model.bags.play_clock import Timeline
 from worm_model.bags.recording_session import is_latched
-from worm_model.commands.command_line import InputError, Parser, number, run_command
+from worm_model.commands.command_line import InputError, Parser, not_negative, number, run_command
 from worm_model.nodes.keyboard import keys_of_terminal, pressed
+from worm_model.nodes.raw_subscriptions import message_class
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import own_arguments, ros_process
 
@@ -46,24 +44,9 @@ VOLATILE_DEPTH = 1000  # of samples that may wait for a slow subscriber
 HELP = "space: pause and resume, s or right arrow: one message, q: quit"
 
 
-def message_class(type_name: str) -> Any:
-    """Python class of ``package/msg/Type``; None if its package is not installed."""
-    package, _, kind = type_name.partition("/msg/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), kind)
-    except (ImportError, AttributeError, ValueError, TypeError):
-        return None
-
-
-def _offered(topic: Topic) -> Any:
-    """What a topic's first publisher offered; empty where the bag does not tell."""
-    profiles = qos_profiles(topic.offered_qos)
-    return profiles[0] if profiles and isinstance(profiles[0], dict) else {}
-
-
 def _latched_depth(topic: Topic) -> int:
     """Samples that somebody who comes late gets: what the publisher kept, the last state if that is not known."""
-    depth = _offered(topic).get("depth")
+    depth = first_qos_profile(topic).get("depth")
     return depth if isinstance(depth, int) and 0 < depth <= VOLATILE_DEPTH else 1
 
 
@@ -72,7 +55,7 @@ def play_qos(topic: Topic) -> QoSProfile:
 
     Where the bag does not tell, it is reliable and latched, which serves every subscriber.
     """
-    offered = _offered(topic)
+    offered = first_qos_profile(topic)
     latched = is_latched(topic) or not offered
     best_effort = offered.get("reliability") in ("best_effort", 2)
     return QoSProfile(
@@ -99,7 +82,6 @@ class PlayNode(Node):
         self._converters: dict[Topic, Converter] = {}
         self._skipped: Counter[str] = Counter()
         self._publishers_by_topic = self._advertise()
-        self._converters = {replace(c, count=0): found for c, found in self._converters.items()}
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._clock_due = 0.0
         self._pending: Message | None = None
@@ -140,8 +122,7 @@ class PlayNode(Node):
 
     def _converter(self, channel: Topic, type_name: str) -> Converter:
         """What makes the bag's messages those that are installed; fields that these have besides are told."""
-        if message_class(type_name) is None:
-            raise BagError(f"{type_name or 'a type that is not told'} is not installed")
+        message_class(type_name)  # which must be installed
         converter = Converter(with_definition(channel), topic_of(channel.name, type_name))
         if converter.added:
             added = ", ".join(converter.added)
@@ -312,13 +293,6 @@ def _positive(text: str) -> float:
     return value
 
 
-def _not_negative(text: str) -> float:
-    value = number(text)
-    if value < 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is below 0")
-    return value
-
-
 def _parser() -> Parser:
     parser = Parser(
         prog="play",
@@ -329,19 +303,19 @@ def _parser() -> Parser:
     parser.add_argument("-r", "--rate", type=_positive, default=1.0, help="default 1")
     parser.add_argument("-l", "--loop", action="store_true", help="begin anew at the end")
     parser.add_argument(
-        "--start", type=_not_negative, default=0.0, metavar="S", help="from this time on, in s"
+        "--start", type=not_negative, default=0.0, metavar="S", help="from this time on, in s"
     )
     parser.add_argument("--paused", action="store_true", help="begin paused")
     parser.add_argument(
         "--delay",
-        type=_not_negative,
+        type=not_negative,
         default=1.0,
         metavar="S",
         help="without a new subscriber, before the first message (default 1 s)",
     )
     parser.add_argument(
         "--clock",
-        type=_not_negative,
+        type=not_negative,
         default=100.0,
         metavar="HZ",
         help="rate of /clock, 0: none (default 100)",

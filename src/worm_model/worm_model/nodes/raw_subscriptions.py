@@ -29,15 +29,11 @@ from worm_model.bags.bag_metadata import dump_yaml
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_loss import LossCounter
 from worm_model.bags.message_types import installed_definition
-from worm_model.bags.recording_thread import Note
-from worm_model.bags.run_manifest import GAIT_RECORD
 from worm_model.bags.topic_selection import SelectionError, TopicSelection
+from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
 from worm_model.nodes.recording_qos import describe, subscription_qos
 from worm_model.run import INACTIVE
 from worm_msgs.node_command import declare_none
-
-GAIT_STATE = "worm_msgs/msg/GaitState"
-ALARM_TYPE = "worm_msgs/msg/TwinEvent"
 
 OVERLAP_LOOKS = (
     50  # with both subscriptions: publishers learn of the second one later than it does of them
@@ -250,7 +246,7 @@ class RecordNode(Node):
             for sample in subscription.take()
         ]
 
-    def new_gaits(self, samples: Sequence[Message]) -> Iterator[Note]:
+    def new_gaits(self, samples: Sequence[Message]) -> Iterator[dict[str, str]]:
         """The gaits that have begun according to the messages, each once for its run."""
         for sample in samples:
             if sample.channel.type_name == GAIT_STATE:
@@ -258,7 +254,7 @@ class RecordNode(Node):
                 self._drivers[sample.topic] = state.state
                 gait = _describe_gait(state)
                 if gait and not self._is_known(state):
-                    yield Note(GAIT_RECORD, gait)
+                    yield gait
 
     @property
     def awaits_rest(self) -> bool:
@@ -271,9 +267,9 @@ class RecordNode(Node):
     def alarm(self, samples: Sequence[Message]) -> str:
         """What the twin raises an alarm about in the messages, the last one; empty without one."""
         events: list[Any] = [
-            deserialize_message(sample.data, message_class(ALARM_TYPE))
+            deserialize_message(sample.data, message_class(TWIN_EVENT))
             for sample in samples
-            if sample.channel.type_name == ALARM_TYPE
+            if sample.channel.type_name == TWIN_EVENT
         ]
         return next((e.message or e.code for e in reversed(events) if e.code), "")
 
@@ -291,12 +287,13 @@ def message_class(type_name: str) -> type:
     Raises:
         DefinitionError: its package is not installed.
     """
-    package, _, kind = type_name.split("/")
+    package, _, kind = type_name.partition("/msg/")
     try:
         found: type = getattr(importlib.import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError):
+        name = type_name or "a type that is not told"
         raise DefinitionError(
-            f"{type_name} is not installed; source the workspace that has it"
+            f"{name} is not installed; source the workspace that has it"
         ) from None
     return found
 

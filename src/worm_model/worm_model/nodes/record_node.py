@@ -19,9 +19,9 @@ from worm_model.bags.cleaning import Cleaner
 from worm_model.bags.message_block import Message
 from worm_model.bags.recorder import Manifest
 from worm_model.bags.recording_session import RecordingSession, SessionOptions
-from worm_model.bags.run_manifest import is_text, run_manifest
+from worm_model.bags.run_manifest import GAIT_RECORD, is_text, run_manifest
 from worm_model.bags.topic_selection import TopicSelection
-from worm_model.commands.command_line import Parser, number
+from worm_model.commands.command_line import Parser, not_negative
 from worm_model.nodes.raw_subscriptions import RecordNode
 from worm_msgs.ros_process import Ending, own_arguments, ros_process
 
@@ -31,13 +31,6 @@ REPORT_S = 0.5
 
 
 SERVICES = ("start", "stop", "pause", "resume", "split", "snapshot")
-
-
-def _not_negative(text: str) -> float:
-    value = number(text)
-    if value < 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is negative")
-    return value
 
 
 def _whole(text: str) -> int:
@@ -92,14 +85,14 @@ def _parser() -> Parser:
     parser.add_argument(
         "-d",
         "--max-bag-duration",
-        type=_not_negative,
+        type=not_negative,
         default=0.0,
         metavar="S",
         help="split after this time",
     )
     parser.add_argument(
         "--duration",
-        type=_not_negative,
+        type=not_negative,
         default=0.0,
         metavar="S",
         help="stop by itself after this time",
@@ -112,7 +105,7 @@ def _parser() -> Parser:
     )
     parser.add_argument(
         "--snapshot",
-        type=_not_negative,
+        type=not_negative,
         default=0.0,
         metavar="S",
         help="keep the last S seconds in memory and write them when the twin raises an alarm (an event with a code on "
@@ -186,8 +179,8 @@ class _Recording:
         if not messages:
             return
         self._session.offer(self._cleaned(messages))
-        for note in self._node.new_gaits(messages):
-            self._session.note(note)
+        for gait in self._node.new_gaits(messages):
+            self._session.note(GAIT_RECORD, gait)
         alarm = self._node.alarm(messages) if self._session.options.ring_s else ""
         if alarm:
             try:

@@ -36,7 +36,7 @@ from worm_model.twin.records import Event, Severity, StateRecord
 from worm_model.twin.samples import SAMPLE, Kind
 from worm_model.twin.scene import LOST_S, Sighting, scene
 from worm_model.twin.twin import Output, Twin
-from worm_model.twin.twin_status import Level, report
+from worm_model.twin.twin_status import report
 from worm_msgs.msg import BodyLength, TwinEvent, TwinResiduals, TwinState
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import Ending, ending_at_once, spare_pauses
@@ -54,9 +54,9 @@ _LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 _LEVELS = {
-    Level.OK: DiagnosticStatus.OK,
-    Level.WARN: DiagnosticStatus.WARN,
-    Level.ERROR: DiagnosticStatus.ERROR,
+    Severity.INFO: DiagnosticStatus.OK,
+    Severity.WARNING: DiagnosticStatus.WARN,
+    Severity.ERROR: DiagnosticStatus.ERROR,
 }
 
 

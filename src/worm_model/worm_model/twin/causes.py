@@ -16,14 +16,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.twin.core.memory import CHANNELS, POWER
 from worm_model.twin.cycle_data import POWER_SHARE, SCATTER, CycleData
 from worm_model.twin.inference import Sound
 from worm_model.twin.signatures import BINS, FAULTS, L0_STEP_M, Signatures
-
-Array = NDArray[np.float64]
 
 # Codes of TwinEvent.
 MISSED_REAR, MISSED_FRONT, GAINED = "missed_groove_rear", "missed_groove_front", "gained_groove"

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.twin.core.memory import (
     CHANNELS,
     LENGTH_COUNT,
@@ -26,8 +27,6 @@ from worm_model.twin.core.memory import (
     POWER_SUM,
 )
 from worm_model.twin.signatures import BINS
-
-Array = NDArray[np.float64]
 
 WINDOW = 0.15  # of a cycle, at its end
 STEADY_M = 0.001  # between both halves of that window, within which the robot is at rest

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.twin.causes import (
@@ -48,8 +49,6 @@ from worm_model.twin.signatures import (
     signatures,
 )
 from worm_model.twin.signatures import SCALE as USUAL_SCALE
-
-Array = NDArray[np.float64]
 
 MISSED, AMBIGUOUS, GAP = "missed_groove", "ambiguous", "gap"
 CAMERA, ROBOT, NOTHING = "camera_moved", "robot_moved", ""

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import (
@@ -19,8 +19,6 @@ from worm_model.simulation.simulator import (
 )
 from worm_model.twin.run_start import motion_of
 from worm_model.twin.twin import Twin, TwinState
-
-Array = NDArray[np.float64]
 
 HORIZON_S = 10.0
 LONGEST_S = 120.0

@@ -14,15 +14,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.simulator import Locomotion, SimulationError, simulate
 from worm_model.twin.core.memory import CHANNELS, LENGTH, PHASES, POSITION, POWER
-
-Array = NDArray[np.float64]
 
 BINS = 25  # of a cycle
 SETTLED = 5  # cycles after which a gait repeats itself

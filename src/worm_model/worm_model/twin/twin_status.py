@@ -3,41 +3,32 @@
 
 from __future__ import annotations
 
-import enum
 import math
 from dataclasses import dataclass
 from typing import Any
 
 from worm_model.twin.health_words import COMPLAINTS, residual_message
-from worm_model.twin.records import NANOSECONDS, Health, LengthSource
+from worm_model.twin.records import NANOSECONDS, Health, LengthSource, Severity
 from worm_model.twin.twin import TwinState
 
 SAYS_S = 5.0  # after which residuals say nothing of the present any more
 SILENT_S = 2.0  # without any input, after which health says nothing of the present
 
 
-class Level(enum.Enum):
-    """Of a report."""
-
-    OK = "ok"
-    WARN = "warn"
-    ERROR = "error"
-
-
 @dataclass(frozen=True)
 class Report:
     """A level, one line and details as text."""
 
-    level: Level
+    level: Severity
     message: str
     values: tuple[tuple[str, str], ...]
 
 
 _LEVELS = {
-    Health.UNKNOWN: Level.OK,
-    Health.HEALTHY: Level.OK,
-    Health.SUSPECT: Level.WARN,
-    Health.FAULTY: Level.ERROR,
+    Health.UNKNOWN: Severity.INFO,
+    Health.HEALTHY: Severity.INFO,
+    Health.SUSPECT: Severity.WARNING,
+    Health.FAULTY: Severity.ERROR,
 }
 
 
@@ -53,7 +44,7 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
     message = residual_message(newest, state.warnings) if health > Health.HEALTHY else ""
     level = _LEVELS[health]
     if silent_s > SILENT_S:
-        level, message = Level.WARN, f"no input for {silent_s:.0f} s: is the driver running?"
+        level, message = Severity.WARNING, f"no input for {silent_s:.0f} s: is the driver running?"
     elif not message:
         message = _sentence(health) if m["moving"] else "no length yet"
     values = [

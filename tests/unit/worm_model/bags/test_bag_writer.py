@@ -21,7 +21,7 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 
 from worm_model.bags.bag import AttachedFile
 from worm_model.bags.bag_errors import UnwritableError
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recovery import recover
@@ -44,7 +44,7 @@ MESSAGES = st.lists(
 
 
 def write(path: Path, messages: list[Message]) -> Path:
-    with BagWriter(path) as writer:
+    with new_bag(path) as writer:
         writer.add_attachment(ATTACHED)
         for topic in TOPICS:
             writer.add_topic(topic)
@@ -114,7 +114,7 @@ def test_a_bag_without_messages_keeps_its_topics(tmp_path: Path):
 
 
 def test_an_entirely_empty_bag(tmp_path: Path):
-    with BagWriter(tmp_path / "bag"):
+    with new_bag(tmp_path / "bag"):
         pass
     with open_bag(tmp_path / "bag") as bag:
         assert (list(bag.messages()), bag.topics, bag.start, bag.end) == ([], {}, 0, 0)
@@ -140,7 +140,7 @@ def test_a_disk_that_takes_no_file_at_all_is_said_and_nothing_is_left(tmp_path: 
 
     monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(UnwritableError, match="bag cannot be written: No space left on device"):
-        BagWriter(tmp_path / "bag")
+        write(tmp_path / "bag", [])
     assert list(tmp_path.iterdir()) == []
 
 
@@ -163,7 +163,7 @@ def test_a_summary_that_is_not_what_was_written_is_not_believed_and_that_is_told
 def test_metadata_of_a_bag_beside_and_inside_its_file(tmp_path: Path):
     """Also with texts that YAML has to quote or to fold."""
     odd = {"state": "a: b # c", "lines": "one\n\n  two\n", "long": "word " * 60 + "é"}
-    with BagWriter(tmp_path / "bag", odd) as writer:
+    with new_bag(tmp_path / "bag", odd) as writer:
         for topic in TOPICS:
             writer.add_topic(topic)
         writer.write(TOPICS[1], b"12", 7, 7)

@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,15 +16,17 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.cdr import ColumnBuilder, Columns, Converter, encode
 from worm_model.bags.message_block import Message, Topic, messages_of
-from worm_model.bags.message_types import definition_files, installed_types, topic_of
+from worm_model.bags.message_types import installed_definition, parse_types, topic_of
 from worm_model.bags.run_writer import stamped_messages
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-for type_name, path in definition_files().items():
+FOLDER = Path(__file__).resolve().parents[4] / "src" / "worm_msgs" / "msg"
+FILES = {f"worm_msgs/msg/{path.stem}": path for path in sorted(FOLDER.glob("*.msg"))}
+for type_name, path in FILES.items():
     STORE.register(get_types_from_msg(path.read_text(), type_name))
 
 TYPES = [
-    *definition_files(),
+    *FILES,
     "sensor_msgs/msg/JointState",
     "diagnostic_msgs/msg/DiagnosticArray",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
@@ -126,7 +129,7 @@ def test_encoding_is_byte_for_byte_that_of_an_independent_encoder():
     found = encode(
         topic_of("/x", type_name),
         3,
-        {"header.stamp.sec": np.array([1, 2, 3]), "gait.stroke": strokes, "gait.direction": -1.0},
+        {"header.stamp.sec": np.array([1, 2, 3]), "gait.stroke": strokes, "gait.direction": -1},
         {"header.frame_id": "pipe", "message": texts},
     )
     t = STORE.types
@@ -245,19 +248,18 @@ def test_the_definition_that_is_written_is_the_one_that_is_installed():
     """Comments, which hold the units, are kept; the hash is that of the independent parser."""
     topic = topic_of("/worm/gait_state", "worm_msgs/msg/GaitState")
     texts = topic.definition.split("=" * 80 + "\n")
-    files = definition_files()
-    assert texts[0].strip() == files["worm_msgs/msg/GaitState"].read_text().strip()
+    assert texts[0].strip() == FILES["worm_msgs/msg/GaitState"].read_text().strip()
     gait = next(t for t in texts if t.startswith("MSG: worm_msgs/Gait\n"))
-    assert gait.partition("\n")[2].strip() == files["worm_msgs/msg/Gait"].read_text().strip()
+    assert gait.partition("\n")[2].strip() == FILES["worm_msgs/msg/Gait"].read_text().strip()
     alone = get_typestore(Stores.EMPTY)
     alone.register(get_types_from_msg(topic.definition, topic.type_name))
     assert alone.hash_rihs01(topic.type_name) == dict(topic.metadata)["topic_type_hash"]
 
 
-@pytest.mark.parametrize("type_name", [*definition_files(), "std_msgs/msg/Header"])
+@pytest.mark.parametrize("type_name", [*FILES, "std_msgs/msg/Header"])
 def test_types_of_the_worm_are_those_that_all_standard_types_give(type_name: str):
     """They are made without these, which takes a tenth of the time."""
-    own = installed_types(type_name)
+    own = parse_types(type_name, installed_definition(type_name), "ros2msg")
     assert {name: list(STORE.fielddefs[name][1]) for name in own} == own
     assert dict(topic_of("/x", type_name).metadata)["topic_type_hash"] == STORE.hash_rihs01(
         type_name

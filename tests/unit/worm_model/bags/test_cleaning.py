@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from worm_model.bags.bag import AttachedFile
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.cdr import encode
 from worm_model.bags.cleaning import Cleaner
 from worm_model.bags.message_types import topic_of
@@ -42,7 +42,7 @@ def record(path: Path) -> Path:
     """A bag with the host and paths in its records, its parameter file and its messages."""
     status = topic_of("/worm/status", "diagnostic_msgs/msg/DiagnosticStatus")
     power = topic_of("/worm/power", "worm_msgs/msg/Power")
-    with BagWriter(path, {"recovered_from": "run_1"}) as writer:
+    with new_bag(path, {"recovered_from": "run_1"}) as writer:
         run = {"host": "labpc7", "command": "record -p /home/jane/robot.yaml", "seed": "4"}
         writer.add_metadata("worm_run", run)
         parameters = b"port: /dev/ttyUSB0  # of labpc7\npitch: 0.0173\n"

@@ -24,7 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 from worm_model.bags.bag import AttachedFile
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_metadata import qos_profiles
-from worm_model.bags.bag_writer import BagFiles, BagWriter, WriteOptions
+from worm_model.bags.bag_writer import BagFiles, WriteOptions, new_bag
 from worm_model.bags.cdr import ColumnBuilder
 from worm_model.bags.message_block import Topic
 from worm_model.bags.message_types import topic_of
@@ -328,10 +328,10 @@ def test_a_topic_without_messages_is_not_lost_with_the_end_of_a_file(tmp_path: P
     path = tmp_path / "bag"
     topic = Topic("/a", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
     silent = topic_of("/events", "std_msgs/msg/UInt64", "- depth: 1\n")
-    with BagWriter(path) as writer:
+    with new_bag(path) as writer:
         for i in range(5):
             writer.write(topic, b"\0\1\0\0" + struct.pack("<Q", i), i + 1, i + 1)
-        writer._files.sync()  # what comes now is in no chunk
+        writer.sync()  # what comes now is in no chunk
         writer.add_topic(silent)
     file = next(path.glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: -len(file.read_bytes()) // 4])

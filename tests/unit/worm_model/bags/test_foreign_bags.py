@@ -15,7 +15,7 @@ from mcap.writer import Writer
 from recorded_run import simulated_run, write_bag
 
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_types import parse_types
 from worm_model.bags.opening import open_bag
@@ -170,12 +170,12 @@ def test_samples_that_are_infinite_are_left_out_which_is_told(tmp_path: Path, va
 def test_runs_that_overlap_are_refused(tmp_path: Path):
     """Two recordings merged by time; one after the other they are two runs."""
     longer = simulated_run(cycles=2)
-    with BagWriter(tmp_path / "late") as writer:
+    with new_bag(tmp_path / "late") as writer:
         write_run(writer, longer, "/worm")
         write_run(writer, later_run(longer, 3_600 * SECOND), "/worm")
     with open_bag(tmp_path / "late") as bag:
         assert len(read_run(bag).gait_state.rows_of_runs()) == 2
-    with BagWriter(tmp_path / "mixed") as writer:
+    with new_bag(tmp_path / "mixed") as writer:
         write_run(writer, longer, "/worm")
         write_run(writer, later_run(longer, SECOND), "/worm")
     with (

@@ -28,7 +28,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.cdr import encode
 from worm_model.bags.message_block import Topic
 from worm_model.bags.message_types import topic_of
@@ -98,7 +98,7 @@ def by_mcap_ros2(path: Path) -> Path:
 
 
 def by_worm_model(path: Path) -> Path:
-    with BagWriter(path) as writer:
+    with new_bag(path) as writer:
         for i in range(COUNT):
             writer.write(TOPICS[i % 2], payload(i), i * 1000 + 1, i * 1000)
     return path
@@ -242,7 +242,7 @@ def test_memory_does_not_grow_with_the_length_of_a_bag(
 
     def peak(count: int) -> int:
         path = tmp_path / f"{count}"
-        with BagWriter(path) as writer:
+        with new_bag(path) as writer:
             for i in range(count):
                 writer.write(TOPICS[0], payload(i) + bytes(1000), i ^ 511, i)
         with open_bag(path) as bag:
@@ -405,7 +405,7 @@ def test_the_writer_gives_the_same_bytes_and_overwrites_nothing(tmp_path: Path):
 
 
 def test_a_writer_that_fails_leaves_nothing(tmp_path: Path):
-    with pytest.raises(ZeroDivisionError), BagWriter(tmp_path / "bag"):
+    with pytest.raises(ZeroDivisionError), new_bag(tmp_path / "bag"):
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
 

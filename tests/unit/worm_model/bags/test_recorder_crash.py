@@ -33,7 +33,7 @@ from worm_model.bags.recording_thread import RecordingThread
 
 class Telling(BagRecorder):
     def sync(self):
-        safe = self._files.messages
+        safe = sum(self.counts.values())
         super().sync()
         print(safe, flush=True)
 

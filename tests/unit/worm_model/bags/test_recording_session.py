@@ -11,7 +11,6 @@ from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recorder import Manifest
 from worm_model.bags.recording_session import BACKLOG_BYTES, RecordingSession, SessionOptions
-from worm_model.bags.recording_thread import Note
 
 TOPIC = Topic("/a", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
 LATCHED = Topic(
@@ -72,7 +71,7 @@ def test_topics_of_which_nothing_came_are_kept(tmp_path: Path):
 def test_after_a_stop_a_start_begins_another_bag(tmp_path: Path):
     recording = session(tmp_path / "bag")
     recording.offer([message(1)])
-    recording.note(Note("worm_gait", {"stroke": "0.07"}))
+    recording.note("worm_gait", {"stroke": "0.07"})
     assert "bag is closed" in recording.stop()
     recording.offer([message(2)])
     assert "bag_2" in recording.start()

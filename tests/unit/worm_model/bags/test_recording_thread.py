@@ -3,13 +3,14 @@
 
 import errno
 import threading
+from operator import methodcaller
 from pathlib import Path
 
 from worm_model.bags.bag_writer import WriteOptions
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recorder import BagRecorder, Manifest
-from worm_model.bags.recording_thread import Note, RecordingThread, Tally
+from worm_model.bags.recording_thread import RecordingThread, Tally
 
 TOPIC = Topic("/counter", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
 DEADLINE_S = 30.0
@@ -28,7 +29,7 @@ def test_everything_offered_is_written_in_order(tmp_path: Path):
     thread = RecordingThread(recorder(tmp_path / "bag"), sync_s=0.01, backlog_bytes=10**6)
     for i in range(0, 300, 3):
         thread.offer([sample(i), sample(i + 1), sample(i + 2)])
-    thread.note(Note("worm_gait", {"stroke": "0.07"}))
+    thread.act(methodcaller("add_metadata", "worm_gait", {"stroke": "0.07"}))
     thread.close()
     assert (thread.error, thread.dropped) == (None, Tally())
     with open_bag(tmp_path / "bag") as bag:
@@ -50,7 +51,7 @@ class Held(BagRecorder):
 
     def sync(self) -> None:
         super().sync()
-        if self._files.messages:
+        if sum(self.counts.values()):
             self.synchronised.set()
 
 
@@ -79,7 +80,7 @@ class Broken(BagRecorder):
     """A disk that is full at the third message."""
 
     def write(self, *arguments) -> None:
-        if self._files.messages == 2:
+        if sum(self.counts.values()) == 2:
             raise OSError(errno.ENOSPC, "No space left on device")
         super().write(*arguments)
 
@@ -102,7 +103,7 @@ class FullLater(Broken):
 
     def sync(self) -> None:
         super().sync()
-        self.synchronised = self._files.messages
+        self.synchronised = sum(self.counts.values())
 
 
 def test_what_was_synchronised_before_a_disk_was_full_is_not_counted_as_dropped(tmp_path: Path):

@@ -8,7 +8,7 @@ import pytest
 from recorded_run import simulated_run
 
 from worm_model.bags.bag import AttachedFile
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_manifest import (
     PARAMETER_ATTACHMENT,
@@ -38,7 +38,7 @@ def test_the_parameter_file_is_kept_with_its_hash(tmp_path: Path):
 def test_runs_of_different_parameter_files_are_not_judged_by_one_of_them(tmp_path: Path):
     texts = {"same": (b"gain: 0.9", b"gain: 0.9"), "other": (b"gain: 0.9", b"gain: 0.8")}
     for name, attached in texts.items():
-        with BagWriter(tmp_path / name) as writer:
+        with new_bag(tmp_path / name) as writer:
             for text in attached:
                 writer.add_attachment(AttachedFile(PARAMETER_ATTACHMENT, "application/yaml", text))
             write_run(writer, simulated_run(1))

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from recorded_run import simulated_run, write_bag
 
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.cdr import encode
 from worm_model.bags.message_block import Topic
 from worm_model.bags.message_types import topic_of, typestore
@@ -67,7 +67,7 @@ def test_the_merged_table_is_in_seconds_since_the_onset(bag: Path, tmp_path: Pat
 def test_several_robots_have_no_merged_table_until_one_is_named(
     tmp_path: Path, monkeypatch, capsys
 ):
-    with BagWriter(tmp_path / "bag") as writer:
+    with new_bag(tmp_path / "bag") as writer:
         for namespace in ("/a", "/b"):
             write_run(writer, RUN, namespace)
     assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "both") == 1
@@ -104,7 +104,7 @@ def test_sequences_become_a_column_an_element(tmp_path: Path, monkeypatch):
     topic = topic_of("/worm/joint_states", "sensor_msgs/msg/JointState")
     store = typestore(topic.type_name, topic.definition, "ros2msg")
     sec = 1_800_000_000
-    with BagWriter(tmp_path / "bag") as writer:
+    with new_bag(tmp_path / "bag") as writer:
         for i, names in enumerate((["a"], ["a", "b"], [], ["a"])):
             writer.write(topic, joints(store, sec + i, names), i, i)
     assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv") == 0
@@ -122,7 +122,7 @@ def array_bag(path: Path, lengths: list[int]) -> Path:
     topic = Topic("/a", "a/msg/B", 0, ARRAYS, "ros2msg", "cdr")
     store = typestore(topic.type_name, topic.definition, "ros2msg")
     t = store.types
-    with BagWriter(path) as writer:
+    with new_bag(path) as writer:
         for i, length in enumerate(lengths):
             time = t["builtin_interfaces/msg/Time"](1_800_000_000 + i, 5)
             stamped = [t["a/msg/C"](time) for _ in range(length % 10)]
@@ -171,7 +171,7 @@ def test_large_arrays_are_lists_in_parquet_and_left_out_by_name_in_csv(
 
 def test_topics_whose_names_would_be_the_same_file_are_two(tmp_path: Path, monkeypatch, capsys):
     topics = [Topic(n, "a/msg/B", 0, "int8 x\n", "ros2msg", "cdr") for n in ("/a/b", "/a__b")]
-    with BagWriter(tmp_path / "bag") as writer:
+    with new_bag(tmp_path / "bag") as writer:
         for i, topic in enumerate(topics):
             writer.write(topic, b"\0\1\0\0" + bytes([i]), i, i)
     assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv", "--json") == 0
@@ -183,7 +183,7 @@ def test_two_layouts_of_a_topic_are_one_table(tmp_path: Path, monkeypatch):
     """A field that was added later is empty in what came before."""
     old = Topic("/a", "a/msg/B", 0, "int32 x\n", "ros2msg", "cdr")
     new = replace(old, definition="int32 run\nint32 x\n")
-    with BagWriter(tmp_path / "bag") as writer:
+    with new_bag(tmp_path / "bag") as writer:
         writer.write(old, b"\0\1\0\0" + struct.pack("<i", 7), 0, 0)
         writer.write(new, b"\0\1\0\0" + struct.pack("<ii", 1, 8), 1, 1)
     assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv") == 0
@@ -202,7 +202,7 @@ def test_a_topic_that_cannot_be_decoded_is_left_out_and_told_by_the_status(
 ):
     power, bad = (topic_of(name, "worm_msgs/msg/Power") for name in ("/worm/power", "/worm/bad"))
     (data,) = encode(power, 1, {"power": 1.0}, {})
-    with BagWriter(tmp_path / "bag") as writer:
+    with new_bag(tmp_path / "bag") as writer:
         writer.write(power, data, 1, 1)
         writer.write(bad, data[:-9], 2, 2)
     assert command(monkeypatch, tmp_path / "bag", "--output", tmp_path / "csv", "--json") == 1

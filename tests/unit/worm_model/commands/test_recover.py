@@ -11,7 +11,7 @@ import pytest
 from recorded_run import simulated_run, write_bag
 
 from worm_model.bags import opening
-from worm_model.bags.bag_writer import BagFiles, BagWriter
+from worm_model.bags.bag_writer import BagFiles, new_bag
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recovery import Recovery
 from worm_model.bags.recovery import recover as recover_bag
@@ -71,7 +71,7 @@ def test_nothing_to_save_is_said_in_one_line(tmp_path: Path, monkeypatch, capsys
 
 
 def test_every_gait_of_a_recording_is_kept_once(tmp_path: Path):
-    with BagWriter(tmp_path / "bag") as writer:
+    with new_bag(tmp_path / "bag") as writer:
         for stroke in ("0.06", "0.07", "0.06"):
             writer.add_metadata("worm_gait", {"stroke": stroke, "onset_ns": "1"})
     recover_bag(tmp_path / "bag", tmp_path / "saved")

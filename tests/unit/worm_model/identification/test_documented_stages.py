@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from virtual_campaign import Instruments, exact_run
 
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.run_writer import write_run
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
@@ -21,7 +21,7 @@ def test_the_example_runs(tmp_path, monkeypatch, capsys):
     for number, gait in enumerate(bags, 1):
         run = exact_run(gait, PAPER, Instruments(), number, 2.5 / gait.frequency)
         (tmp_path / "bags").mkdir(exist_ok=True)
-        with BagWriter(tmp_path / "bags" / f"run_{number:02d}") as writer:
+        with new_bag(tmp_path / "bags" / f"run_{number:02d}") as writer:
             write_run(writer, run)
     random = np.random.default_rng(0)
     lines = [f"{x},{968.8 * x + random.normal(0.0, 0.3)}" for x in np.linspace(0.0, 0.07, 30)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from virtual_campaign import Instruments, exact_run
 
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.lab_logs import LabSettings
 from worm_model.bags.run_writer import write_run
 from worm_model.commands import identify
@@ -162,7 +162,7 @@ def test_a_bag_says_what_the_folder_says(shared, tmp_path):
 
 
 def write_bag(path, run):
-    with BagWriter(path) as writer:
+    with new_bag(path) as writer:
         write_run(writer, run)
 
 

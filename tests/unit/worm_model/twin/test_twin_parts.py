@@ -12,10 +12,10 @@ from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import simulate
 from worm_model.twin.forecast import ForecastError, forecast
-from worm_model.twin.records import Activity, LengthSource, StateRecord
+from worm_model.twin.records import Activity, LengthSource, Severity, StateRecord
 from worm_model.twin.scene import FREE, HOLDING, YIELDING, Sighting, engagement, scene
 from worm_model.twin.twin import Twin
-from worm_model.twin.twin_status import Level, report
+from worm_model.twin.twin_status import report
 
 GAIT = Gait(0.08, 0.2)
 ONSET = 10**18
@@ -102,11 +102,11 @@ def test_a_twin_without_input_does_not_call_itself_well():
     samples = [*rest, start, *sorted(moves + seen, key=lambda s: s.stamp_ns)]
     state = twin.start()
     newest = twin.advance(state, rows_of(samples), to_the_end=True).residuals[-1]
-    assert report(state, newest, 0.5).level is Level.OK
+    assert report(state, newest, 0.5).level is Severity.INFO
     assert "as expected" in report(state, newest, 0.5).message
     assert report(twin.start(), None).message == "no length yet"
     silent = report(state, newest, 3.2)
-    assert silent.level is Level.WARN
+    assert silent.level is Severity.WARNING
     assert silent.message.startswith("no input for 3 s")
 
 

@@ -19,7 +19,7 @@ from recorded_session import recorded_session
 
 from worm_model.analysis.run_parts import joined
 from worm_model.bags.bag import AttachedFile
-from worm_model.bags.bag_writer import BagWriter
+from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.run_writer import write_run
 from worm_model.commands.command_line import InputError
 from worm_model.parameters import KEYS, PAPER, ParameterFile, format_parameter_file
@@ -165,7 +165,7 @@ def test_a_recording_without_a_gait_is_refused(tmp_path: Path):
 def test_the_parameter_file_inside_the_recording_counts(tmp_path: Path):
     content = ParameterFile(PAPER.replace(idle_power=1.25))
     text = format_parameter_file(content).encode()
-    with BagWriter(tmp_path / "own") as writer:
+    with new_bag(tmp_path / "own") as writer:
         writer.add_attachment(AttachedFile("parameters.yaml", "application/yaml", text))
         write_run(writer, simulated_run(CYCLES))
     gait = read_one(tmp_path / "own")
@@ -179,7 +179,7 @@ def test_the_parameter_file_inside_the_recording_counts(tmp_path: Path):
 def test_powers_of_two_forms_are_not_compared(tmp_path: Path):
     for name, form in (("pulls", True), ("pushes", False)):
         text = format_parameter_file(ParameterFile(PAPER.replace(one_sided_cable=form))).encode()
-        with BagWriter(tmp_path / name) as writer:
+        with new_bag(tmp_path / name) as writer:
             writer.add_attachment(AttachedFile("parameters.yaml", "application/yaml", text))
             write_run(writer, simulated_run(1))
     bags = [tmp_path / "pulls", tmp_path / "pushes"]
