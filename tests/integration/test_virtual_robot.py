@@ -2,6 +2,7 @@
 """The virtual robot as a process: its doors, its topics, its faults, its end."""
 
 import signal
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -50,7 +51,7 @@ def test_faults_on_request(robot, probe, directory):
     assert not refused.success
     assert "choose one of" in refused.message
 
-    with SocketSMBus(str(directory / "i2c.sock")) as bus:
+    with closing(SocketSMBus(str(directory / "i2c.sock"))) as bus:
         assert bus.read_word_data(0x40, 0) == 0x9F39
         assert inject(name="i2c_nack", duration=3600.0).success
 

@@ -4,16 +4,23 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, MutableMapping
+from contextlib import suppress
 from http import HTTPStatus
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs
+
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.websockets import WebSocketClose
 
 from worm_optimizer.console.access import SESSION_S, Access, same_origin
 
 COOKIE = "worm_console"
 _FRAMES = b"frame-ancestors 'self'"
 _LONGEST_FORM = 4096  # bytes
+# Of an answer of its own, which no other site shows in a frame and whose address is told to nobody; with no-referrer,
+# browsers hide the origin of the form.
+_OWN = {"cache-control": "no-store", "referrer-policy": "same-origin", "x-frame-options": "DENY"}
 _FORM = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Worm console</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
@@ -41,53 +48,40 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        headers = headers_of(scope)
-        signs = scope["type"] == "http" and self._access.needs_secret and same_origin(headers)
-        if signs and (scope["path"] in ("/login", "/logout") or _token(scope)):
-            await self._sign(scope, receive, send)
-        elif self._access.admits(headers, session_of(headers.get("cookie", ""))):
+        asked = HTTPConnection(scope)
+        signs = scope["type"] == "http" and self._access.needs_secret and same_origin(asked.headers)
+        named = scope["path"] in ("/login", "/logout") or asked.query_params.get("token")
+        answer: Callable[[Scope, Receive, Send], Awaitable[None]]
+        if signs and named:
+            answer = await self._sign(Request(scope, receive))
+        elif self._access.admits(asked.headers, asked.cookies.get(COOKIE, "")):
             await self._app(scope, receive, _unframed(send))
+            return
         elif scope["type"] == "websocket":
-            await send({"type": "websocket.close", "code": 1008})
+            answer = WebSocketClose(1008)
         elif signs:
-            await _answer(send, HTTPStatus.SEE_OTHER, "", [("location", "/login")])
+            answer = RedirectResponse("/login", HTTPStatus.SEE_OTHER, _OWN)
         else:
             text = "refused: this request does not come from a page of the console"
-            await _answer(send, HTTPStatus.FORBIDDEN, text)
+            answer = HTMLResponse(text, HTTPStatus.FORBIDDEN, _OWN)
+        await answer(scope, receive, send)
 
-    async def _sign(self, scope: Scope, receive: Receive, send: Send) -> None:
-        session = session_of(headers_of(scope).get("cookie", ""))
-        if scope["path"] == "/logout":
-            self._access.sign_out(session)
-            await _answer(send, HTTPStatus.OK, _FORM.format("You are signed out."))
-            return
-        offered = _token(scope)
-        if scope["method"] == "POST":
-            offered = "".join(parse_qs(await _body(receive)).get("token", []))
+    async def _sign(self, request: Request) -> Response:
+        if request.url.path == "/logout":
+            self._access.sign_out(request.cookies.get(COOKIE, ""))
+            return HTMLResponse(_FORM.format("You are signed out."), headers=_OWN)
+        offered = request.query_params.get("token", "")
+        if request.method == "POST":
+            offered = "".join(parse_qs(await _body(request)).get("token", []))
         elif not offered:
-            await _answer(send, HTTPStatus.OK, _FORM.format("Sign in."))
-            return
+            return HTMLResponse(_FORM.format("Sign in."), headers=_OWN)
         opened = self._access.sign_in(offered)
         if not opened:
             wrong = "Wrong token or password: the console prints the token when it starts."
-            await _answer(send, HTTPStatus.FORBIDDEN, _FORM.format(wrong))
-            return
-        cookie = f"{COOKIE}={opened}; HttpOnly; SameSite=Strict; Path=/; Max-Age={SESSION_S:.0f}"
-        await _answer(send, HTTPStatus.SEE_OTHER, "", [("location", "/"), ("set-cookie", cookie)])
-
-
-def headers_of(scope: Scope) -> dict[str, str]:
-    """The headers of a request, their names in lower case."""
-    return {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
-
-
-def session_of(cookie: str) -> str:
-    """The session that a cookie header names, empty: none."""
-    try:
-        found = SimpleCookie(cookie).get(COOKIE)
-    except CookieError:
-        return ""
-    return found.value if found is not None else ""
+            return HTMLResponse(_FORM.format(wrong), HTTPStatus.FORBIDDEN, _OWN)
+        answer = RedirectResponse("/", HTTPStatus.SEE_OTHER, _OWN)
+        answer.set_cookie(COOKIE, opened, round(SESSION_S), httponly=True, samesite="strict")
+        return answer
 
 
 def _unframed(send: Send) -> Send:
@@ -102,35 +96,12 @@ def _unframed(send: Send) -> Send:
     return tell
 
 
-def _token(scope: Scope) -> str:
-    """The token in an address, as the one that is printed has it."""
-    return "".join(parse_qs(scope["query_string"].decode("latin-1")).get("token", []))
-
-
-async def _body(receive: Receive) -> str:
+async def _body(request: Request) -> str:
+    """Of a form; empty where it is longer than a form is."""
     body = b""
-    while len(body) <= _LONGEST_FORM:
-        message = await receive()
-        body += message.get("body", b"")
-        if not message.get("more_body"):
-            break
-    return body.decode("utf-8", "replace") if len(body) <= _LONGEST_FORM else ""
-
-
-async def _answer(
-    send: Send, status: HTTPStatus, text: str, headers: list[tuple[str, str]] | None = None
-) -> None:
-    """A page of its own, which no other site shows in a frame and whose address is told to nobody."""
-    rows = [
-        ("content-type", "text/html; charset=utf-8"),
-        ("cache-control", "no-store"),
-        (
-            "referrer-policy",
-            "same-origin",
-        ),  # with no-referrer, browsers hide the origin of the form
-        ("x-frame-options", "DENY"),
-        *(headers or []),
-    ]
-    encoded = [(name.encode(), value.encode()) for name, value in rows]
-    await send({"type": "http.response.start", "status": int(status), "headers": encoded})
-    await send({"type": "http.response.body", "body": text.encode()})
+    with suppress(ClientDisconnect):
+        async for chunk in request.stream():
+            body += chunk
+            if len(body) > _LONGEST_FORM:
+                return ""
+    return body.decode("utf-8", "replace")

@@ -101,7 +101,7 @@ def test_the_right_one_opens_a_session_that_scripts_and_other_sites_cannot_use(
     assert (sent[0]["status"], header(sent, "location")) == (303, "/")
     cookie = header(sent, "set-cookie")
     assert "HttpOnly" in cookie
-    assert "SameSite=Strict" in cookie
+    assert "SameSite=strict" in cookie
     session = cookie.split(";")[0]
     assert site.ask("/", cookie=session)[0]["status"] == 200
     site.ask("/logout", cookie=session)

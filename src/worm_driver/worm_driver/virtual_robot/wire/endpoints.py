@@ -14,6 +14,7 @@ import math
 import os
 import selectors
 import socket
+import struct
 import termios
 import time
 import tty
@@ -34,10 +35,9 @@ from worm_driver.virtual_robot.wire.virtual_clock import (
     PAGE_NAME,
     SERIAL,
     SOCKET_NAME,
+    WAKE,
     Page,
     Wait,
-    pack_wake,
-    take_wait,
 )
 
 SERIAL_NAME = "servo_bus"
@@ -77,10 +77,9 @@ class SerialDoor:
         """What has arrived."""
         return os.read(self.master, _CHUNK)
 
-    def write(self, data: bytes) -> None:
-        """Sends; what a client that does not read leaves no room for is lost, as on a wire."""
-        with contextlib.suppress(BlockingIOError):
-            os.write(self.master, data)
+    def send(self, data: bytes) -> None:
+        """Sends. Raises BlockingIOError when a client that does not read leaves no room."""
+        os.write(self.master, data)
 
     def close(self) -> None:
         """Takes the port away from whoever has it open."""
@@ -89,61 +88,7 @@ class SerialDoor:
         os.close(self._slave)
 
 
-class I2cConnection:
-    """One client of the socket."""
-
-    def __init__(self, connection: socket.socket) -> None:
-        self.socket = connection
-        self._buffer = b""
-
-    def read(self) -> list[frames.Request]:
-        """The requests that have arrived. Raises ConnectionError when the client is gone."""
-        received = self.socket.recv(_CHUNK)
-        if not received:
-            raise ConnectionResetError
-        self._buffer += received
-        requests: list[frames.Request] = []
-        while True:
-            request, self._buffer = frames.take_request(self._buffer)
-            if request is None:
-                return requests
-            requests.append(request)
-
-    def write(self, data: bytes) -> None:
-        """Sends an answer; a client that has gone gets none."""
-        with contextlib.suppress(OSError):
-            self.socket.sendall(data)
-
-
-class ClockConnection:
-    """One who takes part in the robot's time."""
-
-    def __init__(self, connection: socket.socket) -> None:
-        self.socket = connection
-        self.party: Party | None = None  # until it has said which door it works with
-        self._buffer = b""
-
-    def read(self) -> Wait | None:
-        """The newest wait that has arrived. Raises ConnectionError when the client is gone."""
-        received = self.socket.recv(_CHUNK)
-        if not received:
-            raise ConnectionResetError
-        self._buffer += received
-        if self.party is None:
-            self.party = Party(self._buffer[:1])
-            self._buffer = self._buffer[1:]
-            self.wake(0)
-        newest = None
-        while True:
-            wait, self._buffer = take_wait(self._buffer)
-            if wait is None:
-                return newest
-            newest = wait
-
-    def wake(self, number: int) -> None:
-        """Tells the end of a wait; a client that has gone is not told."""
-        with contextlib.suppress(OSError):
-            self.socket.sendall(pack_wake(number))
+Door = SerialDoor | socket.socket
 
 
 @dataclass(order=True)
@@ -153,7 +98,7 @@ class _Pending:
     time: float
     order: int
     data: bytes = field(compare=False)
-    door: "SerialDoor | I2cConnection" = field(compare=False)
+    door: Door = field(compare=False)
 
 
 class Endpoints:
@@ -186,13 +131,12 @@ class Endpoints:
         self.time = Timekeeper(1.0 if rate is None else rate)
         self.time.begin(clock())
         self._page: Page | None = None
-        self._clock_listener: socket.socket | None = None
-        self._clocks: list[ClockConnection] = []
+        self._parties: dict[socket.socket, Party] = {}  # that take part in the time
         # over the serial line since somebody took part; infinite once they are not worth counting
         self._bytes_sent = self._bytes_received = 0.0
         self._selector = selectors.SelectSelector()  # epoll would round waits up to 1 ms
         self._serial: SerialDoor | None = None
-        self._listener: socket.socket | None = None
+        self._opened = False
         self._pending: list[_Pending] = []
         self._sent = 0
         self._orders: deque[Callable[[float], None]] = deque()
@@ -202,15 +146,12 @@ class Endpoints:
 
     def now(self) -> float:
         """Time (s) on the robot's clock."""
-        return self.time.now if self._parties() else self.time.alone(self._clock())
+        return self.time.now if self._parties else self.time.alone(self._clock())
 
     @property
     def waits(self) -> bool:
         """Whether the robot's time waits for whoever is late, as somebody takes part in it."""
-        return bool(self._parties())
-
-    def _parties(self) -> list[Party]:
-        return [clock.party for clock in self._clocks if clock.party is not None]
+        return bool(self._parties)
 
     # --- life ---------------------------------------------------------------------------------
 
@@ -220,21 +161,17 @@ class Endpoints:
         try:
             for name in (SERIAL_NAME, I2C_NAME, SOCKET_NAME):
                 _remove_leftover(self._directory / name)
-            self._listener = _listen(self._directory / I2C_NAME)
+            self._listen(I2C_NAME, self._on_i2c)
             if self.shares_time:
                 self._page = Page.make(self._directory / PAGE_NAME, self.epoch_ns)
-                self._clock_listener = _listen(self._directory / SOCKET_NAME)
+                self._listen(SOCKET_NAME, self._on_clock)
         except DirectoryError:
             self._give_back()
             raise
-        self._selector.register(self._listener, selectors.EVENT_READ, self._on_connect)
         self._plug_in()
         self._selector.register(self._wake_reader, selectors.EVENT_READ, self._on_wake)
-        if self._clock_listener is not None:
-            self._selector.register(
-                self._clock_listener, selectors.EVENT_READ, self._on_clock_connect
-            )
         self.time.begin(self._clock())
+        self._opened = True
 
     def run(self) -> None:
         """Serves until stop()."""
@@ -269,8 +206,9 @@ class Endpoints:
 
     def close(self) -> None:
         """Removes what open() made, once run() is over; may be repeated."""
-        if self._listener is None:
+        if not self._opened:
             return
+        self._opened = False
         if self._serial is not None:
             self._serial.close()
         for key in list(self._selector.get_map().values()):
@@ -278,7 +216,7 @@ class Endpoints:
                 key.fileobj.close()
         self._selector.close()
         self._wake_writer.close()
-        self._serial = self._listener = self._clock_listener = None
+        self._serial = None
         for name in (I2C_NAME, SOCKET_NAME, PAGE_NAME):
             (self._directory / name).unlink(missing_ok=True)
         self._give_back()
@@ -291,7 +229,7 @@ class Endpoints:
 
     def _go_on(self) -> float:
         """Lets the time pass as far as it may."""
-        machine, parties = self._clock(), self._parties()
+        machine, parties = self._clock(), self._parties.values()
         if any(party.has_lost(machine) for party in parties):
             self._cut_line()
         if parties:
@@ -308,13 +246,13 @@ class Endpoints:
 
     def _next_event(self) -> float:
         """The time (s) that must not be passed over."""
-        dues = [party.wait.until for party in self._parties() if party.wait is not None]
+        dues = [party.wait.until for party in self._parties.values() if party.wait is not None]
         dues += [item.time for item in self._pending[:1]]
         return min([*dues, self.time.now + _WAKE_UP])
 
     def _patience(self) -> float:
         """How long (s of the machine) there is nothing to do, unless something comes."""
-        machine, parties = self._clock(), self._parties()
+        machine, parties = self._clock(), self._parties.values()
         if not parties:
             wait = _WAKE_UP
             if self._pending:
@@ -327,13 +265,12 @@ class Endpoints:
     def _wake_due(self) -> None:
         """Ends the waits whose time has come."""
         now = self.time.now
-        for clock in self._clocks:
-            party = clock.party
-            if party is None or party.wait is None or party.wait.until > now:
+        for connection, party in self._parties.items():
+            if party.wait is None or party.wait.until > now:
                 continue
             if party.waits(self._bytes_sent, self._bytes_received):
                 number, party.wait = party.wait.number, None
-                clock.wake(number)
+                _send(connection, WAKE.pack(number))
 
     def _on_wake(self) -> None:
         self._wake_reader.recv(_CHUNK)
@@ -353,29 +290,19 @@ class Endpoints:
         for answer in self._robot.receive(data, self.now(), rate):
             self._send(answer.data, answer.time, self._serial)
 
-    def _on_connect(self) -> None:
-        if self._listener is None:
-            return
-        connection = I2cConnection(self._listener.accept()[0])
-        self._selector.register(
-            connection.socket, selectors.EVENT_READ, lambda: self._on_i2c(connection)
-        )
-
-    def _on_i2c(self, connection: I2cConnection) -> None:
+    def _on_i2c(self, connection: socket.socket) -> None:
         try:
-            requests = connection.read()
-        except ConnectionError:
-            self._selector.unregister(connection.socket)
-            connection.socket.close()
+            request = frames.unpack_request(_received(connection))
+        except (ConnectionError, struct.error):
+            self._let_go(connection)
             return
-        for request in requests:
-            now = self.now()
-            answer = self._robot.transact(request, now)
-            if answer.delay > 0.0:
-                self._let_wait(I2C)
-            self._send(frames.pack_answer(answer), now + answer.delay, connection)
+        now = self.now()
+        answer = self._robot.transact(request, now)
+        if answer.delay > 0.0:
+            self._let_wait(I2C)
+        self._send(frames.pack_answer(answer), now + answer.delay, connection)
 
-    def _send(self, data: bytes, due: float, door: "SerialDoor | I2cConnection") -> None:
+    def _send(self, data: bytes, due: float, door: Door) -> None:
         if due <= self.now():
             self._write(data, door)
             return
@@ -388,43 +315,37 @@ class Endpoints:
             item = heapq.heappop(self._pending)
             self._write(item.data, item.door)
 
-    def _write(self, data: bytes, door: "SerialDoor | I2cConnection") -> None:
+    def _write(self, data: bytes, door: Door) -> None:
         """Sends, and whoever has waited for it works again."""
-        door.write(data)
+        _send(door, data)
         is_serial = isinstance(door, SerialDoor)
         self._bytes_sent += len(data) if is_serial else 0
-        for party in self._parties():
+        for party in self._parties.values():
             at_door = party.door == (SERIAL if is_serial else I2C)
             if at_door and party.wait is not None and party.wait.listening:
                 party.wait = None
 
     # --- the time -----------------------------------------------------------------------------
 
-    def _on_clock_connect(self) -> None:
-        if self._clock_listener is None:
-            return
-        clock = ClockConnection(self._clock_listener.accept()[0])
-        self._clocks.append(clock)
-        self._selector.register(clock.socket, selectors.EVENT_READ, lambda: self._on_clock(clock))
-
-    def _on_clock(self, clock: ClockConnection) -> None:
-        is_new = clock.party is None
-        if is_new:
-            self._show(self.now())  # it is going to look at once
+    def _on_clock(self, connection: socket.socket) -> None:
+        """Takes what somebody says who takes part: first the door that it works with, then each wait."""
         try:
-            wait = clock.read()
-        except ConnectionError:
-            self._selector.unregister(clock.socket)
-            self._clocks.remove(clock)
-            clock.socket.close()
-            if not self._parties():
+            packet = _received(connection)
+            party = self._parties.get(connection)
+            if party is not None:
+                party.wait, party.since = Wait.unpack(packet), self._clock()
+                return
+        except (ConnectionError, struct.error):
+            self._parties.pop(connection, None)
+            self._let_go(connection)
+            if not self._parties:
                 self.time.begin(self._clock())
             return
-        assert clock.party is not None
-        if is_new and clock.party.door == SERIAL:
+        self._show(self.now())  # it is going to look at once
+        self._parties[connection] = Party(packet)
+        _send(connection, WAKE.pack(0))
+        if packet == SERIAL:
             self._begin_line()
-        if wait is not None:
-            clock.party.wait, clock.party.since = wait, self._clock()
 
     def _begin_line(self) -> None:
         """Counts from now on, and forgets what was on its way to somebody else."""
@@ -438,11 +359,25 @@ class Endpoints:
 
     def _let_wait(self, door: bytes) -> None:
         """Those at a door that answers late wait, for as long as it takes; they do not say so themselves."""
-        for party in self._parties():
+        for party in self._parties.values():
             if party.door == door:
                 party.wait, party.since = Wait(-1, math.inf, True, 0, 0), self._clock()
 
     # --- doors --------------------------------------------------------------------------------
+
+    def _listen(self, name: str, serve: Callable[[socket.socket], None]) -> None:
+        """Has clients of a socket served. Raises DirectoryError."""
+        listener = _listening(self._directory / name)
+
+        def accept() -> None:
+            client = listener.accept()[0]
+            self._selector.register(client, selectors.EVENT_READ, lambda: serve(client))
+
+        self._selector.register(listener, selectors.EVENT_READ, accept)
+
+    def _let_go(self, connection: socket.socket) -> None:
+        self._selector.unregister(connection)
+        connection.close()
 
     def _plug_in(self) -> None:
         self._serial = SerialDoor(self._directory / SERIAL_NAME)
@@ -482,9 +417,23 @@ def _take(directory: Path) -> int:
     return lock
 
 
-def _listen(path: Path) -> socket.socket:
-    """A socket that waits for clients of the I2C line."""
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+def _received(connection: socket.socket) -> bytes:
+    """The next packet of a client. Raises ConnectionError when it is gone."""
+    packet = connection.recv(_CHUNK)
+    if not packet:
+        raise ConnectionResetError
+    return packet
+
+
+def _send(door: Door, data: bytes) -> None:
+    """Sends; what a client leaves no room for is lost, as on a wire, and one that has gone gets nothing."""
+    with contextlib.suppress(OSError):
+        door.send(data)
+
+
+def _listening(path: Path) -> socket.socket:
+    """A socket that waits for clients, whose every send is a packet."""
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
         listener.bind(str(path))
     except OSError as error:

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames that carry single SMBus transactions over a stream socket.
+"""Packets that carry single SMBus transactions over a socket that keeps them apart (SOCK_SEQPACKET).
 
-A request is five bytes (operation, address, register, read length, number of data bytes) and the
-data; an answer is three bytes (errno as two, number of data bytes) and the data. Data bytes are in
-the order of the wire: what a word means is the client's business, as with a real adapter.
+A request is four bytes (operation, address, register, read length) and the data to write; an answer is errno as two
+bytes and the data read. Data bytes are in the order of the wire: what a word means is the client's business, as with
+a real adapter.
 """
 
 import struct
 from dataclasses import dataclass
 
-_REQUEST = struct.Struct("<BBBBB")
-_ANSWER = struct.Struct("<HB")
+_REQUEST = struct.Struct("<BBBB")
+_ANSWER = struct.Struct("<H")
 
 READ = 0  # write the register pointer, then read `length` bytes
 WRITE = 1  # write the register pointer and the data
@@ -31,7 +31,7 @@ class Request:
 class Answer:
     """errno of the failed transaction, 0 for none, the bytes read, and how long (s) it all took.
 
-    The time is not part of the frame: it is how much later the frame is sent.
+    The time is not part of the packet: it is how much later the packet is sent.
     """
 
     errno: int
@@ -40,36 +40,23 @@ class Answer:
 
 
 def pack_request(request: Request) -> bytes:
-    """The frame of a request."""
-    head = _REQUEST.pack(
-        request.operation, request.address, request.register, request.length, len(request.data)
-    )
+    """The packet of a request."""
+    head = _REQUEST.pack(request.operation, request.address, request.register, request.length)
     return head + request.data
 
 
-def take_request(buffer: bytes) -> tuple[Request | None, bytes]:
-    """The first request of a buffer, None while it is incomplete, and the rest of the buffer."""
-    if len(buffer) < _REQUEST.size:
-        return None, buffer
-    operation, address, register, length, count = _REQUEST.unpack_from(buffer)
-    end = _REQUEST.size + count
-    if len(buffer) < end:
-        return None, buffer
-    data = buffer[_REQUEST.size : end]
-    return Request(operation, address, register, length, data), buffer[end:]
+def unpack_request(packet: bytes) -> Request:
+    """The request of a packet. Raises struct.error where it is too short."""
+    operation, address, register, length = _REQUEST.unpack_from(packet)
+    return Request(operation, address, register, length, packet[_REQUEST.size :])
 
 
 def pack_answer(answer: Answer) -> bytes:
-    """The frame of an answer."""
-    return _ANSWER.pack(answer.errno, len(answer.data)) + answer.data
+    """The packet of an answer."""
+    return _ANSWER.pack(answer.errno) + answer.data
 
 
-def take_answer(buffer: bytes) -> tuple[Answer | None, bytes]:
-    """The first answer of a buffer, None while it is incomplete, and the rest of the buffer."""
-    if len(buffer) < _ANSWER.size:
-        return None, buffer
-    errno, count = _ANSWER.unpack_from(buffer)
-    end = _ANSWER.size + count
-    if len(buffer) < end:
-        return None, buffer
-    return Answer(errno, buffer[_ANSWER.size : end]), buffer[end:]
+def unpack_answer(packet: bytes) -> Answer:
+    """The answer of a packet; the time that it took is not in it."""
+    (number,) = _ANSWER.unpack_from(packet)
+    return Answer(number, packet[_ANSWER.size :])

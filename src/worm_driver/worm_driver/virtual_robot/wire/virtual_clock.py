@@ -29,7 +29,7 @@ SERIAL: Final = b"S"
 I2C: Final = b"I"
 
 _WAIT = struct.Struct("<Qd?QQ")
-_WAKE = struct.Struct("<Q")
+WAKE = struct.Struct("<Q")  # the number of a wait that has ended
 _PAGE_SIZE = 16
 _SHORTEST = 1e-6  # s, of a wait: shorter ones would not end for rounding
 _PATIENCE = 60.0  # s
@@ -49,17 +49,10 @@ class Wait:
         """As it goes over the socket."""
         return _WAIT.pack(self.number, self.until, self.listening, self.written, self.read)
 
-
-def take_wait(buffer: bytes) -> tuple[Wait | None, bytes]:
-    """The first wait in a buffer, if it is whole, and the rest of the buffer."""
-    if len(buffer) < _WAIT.size:
-        return None, buffer
-    return Wait(*_WAIT.unpack_from(buffer)), buffer[_WAIT.size :]
-
-
-def pack_wake(number: int) -> bytes:
-    """What tells the end of a wait."""
-    return _WAKE.pack(number)
+    @staticmethod
+    def unpack(packet: bytes) -> "Wait":
+        """From what has gone over the socket. Raises struct.error where it is no wait."""
+        return Wait(*_WAIT.unpack(packet))
 
 
 class Page:
@@ -122,7 +115,7 @@ class VirtualClock:
         self.epoch_ns: int | None = self._page.epoch_ns
         self._number = 0
         self._offset = math.nan  # s, from the machine's time to this one, once the robot is gone
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._socket.connect(str(directory / SOCKET_NAME))
             self._socket.sendall(door)
@@ -180,10 +173,10 @@ class VirtualClock:
 
     def _take_number(self) -> int:
         """Raises ConnectionError when the robot is gone."""
-        received = self._socket.recv(_WAKE.size, socket.MSG_WAITALL)
-        if len(received) < _WAKE.size:
+        received = self._socket.recv(WAKE.size)
+        if not received:
             raise ConnectionResetError
-        return int(_WAKE.unpack(received)[0])
+        return int(WAKE.unpack(received)[0])
 
     def _wait_alone(self, until: float, descriptor: int | None) -> bool:
         if math.isnan(self._offset):
