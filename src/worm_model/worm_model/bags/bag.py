@@ -13,7 +13,6 @@ from typing import Protocol
 import numpy as np
 
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_metadata import METADATA_FILE as METADATA_FILE
 from worm_model.bags.cdr import check_length
 from worm_model.bags.message_block import Message, Messages, Topic
 from worm_model.bags.message_types import PACKAGE, with_definition

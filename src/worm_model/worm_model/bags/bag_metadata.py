@@ -14,9 +14,9 @@ from typing import Any
 import yaml
 
 from worm_model.bags.bag_errors import BagError
+from worm_model.bags.finding import METADATA_FILE
 from worm_model.bags.message_block import Topic
 
-METADATA_FILE = "metadata.yaml"
 METADATA_ROOT = "rosbag2_bagfile_information"
 VERSION = 9
 LARGEST_YAML = 16 << 20  # bytes; a bag of a thousand files and topics has a tenth of that

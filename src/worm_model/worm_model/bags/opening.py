@@ -10,7 +10,8 @@ from typing import Any
 
 from worm_model.bags.bag import Bag, Notify
 from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
-from worm_model.bags.bag_metadata import METADATA_FILE, read_metadata
+from worm_model.bags.bag_metadata import read_metadata
+from worm_model.bags.finding import METADATA_FILE, recovered_path
 from worm_model.bags.mcap_storage import McapFile, McapStorage
 from worm_model.bags.message_types import PACKAGE
 from worm_model.bags.recorder import STATE, UNFINISHED
@@ -22,7 +23,6 @@ from worm_model.bags.recovery import (
     named,
     open_files,
     recover,
-    recovered_path,
     undeclared,
 )
 from worm_model.bags.rosbags_storage import RosbagsStorage
@@ -71,7 +71,7 @@ def _open(path: Path, notify: Notify) -> Bag:
     files = _named_files(path, content)
     if content.get("storage_identifier") != "mcap" or content.get("compression_mode"):
         return _compared(Bag(path, RosbagsStorage(path), notify), files)
-    if _is_unfinished(content):
+    if is_unfinished(content):
         return _recovered(path, notify)
     return _compared(_open_mcap(path, files, notify), files)
 
@@ -85,7 +85,8 @@ def _open_without_metadata(path: Path, notify: Notify) -> Bag:
     )
 
 
-def _is_unfinished(content: dict[str, Any]) -> bool:
+def is_unfinished(content: dict[str, Any]) -> bool:
+    """Whether a bag's metadata says that its recorder has not closed it."""
     custom = content.get("custom_data")
     return isinstance(custom, dict) and custom.get(STATE) == UNFINISHED
 
@@ -119,7 +120,7 @@ def _compared(bag: Bag, files: Sequence[Path]) -> Bag:
 
 def _open_mcap(path: Path, paths: Sequence[Path], notify: Notify) -> Bag:
     files, unreadable = open_files(paths)
-    if not unreadable and all(file.contents.sound for file in files):
+    if _sound(files, unreadable):
         for file in files:
             for complaint in file.contents.complaints:
                 notify(f"{file.path}: {complaint}")
@@ -172,3 +173,15 @@ def _is_recovery(target: Path, source: Path, content: str) -> bool:
 def _close(files: Sequence[McapFile]) -> None:
     for file in files:
         file.close()
+
+
+def are_sound(paths: Sequence[Path]) -> bool:
+    """Whether MCAP files can be read as they are."""
+    files, unreadable = open_files(paths)
+    sound = _sound(files, unreadable)
+    _close(files)
+    return sound
+
+
+def _sound(files: Sequence[McapFile], unreadable: Sequence[object]) -> bool:
+    return not unreadable and all(file.contents.sound for file in files)

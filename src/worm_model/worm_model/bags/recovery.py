@@ -13,12 +13,12 @@ from pathlib import Path
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError, DefinitionError
 from worm_model.bags.bag_metadata import (
-    METADATA_FILE,
     declared_counts,
     read_metadata,
     silent_topics,
 )
 from worm_model.bags.bag_writer import new_bag
+from worm_model.bags.finding import METADATA_FILE, recovered_path
 from worm_model.bags.mcap_scan import verify
 from worm_model.bags.mcap_storage import McapFile, McapStorage, explained
 from worm_model.bags.message_block import Topic
@@ -151,12 +151,6 @@ def _silent_topics(path: Path, bag: Bag) -> Iterable[Topic]:
 def named(path: Path) -> Path:
     """The path with a name to its last part, which ``.`` and ``..`` are not."""
     return path.resolve() if path.name in ("", "..") else path
-
-
-def recovered_path(path: Path, number: int = 1) -> Path:
-    """Where a bag is recovered to; ``pipe_0.25Hz`` and ``pipe_0.30Hz`` do not meet."""
-    name = path.stem if path.suffix == ".mcap" else path.name
-    return path.with_name(f"{name}_recovered{'' if number == 1 else f'_{number}'}")
 
 
 def _losses(file: McapFile) -> Iterable[LostMessages]:

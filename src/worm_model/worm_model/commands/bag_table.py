@@ -12,14 +12,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from worm_model.bags.finding import bags_below
 from worm_model.errors import InputError
 
 Row = dict[str, Any]
 
 CLOSED, OPEN, DAMAGED = "closed", "not closed", "damaged"
-STORAGE = (".mcap", ".db3")
-METADATA_FILE = "metadata.yaml"
-RECOVERED = "_recovered"  # ends the name of what `recover` makes
 NUMBERS = (
     *("groove_phase", "grooves_per_cycle", "speed", "power", "cost_of_transport"),
     *("duration_s", "cycles"),
@@ -32,10 +30,11 @@ def bag_rows(
 ) -> tuple[list[Row], int]:
     """(the rows of all runs below a folder, or of one bag; how many bags were read anew).
 
+    What was recovered from a bag is listed instead of it.
     ``parameters`` is a parameter file; empty: the one inside each bag, else the paper's. Raises `InputError` where
     there is no bag.
     """
-    bags = find_bags(folder)
+    bags = sorted(copies[-1] if copies else bag for bag, copies in bags_below(folder).items())
     index = _index_file(folder, parameters)
     known = _known(index)
     marks = {str(bag): _mark(bag) for bag in bags}
@@ -47,35 +46,6 @@ def bag_rows(
         _keep(index, {name: known[name] for name in marks})
     found = [{"bag": str(bag), **row} for bag in bags for row in known[str(bag)][1]]
     return found, len(todo)
-
-
-def find_bags(folder: Path) -> list[Path]:
-    """All bags below a folder, by name: folders with a metadata.yaml, and recordings that have none; or the bag itself.
-
-    What was recovered from a bag stands beside it and is listed instead of it. Raises `InputError` if there is none.
-    """
-    if folder.is_file() or (folder / METADATA_FILE).is_file():
-        return [folder]
-    if not folder.is_dir():
-        raise InputError(f"{folder}: does not exist; name a folder that holds bags, or a bag")
-    whole, loose = set(), set()
-    for place, _, names in os.walk(folder):
-        if METADATA_FILE in names:
-            whole.add(Path(place))
-        elif any(name.endswith(STORAGE) for name in names):
-            loose.add(Path(place))
-    files = {file for place in loose for file in ([place] if place != folder else _files(folder))}
-    found = whole | files
-    found = {bag for bag in found if bag.with_name(f"{bag.name}{RECOVERED}") not in found}
-    if not found:
-        raise InputError(
-            f"{folder}: holds no bag (a folder with {METADATA_FILE}, or a file *.mcap, *.db3); record one (./worm demo)"
-        )
-    return sorted(found)
-
-
-def _files(folder: Path) -> list[Path]:
-    return [file for file in folder.iterdir() if file.suffix in STORAGE]
 
 
 def _mark(bag: Path) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from worm_model.bags.bag import METADATA_FILE
+from worm_model.bags.finding import METADATA_FILE
 from worm_model.errors import InputError
 from worm_optimizer.operation.processes import executable_command
 from worm_optimizer.report.report_page import PAGE

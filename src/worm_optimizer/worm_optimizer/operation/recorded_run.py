@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from worm_model.bags.bag_metadata import METADATA_FILE
+from worm_model.bags.finding import METADATA_FILE
 from worm_model.errors import InputError
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import (

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from worm_model.analysis.run_parts import joined, last_stamp, parts_of
-from worm_model.bags.bag import METADATA_FILE, Bag
+from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
+from worm_model.bags.finding import METADATA_FILE
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_manifest import recorded_parameters
 from worm_model.bags.run_reader import read_run

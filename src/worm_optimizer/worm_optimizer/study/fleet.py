@@ -21,6 +21,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as parquet
 
+from worm_model.bags.finding import bags_below
 from worm_model.errors import InputError
 from worm_model.identification.drift import ADVICE
 from worm_model.identification.drift_estimates import estimate_bags
@@ -33,8 +34,6 @@ from worm_optimizer.study.version import identity
 
 READ, FAILED = "read", "failed"
 _IDENTITY = b"worm_fleet"  # of the table's metadata
-_STORAGE = (".mcap", ".db3")
-_RECOVERED = "_recovered"  # ends the name of what `recover` makes
 _HEALTH = tuple(f"{key}{part}" for key in ADVICE for part in ("", "_low", "_high"))
 _TEXTS = ("bag", "gait", "state", "reason", "start", "parameters", "notes")
 _NUMBERS = (
@@ -54,27 +53,6 @@ Row = dict[str, Any]
 
 class UnseenError(RuntimeError):
     """A worker does not see a bag; the message is its path."""
-
-
-def bags_below(folder: Path) -> list[Path]:
-    """All bags below a folder: those with a metadata.yaml, and recordings without one; raises `InputError` if none."""
-    if not folder.is_dir():
-        raise InputError(f"{folder}: is no folder; name one that holds bags")
-    closed = {path.parent for path in folder.rglob("metadata.yaml")}
-    loose = {
-        path
-        for ending in _STORAGE
-        for path in folder.rglob(f"*{ending}")
-        if path.parent not in closed
-    }
-    # what was recovered from a bag stands beside it, and reading the bag itself is enough
-    copies = {bag.with_name(f"{bag.name}{_RECOVERED}") for bag in closed | loose}
-    bags = (closed | loose) - copies
-    if not bags:
-        raise InputError(
-            f"{folder}: holds no bag (a folder with metadata.yaml, or a file *.mcap, *.db3)"
-        )
-    return sorted(bags)
 
 
 def bag_rows(path: str, name: str, parameters: str) -> list[Row]:
@@ -157,7 +135,7 @@ def read_fleet(
     the output is another fleet's, `LostError` if the cluster is lost; what was read stays, the same call goes on.
     """
     load_parameter_file(parameters)  # raises on one that cannot be used, before anything is read
-    bags = bags_below(folder)
+    bags = list(bags_below(folder))  # to read one is to read what was recovered from it
     marks = [_mark(bag, parameters) for bag in bags]
     whole = hashlib.sha256(" ".join([*marks, identity()]).encode()).hexdigest()[:24]
     if output.exists():

@@ -9,7 +9,6 @@ import pytest
 
 from worm_model.bags.opening import open_bag
 from worm_model.commands import bag_runs, bags
-from worm_model.commands.bag_table import find_bags
 
 SAMPLES = Path(__file__).resolve().parents[4] / "bags"
 
@@ -68,12 +67,6 @@ def test_a_folder_without_bags_is_refused(run, tmp_path):
     assert (status, told) == (2, "")
     assert "holds no bag" in error
     assert run(tmp_path / "none")[0] == 2
-
-
-def test_a_recovered_bag_stands_for_its_source(tmp_path):
-    for name in ("run", "run_recovered"):
-        shutil.copytree(SAMPLES / "forward", tmp_path / name)
-    assert [bag.name for bag in find_bags(tmp_path)] == ["run_recovered"]
 
 
 def test_info_tells_topics_and_metadata(run):

@@ -71,7 +71,7 @@ def test_a_dry_run_tells_points_gaits_and_time_and_leaves_nothing(tmp_path, monk
         (("s.yaml", "--output", "s.zarr", "--workers", "0"), "give at least 1"),
         (("--bags", "."), "name the fleet's table"),
         (("--bags", ".", "--output", "f.parquet"), "holds no bag"),
-        (("--bags", "absent", "--output", "f.parquet"), "is no folder"),
+        (("--bags", "absent", "--output", "f.parquet"), "does not exist"),
         (("s.yaml", "--parameters", "absent.yaml", "--dry-run"), "cannot be read"),
     ],
 )
