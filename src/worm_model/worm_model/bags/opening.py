@@ -10,7 +10,7 @@ from typing import Any
 
 from worm_model.bags.bag import Bag, Notify
 from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
-from worm_model.bags.bag_metadata import METADATA_FILE, read_metadata
+from worm_model.bags.bag_metadata import METADATA_FILE, custom_data, read_metadata
 from worm_model.bags.mcap_storage import McapFile, McapStorage
 from worm_model.bags.message_types import PACKAGE
 from worm_model.bags.recorder import STATE, UNFINISHED
@@ -71,7 +71,7 @@ def _open(path: Path, notify: Notify) -> Bag:
     files = _named_files(path, content)
     if content.get("storage_identifier") != "mcap" or content.get("compression_mode"):
         return _compared(Bag(path, RosbagsStorage(path), notify), files)
-    if _is_unfinished(content):
+    if custom_data(content).get(STATE) == UNFINISHED:
         return _recovered(path, notify)
     return _compared(_open_mcap(path, files, notify), files)
 
@@ -83,11 +83,6 @@ def _open_without_metadata(path: Path, notify: Notify) -> Bag:
     raise BagError(
         f"{path} is not a bag: it has neither {METADATA_FILE} nor an MCAP file (found: {found})"
     )
-
-
-def _is_unfinished(content: dict[str, Any]) -> bool:
-    custom = content.get("custom_data")
-    return isinstance(custom, dict) and custom.get(STATE) == UNFINISHED
 
 
 def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
@@ -160,13 +155,10 @@ def _content(path: Path) -> str:
 
 def _is_recovery(target: Path, source: Path, content: str) -> bool:
     try:
-        custom = read_metadata(target).get("custom_data")
+        custom = custom_data(read_metadata(target))
     except BagError:
         return False
-    return isinstance(custom, dict) and (custom.get(SOURCE), custom.get(SOURCE_SHA256)) == (
-        source.name,
-        content,
-    )
+    return (custom.get(SOURCE), custom.get(SOURCE_SHA256)) == (source.name, content)
 
 
 def _close(files: Sequence[McapFile]) -> None:
