@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.gait import Gait
-from worm_model.twin.health_words import residual_message
-from worm_model.twin.records import Activity, Event
+from worm_model.twin.records import Activity, Event, residual_message
 from worm_model.twin.samples import SAMPLE, Kind
 from worm_model.twin.twin import Twin, TwinState
 

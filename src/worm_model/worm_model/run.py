@@ -7,13 +7,15 @@ are SI units, float64 of shape (n,) unless said otherwise. A topic that was not 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from datetime import datetime, timezone
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array, Stamps
+from worm_model.gait import Gait
 
 Codes = NDArray[np.int64]
 
@@ -54,6 +56,11 @@ def is_another_run(before: tuple[Any, Any, Any], after: tuple[Any, Any, Any]) ->
 def seconds(stamp: Stamps, origin: int) -> Array:
     """Stamps as s since an origin (ns since the epoch); exact to a ns for months around it."""
     return (stamp - origin).astype(np.float64) * 1e-9
+
+
+def utc_of(stamp: int) -> str:
+    """A stamp (ns since the epoch) as a date in UTC to the second, ISO 8601."""
+    return datetime.fromtimestamp(stamp * 1e-9, timezone.utc).isoformat(timespec="seconds")
 
 
 def _stamps() -> Stamps:
@@ -121,6 +128,12 @@ class GaitStates:
             if getattr(self, name).size != self.stamp.size:
                 object.__setattr__(self, name, np.zeros(self.stamp.size, np.int64))
 
+    @classmethod
+    def of(cls, gait: Gait, stamp: Stamps, **told: Any) -> GaitStates:
+        """States of one gait at stamps (n,) in ns; what is ``told`` beside it are the other fields."""
+        values = {name: np.full(stamp.size, value) for name, value in asdict(gait).items()}
+        return cls(stamp=stamp, **values, **told)
+
     @property
     def played(self) -> NDArray[np.bool_]:
         """In which states a gait runs whose onset is known, shape (n,)."""
@@ -129,19 +142,19 @@ class GaitStates:
     @property
     def mixed(self) -> bool:
         """Whether a run goes on after another one has begun: what several drivers told, or merged recordings."""
+        onset = self.onset[self._played_rows]
+        first = np.append(True, np.abs(np.diff(onset)) > SAME_ONSET_NS)[: onset.size]
+        return bool((np.diff(np.sort(onset[first])) <= SAME_ONSET_NS).any())
+
+    @property
+    def _played_rows(self) -> NDArray[np.int64]:
+        """The rows of `played` in the order of their stamps."""
         rows = np.flatnonzero(self.played)
-        onset = self.onset[rows[np.argsort(self.stamp[rows], kind="stable")]]
-        begins = np.flatnonzero(np.abs(np.diff(onset)) > SAME_ONSET_NS) + 1
-        return (
-            bool((np.diff(np.sort(onset[[0, *begins]])) <= SAME_ONSET_NS).any())
-            if rows.size
-            else False
-        )
+        return rows[np.argsort(self.stamp[rows], kind="stable")]
 
     def rows_of_runs(self) -> list[NDArray[np.int64]]:
         """The rows of `played` run by run, in the order of their stamps; what is one run: `is_another_run`."""
-        rows = np.flatnonzero(self.played)
-        rows = rows[np.argsort(self.stamp[rows], kind="stable")]
+        rows = self._played_rows
         if not rows.size:
             return []
         before, after = (

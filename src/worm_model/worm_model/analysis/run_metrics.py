@@ -144,12 +144,8 @@ def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:
         run.power.stamp[np.isfinite(run.power.valid_power)],
     )
     ends = [int(stamp[-1]) for stamp in stamps if stamp.size]
-    return last_cycles_of(max(played.whole_cycles_until(min(ends, default=_FOREVER)), 1))
-
-
-def last_cycles_of(cycles: int) -> tuple[int, int]:
-    """First and last, counted from 1, of those of some cycles that are averaged."""
-    return max(cycles - AVERAGED_CYCLES, 0) + 1, cycles
+    last = max(played.whole_cycles_until(min(ends, default=_FOREVER)), 1)
+    return max(last - AVERAGED_CYCLES, 0) + 1, last
 
 
 def early_end(run: Run, played: PlayedGait) -> str:

@@ -125,14 +125,10 @@ class SimulatedRun:
         period = 1e9 * self.gait.period
         cycle = np.array([0, *range(1, self.cycles + 1), self.cycles])
         begins = [onset + round(k * period) for k in range(self.cycles + 1)]
-        one = np.ones(cycle.size)
-        return GaitStates(
-            stamp=np.array([EPOCH_NS, *begins]),
+        return GaitStates.of(
+            self.gait,
+            np.array([EPOCH_NS, *begins]),
             state=np.array([RESTING, *[RUNNING] * self.cycles, IDLE]),
-            stroke=self.gait.stroke * one,
-            frequency=self.gait.frequency * one,
-            direction=np.full(cycle.size, self.gait.direction),
-            margin=self.gait.margin * one,
             onset=np.full(cycle.size, onset),
             cycle=cycle,
             cycles=np.full(cycle.size, self.cycles),

@@ -99,24 +99,31 @@ def read_metadata(directory: Path) -> dict[str, Any]:
     return content
 
 
+def custom_data(content: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What a writer added to metadata.yaml on its own."""
+    custom = content.get("custom_data")
+    return custom if isinstance(custom, dict) else {}
+
+
 def declared_counts(content: Mapping[str, Any]) -> dict[str, int]:
     """Number of messages by topic that metadata.yaml declares; empty where it does not."""
     found: dict[str, int] = {}
-    topics = content.get("topics_with_message_count")
-    for entry in topics if isinstance(topics, list) else ():
-        try:
+    for entry in _topics(content):
+        with suppress(KeyError, TypeError, ValueError):
             name, count = entry["topic_metadata"]["name"], entry["message_count"]
             found[str(name)] = found.get(str(name), 0) + int(count)
-        except (KeyError, TypeError, ValueError):
-            continue
     return found
+
+
+def _topics(content: Mapping[str, Any]) -> list[Any]:
+    topics = content.get("topics_with_message_count")
+    return topics if isinstance(topics, list) else []
 
 
 def silent_topics(content: Mapping[str, Any]) -> list[Topic]:
     """The topics that metadata.yaml declares without any message, with what it tells of them."""
     found = []
-    topics = content.get("topics_with_message_count")
-    for entry in topics if isinstance(topics, list) else ():
+    for entry in _topics(content):
         with suppress(KeyError, TypeError):
             told = entry["topic_metadata"]
             profiles = told.get("offered_qos_profiles") or ""

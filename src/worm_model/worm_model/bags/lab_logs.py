@@ -335,13 +335,10 @@ def _gait_states(gait: Gait | None, end: float, settings: LabSettings, onset: fl
     count = len(times)
     cycle = np.arange(count)
     onset_ns = settings.epoch + round(onset * 1e9)
-    return GaitStates(
-        stamp=stamp,
+    return GaitStates.of(
+        gait,
+        stamp,
         state=np.where(cycle == 0, RESTING, RUNNING),
-        stroke=np.full(count, gait.stroke),
-        frequency=np.full(count, gait.frequency),
-        direction=np.full(count, gait.direction),
-        margin=np.full(count, gait.margin),
         onset=np.where(cycle == 0, 0, onset_ns),
         cycle=cycle,
         cycles=np.full(count, cycles),

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,13 +83,15 @@ class Messages:
 
     def __iter__(self) -> Iterator[Message]:
         data = self.buffer.data
-        columns = (self.channel, self.offset, self.size, self.log_time, self.publish_time)
-        for index, start, size, log_time, publish_time in zip(
-            *(column.tolist() for column in columns), strict=True
-        ):
+        columns = (column.tolist() for column in self._columns)
+        for index, start, size, log_time, publish_time in zip(*columns, strict=True):
             channel = self.channels[index]
             payload = bytes(data[start : start + size])
             yield Message(channel.name, log_time, payload, publish_time, channel)
+
+    @property
+    def _columns(self) -> tuple[Any, ...]:
+        return self.channel, self.offset, self.size, self.log_time, self.publish_time
 
     def payload(self, row: int) -> bytes:
         """Bytes of one of the messages."""
@@ -104,15 +106,7 @@ class Messages:
 
     def select(self, rows: Integers | slice | NDArray[np.bool_]) -> Messages:
         """Some of the messages, in the same buffer."""
-        return Messages(
-            self.channels,
-            self.buffer,
-            self.channel[rows],
-            self.offset[rows],
-            self.size[rows],
-            self.log_time[rows],
-            self.publish_time[rows],
-        )
+        return Messages(self.channels, self.buffer, *(column[rows] for column in self._columns))
 
     def sorted(self) -> Messages:
         """The same by rising log time; of equal ones, the first stays first."""
@@ -125,9 +119,7 @@ class Messages:
         for size, rows in groups(self.size):
             if size:
                 cells(buffer, size)[start[rows]] = cells(self.buffer, size)[self.offset[rows]]
-        return Messages(
-            self.channels, buffer, self.channel, start, self.size, self.log_time, self.publish_time
-        )
+        return replace(self, buffer=buffer, offset=start)
 
     def by_topic(self) -> Iterator[tuple[str, Messages]]:
         """Messages of each topic that has any, whatever their layouts."""
@@ -174,19 +166,14 @@ def concatenate(parts: Sequence[Messages]) -> Messages:
     """All messages of some parts, one after the other."""
     channels = tuple(dict.fromkeys(channel for part in parts for channel in part.channels))
     index = {channel: number for number, channel in enumerate(channels)}
-    renumbered = [np.array([index[c] for c in part.channels], np.int64) for part in parts]
     shift = np.cumsum([0, *(len(part.buffer) for part in parts)])[:-1]
-    joined = zip(parts, renumbered, shift, strict=True)
-    channel, offset = zip(*((n[p.channel], p.offset + s) for p, n, s in joined), strict=True)
-    return Messages(
-        channels,
-        np.concatenate([part.buffer for part in parts]),
-        np.concatenate(channel),
-        np.concatenate(offset),
-        np.concatenate([part.size for part in parts]),
-        np.concatenate([part.log_time for part in parts]),
-        np.concatenate([part.publish_time for part in parts]),
-    )
+    moved = []
+    for part, start in zip(parts, shift, strict=True):
+        numbers = np.array([index[channel] for channel in part.channels], np.int64)
+        moved.append(replace(part, channel=numbers[part.channel], offset=part.offset + start))
+    columns = zip(*(part._columns for part in moved), strict=True)
+    buffer = np.concatenate([part.buffer for part in parts])
+    return Messages(channels, buffer, *map(np.concatenate, columns))
 
 
 def merge(blocks: Iterable[tuple[int, Messages]]) -> Iterator[Messages]:

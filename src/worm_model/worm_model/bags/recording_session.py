@@ -30,9 +30,6 @@ class SessionOptions:
         sync_s: longest time between synchronisations, s.
         ring_s: the last so many seconds are kept in memory and written when asked for, nothing else; 0: all is
             written as it comes.
-
-    Raises:
-        BagError: a time is negative.
     """
 
     output: Path
@@ -40,10 +37,6 @@ class SessionOptions:
     write: WriteOptions = field(default_factory=WriteOptions)
     sync_s: float = 0.5
     ring_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.ring_s < float("inf"):
-            raise BagError(f"a ring of {self.ring_s:g} s makes no sense; 0 means none")
 
 
 class RecordingSession:

@@ -87,12 +87,9 @@ class Recovery:
             parts.append(f"nothing was in {', '.join(self.unreadable)}")
         parts += [*map(str, self.lost), *self.complaints]
         for topic, missing in self.undeclared:
-            parts.append(f"metadata.yaml tells of {abs(missing)} {_more(missing)} of {topic}")
+            more = "more" if missing > 0 else "fewer"
+            parts.append(f"metadata.yaml tells of {abs(missing)} {more} of {topic}")
         return f"{self.bag}: {'; '.join(parts)}"
-
-
-def _more(missing: int) -> str:
-    return "more" if missing > 0 else "fewer"
 
 
 def recover(path: Path, output: Path | None = None) -> Recovery:

@@ -35,10 +35,7 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
     found = {name: find_topic(bag.topics.values(), name, namespace) for name in names}
     topics = {name: topic for name, topic in found.items() if topic is not None}
     if not topics:
-        where = f" under {namespace}" if namespace else ""
-        raise BagError(
-            f"{bag.path} has none of the worm's topics{where}; it has {', '.join(bag.topics) or 'none'}"
-        )
+        raise _none_of_the_worms(bag, f" under {namespace}" if namespace else "")
     _tell_odd_topics(bag, found, namespace)
     columns = {
         name: _samples(bag, name, found)
@@ -89,9 +86,12 @@ def namespace_of(bag: Bag) -> str:
         topic = find_topic(bag.topics.values(), name)
         if topic is not None:
             return topic.name.removesuffix(name).rstrip("/")
-    raise BagError(
-        f"{bag.path} has none of the worm's topics; it has {', '.join(bag.topics) or 'none'}"
-    )
+    raise _none_of_the_worms(bag)
+
+
+def _none_of_the_worms(bag: Bag, where: str = "") -> BagError:
+    found = ", ".join(bag.topics) or "none"
+    return BagError(f"{bag.path} has none of the worm's topics{where}; it has {found}")
 
 
 def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:

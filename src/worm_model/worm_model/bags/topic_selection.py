@@ -9,10 +9,6 @@ from dataclasses import dataclass
 from worm_model.bags.bag_errors import BagError
 
 
-class SelectionError(BagError):
-    """Nothing, or nothing sensible, was selected."""
-
-
 @dataclass(frozen=True)
 class TopicSelection:
     """Topics by name, by regular expression, or all.
@@ -33,12 +29,12 @@ class TopicSelection:
 
     def __post_init__(self) -> None:
         if not (self.names or self.everything or self.regex):
-            raise SelectionError("no topics: name some, or give --regex or --all")
+            raise BagError("no topics: name some, or give --regex or --all")
         for pattern in (self.regex, self.exclude):
             try:
                 re.compile(pattern)
             except re.error as error:
-                raise SelectionError(f"{pattern!r} is not a regular expression: {error}") from None
+                raise BagError(f"{pattern!r} is not a regular expression: {error}") from None
 
     def takes(self, topic: str) -> bool:
         """Whether a topic of that full name is recorded."""

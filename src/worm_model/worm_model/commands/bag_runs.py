@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +21,21 @@ from worm_model.analysis.run_metrics import (
     mean_rate,
 )
 from worm_model.bags.bag import Bag
+<<<<<<< HEAD
 from worm_model.bags.bag_metadata import read_metadata
 from worm_model.bags.finding import METADATA_FILE
 from worm_model.bags.opening import are_sound, is_unfinished, open_bag
+=======
+from worm_model.bags.bag_metadata import METADATA_FILE, custom_data, read_metadata
+from worm_model.bags.opening import open_bag
+from worm_model.bags.recorder import STATE, UNFINISHED
+from worm_model.bags.recovery import open_files
+>>>>>>> leanmodel
 from worm_model.bags.run_manifest import RUN_RECORD, recorded_parameters
 from worm_model.bags.run_reader import read_run
 from worm_model.commands.bag_table import CLOSED, DAMAGED, OPEN
 from worm_model.parameters import Parameters, load_parameters
-from worm_model.run import Run
+from worm_model.run import Run, utc_of
 from worm_model.simulation.simulator import cost_of_transport
 from worm_model.twin.offline_replay import Replay, replay_run
 
@@ -39,10 +45,17 @@ RECOVER = "./worm run worm_model recover makes a whole bag of it"
 
 def state_of_bag(path: Path) -> tuple[str, str]:
     """(state, why it is no better): what opening would first have to recover is not opened."""
+<<<<<<< HEAD
     if path.is_dir() and (
         not (path / METADATA_FILE).is_file() or is_unfinished(read_metadata(path))
     ):
         return OPEN, f"it is being recorded, or its recorder was killed: {RECOVER}"
+=======
+    if path.is_dir():
+        metadata = path / METADATA_FILE
+        if not metadata.is_file() or custom_data(read_metadata(path)).get(STATE) == UNFINISHED:
+            return OPEN, f"it is being recorded, or its recorder was killed: {RECOVER}"
+>>>>>>> leanmodel
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     if not files or files[0].suffix != ".mcap" or are_sound(files):
         return CLOSED, ""
@@ -63,17 +76,13 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
     reports = report_replay(run, replay, values.pitch).runs
     if not reports:
         said = "; ".join(["no gait was run", *notes, *remarks])
-        return [{"start": _date(start), "duration_s": span, "notes": said}]
+        return [{"start": utc_of(start), "duration_s": span, "notes": said}]
     return [_row(run, replay, report, values, [*notes, *remarks]) for report in reports]
 
 
 def _own_parameters(bag: Bag) -> Parameters:
     content = recorded_parameters(bag)
     return Parameters() if content is None else content.parameters
-
-
-def _date(stamp: int) -> str:
-    return datetime.fromtimestamp(stamp * 1e-9, timezone.utc).isoformat(timespec="seconds")
 
 
 def _row(
@@ -91,7 +100,7 @@ def _row(
     cost = float(cost_of_transport(speed, power, p.mass)) if speed > 0.0 else math.nan
     early = early_end(run, played)
     return {
-        "start": _date(played.onset),
+        "start": utc_of(played.onset),
         "duration_s": sum(cycle.complete for cycle in report.cycles) * gait.period,
         "gait": asdict(gait),
         "cycles": played.whole_cycles_until(_last(run, played)),

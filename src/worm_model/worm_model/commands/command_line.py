@@ -18,7 +18,16 @@ from typing import Any, NoReturn
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
 
-__all__ = ["BAD_INPUT", "DONE", "FAILED", "InputError", "Parser", "ProgressLine", "run_command"]
+__all__ = [
+    "BAD_INPUT",
+    "DONE",
+    "FAILED",
+    "InputError",
+    "Parser",
+    "ProgressLine",
+    "executable",
+    "run_command",
+]
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 
@@ -114,6 +123,14 @@ def run_command(
     except KeyboardInterrupt:
         notify("cancelled")
         return FAILED
+
+
+def executable(
+    parser: Callable[[], argparse.ArgumentParser],
+    command: Callable[[argparse.Namespace], int | None],
+) -> Callable[[], int]:
+    """The entry point of a command: `run_command` with the arguments that the process was given."""
+    return lambda: run_command(parser(), command)
 
 
 def one_line(error: BaseException) -> str:

@@ -11,9 +11,9 @@ from worm_model.commands.command_line import (
     InputError,
     Parser,
     ProgressLine,
+    executable,
     new_file,
     print_result,
-    run_command,
 )
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import Parameters, load_parameters
@@ -101,6 +101,4 @@ def _evaluate(options: argparse.Namespace) -> None:
     print_result(options, gait_json(result), describe(result))
 
 
-def main() -> int:
-    """Entry point of the executable evaluate_gait."""
-    return run_command(_parser(), _evaluate)
+main = executable(_parser, _evaluate)

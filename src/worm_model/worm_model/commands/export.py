@@ -25,10 +25,10 @@ from worm_model.commands.command_line import (
     FAILED,
     InputError,
     Parser,
+    executable,
     new_file,
     notifier,
     print_result,
-    run_command,
 )
 
 STEM_BYTES = 200
@@ -220,6 +220,4 @@ def _export(options: argparse.Namespace) -> int:
     return FAILED if exported.left_out else DONE
 
 
-def main() -> int:
-    """Entry point of the executable export."""
-    return run_command(_parser(), _export)
+main = executable(_parser, _export)

@@ -14,9 +14,9 @@ from worm_model.commands.command_line import (
     InputError,
     Parser,
     ProgressLine,
+    executable,
     figure_file,
     print_result,
-    run_command,
 )
 from worm_model.identification.drift import ADVICE, FEWEST_BAGS, Chart, State, chart_of
 from worm_model.identification.drift_estimates import BagEstimates, LeftOut, estimate_bags
@@ -113,7 +113,8 @@ def describe(
     lines = [f"{used}, {bags[0].name} ({bags[0].date}) to {bags[-1].name} ({bags[-1].date})"]
     for chart in charts:
         lines += _lines(chart, bags)
-    lines += [f"{bag.name}: {remark}" for bag in bags for remark in _without_name(bag)]
+    for bag in bags:
+        lines += [f"{bag.name}: {remark.removeprefix(f'{bag.name}: ')}" for remark in bag.remarks]
     lines += _remarks(bags, charts)
     lines += [f"left out: {_named(bag)}" for bag in left_out]
     return "\n".join(lines)
@@ -158,15 +159,9 @@ def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]
     return remarks
 
 
-def _without_name(bag: BagEstimates) -> list[str]:
-    return [remark.removeprefix(f"{bag.name}: ") for remark in bag.remarks]
-
-
 def _named(bag: LeftOut) -> str:
     """The reason with the bag's name once."""
     return bag.reason if bag.name in bag.reason else f"{bag.name}: {bag.reason}"
 
 
-def main() -> int:
-    """Entry point of the executable health."""
-    return run_command(_parser(), _health)
+main = executable(_parser, _health)

@@ -12,11 +12,11 @@ from worm_model.commands.command_line import (
     InputError,
     Parser,
     ProgressLine,
+    executable,
     new_file,
     print_result,
-    run_command,
 )
-from worm_model.identification.advice import Advice, advise
+from worm_model.identification.advice import advise
 from worm_model.identification.identification_report import (
     delay_text,
     error_table,
@@ -160,14 +160,14 @@ def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -
     print_result(options, content, "\n".join(lines))
 
 
-def _describe(result: Identification, advice: Advice) -> str:
+def _describe(result: Identification, advice: str) -> str:
     parts = [
         parameter_table(result.estimates),
         "Held out, in brackets the paper's table:\n" + error_table(result.held_out, result.paper),
     ]
     if result.validation:
         parts.append("Validation runs:\n" + error_table(result.validation, {}))
-    parts += [delay_text(result.camera_delay), f"What next: {advice.text}."]
+    parts += [delay_text(result.camera_delay), f"What next: {advice}."]
     return "\n\n".join(parts)
 
 
@@ -202,9 +202,7 @@ def _run(options: argparse.Namespace) -> None:
     for path in (output, report):
         if path is not None:
             sys.stderr.write(f"identify: wrote {path}\n")
-    print_result(options, summary(result) | {"advice": advice.text}, _describe(result, advice))
+    print_result(options, summary(result) | {"advice": advice}, _describe(result, advice))
 
 
-def main() -> int:
-    """Entry point of the executable identify."""
-    return run_command(_parser(), _run)
+main = executable(_parser, _run)

@@ -15,11 +15,11 @@ from worm_model.bags.run_writer import write_run
 from worm_model.commands.command_line import (
     InputError,
     Parser,
+    executable,
     new_file,
     notifier,
     number,
     print_result,
-    run_command,
 )
 from worm_model.parameters import Parameters, load_parameters
 
@@ -125,6 +125,4 @@ def _check_length(option: str, value: float, most: float) -> None:
         raise InputError(f"{option} {value:g}: it is in m, above 0 and at most {most:g}")
 
 
-def main() -> int:
-    """Entry point of the executable import_lab."""
-    return run_command(_parser(), _run)
+main = executable(_parser, _run)

@@ -13,9 +13,9 @@ from worm_model.commands.command_line import (
     InputError,
     Parser,
     ProgressLine,
+    executable,
     figure_file,
     print_result,
-    run_command,
 )
 from worm_model.gait import STROKE_RANGE
 from worm_model.parameters import load_parameters
@@ -85,6 +85,4 @@ def _map(options: argparse.Namespace) -> None:
     print_result(options, result, describe(content))
 
 
-def main() -> int:
-    """Entry point of the executable phase_map."""
-    return run_command(_parser(), _map)
+main = executable(_parser, _map)

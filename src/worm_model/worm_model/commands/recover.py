@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from worm_model.bags.recovery import recover
-from worm_model.commands.command_line import Parser, new_file, print_result, run_command
+from worm_model.commands.command_line import Parser, executable, new_file, print_result
 
 
 def _parser() -> Parser:
@@ -33,6 +33,4 @@ def _recover(options: argparse.Namespace) -> None:
     print_result(options, content, str(report))
 
 
-def main() -> int:
-    """Entry point of the executable recover."""
-    return run_command(_parser(), _recover)
+main = executable(_parser, _recover)

@@ -27,10 +27,10 @@ from worm_model.bags.run_writer import stamped_messages, write_beside
 from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic, offered_qos
 from worm_model.commands.command_line import (
     Parser,
+    executable,
     new_file,
     notifier,
     print_result,
-    run_command,
 )
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.run import Run, Stamps
@@ -267,6 +267,4 @@ def _follow(
     return replay
 
 
-def main() -> int:
-    """Entry point of the executable replay."""
-    return run_command(_parser(), _replay)
+main = executable(_parser, _replay)

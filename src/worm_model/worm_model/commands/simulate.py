@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 from worm_model.commands.command_line import (
     InputError,
     Parser,
+    executable,
     new_file,
     print_result,
-    run_command,
 )
 from worm_model.commands.evaluate_gait import describe, gait_json
 from worm_model.gait import Gait
@@ -116,6 +116,4 @@ def _run(options: argparse.Namespace) -> None:
     print_result(options, content, text)
 
 
-def main() -> int:
-    """Entry point of the executable simulate."""
-    return run_command(_parser(), _run)
+main = executable(_parser, _run)

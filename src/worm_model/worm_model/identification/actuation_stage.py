@@ -18,8 +18,7 @@ from worm_model.identification.actuation_fit import (
     fit_actuation,
     fitted_samples,
 )
-from worm_model.identification.block_least_squares import normal_equations
-from worm_model.identification.clocks import clock_deviations, told
+from worm_model.identification.block_least_squares import clock_deviations, normal_equations, told
 from worm_model.identification.estimate import Estimate, if_told, not_told, quantile
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights

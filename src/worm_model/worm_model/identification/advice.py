@@ -9,7 +9,7 @@ nuisances taken out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -52,25 +52,12 @@ NO_RUN_HELPS = {
 }
 
 
-@dataclass(frozen=True)
-class Advice:
-    """``key`` of the widest interval relative to its value, and what to do about it in words.
-
-    ``gait`` would shrink it most, to ``shrunk`` of its width; None where no run helps.
-    """
-
-    key: str
-    gait: Gait | None
-    shrunk: float
-    text: str
-
-
-def advise(result: Identification) -> Advice:
-    """What to measure next."""
+def advise(result: Identification) -> str:
+    """What to measure next: which interval is widest relative to its value, and what would shrink it most, in words."""
     sought = [key for keys in STAGES.values() for key in keys]
     vague = [key for key in sought if not result.estimates[key].identifiable]
     if vague:
-        return Advice(vague[0], None, np.nan, f"{vague[0]}: {result.estimates[vague[0]].note}")
+        return f"{vague[0]}: {result.estimates[vague[0]].note}"
     width = {
         key: _relative_spread(result.estimates[key], key)
         for key in (*NO_RUN_HELPS, *sought)
@@ -79,11 +66,11 @@ def advise(result: Identification) -> Advice:
     key = max(width, key=lambda k: width[k])
     head = f"the widest interval is that of {key} (±{100 * width[key]:.1f} %)"
     if key in NO_RUN_HELPS:
-        return Advice(key, None, np.nan, f"{head}; no run would shrink it: {NO_RUN_HELPS[key]}")
+        return f"{head}; no run would shrink it: {NO_RUN_HELPS[key]}"
     stage = next(name for name, keys in STAGES.items() if key in keys)
     best = _best_gait(result, stage, key)
     if best is None:
-        return Advice(key, None, np.nan, f"{head}; no gait tried passes {RIDGES} ridges")
+        return f"{head}; no gait tried passes {RIDGES} ridges"
     gait, shrunk = best
     text = f"{head}; of {len(STROKES) * len(FREQUENCIES)} gaits tried, one more run at {gait.stroke:g} m and "
     text += f"{gait.frequency:g} Hz would shrink it most, to {100 * shrunk:.0f} % of its width"
@@ -91,7 +78,7 @@ def advise(result: Identification) -> Advice:
         text += "; grooves that differ limit it: start from other ridges, or run past more of them"
     if _inherited(result, key) > 0.5:
         text += "; most of it comes from what was given and from the bench tests: measure these more exactly"
-    return Advice(key, gait, shrunk, text)
+    return text
 
 
 def _relative_spread(estimate: Estimate, key: str) -> float:

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from worm_model.arrays import Array
 from worm_model.identification.estimate import Estimate, quantile
@@ -21,16 +20,13 @@ FEWEST_POINTS = 5
 class BellowsFit:
     """A straight line through the test: ``stiffness`` N/m, ``offset`` N at no compression (the load cell's zero).
 
-    ``deviation`` is the stiffness' standard deviation; ``compression``, ``force`` (n,) are the test's samples and
-    ``used`` (n,) those that are no outliers.
+    ``compression``, ``force`` (n,) are the test's samples.
     """
 
     stiffness: Estimate
-    deviation: float
     offset: float
     compression: Array
     force: Array
-    used: NDArray[np.bool_]
 
 
 def fit_bellows(compression: Array, force: Array) -> BellowsFit:
@@ -64,4 +60,4 @@ def fit_bellows(compression: Array, force: Array) -> BellowsFit:
     deviation = float(noise / np.sqrt(np.sum((x[used] - x[used].mean()) ** 2)))
     half = quantile(freedom / worth) * deviation
     estimate = Estimate(float(slope), float(slope - half), float(slope + half))
-    return BellowsFit(estimate, deviation, float(offset), x, y, used)
+    return BellowsFit(estimate, float(offset), x, y)

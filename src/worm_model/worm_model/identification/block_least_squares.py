@@ -22,6 +22,7 @@ HUBER = 2.5  # scales beyond which a residual counts by its size, not by its squ
 MOST_ITERATIONS = 40
 MOST_DAMPING = 1e6
 NARROW = 0.15  # of the derivatives' steps, once the wide ones lead no further
+TOLD = 0.5  # of what was assumed before the data: a deviation above it is mostly the assumption
 TOLERANCE = 1e-6  # relative decrease of the cost at which a fit has arrived
 
 
@@ -221,3 +222,21 @@ def _jacobian(problem: Problem, state: Solution, run: int, width: float) -> Arra
         low, high = (problem.residuals(run, side[:count], side[count:]) for side in sides)
         columns[:, k] = (high - low) / (sides[1][k] - sides[0][k])
     return columns
+
+
+def clock_deviations(
+    problem: Problem, solution: Solution, entry: int, weights: Sequence[Array] | None = None
+) -> Array:
+    """(runs,) standard deviations in s of the nuisance ``entry`` of each run.
+
+    From the curvature of the cost, which does not jump in an offset; all other parameters are open.
+    """
+    matrix, _ = normal_equations(problem, solution, weights)
+    own = solution.own.shape[1]
+    deviation: Array = np.sqrt(np.diag(inverse(matrix))[len(problem.shared) + entry :: own])
+    return deviation
+
+
+def told(deviation: Array, prior: float) -> Array:
+    """The deviations, NaN where the data tell hardly more than the ``prior`` one."""
+    return np.where(deviation <= TOLD * prior, deviation, np.nan)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +26,7 @@ from worm_model.identification.observed_run import Recording
 from worm_model.identification.quality import LONGEST_GAP, remarks, usable
 from worm_model.identification.strides import check_pitch
 from worm_model.parameters import Parameters
+from worm_model.run import utc_of
 from worm_model.simulation.simulator import SimulationError
 
 SEED = 0  # of the resampled cycles: the same bags give the same intervals
@@ -45,8 +45,7 @@ class BagEstimates:
     @property
     def date(self) -> str:
         """Start in UTC to the second."""
-        moment = datetime.fromtimestamp(self.start * 1e-9, timezone.utc)
-        return moment.isoformat(timespec="seconds")
+        return utc_of(self.start)
 
 
 @dataclass(frozen=True)

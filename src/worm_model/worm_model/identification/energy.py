@@ -110,11 +110,6 @@ def predicted_energy(run: PowerRun, damping: float, factor: float, offset: float
     return values - values[0]
 
 
-def with_force(run: PowerRun, static_force: Array) -> PowerRun:
-    """The run with another static force, (k,) in N from the run's first time on, k at least as many as its times."""
-    return replace(run, static_force=static_force[: run.time.size])
-
-
 def energy_problem(runs: Sequence[PowerRun], scale: float = SCALE) -> Problem:
     """Residuals of the accumulated energy by (c_b, α_P) and each run's clock offset, in units of ``scale`` J."""
     measured = [run.energy for run in runs]

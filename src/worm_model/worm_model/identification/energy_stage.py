@@ -9,13 +9,12 @@ proportional), and is reported so.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.block_least_squares import evaluate
-from worm_model.identification.clocks import clock_deviations, told
+from worm_model.identification.block_least_squares import clock_deviations, evaluate, told
 from worm_model.identification.energy import (
     CLOCK_SPREAD,
     INDEPENDENT,
@@ -25,7 +24,6 @@ from worm_model.identification.energy import (
     fit_energy,
     predicted_energy,
     unseen_energy,
-    with_force,
 )
 from worm_model.identification.estimate import VAGUE, Estimate, not_told
 from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
@@ -79,7 +77,10 @@ def identify_energy(
 
     def refit(index: int, weight: Array) -> Array:
         drawn = forces(np.random.default_rng(seeds[index]))
-        moved = [with_force(run, force) for run, force in zip(runs, drawn, strict=True)]
+        moved = [
+            replace(run, static_force=force[: run.time.size])  # on to where the run was left
+            for run, force in zip(runs, drawn, strict=True)
+        ]
         solution = fit_energy(moved, weight, fit)
         return np.array([solution.damping, solution.factor])
 

@@ -31,8 +31,8 @@ class FinFit:
     """``clearance`` m, ``engaged_stiffness`` and ``disengaged_stiffness`` N/m.
 
     ``covariance`` (3, 3) of the three in this order; ``centre`` m, where the test's zero lies from the middle of
-    the clearance; ``engages`` −1 or +1, the sign of displacement that engages; ``reaction`` whether the force
-    was counted against the displacement; ``displacement``, ``force`` (n,) the test's samples, force turned.
+    the clearance; ``engages`` −1 or +1, the sign of displacement that engages; ``displacement``, ``force`` (n,) the
+    test's samples, the force turned where it was counted against the displacement.
     """
 
     clearance: Estimate
@@ -41,7 +41,6 @@ class FinFit:
     covariance: Array
     centre: float
     engages: int
-    reaction: bool
     displacement: Array
     force: Array
 
@@ -95,7 +94,6 @@ def fit_fin(displacement: Array, force: Array, engages: int = 0) -> FinFit:
         covariance=covariance[np.ix_(order, order)],
         centre=float(values[3]),
         engages=side,
-        reaction=reaction,
         displacement=x,
         force=line.y,
     )

@@ -78,18 +78,6 @@ class GrooveFit:
         return self.solution.shared[:MEANS]
 
 
-def all_places() -> NDArray[np.int64]:
-    """Every deviation that there could be."""
-    return np.array(
-        [
-            (module, row, column)
-            for module in range(2)
-            for row in range(ROWS)
-            for column in range(GROOVE_COLUMNS)
-        ]
-    )
-
-
 def tables_of(deviations: Array, places: NDArray[np.int64]) -> tuple[Array, Array]:
     """The grooves of the rear and of the front module, as the kernel takes them."""
     tables = np.zeros((2, ROWS, GROOVE_COLUMNS))
@@ -151,7 +139,7 @@ def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) ->
 
 def _passed(traverses: Sequence[Traverse], known: Known, start: Solution) -> NDArray[np.int64]:
     """The deviations that change anything: of the grooves that are passed."""
-    places = all_places()
+    places = np.argwhere(np.ones((2, ROWS, GROOVE_COLUMNS)))  # every deviation that there could be
     problem = groove_problem(traverses, known, places, Scatter(*FIRST_SCATTER))
     shared = np.concatenate([start.shared, np.zeros(len(places))])
     matters = []

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from worm_model.analysis.plot_style import save_figure
-from worm_model.identification.advice import Advice
 from worm_model.identification.estimate import Estimate, quantile
 from worm_model.identification.fingerprint import code_version
 from worm_model.identification.identification_figures import all_figures
@@ -21,8 +20,8 @@ from worm_model.parameters import PAPER, SYMBOLS, UNITS
 PAGE = "report.md"
 FIGURES = "figures"
 FIGURES_HEADING = "Figures"  # the last one of the page
-# What tables are written in: unit, factor from SI, decimals
-SHOWN = {"m": ("mm", 1e3, 3)}
+# What tables are written in: unit, factor from SI
+SHOWN = {"m": ("mm", 1e3)}
 # Columns of errors: field, factor from SI, format
 ERROR_COLUMNS = (
     ("x1_rmse", 1e3, "{:.2f}"),
@@ -39,7 +38,7 @@ FIGURE_TITLES = {
 
 def write_report(
     result: Identification,
-    advice: Advice,
+    advice: str,
     folder: Path,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Path:
@@ -62,7 +61,7 @@ def write_report(
     return page
 
 
-def text_of(result: Identification, advice: Advice, figures: list[str]) -> str:
+def text_of(result: Identification, advice: str, figures: list[str]) -> str:
     """The page."""
     parts = [
         "# Identification",
@@ -104,7 +103,7 @@ def parameter_table(estimates: Mapping[str, Estimate]) -> str:
         "| --- | --- | ---: | :---: | --- | ---: | --- |",
     ]
     for key, estimate in estimates.items():
-        unit, factor, _ = SHOWN.get(UNITS[key], (UNITS[key], 1.0, 0))
+        unit, factor = SHOWN.get(UNITS[key], (UNITS[key], 1.0))
         decimals = _decimals(estimate, factor)
         value = f"{estimate.value * factor:.{decimals}f}"
         if estimate.identifiable:
@@ -131,13 +130,13 @@ def _decimals(estimate: Estimate, factor: float) -> int:
     return decimals
 
 
-def _open_ends(result: Identification, advice: Advice) -> str:
+def _open_ends(result: Identification, advice: str) -> str:
     pairs = [
         f"{SYMBOLS.get(a, a)} and {SYMBOLS.get(b, b)} {rho:+.2f}"
         for a, b, rho in correlations(result)
     ]
     together = f"Estimates that move together (correlation): {'; '.join(pairs)}." if pairs else ""
-    return "\n\n".join(part for part in (together, f"What next: {advice.text}.") if part)
+    return "\n\n".join(part for part in (together, f"What next: {advice}.") if part)
 
 
 def error_table(errors: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str:

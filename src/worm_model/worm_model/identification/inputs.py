@@ -6,7 +6,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
 from pathlib import Path
 
 from worm_model.arrays import Array
@@ -16,6 +15,7 @@ from worm_model.bags.run_reader import read_run
 from worm_model.identification import bellows, fin
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.observed_run import Recording, recordings_of
+from worm_model.run import utc_of
 
 RUN_FILE = "camera.csv"  # by which a run of a lab is known
 BELLOWS_FILE, FIN_FILE = "bellows.csv", "fin.csv"
@@ -145,10 +145,9 @@ def _read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
     with open_bag(path, definitions=definitions) as bag:
         run = read_run(bag, names=TOPICS)
         start = bag.start
-    date = datetime.fromtimestamp(start * 1e-9, timezone.utc).isoformat(timespec="seconds")
     files = [path] if path.is_file() else sorted(f for f in path.iterdir() if f.is_file())
     checksums = {file.name: _checksum(file) for file in files}
-    return recordings_of(run, path.resolve().name, checksums, date)
+    return recordings_of(run, path.resolve().name, checksums, utc_of(start))
 
 
 def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:

@@ -74,7 +74,6 @@ class Traverse:
     ``noise`` m is the camera's; ``complete`` tells whether five ridges were reached, ``end`` s when.
     """
 
-    name: str
     direction: int
     time: Array
     x1: Array
@@ -95,7 +94,6 @@ def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> T
     kept = (recording.camera_time >= length.time[0]) & (recording.camera_time <= end)
     kept &= np.isfinite(recording.x1)
     return Traverse(
-        recording.name,
         recording.gait.direction,
         recording.camera_time[kept],
         recording.x1[kept],

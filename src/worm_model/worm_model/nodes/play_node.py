@@ -93,9 +93,8 @@ class PlayNode(Node):
         self._wanted = not options.paused
         self.finished = False
         self.published = 0
-        self.create_service(Trigger, "~/pause", self._serve_pause)
-        self.create_service(Trigger, "~/resume", self._serve_resume)
-        self.create_service(Trigger, "~/step", self._serve_step)
+        for act in (self.pause, self.resume, self.step):
+            self.create_service(Trigger, f"~/{act.__name__}", partial(self._serve, act))
 
     # --- what is published ------------------------------------------------------------------------
 
@@ -233,14 +232,16 @@ class PlayNode(Node):
 
     # --- pause and step ---------------------------------------------------------------------------
 
-    def pause(self) -> None:
+    def pause(self) -> str:
         """The bag's time stands."""
         self._wanted = False
         self._timeline = self._timeline.pause(time.monotonic())
+        return "paused"
 
-    def resume(self) -> None:
+    def resume(self) -> str:
         """The bag's time goes on as soon as all subscribers are connected."""
         self._wanted = True
+        return "playing"
 
     def step(self) -> str:
         """Pause, and publish the next message once it is heard; returns its topic, empty at the end."""
@@ -269,20 +270,11 @@ class PlayNode(Node):
         if "q" in keys:
             self.finished = True
 
-    def _serve_pause(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.pause()
-        response.success, response.message = True, "paused"
-        return response
-
-    def _serve_resume(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.resume()
-        response.success, response.message = True, "playing"
-        return response
-
-    def _serve_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        topic = self.step()
-        response.success = bool(topic)
-        response.message = topic or "the bag is at its end"
+    def _serve(
+        self, act: Callable[[], str], _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        said = act()
+        response.success, response.message = bool(said), said or "the bag is at its end"
         return response
 
 

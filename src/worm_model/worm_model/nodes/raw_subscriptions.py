@@ -29,7 +29,7 @@ from worm_model.bags.bag_metadata import dump_yaml
 from worm_model.bags.message_block import Message, Topic
 from worm_model.bags.message_loss import LossCounter
 from worm_model.bags.message_types import installed_definition
-from worm_model.bags.topic_selection import SelectionError, TopicSelection
+from worm_model.bags.topic_selection import TopicSelection
 from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
 from worm_model.nodes.recording_qos import describe, subscription_qos
 from worm_model.run import INACTIVE
@@ -157,7 +157,7 @@ class RecordNode(Node):
             return self.resolve_topic_name(name)
         except Exception as error:  # noqa: BLE001 - rclpy raises several kinds, of which not all are public
             reason = str(error).splitlines()[0]
-            raise SelectionError(f"{name!r} is not a name of a topic: {reason}") from None
+            raise BagError(f"{name!r} is not a name of a topic: {reason}") from None
 
     def offer_service(self, name: str, act: Callable[[], str]) -> None:
         """A service ``~/name`` that does something and answers in words; a BagError is its refusal."""

@@ -15,13 +15,13 @@ from std_msgs.msg import Header
 
 from worm_model.gait import Gait
 from worm_model.twin.forecast import Forecast
-from worm_model.twin.health_words import residual_message
 from worm_model.twin.records import (
     NANOSECONDS,
     RESIDUAL_ROW,
     STATE_ROW,
     Event,
     ResidualRecord,
+    residual_message,
 )
 from worm_model.twin.samples import Kind
 from worm_model.twin.scene import FRAME
@@ -55,26 +55,6 @@ def time_message(stamp_ns: int) -> Time:
 Row = tuple[int | float, ...]
 
 
-def commanded_length(message: Any) -> Row:
-    """Of a BodyLength with source COMMANDED."""
-    return _row(Kind.COMMAND, message, message.length_change)
-
-
-def measured_length(message: Any) -> Row:
-    """Of a BodyLength with source MEASURED."""
-    return _row(Kind.LENGTH, message, message.length)
-
-
-def tracker_sample(message: Any) -> Row:
-    """Of a Tracker."""
-    return _row(Kind.POSITION, message, message.rear_position, message.front_position)
-
-
-def power_sample(message: Any) -> Row:
-    """Of a Power; NaN unless the sensor calls it valid."""
-    return _row(Kind.POWER, message, message.power if message.status == Power.VALID else math.nan)
-
-
 def gait_sample(message: Any) -> Row:
     """Of a GaitState."""
     stamp, gait = nanoseconds(message.header.stamp), message.gait
@@ -94,10 +74,13 @@ JOINTS = ("rear_position", "body_length")
 #: topic -> (message type, conversion); what the twin listens to
 INPUTS: Mapping[str, tuple[type, Callable[[Any], Row]]] = {
     "gait_state": (GaitState, gait_sample),
-    "body_length/commanded": (BodyLength, commanded_length),
-    "body_length/measured": (BodyLength, measured_length),
-    "tracker": (Tracker, tracker_sample),
-    "power": (Power, power_sample),
+    "body_length/commanded": (BodyLength, lambda m: _row(Kind.COMMAND, m, m.length_change)),
+    "body_length/measured": (BodyLength, lambda m: _row(Kind.LENGTH, m, m.length)),
+    "tracker": (Tracker, lambda m: _row(Kind.POSITION, m, m.rear_position, m.front_position)),
+    "power": (
+        Power,
+        lambda m: _row(Kind.POWER, m, m.power if m.status == Power.VALID else math.nan),
+    ),
 }
 
 

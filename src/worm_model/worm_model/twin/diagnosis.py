@@ -194,10 +194,10 @@ def _place(
     grooves = _whole(size, seen)
     if not grooves:
         return unknown, data, []
-    where = _further(grooves * seen.gait.direction)
+    where = "further" if grooves * seen.gait.direction > 0 else "less far"
     text = (
-        f"cycle {seen.number}: unknown for {history.blind_s:.1f} s, after which the robot is {where} than "
-        f"predicted ({_off(size)}); the twin's anchors were moved there"
+        f"cycle {seen.number}: unknown for {history.blind_s:.1f} s, after which the robot is {_count(grooves)} {where} "
+        f"than predicted ({_off(size)}); the twin's anchors were moved there"
     )
     return unknown, data, [_moved(GAP, text, seen.number, math.nan, grooves)]
 
@@ -358,7 +358,11 @@ def judge_causes(
             continue  # the tracker settles that
         shares = {
             code: _share(
-                (c for c in weighed if c.cycles and c.code == code and _covers(c, cycle.number)),
+                (
+                    c
+                    for c in weighed
+                    if c.code == code and cycle.number - c.cycle in range(c.cycles)
+                ),
                 total,
             )
             for code in (MISSED_REAR, MISSED_FRONT, GAINED)
@@ -390,11 +394,6 @@ def judge_causes(
     if not history.doubt or history.doubted:
         return replace(history, doubt=True), []
     return replace(history, doubted=True), _doubt(number, weighed, total)
-
-
-def _covers(candidate: Candidate, number: int) -> bool:
-    """Whether a candidate is a fin's in a cycle."""
-    return candidate.cycle <= number < candidate.cycle + candidate.cycles
 
 
 def _known(told: Iterable[Told], found: Candidate, names: set[str]) -> bool:
@@ -482,12 +481,6 @@ def _listed(shares: Mapping[str, float], named: Mapping[str, str]) -> str:
 
 def _count(gained: int) -> str:
     return "a groove" if abs(gained) == 1 else f"{abs(gained)} grooves"
-
-
-def _further(gained: int) -> str:
-    return f"{_count(gained)} {'further' if gained > 0 else 'behind'}".replace(
-        " behind", " less far"
-    )
 
 
 def _off(size: float) -> str:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from worm_model.parameters import Parameters
 from worm_model.run import Run
-from worm_model.twin.health_words import residual_message
-from worm_model.twin.records import Event, Health
+from worm_model.twin.records import Event, Health, residual_message
 from worm_model.twin.samples import Received, rows_of_run
 from worm_model.twin.twin import Twin
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings

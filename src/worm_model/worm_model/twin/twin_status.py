@@ -7,8 +7,14 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from worm_model.twin.health_words import COMPLAINTS, residual_message
-from worm_model.twin.records import NANOSECONDS, Health, LengthSource, Severity
+from worm_model.twin.records import (
+    COMPLAINTS,
+    NANOSECONDS,
+    Health,
+    LengthSource,
+    Severity,
+    residual_message,
+)
 from worm_model.twin.twin import TwinState
 
 SAYS_S = 5.0  # after which residuals say nothing of the present any more
@@ -46,7 +52,9 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
     if silent_s > SILENT_S:
         level, message = Severity.WARNING, f"no input for {silent_s:.0f} s: is the driver running?"
     elif not message:
-        message = _sentence(health) if m["moving"] else "no length yet"
+        healthy = health is Health.HEALTHY
+        seen = "the robot does as expected" if healthy else "nothing to compare with"
+        message = seen if m["moving"] else "no length yet"
     values = [
         ("length source", LengthSource(int(m["source"])).name.lower() if m["moving"] else "none"),
         ("run", "running" if state.is_running else "none"),
@@ -60,7 +68,3 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
         if newest is not None and math.isfinite(newest[f"{name}_size"]):
             values.append((f"{name} residual (usual ones)", f"{newest[f'{name}_size']:.2f}"))
     return Report(level, message, tuple(values))
-
-
-def _sentence(level: Health) -> str:
-    return "the robot does as expected" if level is Health.HEALTHY else "nothing to compare with"

@@ -10,7 +10,7 @@ from worm_model.analysis.run_metrics import (
     Performance,
     Window,
     accumulated_energy,
-    last_cycles_of,
+    averaged_cycles,
     last_played_gait,
     performance,
 )
@@ -47,7 +47,7 @@ class Comparison:
 def compare(run: Run, replay: Replay, prediction: Prediction, parameters: Parameters) -> Comparison:
     """Compare the last gait of a run; raises `RecordingError` if the recording lacks something."""
     played = last_played_gait(run.gait_state)
-    window = played.cycle_window(*last_cycles_of(played.cycles))
+    window = played.cycle_window(*averaged_cycles(run, played))
     mass, direction = parameters.mass, played.gait.direction
     tracker, states = run.tracker, replay.states
     return Comparison(

@@ -119,4 +119,4 @@ def identify_robot(
     advice = advise(result)
     write_report(result, advice, folder / REPORT, lambda done: progress("report", done))
     write_parameter_file(folder / PARAMETERS, parameter_file(result, inputs))
-    return summary(result) | {"advice": advice.text}
+    return summary(result) | {"advice": advice}

@@ -176,11 +176,3 @@ def test_nothing_is_overwritten(tmp_path: Path):
     with pytest.raises(BagError, match="exists already"):
         record(tmp_path / "bag")
     assert (tmp_path / "bag" / "bag_0.mcap").read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    "options", [{"compression": "gzip"}, {"split_bytes": -1}, {"split_s": -0.5}]
-)
-def test_options_that_make_no_sense_are_refused(options: dict):
-    with pytest.raises(BagError):
-        WriteOptions(**options)

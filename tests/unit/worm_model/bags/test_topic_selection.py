@@ -3,7 +3,8 @@
 
 import pytest
 
-from worm_model.bags.topic_selection import SelectionError, TopicSelection
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.topic_selection import TopicSelection
 
 
 @pytest.mark.parametrize(
@@ -29,5 +30,5 @@ def test_selection(selection: dict, taken: set[str]):
 
 @pytest.mark.parametrize("selection", [{}, {"regex": "("}, {"everything": True, "exclude": "*"}])
 def test_nothing_and_nonsense_are_refused(selection: dict):
-    with pytest.raises(SelectionError):
+    with pytest.raises(BagError):
         TopicSelection(**selection)

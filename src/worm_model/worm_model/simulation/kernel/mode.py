@@ -5,6 +5,8 @@ The state is that of the pseudo-position y = x1 + μ·ΔL with μ = M2 / (M1 + M
 dynamics (eq:continuous_model) need no second derivative of the length:
 
     M·ÿ + 2η·ẏ = (2μ − 1)·η·L̇ − f(x1 − A1) − f(x2 − A2)
+
+The forces of the fins and of the cable (eq:fin_force_piecewise, eq:Fc) are such closed forms too.
 """
 
 from __future__ import annotations
