@@ -4,18 +4,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
 from worm_model.bags.bag import Bag, Notify
 from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
-<<<<<<< HEAD
-from worm_model.bags.bag_metadata import read_metadata
+from worm_model.bags.bag_metadata import custom_data, read_metadata
 from worm_model.bags.finding import METADATA_FILE, recovered_path
-=======
-from worm_model.bags.bag_metadata import METADATA_FILE, custom_data, read_metadata
->>>>>>> leanmodel
 from worm_model.bags.mcap_storage import McapFile, McapStorage
 from worm_model.bags.message_types import PACKAGE
 from worm_model.bags.recorder import STATE, UNFINISHED
@@ -75,11 +71,7 @@ def _open(path: Path, notify: Notify) -> Bag:
     files = _named_files(path, content)
     if content.get("storage_identifier") != "mcap" or content.get("compression_mode"):
         return _compared(Bag(path, RosbagsStorage(path), notify), files)
-<<<<<<< HEAD
     if is_unfinished(content):
-=======
-    if custom_data(content).get(STATE) == UNFINISHED:
->>>>>>> leanmodel
         return _recovered(path, notify)
     return _compared(_open_mcap(path, files, notify), files)
 
@@ -93,15 +85,11 @@ def _open_without_metadata(path: Path, notify: Notify) -> Bag:
     )
 
 
-<<<<<<< HEAD
-def is_unfinished(content: dict[str, Any]) -> bool:
+def is_unfinished(content: Mapping[str, Any]) -> bool:
     """Whether a bag's metadata says that its recorder has not closed it."""
-    custom = content.get("custom_data")
-    return isinstance(custom, dict) and custom.get(STATE) == UNFINISHED
+    return custom_data(content).get(STATE) == UNFINISHED
 
 
-=======
->>>>>>> leanmodel
 def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
     names = [PurePath(name).name for name in content["relative_file_paths"]]
     if not names:

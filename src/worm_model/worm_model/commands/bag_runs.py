@@ -21,16 +21,9 @@ from worm_model.analysis.run_metrics import (
     mean_rate,
 )
 from worm_model.bags.bag import Bag
-<<<<<<< HEAD
 from worm_model.bags.bag_metadata import read_metadata
 from worm_model.bags.finding import METADATA_FILE
 from worm_model.bags.opening import are_sound, is_unfinished, open_bag
-=======
-from worm_model.bags.bag_metadata import METADATA_FILE, custom_data, read_metadata
-from worm_model.bags.opening import open_bag
-from worm_model.bags.recorder import STATE, UNFINISHED
-from worm_model.bags.recovery import open_files
->>>>>>> leanmodel
 from worm_model.bags.run_manifest import RUN_RECORD, recorded_parameters
 from worm_model.bags.run_reader import read_run
 from worm_model.commands.bag_table import CLOSED, DAMAGED, OPEN
@@ -45,17 +38,10 @@ RECOVER = "./worm run worm_model recover makes a whole bag of it"
 
 def state_of_bag(path: Path) -> tuple[str, str]:
     """(state, why it is no better): what opening would first have to recover is not opened."""
-<<<<<<< HEAD
     if path.is_dir() and (
         not (path / METADATA_FILE).is_file() or is_unfinished(read_metadata(path))
     ):
         return OPEN, f"it is being recorded, or its recorder was killed: {RECOVER}"
-=======
-    if path.is_dir():
-        metadata = path / METADATA_FILE
-        if not metadata.is_file() or custom_data(read_metadata(path)).get(STATE) == UNFINISHED:
-            return OPEN, f"it is being recorded, or its recorder was killed: {RECOVER}"
->>>>>>> leanmodel
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
     if not files or files[0].suffix != ".mcap" or are_sound(files):
         return CLOSED, ""
