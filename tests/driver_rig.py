@@ -106,7 +106,8 @@ class SimulatedPort(BusPort):
     """The driver's port on a Wire."""
 
     def __init__(self, wire: Wire, clock: Clock):
-        super().__init__("/dev/simulated", BAUD_RATE, clock=clock)
+        super().__init__("/dev/simulated", BAUD_RATE)
+        self.go_by(clock)
         self.ser = wire
         self.is_open = True
         self.tx_time_per_byte = BYTE_TIME * 1e3

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import yaml
-from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -36,6 +36,20 @@ Rows = Callable[[], Sequence[tuple[str, Any, ParameterDescriptor]]]
 
 class ParameterRefusedError(ValueError):
     """A parameter that was given cannot be used; the message is one line that says why."""
+
+
+def descriptor(
+    text: str, default: Any, span: tuple[float, float] | None, **more: Any
+) -> ParameterDescriptor:
+    """Of a parameter: what it is for, and from where to where its value may be; None: anywhere."""
+    made = ParameterDescriptor(description=text, **more)
+    if span is not None and isinstance(default, int):
+        whole = IntegerRange(from_value=int(span[0]), to_value=int(span[1]), step=1)
+        made.integer_range = [whole]
+    elif span is not None:
+        real = FloatingPointRange(from_value=float(span[0]), to_value=float(span[1]))
+        made.floating_point_range = [real]
+    return made
 
 
 def declare(node: Node, rows: Rows) -> None:

@@ -123,15 +123,9 @@ class _Common:
     """What all nodes of one launch share."""
 
     def __init__(
-        self,
-        namespace: str,
-        slowness: float,
-        log_level: str,
-        sim_time: dict[str, bool],
+        self, namespace: str, slowness: float, log_level: str, sim_time: dict[str, bool]
     ) -> None:
-        self._namespace = namespace
-        self._log_level = log_level
-        self._sim_time = sim_time
+        self._namespace, self._log_level, self._sim_time = namespace, log_level, sim_time
         self._patience = _Patience(slowness)
 
     def start_in_order(self, nodes: tuple[NodeDescription, ...]) -> list[LaunchDescriptionEntity]:

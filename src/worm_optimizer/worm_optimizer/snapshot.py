@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from worm_model.twin.records import Activity, Health, LengthSource, StateRecord
+from worm_model.twin.records import Activity, LengthSource, ResidualRecord, StateRecord
 from worm_model.twin.scene import Sighting
 
 
@@ -28,31 +28,18 @@ class DriverWord:
 
 
 @dataclass(frozen=True)
-class Residuals:
-    """Measured minus predicted in m, m and W, each with the scale that is usual for it; NaN without a measurement."""
-
-    rear_position: float
-    rear_position_scale: float
-    length: float
-    length_scale: float
-    power: float
-    power_scale: float
-    health: Health
-    message: str
-
-
-@dataclass(frozen=True)
 class Snapshot:
     """The newest of everything; None or NaN what has not come yet.
 
-    ``lengths`` in m by their source, ``power`` in W as measured. ``heard`` says when each topic was heard last (s, on
-    the clock that the reader uses, too); topics that never were are missing in it. ``twin_age`` is how much older the
-    twin's state is than the driver's command, in s of the robot's time.
+    A residual is NaN where nothing measures it. ``lengths`` in m by their source, ``power`` in W as measured.
+    ``heard`` says when each topic was heard last (s, on the clock that the reader uses, too); topics that never were
+    are missing in it. ``twin_age`` is how much older the twin's state is than the driver's command, in s of the
+    robot's time.
     """
 
     driver: DriverWord | None = None
     twin: StateRecord | None = None
-    residuals: Residuals | None = None
+    residuals: ResidualRecord | None = None
     robot: Sighting = field(default_factory=Sighting)
     lengths: Mapping[LengthSource, float] = field(default_factory=dict)
     power: float = math.nan

@@ -28,12 +28,7 @@ from worm_driver.errors import (
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.calibration import Reading, parameter_text, spool_from
 from worm_driver.servos.encoding import from_raw
-from worm_driver.servos.registers import (
-    MODELS,
-    POSITION_MODE,
-    TICKS_PER_TURN,
-    WATCHDOG_EXPIRED,
-)
+from worm_driver.servos.registers import MODELS, POSITION_MODE, TICKS_PER_TURN, WATCHDOG_EXPIRED
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.transmission import Fin, Spool
@@ -313,7 +308,3 @@ def _say(text: str) -> None:
 def _fail(error: object, status: int) -> int:
     print(f"calibrate: {error}", file=sys.stderr)  # noqa: T201
     return status
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -29,8 +29,7 @@ View = tuple[Array, Array]
 def find_views(images: Iterator[Image], board: Board) -> tuple[list[View], tuple[int, int]]:
     """Views of the board that differ, and the images' size (width, height).
 
-    Raises:
-        ImageError: the images differ in size.
+    Raises ImageError: the images differ in size.
     """
     views: list[View] = []
     size: tuple[int, int] | None = None
@@ -152,7 +151,3 @@ def _run(options: argparse.Namespace) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """The command; returns the exit status."""
     return run_command(_parser(), _run, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

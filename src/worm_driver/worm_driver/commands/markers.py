@@ -44,10 +44,7 @@ def _prints(options: argparse.Namespace) -> tuple[str, float, list[Print]]:
             raise SetupError(f"marker {wrong[0]}: {options.dictionary} has 0 to {count - 1}")
         return options.dictionary, options.size_m, [Print(number, "") for number in options.ids]
     setup = load_setup(options.setup)
-    prints = [
-        Print(setup.rear.number, "rear module"),
-        Print(setup.front.number, "front module"),
-    ]
+    prints = [Print(setup.rear.number, "rear module"), Print(setup.front.number, "front module")]
     for number, (x, y, z) in setup.reference.items():
         prints.append(Print(number, f"on the pipe at x {x:g}, y {y:g}, z {z:g} m"))
     return setup.dictionary, setup.marker_size, prints
@@ -222,7 +219,3 @@ def _run(options: argparse.Namespace) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """The command; returns the exit status."""
     return run_command(_parser(), _run, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -17,12 +17,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from worm_driver.commands.driver_command import Parser, new_file, run_command, say
-from worm_driver.tracking.image_sources import (
-    Frame,
-    check_size,
-    frames_of_film,
-    frames_of_folder,
-)
+from worm_driver.tracking.image_sources import Frame, check_size, frames_of_film, frames_of_folder
 from worm_driver.tracking.preview import preview, summary
 from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.tracker_setup import load_setup
@@ -38,8 +33,7 @@ _TELL_EVERY = 300  # images
 def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[TrackedPositions]:
     """The sample of each image; tells on standard error what is to be told, and how far it is.
 
-    Raises:
-        TrackingError: an image cannot be read, or has not the camera's size.
+    Raises TrackingError: an image cannot be read, or has not the camera's size.
     """
     detector = MarkerDetector(tracker.setup.dictionary)
     for index, frame in enumerate(frames, 1):
@@ -68,10 +62,8 @@ def write_table(path: Path, samples: Iterable[TrackedPositions]) -> list[Tracked
 def write_bag(path: Path, samples: Iterable[TrackedPositions]) -> list[TrackedPositions]:
     """Makes a bag of the topics tracker and body_length/measured; returns the samples.
 
-    Bags are worm_model's: its command import_lab makes this one, from a table of the lab's form.
-
-    Raises:
-        TrackingError: import_lab is not installed, or refuses.
+    Bags are worm_model's: its command import_lab makes this one, from a table of the lab's form. Raises TrackingError:
+    import_lab is not installed, or refuses.
     """
     command = _import_lab()
     kept = list(samples)
@@ -187,7 +179,3 @@ def _report(samples: list[TrackedPositions], options: argparse.Namespace) -> Non
 def main(arguments: list[str] | None = None) -> int:
     """The command; returns the exit status."""
     return run_command(_parser(), _run, arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

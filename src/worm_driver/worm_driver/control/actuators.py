@@ -25,12 +25,8 @@ class Actuators:
 
     A contracted robot that an earlier driver left with its torque on keeps it, as it would spring back: see left_on.
 
-    Args:
-        settings: of this robot.
-        bus: an open bus.
-
     Attributes:
-        settings: the same, until others are set.
+        settings: of this robot, until others are set.
         cables: the servos of the spools, in the order of the settings.
         fins: those of the fins.
         homed: whether the cable servos count their turns from the initial length.

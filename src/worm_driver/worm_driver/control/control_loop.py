@@ -16,12 +16,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from worm_driver.clock import Clock, MachineClock
-from worm_driver.control.real_time import (
-    NOT_ASKED,
-    VIRTUAL,
-    ask_for_urgency,
-    return_to_normal,
-)
+from worm_driver.control.real_time import NOT_ASKED, VIRTUAL, ask_for_urgency, return_to_normal
 from worm_driver.control.robot import Robot
 from worm_driver.control.telemetry import Snapshot
 from worm_driver.control.timing import DeadlineGrid, PeriodMeter, TimingReport
@@ -40,41 +35,37 @@ class PeriodicThread:
     Args:
         name: of the thread.
         period: s.
-        step: called with the time (s, monotonic); False ends the thread.
-        at_end: called in the thread when it ends, also by an exception.
-        at_start: called in the thread before its first step.
         clock: which it goes by; None: the machine's.
+
+    Attributes:
+        failure: the exception that ended the thread.
     """
 
-    def __init__(
-        self,
-        name: str,
-        period: float,
-        step: Callable[[float], bool],
-        at_end: Callable[[], None] = lambda: None,
-        at_start: Callable[[], None] = lambda: None,
-        clock: Clock | None = None,
-    ):
+    def __init__(self, name: str, period: float, clock: Clock | None = None):
         self._clock: Clock = MachineClock() if clock is None else clock
         self.failure: Exception | None = None
-        self._step = step
-        self._at_start, self._at_end = at_start, at_end
         self._ending = threading.Event()
         self._meter = PeriodMeter(period)
         self._report = self._meter.report()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._excused = False
+        self._excused = False  # set in a step: that it takes time is meant to be, and counts as no missed deadline
 
-    def excuse(self) -> None:
-        """In a step: that it takes time is meant to be, and counts as no missed deadline."""
-        self._excused = True
+    def _step(self, now: float) -> bool:
+        """What is done at a time (s, monotonic); False ends the thread."""
+        raise NotImplementedError
+
+    def _at_start(self) -> None:
+        """Called in the thread before its first step."""
+
+    def _at_end(self) -> None:
+        """Called in the thread when it ends, also by an exception."""
 
     def start(self) -> None:
         """Starts the thread."""
         self._thread.start()
 
     def ask_to_end(self) -> None:
-        """Lets the thread end after its step."""
+        """Lets the thread end after its step. Safe in a signal handler."""
         self._ending.set()
 
     def end(self, timeout: float) -> bool:
@@ -128,13 +119,12 @@ class _Command:
     answer: "Future[Any]"
 
 
-class ControlLoop:
+class ControlLoop(PeriodicThread):
     """Runs a robot's cycle at its rate.
 
     Args:
         robot: which the loop owns from now on.
-        on_snapshot: called in the loop's thread after each cycle; must be quick and must not raise.
-        clock: which the thread goes by; None: the machine's.
+        on_snapshot: called in the thread after each cycle; must be quick and must not raise.
 
     Attributes:
         urgency: what the thread has of the real-time priority in the robot's settings.
@@ -143,44 +133,18 @@ class ControlLoop:
     def __init__(
         self, robot: Robot, on_snapshot: Callable[[Snapshot], None], clock: Clock | None = None
     ):
+        super().__init__("servo_bus", robot.settings.period, clock)
         self.urgency = NOT_ASKED
-        self._clock: Clock = MachineClock() if clock is None else clock
         self._robot = robot
         self._on_snapshot = on_snapshot
         self._commands: deque[_Command] = deque()
         self._leaving: str | None = None
         self.release_problems: list[str] = []
-        self._thread = PeriodicThread(
-            "servo_bus",
-            robot.settings.period,
-            self._cycle,
-            self._at_end,
-            self._at_start,
-            self._clock,
-        )
-
-    def start(self) -> None:
-        """Starts the thread."""
-        self._thread.start()
-
-    @property
-    def alive(self) -> bool:
-        """Whether the thread runs."""
-        return self._thread.alive
-
-    @property
-    def failure(self) -> Exception | None:
-        """The exception that ended the thread."""
-        return self._thread.failure
 
     def check(self) -> None:
         """Raises DriverError when the thread has ended, with what ended it."""
         if not self.alive:
             raise self._ended() from self.failure
-
-    def report(self) -> TimingReport:
-        """How well the deadlines were kept."""
-        return self._thread.report()
 
     def submit(self, action: Callable[[float], T], patience: float = 0.5) -> "Future[T]":
         """Has an action called with the time (s, monotonic) between two cycles.
@@ -230,10 +194,6 @@ class ControlLoop:
         """Has the robot brought to rest and released, and the thread end after it. Safe in a signal handler."""
         self._leaving = reason
 
-    def let_go(self) -> None:
-        """Has the thread end after its step, releasing the robot wherever it is. Safe in a signal handler."""
-        self._thread.ask_to_end()
-
     def join(self, timeout: float, meanwhile: Callable[[], None] = lambda: None) -> bool:
         """Waits for the thread to end; when the time (s) is up it ends after its step, releasing the robot.
 
@@ -243,16 +203,16 @@ class ControlLoop:
         while self.alive and time.monotonic() < end:
             meanwhile()
             time.sleep(0.005)
-        return self._thread.end(timeout=1.0)
+        return self.end(timeout=1.0)
 
-    def _cycle(self, now: float) -> bool:
+    def _step(self, now: float) -> bool:
         leaving = self._leaving is not None
         if self._leaving:
             self._robot.begin_release(now, self._leaving)
             self._leaving = ""
         before = self._robot.active
         if self._serve(now) and not (before and self._robot.active):
-            self._thread.excuse()  # setting servos up, or letting go of them, takes many cycles
+            self._excused = True  # setting servos up, or letting go of them, takes many cycles
         self._on_snapshot(self._robot.cycle(now))
         return not (leaving and self._robot.released)
 
@@ -288,14 +248,10 @@ class ControlLoop:
         self._serve(math.inf)
 
 
-class PowerLoop:
+class PowerLoop(PeriodicThread):
     """Samples the power sensor at a rate, on a bus that no other thread uses.
 
-    Args:
-        sensor: a sensor that is set up.
-        period: s.
-        on_sample: called in the loop's thread with each sample; must be quick and must not raise.
-        clock: which the thread goes by; None: the machine's.
+    The sensor is set up, the period is in s. ``on_sample`` is called in the thread; it must be quick and not raise.
     """
 
     def __init__(
@@ -305,28 +261,19 @@ class PowerLoop:
         on_sample: Callable[[PowerSample], None],
         clock: Clock | None = None,
     ):
-        self._clock: Clock = MachineClock() if clock is None else clock
+        super().__init__("power_sensor", period, clock)
         self.valid_samples = 0
         self._errors = 0
         self._sensor = sensor
         self._on_sample = on_sample
-        self._thread = PeriodicThread("power_sensor", period, self._cycle, clock=self._clock)
 
-    def start(self) -> None:
-        """Starts the thread."""
-        self._thread.start()
-
-    def end(self) -> None:
+    def close(self) -> None:
         """Ends the thread and gives the bus back."""
-        self._thread.end(timeout=max(2.0, self._clock.patience))
+        self.end(timeout=max(2.0, self._clock.patience))
         self._sensor.device.close()
         self._clock.close()
 
-    def report(self) -> TimingReport:
-        """How well the deadlines were kept."""
-        return self._thread.report()
-
-    def _cycle(self, now: float) -> bool:
+    def _step(self, now: float) -> bool:
         sample = self._sensor.sample(now)
         self._revive(sample.status)
         self.valid_samples += sample.status is SampleStatus.VALID

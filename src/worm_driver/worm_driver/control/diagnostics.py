@@ -4,7 +4,7 @@
 import enum
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from worm_driver.control.real_time import Urgency
 from worm_driver.control.telemetry import SILENT, ServoState
@@ -47,15 +47,11 @@ def servo_report(servo: Servo, state: ServoState, *, alert: bool) -> Report:
     elif alert:
         level, message = Level.ERROR, "reports a hardware error"
     elif not low <= state.voltage <= high:
-        level, message = (
-            Level.WARN,
-            f"supply {state.voltage:.1f} V is not {low:.1f} to {high:.1f} V",
-        )
+        level = Level.WARN
+        message = f"supply {state.voltage:.1f} V is not {low:.1f} to {high:.1f} V"
     elif state.temperature > servo.temperature_limit - _WARM:
-        level, message = (
-            Level.WARN,
-            f"{state.temperature:.0f} degC, it shuts down at {servo.temperature_limit:.0f}",
-        )
+        level = Level.WARN
+        message = f"{state.temperature:.0f} degC, it shuts down at {servo.temperature_limit:.0f}"
     else:
         level, message = Level.OK, "ok"
     return Report(
@@ -76,11 +72,8 @@ def bus_report(
     port: str, now: BusCounters, before: BusCounters, latency_timer: int | None
 ) -> Report:
     """On the servo bus: what went wrong since the report before."""
-    new = {
-        name: getattr(now, name) - getattr(before, name)
-        for name in ("timeouts", "corrupt", "errors", "stale", "retries")
-    }
-    failures = {name: count for name, count in new.items() if count}
+    new = {name: count - getattr(before, name) for name, count in asdict(now).items()}
+    failures = {name: count for name, count in new.items() if count and name != "exchanges"}
     if latency_timer is not None and latency_timer > 1:
         level = Level.WARN
         message = f"latency timer is {latency_timer} ms: install the udev rule, or write 1 to it"
@@ -91,8 +84,7 @@ def bus_report(
         )
     else:
         level, message = Level.OK, "ok"
-    names = ("exchanges", "timeouts", "corrupt", "errors", "stale", "retries")
-    values = tuple((name, str(getattr(now, name))) for name in names)
+    values = tuple((name, str(count)) for name, count in asdict(now).items())
     return Report("driver: servo bus", level, message, port, values)
 
 
@@ -101,11 +93,9 @@ def timing_report(timing: TimingReport, period: float, urgency: Urgency) -> Repo
     if math.isnan(timing.p99_error):
         level, message = Level.OK, "starting"
     elif timing.p99_error > _LATE:
-        level, message = (
-            Level.WARN,
-            f"p99 of the period error is {timing.p99_error * 1e3:.2f} ms: "
-            + _what_was_late(timing, period, urgency),
-        )
+        level = Level.WARN
+        cause = _what_was_late(timing, period, urgency)
+        message = f"p99 of the period error is {timing.p99_error * 1e3:.2f} ms: {cause}"
     else:
         level, message = Level.OK, "ok"
     return Report(
@@ -180,10 +170,8 @@ def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str 
     elif active and player.phase is Phase.FAULT:
         level, message = Level.ERROR, player.message
     elif not homed:
-        level, message = (
-            Level.WARN,
-            "not homed: bring the robot to its initial length, then call the service home",
-        )
+        level = Level.WARN
+        message = "not homed: bring the robot to its initial length, then call the service home"
     else:
         level, message = Level.OK, player.phase.value if active else "torque is off"
     return Report(

@@ -85,8 +85,7 @@ class DriverSettings:
 def load_body(path: str) -> Body:
     """The body's parameters from a parameter file; the paper's values for an empty path and for missing keys.
 
-    Raises:
-        ConfigurationError: the file cannot be read, or a value is no positive number.
+    Raises ConfigurationError: the file cannot be read, or a value is no positive number.
     """
     if not path:
         return Body()

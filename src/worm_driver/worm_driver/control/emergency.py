@@ -23,11 +23,7 @@ def state_folder(environment: Mapping[str, str]) -> Path:
 
 
 class EmergencyLatch:
-    """Whether the emergency stop of a robot is on; a file says so to the next driver. One thread sets it.
-
-    Args:
-        folder: of the files, one for each robot.
-    """
+    """Whether the emergency stop of a robot is on; a file in a folder tells the next driver. One thread sets it."""
 
     def __init__(self, folder: Path):
         self._folder = folder

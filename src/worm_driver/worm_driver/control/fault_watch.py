@@ -18,13 +18,9 @@ _REMEMBERED = 0.5
 
 
 class FaultWatch:
-    """Looks once in each cycle whether the robot may go on.
+    """Looks once in each cycle whether the robot may go on; a turn count that is lost takes its actuators' home.
 
-    Args:
-        actuators: of the robot; a turn count that is lost takes their home.
-        reader: that reads their states.
-        clock: s, monotonic.
-        load: of the computer, as its load average.
+    ``load`` is the computer's load average.
     """
 
     def __init__(
@@ -69,18 +65,9 @@ class FaultWatch:
         self._last_look = ended
 
     def fault(
-        self,
-        before: tuple[ServoState, ...],
-        states: tuple[ServoState, ...],
-        length_change: float,
+        self, before: tuple[ServoState, ...], states: tuple[ServoState, ...], length_change: float
     ) -> str | None:
-        """The fault, in words, that there is after `look`; the torque is on.
-
-        Args:
-            before: the states of the cycle before.
-            states: of this cycle.
-            length_change: commanded ΔL, m.
-        """
+        """The fault, in words, that there is after `look`; the torque is on, and ΔL (m) is commanded."""
         return (
             self._fault_of_suspect()
             or self._fold(before, states)

@@ -150,7 +150,7 @@ class Hardware:
         self.loop.leave(reason)
         ended = self.loop.join(self.release_time, meanwhile)
         if self._power is not None:
-            self._power.end()
+            self._power.close()
         problems = list(self.loop.release_problems)
         if not ended:
             problems.append("the servo bus thread hangs: the servos stop by their bus watchdog")

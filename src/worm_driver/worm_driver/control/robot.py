@@ -30,17 +30,12 @@ class Robot:
     """A robot whose servos have answered and are set up, with the torque off.
 
     Args:
-        settings: of this robot.
-        bus: an open bus, which the robot owns from now on.
+        bus: open; the robot owns it from now on.
         valid_power_samples: counts the valid power samples since the start.
         tracker_ready: whether the tracker sees the robot stand, or there is none to wait for.
-        clock: s, monotonic.
-        load: of the computer, as its load average.
         why_not_start: why neither torque nor a run may begin, in words; empty when they may.
 
     Attributes:
-        actuators: its servos.
-        bus: the same bus.
         player: what is played.
         active: whether the torque is on.
 
@@ -100,10 +95,8 @@ class Robot:
     def activate(self, now: float) -> None:
         """Enables the torque of every servo where it stands, with its bus watchdog armed.
 
-        Raises:
-            LimitError: nothing may start.
-            HomingError: the length of the cable is not known.
-            BusError, ConfigurationError: a servo is not fit; the torque is off again.
+        Raises LimitError while nothing may start, HomingError where the length of the cable is not known, BusError or
+        ConfigurationError where a servo is not fit: the torque is off again then.
         """
         self._refuse_start()
         self.actuators.check()
@@ -212,11 +205,7 @@ class Robot:
     # --- the cycle -----------------------------------------------------------------------------
 
     def cycle(self, now: float) -> Snapshot:
-        """Plays one step and reads the robot. Never raises for what a servo or the port does.
-
-        Args:
-            now: s, monotonic, of the cycle's start.
-        """
+        """Plays one step and reads the robot, from a time (s) on. Never raises for what a servo or the port does."""
         self._step(now)
         read_time = now
         try:

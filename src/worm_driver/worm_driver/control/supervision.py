@@ -136,13 +136,9 @@ def fault_in_health(servo: int, health: Health, *, is_cable: bool) -> str | None
 
 
 def turn_count_jumped(before: int, after: int, elapsed: float, fastest: float) -> bool:
-    """Whether a position (ticks) has changed by more than the servo can turn, so that its count was folded.
+    """Whether a position (ticks) has changed in a time (s) by more than a servo of a speed (rad/s) can turn.
 
-    Args:
-        before: ticks.
-        after: ticks.
-        elapsed: s between the two.
-        fastest: rad/s.
+    Then its turn count was folded.
     """
     possible = 2.0 * fastest * elapsed / math.tau * TICKS_PER_TURN + TICKS_PER_TURN / 8
     return abs(after - before) > possible

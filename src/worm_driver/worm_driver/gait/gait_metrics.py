@@ -105,17 +105,8 @@ def figures(run: Run, record: RunRecord, body: Body) -> Figures:
     averaged = min(AVERAGED_CYCLES, completed)
     idle_power, idle_reason = _idle_power(run, record.power)
     if run.onset is None or averaged == 0:
-        nan = math.nan
-        return Figures(
-            completed,
-            0,
-            nan,
-            nan,
-            nan,
-            nan,
-            idle_power,
-            _given("no cycle was completed", idle_reason),
-        )
+        reasons = _given("no cycle was completed", idle_reason)
+        return Figures(completed, 0, *(math.nan,) * 4, idle_power, reasons)
     end = run.onset + completed / run.gait.frequency
     start = end - averaged / run.gait.frequency
     speed, speed_reason = _speed(run, record, start, end)
@@ -193,8 +184,6 @@ def _idle_power(run: Run, samples: Sequence[PowerSample]) -> tuple[float, str]:
         if run.rest_start <= sample.time < end and sample.status is SampleStatus.VALID
     ]
     if len(powers) < IDLE_SAMPLES:
-        return (
-            math.nan,
-            f"no idle power: {len(powers)} valid samples at rest, {IDLE_SAMPLES} are needed",
-        )
+        reason = f"{len(powers)} valid samples at rest, {IDLE_SAMPLES} are needed"
+        return math.nan, f"no idle power: {reason}"
     return math.fsum(powers[:IDLE_SAMPLES]) / IDLE_SAMPLES, ""

@@ -144,8 +144,7 @@ class PlayerSettings:
 def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerState:
     """Begins a run from rest, or from a hold by way of a return to rest.
 
-    Raises:
-        LimitError: a run is going on, or the player is in fault.
+    Raises LimitError: a run is going on, or the player is in fault.
     """
     run = state.active_run
     if run is not None:
@@ -316,12 +315,7 @@ def _end(
 
 
 def _hold(
-    state: PlayerState,
-    now: float,
-    length_change: float,
-    phase: Phase,
-    ending: Ending,
-    reason: str,
+    state: PlayerState, now: float, length_change: float, phase: Phase, ending: Ending, reason: str
 ) -> PlayerState:
     state = _end(state, now, ending, phase, reason)
     return replace(state, length_change=length_change, message=reason)

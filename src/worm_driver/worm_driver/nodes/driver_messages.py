@@ -3,28 +3,20 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from worm_driver.control.diagnostics import Level, Report
+from worm_driver.control.diagnostics import Report
 from worm_driver.control.telemetry import Snapshot
 from worm_driver.gait.gait_limits import Gait
 from worm_driver.gait.gait_player import Phase
-from worm_driver.power.ina219 import PowerSample, SampleStatus
+from worm_driver.power.ina219 import PowerSample
 from worm_msgs.msg import BodyLength, GaitState, Power
 from worm_msgs.msg import Gait as GaitMessage
-
-_STATUS = {
-    SampleStatus.VALID: Power.VALID,
-    SampleStatus.OVERFLOW: Power.OVERFLOW,
-    SampleStatus.NOT_READY: Power.NOT_READY,
-    SampleStatus.BUS_ERROR: Power.BUS_ERROR,
-    SampleStatus.SENSOR_RESET: Power.SENSOR_RESET,
-}
 
 _STATE = {
     Phase.IDLE: GaitState.IDLE,
@@ -36,13 +28,6 @@ _STATE = {
     Phase.HOLDING: GaitState.IDLE,
     Phase.FAULT: GaitState.FAULT,
 }
-
-_LEVEL = {
-    Level.OK: DiagnosticStatus.OK,
-    Level.WARN: DiagnosticStatus.WARN,
-    Level.ERROR: DiagnosticStatus.ERROR,
-}
-
 
 #: s, from where a change between two clocks is a step of one of them
 _CLOCK_STEP = 0.02
@@ -111,7 +96,7 @@ def power(sample: PowerSample, clocks: ClockPair) -> Power:
     """A power sample."""
     return Power(
         header=Header(stamp=clocks.stamp(sample.time)),
-        status=_STATUS[sample.status],
+        status=getattr(Power, sample.status.name),
         bus_voltage=sample.bus_voltage,
         current=sample.current,
         power=sample.power,
@@ -136,13 +121,7 @@ def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -
         emergency_stop=emergency_stop,
     )
     if run is not None:
-        gait = run.gait
-        message.gait = GaitMessage(
-            stroke=gait.stroke,
-            frequency=gait.frequency,
-            direction=gait.direction,
-            margin=gait.margin,
-        )
+        message.gait = GaitMessage(**asdict(run.gait))
         message.cycle, message.cycles = run.cycle(snapshot.command_time), run.cycles
         message.message = player.message or run.reason or player.phase.value
         if run.onset is not None:
@@ -156,7 +135,7 @@ def diagnostics(reports: Sequence[Report], stamp: Time, robot: str) -> Diagnosti
         header=Header(stamp=stamp),
         status=[
             DiagnosticStatus(
-                level=_LEVEL[report.level],
+                level=getattr(DiagnosticStatus, report.level.name),
                 name=f"{robot}/{report.name}".lstrip("/"),
                 message=report.message,
                 hardware_id=report.hardware_id or robot,

@@ -9,6 +9,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from traceback import format_exception
 from typing import TypeVar
 
@@ -44,7 +45,7 @@ _SWITCH_INTERVAL = 0.0005
 
 #: s, in which the servos must have been enabled, homed, or released
 _ACTIVATION = 5.0
-_SERVICE = 10.0
+_SERVICE_TIME = 10.0
 _LETTING_GO = 5.0
 
 #: s between two looks at what the threads of the hardware have left: fewer wake-ups than cycles, as each costs the
@@ -54,6 +55,20 @@ _PUBLISH_PERIOD = 0.04
 #: s, in which a goal's result must have been made, and for which it has to leave: DDS acknowledges no answer
 _ANSWERS = 1.0
 _LINGER = 0.3
+
+_Action = Callable[[Hardware, float], object]
+_SERVICES: tuple[tuple[str, _Action, str], ...] = (
+    (
+        "home",
+        lambda hardware, _: hardware.robot.home(),
+        "the present cable length is the initial one",
+    ),
+    (
+        "reboot",
+        lambda hardware, _: hardware.robot.reboot(),
+        "servos with a hardware error were restarted; home before the next activation",
+    ),
+)
 
 
 class DriverNode(LifecycleNode):
@@ -76,8 +91,8 @@ class DriverNode(LifecycleNode):
         self._telemetry = TelemetryPublisher(self, self._stamps, self._action, self._emergency)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._stops = StopServices(self, self._opened, self._emergency, self._action.on_heartbeat)
-        self.create_service(Trigger, "home", self._on_home)
-        self.create_service(Trigger, "reboot", self._on_reboot)
+        for name, action, done in _SERVICES:
+            self.create_service(Trigger, name, partial(self._serve, action, done))
         refuse_impossible_transitions(self)
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
@@ -199,15 +214,13 @@ class DriverNode(LifecycleNode):
     def let_go(self) -> None:
         """Cuts a release short: the torque goes at once. Safe in a signal handler."""
         if self._hardware is not None:
-            self._hardware.loop.let_go()
+            self._hardware.loop.ask_to_end()
 
     def autostart(self) -> None:
         """Configures and activates, where the parameter asks for it.
 
-        A robot that cannot be activated yet, as it is not homed, stays configured for its operator.
-
-        Raises:
-            DriverError: it cannot be configured.
+        A robot that cannot be activated yet, as it is not homed, stays configured for its operator. Raises DriverError:
+        it cannot be configured.
         """
         if not self.get_parameter("autostart").value:
             return
@@ -266,28 +279,11 @@ class DriverNode(LifecycleNode):
         self._stops.close()
         super().destroy_node()
 
-    def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(
-            response,
-            lambda hardware, _: hardware.robot.home(),
-            "the present cable length is the initial one",
-        )
-
-    def _on_reboot(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._answer(
-            response,
-            lambda hardware, _: hardware.robot.reboot(),
-            "servos with a hardware error were restarted; home before the next activation",
-        )
-
-    def _answer(
-        self,
-        response: Trigger.Response,
-        action: Callable[[Hardware, float], object],
-        done: str,
+    def _serve(
+        self, action: _Action, done: str, _: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         try:
-            self._do(action, _SERVICE)
+            self._do(action, _SERVICE_TIME)
             response.success, response.message = True, done
         except DriverError as error:
             response.success, response.message = False, str(error)
@@ -358,7 +354,3 @@ def _run(ended: Ending) -> None:
         node.close("the driver ends")
         node.answer_goals(executor)
         node.destroy_node()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -14,6 +14,7 @@ from worm_driver.control.supervision import Limits
 from worm_driver.errors import ConfigurationError
 from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.servos.transmission import Fin, Spool
+from worm_msgs.node_command import descriptor
 
 
 @dataclass(frozen=True)
@@ -34,21 +35,8 @@ class _Row:
 
     def descriptor(self) -> ParameterDescriptor:
         when = "at once" if self.live else "at configure, and is refused until the next cleanup"
-        descriptor = ParameterDescriptor(
-            name=self.name, description=f"{self.description} Takes effect {when}."
-        )
-        if self.range is None:
-            return descriptor
-        low, high = self.range
-        if isinstance(self.default, int):
-            descriptor.integer_range = [
-                IntegerRange(from_value=int(low), to_value=int(high), step=1)
-            ]
-        else:
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)
-            ]
-        return descriptor
+        text = f"{self.description} Takes effect {when}."
+        return descriptor(text, self.default, self.range, name=self.name)
 
 
 HEARTBEAT = "heartbeat_s"

@@ -55,13 +55,7 @@ class _Current:
 
 
 class RunGaitAction:
-    """Serves run_gait on a node; everything happens in the node's executor thread.
-
-    Args:
-        node: that serves.
-        hardware: gives what is open, or None while nothing is.
-        sees_robot: whether the tracker does.
-    """
+    """Serves run_gait on a node; everything happens in the node's executor thread."""
 
     def __init__(
         self, node: Node, hardware: Callable[[], Hardware | None], sees_robot: Callable[[], bool]
@@ -73,11 +67,7 @@ class RunGaitAction:
         self._runs: list[_Current] = []
         self._open = 0
         self._server = ActionServer(
-            node,
-            RunGait,
-            "run_gait",
-            self._execute,
-            cancel_callback=self._on_cancel,
+            node, RunGait, "run_gait", self._execute, cancel_callback=self._on_cancel
         )
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(PERIOD, self._look_for_owners, clock=steady)

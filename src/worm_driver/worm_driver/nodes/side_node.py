@@ -14,10 +14,6 @@ _PATIENCE = 0.5
 class SideNode:
     """A bare node beside another one, in its namespace and under the same remappings.
 
-    Args:
-        main: the node beside which it is.
-        purpose: ends its name.
-
     Attributes:
         node: to be furnished before the start; its callbacks run in its own thread.
     """

@@ -25,14 +25,7 @@ _ANYBODY = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class StopServices:
-    """Served by a node of their own, in its thread.
-
-    Args:
-        node: the driver's.
-        opened: gives what is open, raises DriverError while nothing is.
-        emergency: the latch.
-        on_heartbeat: takes heartbeats.
-    """
+    """Served by a node beside the driver's, in its own thread; ``opened`` raises DriverError while nothing is open."""
 
     def __init__(
         self,

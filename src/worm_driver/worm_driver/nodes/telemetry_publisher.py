@@ -31,22 +31,12 @@ _OPEN = QoSOverridingOptions.with_default_policies()
 class TelemetryPublisher:
     """Publishes on a node, and hands the same on to the action.
 
-    Args:
-        node: that publishes.
-        stamps: its times.
-        action: takes samples and snapshots into the records of its runs.
-        emergency: the latch, which the gait state tells of.
-
     Attributes:
         latest: the last snapshot of what is open; None while nothing is.
     """
 
     def __init__(
-        self,
-        node: LifecycleNode,
-        stamps: Stamps,
-        action: RunGaitAction,
-        emergency: EmergencyLatch,
+        self, node: LifecycleNode, stamps: Stamps, action: RunGaitAction, emergency: EmergencyLatch
     ) -> None:
         def publisher(kind: type, topic: str) -> Any:
             return node.create_publisher(kind, topic, _TELEMETRY, qos_overriding_options=_OPEN)

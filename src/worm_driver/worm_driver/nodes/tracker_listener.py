@@ -19,10 +19,7 @@ _DISCOVERY = 5.0
 class TrackerListener:
     """Listens to ``tracker``; everything happens in the node's executor thread.
 
-    Args:
-        node: that listens.
-        stamps: its times.
-        tell: gets every sample: s monotonic, and the rear module's position in m, NaN while it is hidden.
+    ``tell`` gets every sample: s monotonic, and the rear module's position in m, NaN while it is hidden.
     """
 
     def __init__(self, node: Node, stamps: Stamps, tell: Callable[[float, float], None]) -> None:

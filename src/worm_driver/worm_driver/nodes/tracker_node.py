@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node ``tracker``: images in, positions of both modules out, with the stamps of the images."""
 
-import math
 import sys
 import time
 from importlib.resources import files
@@ -12,41 +11,44 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.exceptions import ParameterException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-from std_msgs.msg import Header
 
 from worm_driver.nodes import driver_messages
+from worm_driver.nodes.position_publisher import PositionPublisher
 from worm_driver.tracking import vision
 from worm_driver.tracking.camera_model import CameraModel, make_camera_model
 from worm_driver.tracking.frame_thread import FrameThread
 from worm_driver.tracking.image_sources import check_size
-from worm_driver.tracking.initial_length import InitialLength
-from worm_driver.tracking.tracker import TrackedPositions
 from worm_driver.tracking.tracker import Tracker as ModuleTracker
 from worm_driver.tracking.tracker_report import TrackerReport
 from worm_driver.tracking.tracker_setup import load_setup
 from worm_driver.tracking.tracking_errors import ImageError, SetupError, TrackingError
-from worm_msgs.msg import BodyLength, Tracker
-from worm_msgs.ros_process import Ending, ros_process, spare_pauses
+from worm_msgs.node_command import declare, run_node
+from worm_msgs.ros_process import Ending, spare_pauses
 
-#: The frame that positions are given in: x forward along the axis of the pipe, z up (REP 103)
-FRAME = "pipe"
 #: Stands for the setup file of the virtual robot's camera
 VIRTUAL = "virtual"
 TOPIC = "topic"
 _TRANSPORTS = ("raw", "compressed")
 _DIFFERENT = 1e-3  # relative, between the calibration of the setup file and that of the topic
-_PARAMETERS = {
-    "setup_file": ("", f"The rig (YAML); {VIRTUAL}: that of the virtual robot's camera."),
-    "source": (TOPIC, "topic, a V4L2 device such as /dev/video0, a film, or a folder of images."),
-    "image_transport": ("raw", "Of the topic: raw or compressed."),
-}
+_PARAMETERS = (
+    ("setup_file", "", f"The rig (YAML); {VIRTUAL}: that of the virtual robot's camera."),
+    ("source", TOPIC, "topic, a V4L2 device such as /dev/video0, a film, or a folder of images."),
+    ("image_transport", "raw", "Of the topic: raw or compressed."),
+)
 _NANOSECONDS = 10**9
+
+
+def rows() -> list[tuple[str, str, ParameterDescriptor]]:
+    """Name, default and descriptor of every parameter."""
+    return [
+        (name, default, ParameterDescriptor(description=text, read_only=True))
+        for name, default, text in _PARAMETERS
+    ]
 
 
 class TrackerNode(Node):
@@ -54,17 +56,13 @@ class TrackerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("tracker")
-        given = {
-            name: str(self.declare_parameter(name, default, _descriptor(text)).value)
-            for name, (default, text) in _PARAMETERS.items()
-        }
+        declare(self, rows)
+        given = {name: str(self.get_parameter(name).value) for name, _, _ in _PARAMETERS}
         self._setup = load_setup(_setup_path(given["setup_file"]))
         self._detector = vision.MarkerDetector(self._setup.dictionary)
         self._tracker = None if self._setup.camera is None else ModuleTracker(self._setup)
-        self._initial_length = InitialLength()
         self._report = TrackerReport(given["source"])
-        self._positions = self.create_publisher(Tracker, "tracker", 10)
-        self._length = self.create_publisher(BodyLength, "body_length/measured", 10)
+        self._positions = PositionPublisher(self, 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._frames: FrameThread | None = None
         self._deaf = False
@@ -181,20 +179,8 @@ class TrackerNode(Node):
         self._report.count(sample)
         if sample.news:
             self.get_logger().warning(sample.news)
-        self._publish(sample, _time(nanoseconds - round(self._setup.delay * _NANOSECONDS)))
-
-    def _publish(self, sample: TrackedPositions, stamp: Time) -> None:
-        header = Header(stamp=stamp, frame_id=FRAME)
-        self._positions.publish(
-            Tracker(header=header, rear_position=sample.rear, front_position=sample.front)
-        )
-        length = sample.length
-        if not math.isnan(length):
-            change = self._initial_length.change(length)
-            source = BodyLength.MEASURED
-            self._length.publish(
-                BodyLength(header=header, source=source, length=length, length_change=change)
-            )
+        exposed = _time(nanoseconds - round(self._setup.delay * _NANOSECONDS))
+        self._positions.publish(exposed, sample.rear, sample.front)
 
     def _refuse(self, problem: str) -> None:
         if self._report.refuse(problem):
@@ -218,10 +204,6 @@ class TrackerNode(Node):
         )
 
 
-def _descriptor(text: str) -> ParameterDescriptor:
-    return ParameterDescriptor(description=text, read_only=True)
-
-
 def _setup_path(text: str) -> Path:
     if not text:
         raise SetupError("setup_file is missing: give the rig, -p setup_file:=tracker.yaml")
@@ -242,7 +224,7 @@ def _time(nanoseconds: int) -> Time:
     return Time(sec=nanoseconds // _NANOSECONDS, nanosec=nanoseconds % _NANOSECONDS)
 
 
-def _run(ended: Ending) -> None:
+def _run(ended: Ending) -> int:
     node = TrackerNode()
     try:
         executor = SingleThreadedExecutor()
@@ -254,20 +236,15 @@ def _run(ended: Ending) -> None:
     finally:
         node.close()
         node.destroy_node()
+    if isinstance(node.failure, ImageError):
+        print(f"tracker: {node.failure}", file=sys.stderr)  # noqa: T201 (the command's own words)
+        return 1
     if node.failure is not None:
         raise node.failure
+    return 0
 
 
 def main(args: list[str] | None = None) -> int:
     """Runs the tracker until SIGINT, SIGTERM or SIGHUP, or until its film is at its end."""
-    try:
-        with ros_process(args) as ended:
-            _run(ended)
-    except (TrackingError, ParameterException) as error:
-        print(f"tracker: {error}", file=sys.stderr)  # noqa: T201 (the command's own words)
-        return 1 if isinstance(error, ImageError) else 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    about = "Tells the positions of both modules from a camera's images, a film or a folder."
+    return run_node("tracker", about, rows, _run, (TrackingError,), args)

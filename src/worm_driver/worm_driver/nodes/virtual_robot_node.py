@@ -15,11 +15,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Header
 
 from worm_driver.commands.driver_command import Parser
+from worm_driver.nodes.position_publisher import PositionPublisher
 from worm_driver.nodes.virtual_camera_node import CameraProcess
-from worm_driver.tracking.initial_length import InitialLength
 from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.camera_images import DEFAULT_FILE as CAMERA_FILE
 from worm_driver.virtual_robot.camera_images import load_camera_settings
@@ -33,14 +32,12 @@ from worm_driver.virtual_robot.wire.faults import (
     make_fault,
     parse_fault,
 )
-from worm_msgs.msg import BodyLength, Tracker
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import Ending, own_arguments, ros_process
 from worm_msgs.srv import InjectFault
 
 _DEPTH = 500  # of samples that may wait for a subscriber whose machine is busy
 _CLOCK_PERIOD = 0.05  # s of the robot's time between two messages on clock
-_FRAME = "pipe"  # x forward along the axis, z up (REP 103)
 _VIRTUAL = "virtual"  # stands for the installed file of the camera
 # Python hands the interpreter over after 5 ms by default, too late for an answer on the bus.
 _SWITCH_INTERVAL = 0.0002  # s
@@ -58,11 +55,7 @@ class VirtualRobotNode(Node):
     """
 
     def __init__(
-        self,
-        robot: VirtualRobot,
-        directory: Path,
-        rate: float | None,
-        camera: Path | None = None,
+        self, robot: VirtualRobot, directory: Path, rate: float | None, camera: Path | None = None
     ) -> None:
         super().__init__("virtual_robot")
         declare_none(self)
@@ -75,11 +68,9 @@ class VirtualRobotNode(Node):
             epoch_ns=epoch_ns,
             on_time=self._tell_time,
         )
-        self._initial_length = InitialLength()
         self._camera: CameraProcess | None = None
         if camera is None:
-            self._tracker = self.create_publisher(Tracker, "tracker", _DEPTH)
-            self._length = self.create_publisher(BodyLength, "body_length/measured", _DEPTH)
+            self._positions = PositionPublisher(self, _DEPTH)
         else:
             self._camera = CameraProcess(camera, robot.settings.seed, self.get_namespace())
         self._time = self.create_publisher(Clock, "clock", 10) if rate is not None else None
@@ -94,29 +85,12 @@ class VirtualRobotNode(Node):
     def _take_samples(self, samples: list[TrackerSample]) -> None:
         """In the serving thread, as the other one may be late."""
         for sample in samples:
-            stamp = self._stamp(sample.time)
+            stamp, places = self._stamp(sample.time), (sample.rear_position, sample.front_position)
             if self._camera is None:
-                self._publish(sample, Header(stamp=stamp.to_msg(), frame_id=_FRAME))
+                self._positions.publish(stamp.to_msg(), *places)
             else:
-                places = sample.rear_position, sample.front_position
                 patience = _CAMERA_PATIENCE if self.endpoints.waits else 0.0
                 self._camera.expose(stamp.nanoseconds, *places, patience)
-
-    def _publish(self, sample: TrackerSample, header: Header) -> None:
-        self._tracker.publish(
-            Tracker(
-                header=header,
-                rear_position=sample.rear_position,
-                front_position=sample.front_position,
-            )
-        )
-        if math.isnan(sample.length):  # a hidden marker gives no length
-            return
-        change = self._initial_length.change(sample.length)
-        source, length = BodyLength.MEASURED, sample.length
-        self._length.publish(
-            BodyLength(header=header, source=source, length=length, length_change=change)
-        )
 
     def _tell_time(self, now: float) -> None:
         """In the serving thread: the robot's time, for whoever uses it (use_sim_time)."""

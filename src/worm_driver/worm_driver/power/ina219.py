@@ -84,8 +84,7 @@ class INA219:
     def start(self) -> None:
         """Resets the chip, checks that it is one and how its bytes travel, and sets it up.
 
-        Raises:
-            PowerSensorError: no answer, another chip, or swapped bytes.
+        Raises PowerSensorError: no answer, another chip, or swapped bytes.
         """
         where = f"the device 0x{self.device.address:02X} on I2C bus {self.device.bus_name}"
         swapped = f"{where} sends its bytes swapped: an SMBus adapter swaps words already"
@@ -156,10 +155,8 @@ class INA219:
 def calibration_for(shunt_resistance: float, max_current: float) -> int:
     """The calibration register for a shunt (ohm) and the largest current (A) to be told from an overflow.
 
-    Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768; bit 0 is always 0.
-
-    Raises:
-        ConfigurationError: the current does not fit the shunt's +-320 mV, or the register.
+    Cal = trunc(0.04096 / (Current_LSB R)) with Current_LSB = max_current / 32768; bit 0 is always 0. Raises
+    ConfigurationError: the current does not fit the shunt's +-320 mV, or the register.
     """
     if not (shunt_resistance > 0.0 and max_current > 0.0):
         raise ConfigurationError("shunt_resistance_ohm and max_current_A must be positive")

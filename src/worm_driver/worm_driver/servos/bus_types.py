@@ -47,8 +47,8 @@ class BusCounters:
     timeouts: int = 0
     corrupt: int = 0
     errors: int = 0
-    retries: int = 0
     stale: int = 0
+    retries: int = 0
 
 
 def error_text(number: int) -> str:

@@ -4,6 +4,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import linear_regression
 
 import yaml
 
@@ -28,10 +29,8 @@ class Reading:
 def spool_from(servo: int, readings: Sequence[Reading]) -> tuple[Spool, float]:
     """The spool that fits the readings best, and the largest deviation (m) from it.
 
-    The length is a straight line over the position; its slope is the radius, its fall the sign.
-
-    Raises:
-        ConfigurationError: too few readings, too little motion, or readings that fit no straight line.
+    The length is a straight line over the position; its slope is the radius, its fall the sign. Raises
+    ConfigurationError: too few readings, too little motion, or readings that fit no straight line.
     """
     if len({reading.ticks for reading in readings}) < 2:
         raise ConfigurationError(f"cable servo {servo}: two positions at least are needed")
@@ -42,18 +41,8 @@ def spool_from(servo: int, readings: Sequence[Reading]) -> tuple[Spool, float]:
             f"cable servo {servo}: the body changed by less than {_LEAST_CHANGE * 1e3:g} mm: is the "
             "cable attached and taut?"
         )
-    mean_angle, mean_length = math.fsum(angles) / len(angles), math.fsum(lengths) / len(lengths)
-    spread = math.fsum((angle - mean_angle) ** 2 for angle in angles)
-    slope = (
-        math.fsum(
-            (a - mean_angle) * (x - mean_length) for a, x in zip(angles, lengths, strict=True)
-        )
-        / spread
-    )
-    worst = max(
-        abs(x - mean_length - slope * (a - mean_angle))
-        for a, x in zip(angles, lengths, strict=True)
-    )
+    slope, start = linear_regression(angles, lengths)
+    worst = max(abs(x - start - slope * a) for a, x in zip(angles, lengths, strict=True))
     if worst > _SCATTER:
         raise ConfigurationError(
             f"cable servo {servo}: a reading is {worst * 1e3:.1f} mm off the straight line through the "

@@ -12,8 +12,7 @@ from worm_driver.servos.registers import Register
 def pack(register: Register, raw: int) -> bytes:
     """Raw value to the register's little-endian bytes.
 
-    Raises:
-        ValueError: the value does not fit the register.
+    Raises ValueError: the value does not fit the register.
     """
     try:
         return raw.to_bytes(register.size, "little", signed=register.signed)
@@ -24,8 +23,7 @@ def pack(register: Register, raw: int) -> bytes:
 def unpack(register: Register, data: bytes) -> int:
     """The register's little-endian bytes to its raw value, sign and all.
 
-    Raises:
-        ValueError: the number of bytes is not the register's size.
+    Raises ValueError: the number of bytes is not the register's size.
     """
     if len(data) != register.size:
         raise ValueError(f"{register.name} has {register.size} bytes, not {len(data)}")
@@ -40,8 +38,7 @@ def unpack_from(register: Register, block: bytes, start: int) -> int:
 def to_raw(register: Register, value: float) -> int:
     """SI value to the nearest raw value.
 
-    Raises:
-        ValueError: the value is not finite, or does not fit the register.
+    Raises ValueError: the value is not finite, or does not fit the register.
     """
     if not math.isfinite(value):
         raise ValueError(f"{register.name} cannot be {value}")

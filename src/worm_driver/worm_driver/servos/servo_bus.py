@@ -65,25 +65,16 @@ _ALERT = 0x80
 class BusPort(PortHandler):
     """The SDK's port: monotonic time, waiting without spinning, exclusive.
 
-    Args:
-        path: serial device.
-        baud_rate: bit/s.
+    Attributes:
         latency: s, how long the adapter may hold an answer back.
-        clock: which the thread that uses the port goes by; None: the machine's.
     """
 
-    def __init__(
-        self,
-        path: str,
-        baud_rate: int,
-        latency: float = 0.001,
-        clock: Clock | None = None,
-    ):
+    def __init__(self, path: str, baud_rate: int):
         super().__init__(path)
         self.is_open = False
         self.baudrate = baud_rate
-        self.latency = latency
-        self._clock: Clock = MachineClock() if clock is None else clock
+        self.latency = 0.001
+        self._clock: Clock = MachineClock()
         self._left_over = 0
 
     def go_by(self, clock: Clock) -> None:
@@ -229,19 +220,13 @@ class ServoBus:
 
     @staticmethod
     def open(
-        path: str,
-        baud_rate: int,
-        latency: float | None = None,
-        retries: int = 1,
+        path: str, baud_rate: int, latency: float | None = None, retries: int = 1
     ) -> "ServoBus":
         """Opens a serial port exclusively.
 
         Args:
-            path: serial device.
-            baud_rate: bit/s.
             latency: s, how long the adapter may hold an answer back; None: as long as its latency timer says
                 once the port is open, for opening asks the adapter to be quick.
-            retries: how often a failed exchange is repeated.
 
         Raises:
             PortError: it is missing, forbidden or in use; the message says what to do.

@@ -63,9 +63,7 @@ class Servo:
 def identify(bus: ServoBus, number: int) -> Servo:
     """Pings a servo and reads its limits.
 
-    Raises:
-        BusError: it does not answer.
-        ConfigurationError: it has no control table here, or too old a firmware.
+    Raises BusError: it does not answer; ConfigurationError: it has no control table here, or too old a firmware.
     """
     identity = bus.ping(number)
     model = MODELS.get(identity.model_number)
@@ -158,13 +156,7 @@ def prepare(
     """Takes the torque off and sets the EEPROM up: mode, direct drive, answers at once. Raises BusError.
 
     A servo that was in another mode has folded its turn count: its home mark is put out. Only what differs is
-    written, as the EEPROM wears.
-
-    Args:
-        bus: where the servo is.
-        servo: to be set up.
-        mode: operating mode.
-        settings: further registers by name, raw.
+    written, as the EEPROM wears. ``settings`` are further registers by name, raw.
     """
     bus.write(servo.number, servo["torque_enable"], 0)
     bus.write(servo.number, servo["status_return_level"], 2)
@@ -221,11 +213,7 @@ def home(bus: ServoBus, cables: Sequence[Servo]) -> None:
     """Makes the present positions of all cable servos 0, and marks them as homed. Torque must be off.
 
     The marks go out before anything else is written and come back after everything was read back: whatever fails, no
-    servo is marked whose 0 is not the home.
-
-    Raises:
-        HomingError: a servo did not take it.
-        BusError: one does not answer.
+    servo is marked whose 0 is not the home. Raises HomingError: a servo did not take it; BusError: one does not answer.
     """
     for servo in cables:
         store(bus, servo, "led", 0)
@@ -258,7 +246,6 @@ def limit_motion(
     """Sets what the servo itself keeps to once it is enabled: speed, output, and the bus watchdog.
 
     Args:
-        bus: where the servo is.
         servo: with its torque off, or left on by an earlier driver.
         speed: rad/s.
         watchdog: s without packets.
@@ -279,11 +266,9 @@ def limit_motion(
 def enable(bus: ServoBus, servo: Servo) -> int:
     """Torque on, after limit_motion has armed the bus watchdog; returns where (ticks) it holds.
 
-    As short as can be: the servos that are enabled already wait for their first goal.
-
-    Raises:
-        BusError: it does not answer, or refuses.
-        ConfigurationError: it restarted meanwhile, and has its torque without the limits; to be disabled.
+    As short as can be: the servos that are enabled already wait for their first goal. Raises BusError where it
+    does not answer, or refuses, and ConfigurationError where it restarted meanwhile: it has its torque without the
+    limits then, and is to be disabled.
     """
     position = bus.read(servo.number, servo["present_position"])
     bus.write(servo.number, servo["goal_position"], position)

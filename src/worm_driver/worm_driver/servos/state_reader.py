@@ -24,10 +24,6 @@ _FIRST_ANSWERS = 3
 class StateReader:
     """Reads states, with one repetition when a servo was silent, garbled or late.
 
-    Args:
-        bus: where the servos are.
-        servos: in the order in which their states are wanted.
-
     Attributes:
         problems: why a servo's state is SILENT, in words, by id.
 
@@ -49,8 +45,7 @@ class StateReader:
     def read(self) -> tuple[float, tuple[ServoState, ...]]:
         """When the servos were asked (s, monotonic), and their states; SILENT without a fresh answer.
 
-        Raises:
-            BusError: the port is gone.
+        Raises BusError: the port is gone.
         """
         asked, states = self._ask()
         if len(states) < len(self._ids):
@@ -79,8 +74,7 @@ class StateReader:
     def learn_clocks(self) -> None:
         """Learns the servos' clocks anew, from questions that each wait until no older answer can come.
 
-        Raises:
-            BusError: the port is gone.
+        Raises BusError: the port is gone.
         """
         self._clocks.clear()
         with self._bus.patient():
@@ -92,10 +86,8 @@ class StateReader:
     def look(self, servo: Servo, names: Sequence[str]) -> Mapping[str, int] | None:
         """Registers of a servo's health by name, asked now on a quiet line; None without a fresh answer.
 
-        All in one block with the servo's clock, so that a late answer is never taken for a fault.
-
-        Raises:
-            BusError: the port is gone.
+        All in one block with the servo's clock, so that a late answer is never taken for a fault. Raises BusError: the
+        port is gone.
         """
         self._bus.unsettle()
         size = _HEALTH_END - _HEALTH_START

@@ -39,8 +39,7 @@ class Spool:
     def ticks(self, length_change: float) -> int:
         """Position (ticks from home) that gives a change of length (m, contraction is negative).
 
-        Raises:
-            LimitError: not finite, or further than the servo counts.
+        Raises LimitError: not finite, or further than the servo counts.
         """
         if not math.isfinite(length_change):
             raise LimitError(

@@ -53,8 +53,7 @@ class CameraModel:
 def load_camera_info(path: Path) -> CameraModel:
     """The camera of a YAML file as ROS's camera_calibration writes it.
 
-    Raises:
-        SetupError: the file is missing, or is no calibration.
+    Raises SetupError: the file is missing, or is no calibration.
     """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -104,8 +103,7 @@ def make_camera_model(
 ) -> CameraModel:
     """A camera from the fields of a camera_info: size in pixels, K row by row, distortion_model, D.
 
-    Raises:
-        SetupError: they are not those of a calibrated camera, or the model is none of COEFFICIENTS.
+    Raises SetupError: they are not those of a calibrated camera, or the model is none of COEFFICIENTS.
     """
     width, height = size
     if not all(isinstance(side, int) and side > 0 for side in size):

@@ -63,8 +63,7 @@ def print_corners(centre: tuple[float, float, float], size: float, facing: int) 
 def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> CameraPose:
     """The camera's pose from the corners (pixels, shape (4, 2)) of reference markers by their numbers.
 
-    Raises:
-        PoseError: too few markers are seen, two poses fit alike, or none fits.
+    Raises PoseError: too few markers are seen, two poses fit alike, or none fits.
     """
     if len(corners_of) < FEWEST_REFERENCES:
         have = ", ".join(map(str, corners_of)) or "none"

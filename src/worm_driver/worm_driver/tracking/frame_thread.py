@@ -19,8 +19,7 @@ _PATIENCE = 0.05  # s, in which the end is noticed
 def frames_of_device(device: str, size: tuple[int, int], rate: float) -> Iterator[Frame]:
     """The images of a V4L2 camera, without end; their time is that of their arrival on the monotonic clock (s).
 
-    Raises:
-        ImageError: it cannot be opened, or gives no more images.
+    Raises ImageError: it cannot be opened, or gives no more images.
     """
     camera = Film(device)
     try:
@@ -43,11 +42,7 @@ class FrameThread:
     """
 
     def __init__(
-        self,
-        source: str,
-        setup: TrackerSetup,
-        size: tuple[int, int],
-        arrived: Callable[[], None],
+        self, source: str, setup: TrackerSetup, size: tuple[int, int], arrived: Callable[[], None]
     ):
         self._live = source.startswith("/dev/")
         if self._live:

@@ -27,8 +27,7 @@ class Frame:
 def frames_of_folder(folder: Path, rate: float) -> Iterator[Frame]:
     """The images of a folder in the order of times.csv (file,time_s), else of their names at a rate (Hz).
 
-    Raises:
-        ImageError: at the first image: there is none, one cannot be read, or nothing tells the times.
+    Raises ImageError: at the first image: there is none, one cannot be read, or nothing tells the times.
     """
     for path, time in times_of_folder(folder, rate):
         yield Frame(path.name, time, read_image(path))
@@ -41,8 +40,7 @@ def times_of_folder(folder: Path, rate: float) -> list[tuple[Path, float]]:
     if (folder / TIMES_FILE).exists():
         return _listed(folder / TIMES_FILE)
     paths = sorted(
-        (path for path in folder.iterdir() if path.suffix.lower() in IMAGE_ENDINGS),
-        key=_natural,
+        (path for path in folder.iterdir() if path.suffix.lower() in IMAGE_ENDINGS), key=_natural
     )
     if not paths:
         raise ImageError(f"{folder} holds no images ({', '.join(IMAGE_ENDINGS)})")
@@ -97,8 +95,7 @@ def _time(text: str | None, place: str) -> float:
 def frames_of_film(path: Path, rate: float) -> Iterator[Frame]:
     """The images of a film at the times that it tells; at a rate (Hz) where it tells none.
 
-    Raises:
-        ImageError: at the first image: it cannot be opened, or nothing tells the times.
+    Raises ImageError: at the first image: it cannot be opened, or nothing tells the times.
     """
     if not path.is_file():
         raise ImageError(f"{path} is not a file")

@@ -100,8 +100,7 @@ _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_
 def load_setup(path: Path) -> TrackerSetup:
     """The rig of a setup file, with the calibration that it names.
 
-    Raises:
-        SetupError: the file is missing or wrong; the message names the place and what is wrong there.
+    Raises SetupError: the file is missing or wrong; the message names the place and what is wrong there.
     """
     try:
         content = yaml.load(path.read_text(encoding="utf-8"), _Loader)

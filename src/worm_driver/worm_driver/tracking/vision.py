@@ -356,8 +356,7 @@ _CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4} | dict.fr
 def grey(data: NDArray[np.uint8], height: int, width: int, step: int, encoding: str) -> Image:
     """The pixels of a sensor_msgs/Image, whose rows are step bytes apart, as a grey image.
 
-    Raises:
-        ImageError: the encoding is none of those of 8 bits that cameras send, or the data are too few.
+    Raises ImageError: the encoding is none of those of 8 bits that cameras send, or the data are too few.
     """
     if encoding not in _CHANNELS:
         raise ImageError(

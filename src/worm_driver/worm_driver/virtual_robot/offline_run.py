@@ -95,10 +95,7 @@ def run_offline(
 
 def _with_fins_set(settings: RobotSettings, direction: int) -> RobotSettings:
     fins = tuple(
-        replace(
-            fin,
-            start_angle=fin.forward_angle if direction == FORWARD else fin.reverse_angle,
-        )
+        replace(fin, start_angle=fin.forward_angle if direction == FORWARD else fin.reverse_angle)
         for fin in settings.fin_servos
     )
     return replace(settings, fin_servos=fins)

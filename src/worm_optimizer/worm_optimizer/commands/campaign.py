@@ -25,13 +25,7 @@ from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.commands.search_options import shown_progress
 from worm_optimizer.nodes.operator_node import OperatorError
-from worm_optimizer.operation.bring_up import (
-    CYCLES,
-    FAILURES,
-    ProgressLog,
-    Session,
-    work_folder,
-)
+from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder
 from worm_optimizer.operation.campaign_plan import (
     PROMISES,
     Plan,
@@ -54,13 +48,7 @@ from worm_optimizer.operation.identification_runs import (
     virtual_bench,
 )
 from worm_optimizer.operation.processes import termination_as_interrupt
-from worm_optimizer.operation.spread import (
-    Spread,
-    run_names,
-    spread,
-    spread_json,
-    spread_table,
-)
+from worm_optimizer.operation.spread import Spread, run_names, spread, spread_json, spread_table
 from worm_optimizer.operation.spread_figure import draw_spread
 from worm_optimizer.orders import Order
 from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe

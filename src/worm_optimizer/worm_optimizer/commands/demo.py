@@ -10,23 +10,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from dataclasses import asdict
 from pathlib import Path
 
 from worm_model.analysis.plot_style import save_figure
 from worm_model.analysis.run_curves import plot_run
-from worm_model.bags.opening import open_bag
-from worm_model.bags.run_reader import read_run
-from worm_model.commands.command_line import (
-    FAILED,
-    InputError,
-    Parser,
-    print_result,
-    run_command,
-)
-from worm_model.parameters import Parameters, load_parameters
-from worm_model.twin.offline_replay import replay_run
+from worm_model.commands.command_line import FAILED, Parser, notifier, print_result, run_command
+from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.robot_options import add_tracker, with_tracker
 from worm_optimizer.operation.bring_up import (
     FAILURES,
@@ -38,6 +28,8 @@ from worm_optimizer.operation.bring_up import (
 from worm_optimizer.operation.demo_comparison import Comparison, compare, comparison_table
 from worm_optimizer.operation.demo_run import drive
 from worm_optimizer.operation.processes import termination_as_interrupt
+from worm_optimizer.operation.recorded_run import new_bag
+from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.robustness.prediction import Prediction
 
 
@@ -69,28 +61,21 @@ def _parser() -> Parser:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    parameters = load_parameters(options.parameters)
-    bag = _new_bag(options.bags)
+    load_parameter_file(
+        options.parameters
+    )  # raises on one that cannot be used, before anything moves
+    bag = new_bag(options.bags, "demo")
     say = ProgressLog("demo")
     try:
         with termination_as_interrupt():
             prediction = _drive(options, bag, say)
             say("replaying the recording into the twin")
-            comparison, figure = _look_back(bag, prediction, parameters)
+            comparison, figure = _look_back(bag, prediction, options.parameters)
     except FAILURES as error:
         print(f"demo: {error}", file=sys.stderr)  # noqa: T201
         return FAILED
     _print(options, prediction, comparison, bag, figure)
     return 0
-
-
-def _new_bag(folder: Path) -> Path:
-    """A path in the folder that no recording has yet."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--bags {folder}: {error.strerror}") from None
-    return folder.resolve() / time.strftime("demo_%Y_%m_%d-%H_%M_%S")
 
 
 def _drive(options: argparse.Namespace, bag: Path, say: Say) -> Prediction:
@@ -111,16 +96,12 @@ def _absolute(path: str) -> str:
     return str(Path(path).resolve()) if path else ""
 
 
-def _look_back(
-    bag: Path, prediction: Prediction, parameters: Parameters
-) -> tuple[Comparison, Path]:
+def _look_back(bag: Path, prediction: Prediction, parameter_file: str) -> tuple[Comparison, Path]:
     """Replay a recording into the twin, compare, and draw the figure beside the bag."""
-    with open_bag(bag) as content:
-        run = read_run(content)
-    replay = replay_run(run, parameters)
-    comparison = compare(run, replay, prediction, parameters)
-    figure = bag.with_suffix(".png")
-    save_figure(plot_run(run, replay, parameters, _title(prediction)), figure)
+    gait = read_recorded_gaits([bag], parameter_file, notifier("demo"))[-1]
+    comparison, figure = compare(gait, prediction), bag.with_suffix(".png")
+    title, parameters = _title(prediction), gait.content.parameters
+    save_figure(plot_run(gait.run, gait.replay, parameters, title), figure)
     return comparison, figure
 
 

@@ -24,16 +24,8 @@ from worm_model.commands.command_line import (
 )
 from worm_model.gait import Gait
 from worm_optimizer.commands.search_options import add_objective, request_of_options
-from worm_optimizer.nodes.operator_node import (
-    OperatorNode,
-    UnreachableError,
-    operator,
-)
-from worm_optimizer.operation.bring_up import (
-    CYCLES,
-    FAILURES,
-    ProgressLog,
-)
+from worm_optimizer.nodes.operator_node import OperatorNode, UnreachableError, operator
+from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog
 from worm_optimizer.operation.demo_run import now_and_then
 from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.recorded_run import new_bag, recorded
@@ -72,11 +64,27 @@ def _parser() -> Parser:
         return added
 
     add("state", _state, "What is heard of the robot; exit status 1 where there is no driver.")
-    add("home", _home, "Take the present length of the cable as the initial one; torque is off.")
-    add("activate", _activate, "Turn the torque on, where the cable is.")
-    add("deactivate", _deactivate, "Bring the robot to rest and turn its torque off.")
-    add("stop", _stop, "Hold the cable where it is, at once; the torque stays on.")
-    add("reboot", _reboot, "Restart the servos that report a hardware error; torque is off.")
+    add(
+        "home",
+        _asking(OperatorNode.home),
+        "Take the present length of the cable as the initial one; torque is off.",
+    )
+    add("activate", _asking(OperatorNode.activate), "Turn the torque on, where the cable is.")
+    add(
+        "deactivate",
+        _asking(OperatorNode.deactivate),
+        "Bring the robot to rest and turn its torque off.",
+    )
+    add(
+        "stop",
+        _asking(OperatorNode.stop),
+        "Hold the cable where it is, at once; the torque stays on.",
+    )
+    add(
+        "reboot",
+        _asking(OperatorNode.reboot),
+        "Restart the servos that report a hardware error; torque is off.",
+    )
     switch = add(
         "emergency_stop",
         _emergency_stop,
@@ -172,24 +180,9 @@ def _state_words(state: RobotState) -> str:
     return "\n".join(f"{name:<15} {value}" for name, value in rows)
 
 
-def _home(node: OperatorNode, options: argparse.Namespace) -> int:
-    return _done(options, node.home())
-
-
-def _activate(node: OperatorNode, options: argparse.Namespace) -> int:
-    return _done(options, node.activate())
-
-
-def _deactivate(node: OperatorNode, options: argparse.Namespace) -> int:
-    return _done(options, node.deactivate())
-
-
-def _stop(node: OperatorNode, options: argparse.Namespace) -> int:
-    return _done(options, node.stop())
-
-
-def _reboot(node: OperatorNode, options: argparse.Namespace) -> int:
-    return _done(options, node.reboot())
+def _asking(ask: Callable[[OperatorNode], str]) -> Action:
+    """An action that takes nothing but the word."""
+    return lambda node, options: _done(options, ask(node))
 
 
 def _emergency_stop(node: OperatorNode, options: argparse.Namespace) -> int:

@@ -6,13 +6,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from worm_model.commands.command_line import (
-    InputError,
-    Parser,
-    notifier,
-    print_result,
-    run_command,
-)
+from worm_model.commands.command_line import InputError, Parser, notifier, print_result, run_command
 from worm_optimizer.commands.search_options import shown_progress
 from worm_optimizer.report.agreement import agreement_json, describe, title_of
 from worm_optimizer.report.identification_parts import add_identification, identification_of

@@ -96,9 +96,7 @@ def _value(row: SettingRow) -> str:
     return _VALUES[next(endings, "")]
 
 
-def _by_option(
-    rows: tuple[SettingRow, ...],
-) -> list[tuple[str, list[SettingRow]]]:
+def _by_option(rows: tuple[SettingRow, ...]) -> list[tuple[str, list[SettingRow]]]:
     """The rows of each option, in order; neighbours share one."""
     grouped = groupby((row for row in rows if row.option), key=lambda row: row.option)
     return [(option, list(group)) for option, group in grouped]

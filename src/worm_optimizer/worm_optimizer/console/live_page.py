@@ -17,12 +17,7 @@ from worm_optimizer.console.view import REMEMBERED_S, Sample, silences, twin_wor
 FRAME_S = 1.0 / 30.0
 WORDS_S = 0.25
 CHART_S = 0.5
-_LENGTHS = {
-    "commanded": "#888888",
-    "cable": GREEN,
-    "measured": BLUE,
-    "estimated": VERMILION,
-}
+_LENGTHS = {"commanded": "#888888", "cable": GREEN, "measured": BLUE, "estimated": VERMILION}
 _OF_TWIN = ("estimated", "predicted")
 _POWERS = {"power": BLUE, "predicted": VERMILION}
 _ROWS = (

@@ -13,12 +13,7 @@ _LINES = {"lineStyle": {"color": "#88888855"}}
 
 
 def chart(
-    x: dict[str, Any],
-    y: str,
-    series: list[dict[str, Any]],
-    *,
-    height: str = "15rem",
-    **events: Any,
+    x: dict[str, Any], y: str, series: list[dict[str, Any]], *, height: str = "15rem", **events: Any
 ) -> ui.echart:
     """A chart of the ``series``, with a legend of those that have a name; ``events`` are echart's.
 

@@ -115,16 +115,8 @@ class StudiesPage:
             _warn(f"wait: {goes_on}" if goes_on else self._hub.worker.hindrance)
 
     def _ask_scan(self) -> None:
-        margins = {
-            "lowest": _metres(self._lowest, 0.0),
-            "highest": _metres(self._highest, 0.0),
-            "step": _metres(self._step, 0.0),
-        }
-        if self._may():
-            studies = self._studies
-            self._begun(
-                studies.search(ScanOrder(self._direction.value, **margins)), studies.searching
-            )
+        margins = (_metres(field, 0.0) for field in (self._lowest, self._highest, self._step))
+        self._ask_search(ScanOrder(self._direction.value, *margins))
 
     def _ask_front(self) -> None:
         kind, nan = self._kind.value, math.nan
@@ -134,6 +126,9 @@ class StudiesPage:
             _metres(self._margin, nan) if kind == "margin" else nan,
             (self._probability.value or 0.0) if kind == "chance" else 0.0,
         )
+        self._ask_search(order)
+
+    def _ask_search(self, order: ScanOrder | FrontOrder) -> None:
         if self._may():
             self._begun(self._studies.search(order), self._studies.searching)
 

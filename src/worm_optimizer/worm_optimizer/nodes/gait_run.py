@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -13,6 +14,7 @@ from rclpy.publisher import Publisher
 from worm_msgs.action import RunGait
 from worm_msgs.msg import Gait, Heartbeat
 from worm_optimizer.nodes.action_goal import ActionGoal
+from worm_optimizer.nodes.optimizer_messages import value_of
 from worm_optimizer.orders import Order, RunProgress, RunResult
 
 SILENCE_S = 3.0  # of its owner, that a run puts up with
@@ -52,7 +54,7 @@ class GaitRun(ActionGoal):
     @property
     def result(self) -> RunResult:
         """Of a run that is done."""
-        return _result_of(self.order, self._message())
+        return value_of(RunResult, self._message(), gait=self.order.gait)
 
     def close(self) -> None:
         """Lets go of the run, which comes to rest if it goes on."""
@@ -64,31 +66,14 @@ class GaitRun(ActionGoal):
             self._heartbeat.publish(Heartbeat(goal=self._id.uuid))
 
     def _take(self, feedback: Any) -> None:
-        self.progress = RunProgress(
-            feedback.cycle,
-            feedback.elapsed,
-            feedback.grooves,
-            feedback.distance,
-            feedback.power,
-        )
+        self.progress = value_of(RunProgress, feedback)
 
 
 def _goal_of(order: Order) -> RunGait.Goal:
-    gait = order.gait
     return RunGait.Goal(
-        gait=Gait(
-            stroke=gait.stroke,
-            frequency=gait.frequency,
-            direction=gait.direction,
-            margin=gait.margin,
-        ),
+        gait=Gait(**asdict(order.gait)),
         cycles=order.cycles,
         grooves=order.grooves,
         distance=order.distance,
         heartbeat=SILENCE_S,
     )
-
-
-def _result_of(order: Order, result: RunGait.Result) -> RunResult:
-    names = RunResult.__dataclass_fields__.keys() - {"gait"}
-    return RunResult(gait=order.gait, **{name: getattr(result, name) for name in names})

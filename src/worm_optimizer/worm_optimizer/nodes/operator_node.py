@@ -7,7 +7,6 @@ by spinning it. A gait that runs is a `GaitRun`: begin it, follow it, and spin a
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import re
 import time
@@ -34,20 +33,13 @@ from std_srvs.srv import Trigger
 from worm_model.gait import FORWARD
 from worm_model.twin.records import Activity, Health
 from worm_msgs import network
-from worm_msgs.msg import (
-    GaitPrediction,
-    GaitState,
-    Heartbeat,
-    Power,
-    Tracker,
-    TwinResiduals,
-    TwinState,
-)
+from worm_msgs.msg import GaitState, Heartbeat, Power, Tracker, TwinResiduals, TwinState
 from worm_msgs.qos import LATCHED
 from worm_msgs.ros_process import words_of
 from worm_msgs.srv import InjectFault, RequestGait
 from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.nodes.gait_run import GaitRun
+from worm_optimizer.nodes.optimizer_messages import value_of
 from worm_optimizer.nodes.search_goal import SearchGoal
 from worm_optimizer.orders import (
     FrontOrder,
@@ -123,10 +115,7 @@ def operator(
             network.bind(os.environ, rclpy.get_rmw_implementation_identifier())
             context.init(args=[])
             node = OperatorNode(namespace, check, context, name)
-        except (
-            network.NetworkError,
-            RuntimeError,
-        ) as error:  # of rcl, whose classes have no public name
+        except (network.NetworkError, RuntimeError) as error:  # rcl's own have no public name
             raise OperatorError(f"ROS: {words_of(error)}") from None
         stack.callback(node.destroy_node)
         yield node
@@ -211,10 +200,7 @@ class OperatorNode(Node):
         topic = self.resolve_topic_name("gait_state")
         self.wait(lambda: self.count_publishers(topic) > 0, STRANGER_S)
         if not self.wait(lambda: self.count_publishers(topic) == 0, LEASE_S):
-            raise OperatorError(
-                f"another worm runs in this ROS domain: {self.get_namespace()} has a driver already; "
-                "end it, or set ROS_DOMAIN_ID to another number for one of them"
-            )
+            raise self._another_worm(f"{self.get_namespace()} has a driver already")
 
     def wait_for_nodes(self, names: Iterable[str]) -> None:
         """Wait until these nodes are there; raises `OperatorError` if one is not, or is there twice.
@@ -228,16 +214,18 @@ class OperatorNode(Node):
         if missing:
             raise OperatorError(f"no node {missing[0]} within {NODES_TIMEOUT_S:g} s")
         if not self.wait(lambda: not self._repeated(expected), LEASE_S):
-            raise self._another_worm(sorted(self._names()))
+            found = ", ".join(sorted(self._names()))
+            raise self._another_worm(f"the nodes of {self.get_namespace()} are {found}")
 
     def _repeated(self, names: set[str]) -> list[str]:
         found = self._names()
         return [name for name in names if found.count(name) > 1]
 
-    def _another_worm(self, found: list[str]) -> OperatorError:
+    @staticmethod
+    def _another_worm(sign: str) -> OperatorError:
         return OperatorError(
-            f"another worm runs in this ROS domain: the nodes of {self.get_namespace()} are "
-            f"{', '.join(found)}; end it, or set ROS_DOMAIN_ID to another number for one of them"
+            f"another worm runs in this ROS domain: {sign}; end it, or set ROS_DOMAIN_ID to another number for one "
+            "of them"
         )
 
     def wait_for_publisher(self, topic: str, remedy: str) -> None:
@@ -397,7 +385,8 @@ class OperatorNode(Node):
         while True:
             response = self._call_twice(RequestGait, "request_gait", message)
             if response.success:
-                return _prediction_of(response.prediction)
+                found = response.prediction
+                return value_of(Prediction, found.gait, found)
             if response.status == RequestGait.Response.UNREACHABLE:
                 raise UnreachableError(response.message)
             waits = response.status == RequestGait.Response.COMPUTING
@@ -549,25 +538,11 @@ def _state_of(lifecycle: str, heard: dict[type, Any]) -> RobotState:
         told["health"] = _HEALTH.get(residuals.health, "")
     if (twin := heard.get(TwinState)) is not None:
         told["initial_length"] = twin.initial_length
-    return RobotState(
+    return value_of(
+        RobotState,
+        gait_state,
+        gait_state.gait,
         lifecycle=lifecycle,
         state=_STATES.get(gait_state.state, ""),
-        homed=gait_state.homed,
-        emergency_stop=gait_state.emergency_stop,
-        cycle=gait_state.cycle,
-        cycles=gait_state.cycles,
-        stroke=gait_state.gait.stroke,
-        frequency=gait_state.gait.frequency,
-        direction=gait_state.gait.direction,
-        message=gait_state.message,
         **told,
     )
-
-
-def _prediction_of(message: GaitPrediction) -> Prediction:
-    gait = message.gait
-    values = {
-        row.name: getattr(gait if hasattr(gait, row.name) else message, row.name)
-        for row in dataclasses.fields(Prediction)
-    }
-    return Prediction(**values)

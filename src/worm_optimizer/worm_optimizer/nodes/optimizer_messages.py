@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any, TypeVar
 
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
@@ -18,6 +19,15 @@ from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.search_settings import ScanSettings, Settings, robustness_of
 
 _GAIT_FIELDS = frozenset({"stroke", "frequency", "direction", "margin"})
+
+T = TypeVar("T")
+
+
+def value_of(kind: type[T], *messages: Any, **known: Any) -> T:
+    """A dataclass with the fields of its names of messages, of the first one that has it, but for what is known."""
+    names = {row.name for row in dataclasses.fields(kind)} - known.keys()  # type: ignore[arg-type]
+    taken = {n: getattr(m, n) for m in reversed(messages) for n in names if hasattr(m, n)}
+    return kind(**taken, **known)
 
 
 def prediction_message(prediction: Prediction) -> GaitPrediction:

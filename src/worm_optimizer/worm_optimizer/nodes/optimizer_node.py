@@ -21,10 +21,7 @@ from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import Ending, spin
 from worm_msgs.srv import RequestGait
-from worm_optimizer.nodes import (
-    optimizer_messages,
-    optimizer_parameters,
-)
+from worm_optimizer.nodes import optimizer_messages, optimizer_parameters
 from worm_optimizer.search.cache import Cache
 from worm_optimizer.search.front import (
     Progress,

@@ -6,9 +6,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
+from worm_msgs.node_command import descriptor
 from worm_optimizer.search.cache import default_directory
 from worm_optimizer.search.search_settings import SETTINGS, SettingRow, Settings, settings_of
 
@@ -37,12 +38,5 @@ def node_settings(node: Node) -> Settings:
 
 
 def _descriptor(row: SettingRow) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(description=row.meaning, read_only=True)
-    if row.low is not None and row.high is not None:
-        if isinstance(row.default, int):
-            whole = IntegerRange(from_value=int(row.low), to_value=int(row.high))
-            descriptor.integer_range = [whole]
-        else:
-            span = FloatingPointRange(from_value=row.low, to_value=row.high)
-            descriptor.floating_point_range = [span]
-    return descriptor
+    span = None if row.low is None or row.high is None else (row.low, row.high)
+    return descriptor(row.meaning, row.default, span, read_only=True)

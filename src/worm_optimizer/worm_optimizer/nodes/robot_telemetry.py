@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
 from collections import deque
@@ -14,18 +13,18 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from worm_model.nodes.twin_messages import nanoseconds
-from worm_model.twin.records import Activity, Health, LengthSource, StateRecord
+from worm_model.twin.records import Activity, Health, LengthSource, ResidualRecord, StateRecord
 from worm_model.twin.scene import Sighting
 from worm_model.twin.watch_view import STALE_S
 from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
 from worm_msgs.qos import LATCHED
-from worm_optimizer.snapshot import DriverWord, Residuals, Snapshot
+from worm_optimizer.nodes.optimizer_messages import value_of
+from worm_optimizer.snapshot import DriverWord, Snapshot
 
 RESIDUALS = ("rear_position", "length", "power")
 _NEWEST = QoSProfile(depth=1)
-_SIGHTINGS = (
-    200  # 2 s at 100 Hz: the twin is behind by its delay, and is shown beside what was seen then
-)
+# 2 s at 100 Hz: the twin is behind by its delay, and is shown beside what was seen then
+_SIGHTINGS = 200
 _LENGTHS = {
     LengthSource.COMMANDED: "body_length/commanded",
     LengthSource.CABLE: "body_length/cable",
@@ -92,27 +91,22 @@ def _between(earlier: Any, later: Any) -> float:
 def _driver_of(message: Any) -> DriverWord | None:
     if message is None:
         return None
-    told = ("homed", "emergency_stop", "run", "cycle", "cycles", "message")
-    gait = {name: getattr(message.gait, name) for name in ("stroke", "frequency", "direction")}
-    return DriverWord(
-        state=Activity(message.state), **{name: getattr(message, name) for name in told}, **gait
-    )
+    return value_of(DriverWord, message, message.gait, state=Activity(message.state))
 
 
 def _twin_of(message: Any) -> StateRecord | None:
     if message is None:
         return None
-    names = [row.name for row in dataclasses.fields(StateRecord) if row.name != "stamp_ns"]
-    values = {name: getattr(message, name) for name in names}
-    values["length_source"] = LengthSource(message.length_source)
-    return StateRecord(stamp_ns=nanoseconds(message.header.stamp), **values)
+    source = LengthSource(message.length_source)
+    stamp_ns = nanoseconds(message.header.stamp)
+    return value_of(StateRecord, message, stamp_ns=stamp_ns, length_source=source)
 
 
 def _measured(residuals: Any) -> list[str]:
     return [name for name in RESIDUALS if math.isfinite(getattr(residuals, name))]
 
 
-def _residuals_of(message: Any, kept: Mapping[str, tuple[float, Any]]) -> Residuals | None:
+def _residuals_of(message: Any, kept: Mapping[str, tuple[float, Any]]) -> ResidualRecord | None:
     """What is known of each, as long as it is not older than `STALE_S` beside the newest message."""
     if message is None:
         return None
@@ -121,7 +115,8 @@ def _residuals_of(message: Any, kept: Mapping[str, tuple[float, Any]]) -> Residu
     for name, (at, measured) in kept.items():
         if newest - at <= STALE_S:
             values |= {key: getattr(measured, key) for key in (name, f"{name}_scale")}
-    return Residuals(**values, health=Health(message.health), message=message.message)
+    known = {"stamp_ns": nanoseconds(message.header.stamp), "health": Health(message.health)}
+    return value_of(ResidualRecord, message, **known, **values)
 
 
 def _robot_at(twin: Any, sightings: list[Any]) -> Sighting:

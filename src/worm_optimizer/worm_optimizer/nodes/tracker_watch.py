@@ -11,9 +11,8 @@ from rclpy.node import Node
 
 from worm_msgs.msg import Tracker
 
-SILENCE_S = (
-    2.0  # of the robot's time without a position; a marker that is covered for a moment is usual
-)
+# of the robot's time without a position; a marker that is covered for a moment is usual
+SILENCE_S = 2.0
 LOOK_S = 0.25
 
 

@@ -32,7 +32,7 @@ AFTERWARDS_S = 2.0  # of rest that end a recording; the slack of a resting cable
 RECORDER = "recorder"  # name of the node in system.yaml
 BUSY = 1.5  # load average per processor from where it may be the cause of a failure
 _TO_REST = (
-    "--to-rest"  # a recorder of all nodes ends when the robot is let go, that of a run with the run
+    "--to-rest"  # of a recorder of all nodes, to end when the robot is let go; a run's ends with it
 )
 _EXCLUDE = "--exclude"
 FAILURES = (ProcessError, OperatorError, RecordingError)
@@ -116,11 +116,7 @@ class Session:
 
 @contextmanager
 def session(
-    system: System,
-    logs: Path,
-    say: Say,
-    restarts: int = 0,
-    check: Check = lambda: None,
+    system: System, logs: Path, say: Say, restarts: int = 0, check: Check = lambda: None
 ) -> Iterator[Session]:
     """The nodes of a system, started in their order; afterwards no process is left, whatever happened.
 

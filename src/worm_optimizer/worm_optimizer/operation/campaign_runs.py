@@ -12,13 +12,7 @@ from worm_model.bags.bag_errors import BagError
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_optimizer.nodes.tracker_watch import TrackerWatch
-from worm_optimizer.operation.bring_up import (
-    RECORDER,
-    Say,
-    Session,
-    recording,
-    session,
-)
+from worm_optimizer.operation.bring_up import RECORDER, Say, Session, recording, session
 from worm_optimizer.operation.system import System, SystemFile
 from worm_optimizer.orders import Order
 

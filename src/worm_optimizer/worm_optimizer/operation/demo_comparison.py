@@ -6,17 +6,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from worm_model.analysis.run_metrics import (
-    Performance,
-    Window,
-    accumulated_energy,
-    averaged_cycles,
-    last_played_gait,
-    performance,
-)
-from worm_model.parameters import Parameters
-from worm_model.run import Run
-from worm_model.twin.offline_replay import Replay
+from worm_model.analysis.run_metrics import Performance, RecordingError, Window
+from worm_optimizer.report.expectation import Bands
+from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robustness.prediction import Prediction
 
 _NAME_WIDTH = 34
@@ -44,35 +36,23 @@ class Comparison:
     robust: Performance
 
 
-def compare(run: Run, replay: Replay, prediction: Prediction, parameters: Parameters) -> Comparison:
-    """Compare the last gait of a run; raises `RecordingError` if the recording lacks something."""
-    played = last_played_gait(run.gait_state)
-    window = played.cycle_window(*averaged_cycles(run, played))
-    mass, direction = parameters.mass, played.gait.direction
-    tracker, states = run.tracker, replay.states
+def compare(gait: RecordedGait, prediction: Prediction) -> Comparison:
+    """Compares a recorded gait; raises `RecordingError` if it ended early, or its recording lacks something."""
+    for problem in (gait.early_end, *gait.missing):
+        if problem:
+            raise RecordingError(problem)
+    nominal = ("nominal_speed", "nominal_power", "nominal_cost_of_transport")
     return Comparison(
-        window=window,
-        measured=performance(
-            (tracker.stamp, tracker.rear_position),
-            accumulated_energy((run.power.stamp, run.power.valid_power)),
-            mass,
-            window,
-            direction,
-        ),
-        twin=performance(
-            (states["stamp_ns"], states["rear_position"]),
-            (states["stamp_ns"], states["energy"]),
-            mass,
-            window,
-            direction,
-        ),
-        predicted=Performance(
-            prediction.nominal_speed,
-            prediction.nominal_power,
-            prediction.nominal_cost_of_transport,
-        ),
+        window=gait.window,
+        measured=_means(gait.measured),
+        twin=_means(gait.twin),
+        predicted=Performance(*(getattr(prediction, name) for name in nominal)),
         robust=Performance(prediction.speed, prediction.power, prediction.cost_of_transport),
     )
+
+
+def _means(bands: Bands) -> Performance:
+    return Performance(bands.speed.value, bands.power.value, bands.cost_of_transport.value)
 
 
 def relative_difference(value: float, reference: float) -> float:

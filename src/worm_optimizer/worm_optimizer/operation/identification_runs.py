@@ -19,11 +19,7 @@ from worm_model.identification.stages import identify
 from worm_model.parameters import ParameterFile, write_parameter_file
 from worm_optimizer.operation.bring_up import Say, Session
 from worm_optimizer.operation.campaign_runs import Prepare, Robot, run_gaits
-from worm_optimizer.operation.processes import (
-    ProcessError,
-    ProcessGroup,
-    executable_command,
-)
+from worm_optimizer.operation.processes import ProcessError, ProcessGroup, executable_command
 from worm_optimizer.orders import Order
 
 # Three frequencies tell the damping from the power factor, which one cannot (docs/model.md); strokes tell gain from
@@ -37,16 +33,10 @@ GAITS = (
     Gait(0.09, 0.2),
 )
 _BEYOND = 0.3  # pitches that a run goes on past the last ridge, as one outlier is no arrival
-_MOST_CYCLES = (
-    12  # after which a gait that has not passed them never will, as identify's advice has it
-)
+_MOST_CYCLES = 12  # a gait that has not passed them then never will, as identify's advice has it
 BENCH, BENCH_S = "bench_tests", 60.0
-RUNS, PARAMETERS, REPORT, SUMMARY = (
-    "identification",
-    "parameters.yaml",
-    "identification_report",
-    "identification.json",
-)
+RUNS, PARAMETERS = "identification", "parameters.yaml"
+REPORT, SUMMARY = "identification_report", "identification.json"
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from worm_optimizer.operation.bring_up import (
 from worm_optimizer.operation.processes import ProcessGroup
 
 
-def new_bag(folder: Path) -> Path:
-    """A bag that is not there yet in a folder, which is made. Raises `InputError`."""
+def new_bag(folder: Path, kind: str = "run") -> Path:
+    """A bag that is not there yet in a folder, which is made; its name begins with its kind. Raises `InputError`."""
     folder = folder.resolve()
     if (folder / METADATA_FILE).exists():
         raise InputError(f"{folder}: this is a bag; give the folder that holds the bags")
@@ -29,7 +29,7 @@ def new_bag(folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror}") from None
-    bag = folder / time.strftime("run_%Y_%m_%d-%H_%M_%S")
+    bag = folder / time.strftime(f"{kind}_%Y_%m_%d-%H_%M_%S")
     if bag.exists():
         raise InputError(f"{bag}: exists already; try again in a second")
     return bag

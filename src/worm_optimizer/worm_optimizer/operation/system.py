@@ -16,19 +16,6 @@ Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[s
 MODES = ("robot", "virtual", "replay")
 RESTARTS = 3  # of a node that is not required, where the nodes are to stay up
 _SYSTEM_KEYS = {"namespace", "settings", "nodes"}
-_NODE_KEYS = {
-    "package",
-    "executable",
-    "modes",
-    "needs",
-    "ready",
-    "lifecycle",
-    "required",
-    "at_rest_within",
-    "arguments",
-    "parameters",
-    "remappings",
-}
 
 
 class SystemFileError(ValueError):
@@ -66,6 +53,14 @@ class NodeDescription:
             # JSON is YAML: "1" stays a string and 1.0 a float
             result += ["-p", f"{key}:={json.dumps(value)}"]
         return result
+
+
+# Of a node in a system file; the plain ones go into its description as they are.
+_PLAIN_KEYS = ("ready", "lifecycle", "required", "at_rest_within")
+_NODE_KEYS = (
+    *("package", "executable", "modes", "needs", *_PLAIN_KEYS),
+    *("arguments", "parameters", "remappings"),
+)
 
 
 @dataclass(frozen=True)
@@ -128,13 +123,10 @@ class SystemFile:
         parameters = _of_mode(content.get("parameters", {}), mode)
         try:
             return NodeDescription(
-                name=name,
+                name,
                 package=content["package"],
                 executable=content["executable"],
-                ready=content.get("ready", ""),
-                lifecycle=content.get("lifecycle", False),
-                required=content.get("required", False),
-                at_rest_within=content.get("at_rest_within", ""),
+                **{key: content[key] for key in _PLAIN_KEYS if key in content},
                 arguments=_arguments(content.get("arguments", ()), values),
                 parameters=_parameters(parameters, values),
                 remappings=_of_mode(content.get("remappings", {}), mode),
@@ -153,7 +145,7 @@ def load_system_file(path: str | Path) -> SystemFile:
     if not isinstance(content, Mapping) or set(content) != _SYSTEM_KEYS:
         raise SystemFileError(f"{path}: expected the keys {', '.join(sorted(_SYSTEM_KEYS))}")
     for name, node in content["nodes"].items():
-        unknown = sorted(set(node) - _NODE_KEYS)
+        unknown = sorted(set(node) - set(_NODE_KEYS))
         if unknown:
             known = ", ".join(sorted(_NODE_KEYS))
             raise SystemFileError(f"{path}: node {name}: unknown key {unknown[0]}, known: {known}")

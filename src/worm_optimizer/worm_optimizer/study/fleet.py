@@ -8,7 +8,6 @@ beside the output until all are there, so that a reading that was killed goes on
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import json
 import math
@@ -29,6 +28,7 @@ from worm_model.parameters import load_parameter_file
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.study.engine import LostError, Say, connected, cores, spread
+from worm_optimizer.study.store import check_folder, take
 from worm_optimizer.study.study_run import Counts
 from worm_optimizer.study.version import identity
 
@@ -148,14 +148,8 @@ def read_fleet(
         if todo:
             with connected(scheduler, min(workers or cores(), len(todo))) as client:
                 pieces = [(str(bags[k].resolve()), names[k], source) for k in todo]
-                _read(
-                    client,
-                    pieces,
-                    [parts / f"{marks[k]}.json" for k in todo],
-                    len(bags),
-                    say,
-                    progress,
-                )
+                files = [parts / f"{marks[k]}.json" for k in todo]
+                _read(client, pieces, files, len(bags), say, progress)
         rows = [row for mark in marks for row in json.loads((parts / f"{mark}.json").read_text())]
         table = pa.Table.from_pylist(rows, SCHEMA).replace_schema_metadata(
             {_IDENTITY: whole.encode()}
@@ -219,15 +213,9 @@ def _known(output: Path, whole: str) -> Counts:
 @contextlib.contextmanager
 def _parts(output: Path) -> Iterator[Path]:
     """The folder of the rows until all are there, for this process alone."""
-    if not output.parent.is_dir():
-        raise InputError(f"{output}: its folder {output.parent} does not exist; make it first")
+    check_folder(output)
     parts = output.with_name(f"{output.name}.part")
     parts.mkdir(exist_ok=True)
     with (parts / ".lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(
-                f"{output}: another process works on it; wait for it, or give another name"
-            ) from None
+        take(file, output)
         yield parts

@@ -16,8 +16,8 @@ from worm_model.identification.drift_figure import draw_health
 from worm_model.identification.estimate import Estimate
 from worm_model.parameters import ParameterFile, load_parameter_file
 from worm_optimizer.study.fleet import FAILED, Row
-from worm_optimizer.study.study_page import Image, Table, encoded, render
-from worm_optimizer.study.study_plots import compared_figure, png
+from worm_optimizer.study.study_page import Table, render
+from worm_optimizer.study.study_plots import Picture, compared_figure, png
 
 
 def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
@@ -30,16 +30,11 @@ def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
     charts, names = fleet_charts(read, load_parameter_file(parameters))
     images = []
     if read:
-        images.append(
-            Image(
-                encoded(png(compared_figure(read))),
-                "Each gait as measured, over what the model expects of its command.",
-            )
-        )
+        caption = "Each gait as measured, over what the model expects of its command."
+        images.append(Picture(png(compared_figure(read)), caption))
     if names:
-        images.append(
-            Image(_health(names, charts), "Parameters from each bag alone, in the order of time.")
-        )
+        caption = "Parameters from each bag alone, in the order of time."
+        images.append(Picture(_health(names, charts), caption))
     render(
         page,
         title="Fleet",
@@ -65,11 +60,11 @@ def _estimate(row: Row, key: str) -> Estimate:
     return Estimate(value, row[f"{key}_low"], row[f"{key}_high"], math.isfinite(value), "")
 
 
-def _health(names: Sequence[str], charts: Sequence[Chart]) -> str:
+def _health(names: Sequence[str], charts: Sequence[Chart]) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "health.png"
         draw_health(names, charts, file)
-        return encoded(file.read_bytes())
+        return file.read_bytes()
 
 
 def _lead(rows: Sequence[Row], failed: Sequence[Row], charts: Sequence[Chart]) -> list[str]:
@@ -88,16 +83,8 @@ def _lead(rows: Sequence[Row], failed: Sequence[Row], charts: Sequence[Chart]) -
 
 def _gaits_table(read: Sequence[Row]) -> Table:
     heads = (
-        "gait",
-        "start",
-        "S (mm)",
-        "f (Hz)",
-        "speed (mm/s)",
-        "expected",
-        "power (W)",
-        "expected",
-        "COT",
-        "events",
+        *("gait", "start", "S (mm)", "f (Hz)", "speed (mm/s)", "expected"),
+        *("power (W)", "expected", "COT", "events"),
     )
     return Table("Gaits", heads, [_cells(row) for row in read])
 

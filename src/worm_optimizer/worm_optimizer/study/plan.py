@@ -308,12 +308,25 @@ def _whole(where: str, value: Any, least: int, most: int) -> int:
     return value
 
 
+class _Section(dict[str, Any]):
+    """A part of the file that may be missing, its keys checked."""
+
+    def __init__(self, where: str, content: Any, known: Sequence[str]) -> None:
+        super().__init__({} if content is None else _mapping(where, content, known))
+        self._where = where
+
+    def number(self, key: str, default: float) -> float:
+        """A finite number."""
+        return _number(f"{self._where}: {key}", self.get(key, default))
+
+    def whole(self, key: str, default: int, least: int, most: int) -> int:
+        """A whole number within bounds."""
+        return _whole(f"{self._where}: {key}", self.get(key, default), least, most)
+
+
 def _axes(content: Any) -> tuple[Axis, ...]:
-    if content is None:
-        return ()
-    return tuple(
-        _axis(name, row) for name, row in _mapping("vary", content, tuple(QUANTITY_UNITS)).items()
-    )
+    rows = _Section("vary", content, tuple(QUANTITY_UNITS))
+    return tuple(_axis(name, row) for name, row in rows.items())
 
 
 def _axis(name: str, row: Any) -> Axis:
@@ -358,9 +371,7 @@ def _listed(where: str, form: Mapping[str, Any]) -> tuple[float, ...]:
 
 def _fixed(content: Any) -> tuple[dict[str, float], bool]:
     """The fixed numbers, and whether the margin is that at the cliff."""
-    if content is None:
-        return {}, False
-    rows = _mapping("fixed", content, tuple(QUANTITY_UNITS))
+    rows = _Section("fixed", content, tuple(QUANTITY_UNITS))
     at_cliff = rows.get("margin_m") == CLIFF
     if at_cliff:
         del rows["margin_m"]
@@ -394,26 +405,24 @@ def _files(
 
 def _sample(content: Any, axes: Sequence[Axis]) -> Sample:
     needed = any(axis.sampled for axis in axes)
-    if content is None:
-        if needed:
-            raise StudyError(
-                "sample: a range needs one: write sample: {method: sobol, points: 64, seed: 1}"
-            )
-        return Sample()
-    if not needed:
+    if needed and content is None:
+        raise StudyError(
+            "sample: a range needs one: write sample: {method: sobol, points: 64, seed: 1}"
+        )
+    if not needed and content is not None:
         raise StudyError("sample: nothing under vary has a range to sample")
-    rows = _mapping("sample", content, ("method", "points", "seed"))
-    method = rows.get("method", METHODS[0])
+    plain, rows = Sample(), _Section("sample", content, ("method", "points", "seed"))
+    method = rows.get("method", plain.method)
     if method not in METHODS:
         raise StudyError(f"sample: method {method!r} is none of {', '.join(METHODS)}")
-    points = _whole("sample: points", rows.get("points", 64), 1, MOST_POINTS)
-    return Sample(method, points, _whole("sample: seed", rows.get("seed", 1), 0, 2**32 - 1))
+    points = rows.whole("points", plain.points, 1, MOST_POINTS)
+    return Sample(method, points, rows.whole("seed", plain.seed, 0, 2**32 - 1))
 
 
 def _hardware(content: Any, folder: Path) -> Hardware:
     if content is None:
         return Hardware()
-    rows = _mapping("hardware", content, ("driver", "servo_model", "supply_voltage_V"))
+    rows = _Section("hardware", content, ("driver", "servo_model", "supply_voltage_V"))
     if not rows.get("driver"):
         raise StudyError("hardware: driver is missing: name the driver's parameter file")
     model, voltage = str(rows.get("servo_model") or ""), rows.get("supply_voltage_V")
@@ -421,7 +430,7 @@ def _hardware(content: Any, folder: Path) -> Hardware:
     return Hardware(
         driver=load_driver_file(folder / str(rows["driver"])),
         model=model,
-        voltage=None if voltage is None else _number("hardware: supply_voltage_V", voltage),
+        voltage=None if voltage is None else rows.number("supply_voltage_V", 0.0),
     )
 
 
@@ -436,39 +445,27 @@ def _compute(content: Any) -> tuple[str, ...]:
 
 def _resolution(content: Any) -> Resolution:
     plain = Resolution()
-    if content is None:
-        return plain
     keys = ("strokes", "frequencies", "tolerance_m", "followed", "front_gaits", "samples", "seed")
-    rows = _mapping("resolution", content, keys)
-
-    def whole(name: str, default: int, least: int, most: int) -> int:
-        return _whole(f"resolution: {name}", rows.get(name, default), least, most)
-
+    rows = _Section("resolution", content, keys)
     return Resolution(
         map=MapSettings(
-            strokes=whole("strokes", plain.map.strokes, 3, 10_000),
-            frequencies=whole("frequencies", plain.map.frequencies, 2, 10_000),
-            tolerance=_number(
-                "resolution: tolerance_m", rows.get("tolerance_m", plain.map.tolerance)
-            ),
-            followed=whole("followed", plain.map.followed, 0, 1000),
+            strokes=rows.whole("strokes", plain.map.strokes, 3, 10_000),
+            frequencies=rows.whole("frequencies", plain.map.frequencies, 2, 10_000),
+            tolerance=rows.number("tolerance_m", plain.map.tolerance),
+            followed=rows.whole("followed", plain.map.followed, 0, 1000),
         ),
-        front_gaits=whole("front_gaits", plain.front_gaits, 3, 10_000),
-        samples=whole("samples", plain.samples, 1, 1_000_000),
-        seed=whole("seed", plain.seed, 0, 2**32 - 1),
+        front_gaits=rows.whole("front_gaits", plain.front_gaits, 3, 10_000),
+        samples=rows.whole("samples", plain.samples, 1, 1_000_000),
+        seed=rows.whole("seed", plain.seed, 0, 2**32 - 1),
     )
 
 
 def _scan(content: Any) -> ScanSettings:
-    plain = ScanSettings()
-    if content is None:
-        return plain
-    rows = _mapping("scan", content, ("lowest_m", "highest_m", "step_m"))
-    values = {key: _number(f"scan: {key}", value) for key, value in rows.items()}
+    plain, rows = ScanSettings(), _Section("scan", content, ("lowest_m", "highest_m", "step_m"))
     return ScanSettings(
-        values.get("lowest_m", plain.lowest),
-        values.get("highest_m", plain.highest),
-        values.get("step_m", plain.step),
+        rows.number("lowest_m", plain.lowest),
+        rows.number("highest_m", plain.highest),
+        rows.number("step_m", plain.step),
     )
 
 

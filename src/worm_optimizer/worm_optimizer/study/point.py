@@ -7,7 +7,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -30,11 +30,7 @@ from worm_optimizer.search.front import thinned
 from worm_optimizer.search.gait_map import build_map
 from worm_optimizer.search.gait_request import GaitRequest, Objective, RequestStatus, select
 from worm_optimizer.search.margin import PriceOfRobustness, price_of_robustness, scan
-from worm_optimizer.search.servo_limits import (
-    DrivenBy,
-    limits_of,
-    servo_model,
-)
+from worm_optimizer.search.servo_limits import DrivenBy, limits_of, servo_model
 from worm_optimizer.search.task import Bounds, MarginTask, Points, Task
 from worm_optimizer.study.plan import LIMITS, PARAMETER_FILE, Array, Study
 
@@ -76,6 +72,9 @@ _OF_GAIT = {
     "cost_of_transport": ("1", "cost of transport, with the margin"),
     "grooves_per_cycle": ("1", "grooves gained in the poorest averaged cycle, with the margin"),
 }
+_UNPREDICTED = (
+    math.nan,
+) * 9  # of a `Prediction`, what no choice among the gaits of a front looks at
 _NOMINAL = {
     "nominal_speed": ("m/s", "speed along the direction, without a margin"),
     "nominal_power": ("W", "mean source power, without a margin"),
@@ -153,19 +152,6 @@ def compute_block(study: Study, points: Array) -> Results:
         for name, value in found.items():
             results[name][row] = value
     return results
-
-
-@dataclass(frozen=True)
-class _FrontGait:
-    """What a choice among the gaits of a front looks at."""
-
-    stroke: float
-    frequency: float
-    speed: float
-    power: float
-    cost_of_transport: float
-    grooves_per_cycle: float
-    margin: float
 
 
 def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
@@ -334,17 +320,17 @@ def _chosen(
     if not len(front):
         return columns
     cost = cost_of_transport(front.speed, front.power, parameters.mass)
-    rows = (
-        *(front.stroke, front.frequency, front.speed, front.power, cost, front.branch),
-        np.full(len(front), margin),
-    )
-    gaits = [_FrontGait(*map(float, row)) for row in zip(*rows, strict=True)]
+    chosen_by = (front.stroke, front.frequency, front.speed, front.power, cost, front.branch)
+    gaits = [
+        Prediction(stroke, frequency, FORWARD, margin, *(*figures, *_UNPREDICTED))
+        for stroke, frequency, *figures in zip(*(row.tolist() for row in chosen_by), strict=True)
+    ]
     wanted = [GaitRequest(objective) for objective in THREE_GAITS]
     wanted += [
         GaitRequest(objective, asked[key]) for key, objective in REQUESTS.items() if key in asked
     ]
     for place, request in enumerate(wanted):
-        answer = select(cast("Sequence[Prediction]", gaits), request)
+        answer = select(gaits, request)
         if answer.status is RequestStatus.DONE:
             for name, column in columns.items():
                 column[place] = getattr(answer.prediction, name)

@@ -18,7 +18,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import dask.array
 import numcodecs
@@ -29,14 +29,7 @@ import zarr
 from worm_model.errors import InputError
 from worm_model.parameters import format_parameter_file
 from worm_optimizer.study.plan import PARAMETER_FILE, QUANTITY_UNITS, Study
-from worm_optimizer.study.point import (
-    FAILED,
-    OPEN,
-    REASON_LENGTH,
-    Results,
-    dimensions,
-    variables,
-)
+from worm_optimizer.study.point import FAILED, OPEN, REASON_LENGTH, Results, dimensions, variables
 from worm_optimizer.study.version import identity, versions
 
 _FORMAT = 2
@@ -99,14 +92,25 @@ def held(path: Path, study: Study) -> Iterator[Store]:
             f"{path}: exists already and is no study; give another name, nothing is overwritten"
         )
     with marker.open("r+b") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise StoreError(
-                f"{path}: another process works on it; wait for it, or give another name"
-            ) from None
+        take(file, path)
         _check(path, study)
         yield Store(path, study)
+
+
+def take(file: IO[Any], output: Path) -> None:
+    """Has what a file stands for to this process alone until it is closed; raises `StoreError` where another has it."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise StoreError(
+            f"{output}: another process works on it; wait for it, or give another name"
+        ) from None
+
+
+def check_folder(output: Path) -> None:
+    """Raises `StoreError` where an output has no folder to be in."""
+    if not output.parent.is_dir():
+        raise StoreError(f"{output}: its folder {output.parent} does not exist; make it first")
 
 
 def _check(path: Path, study: Study) -> None:
@@ -131,8 +135,7 @@ def _check(path: Path, study: Study) -> None:
 
 def _make(path: Path, study: Study) -> None:
     """Lays out an empty store beside and moves it into place, so that none is half there."""
-    if not path.parent.is_dir():
-        raise StoreError(f"{path}: its folder {path.parent} does not exist; make it first")
+    check_folder(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         dataset = _template(study)

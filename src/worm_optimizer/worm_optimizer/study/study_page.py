@@ -13,7 +13,7 @@ import jinja2
 
 from worm_optimizer.study.plan import Study
 from worm_optimizer.study.store import open_result
-from worm_optimizer.study.study_plots import label, pictures, png, shown
+from worm_optimizer.study.study_plots import label, pictures, shown
 from worm_optimizer.study.summary import Summary, summarise
 
 _BEST = 10  # designs in the table
@@ -46,14 +46,6 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Image:
-    """A PNG as base64 text."""
-
-    png: str
-    caption: str
-
-
-@dataclass(frozen=True)
 class Source:
     """A text that is shown as it is."""
 
@@ -72,7 +64,7 @@ def write_page(output: Path, study: Study, page: Path) -> None:
         title=study.title,
         lead=_lead(summary),
         tables=[_best_table(summary), *_failed_table(summary)],
-        images=[Image(encoded(png(each.figure)), each.caption) for each in pictures(summary)],
+        images=pictures(summary),
         limits=[*(text for key, text in _COUPLED.items() if key in study.varied), *_ALWAYS],
         sources=[
             Source("The study", study.text),
@@ -85,13 +77,9 @@ def render(page: Path, **content: object) -> None:
     """Fills the template; raises FileExistsError rather than overwrite a page."""
     text = (Path(__file__).parent / "study.html.jinja").read_text(encoding="utf-8")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
     with page.open("x", encoding="utf-8") as file:
         file.write(environment.from_string(text).render(**content))
-
-
-def encoded(content: bytes) -> str:
-    """Bytes as base64 text."""
-    return base64.b64encode(content).decode()
 
 
 def _lead(summary: Summary) -> list[str]:

@@ -37,9 +37,9 @@ def shown(column: Column) -> Array:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure with its caption."""
+    """A figure as a PNG, with its caption."""
 
-    figure: Figure
+    png: bytes
     caption: str
 
 
@@ -51,7 +51,7 @@ def pictures(summary: Summary) -> list[Picture]:
         first, second = varied[:2]
         made.append(
             Picture(
-                _over_two(summary, first, second),
+                png(_over_two(summary, first, second)),
                 f"Over {label(first)} and {label(second)}. Where other quantities vary as well, each place shows the "
                 f"best of its points: {summary.goal}. The star is the best design.",
             )
@@ -59,7 +59,7 @@ def pictures(summary: Summary) -> list[Picture]:
     if summary.best is not None and varied:
         made.append(
             Picture(
-                _neighbours(summary),
+                png(_neighbours(summary)),
                 "The best design (star) and its neighbours: points that differ from it in one quantity alone, on a "
                 "line; all points, grey, where none do.",
             )
@@ -67,7 +67,7 @@ def pictures(summary: Summary) -> list[Picture]:
     if len(varied) > 2:
         made.append(
             Picture(
-                _parallel(summary),
+                png(_parallel(summary)),
                 f"Parallel coordinates: a line a point, coloured by {label(summary.figures[0])}; "
                 "the best design is the broad one.",
             )

@@ -187,7 +187,7 @@ def test_a_robot_that_does_not_come_to_rest_is_released_all_the_same(robot):
 def test_letting_go_does_not_wait_for_rest(robot, loop):
     robot.until_rest = 10**9
     loop.leave("over")
-    loop.let_go()
+    loop.ask_to_end()
     assert loop.join(PATIENCE)
     assert robot.releases == 1
 
@@ -229,8 +229,13 @@ def test_waiting_for_the_end_leaves_time_for_something_else(robot, loop):
     assert len(calls) > 3
 
 
+class Idler(PeriodicThread):
+    def _step(self, now: float) -> bool:
+        return True
+
+
 def test_a_periodic_thread_reports_its_timing():
-    thread = PeriodicThread("test", 0.001, lambda _: True)
+    thread = Idler("test", 0.001)
     thread.start()
     wait_for(lambda: thread.report().cycles >= 1000)
     report = thread.report()
@@ -265,7 +270,7 @@ def test_only_setting_up_and_letting_go_may_take_more_than_a_cycle(robot, active
     def end_in_time(_: object) -> None:
         """Before the report's window has moved on: nothing holds a stepped clock back."""
         if robot.cycles >= 100:
-            loop.let_go()
+            loop.ask_to_end()
 
     loop = ControlLoop(robot, end_in_time, clock)
 
@@ -293,7 +298,7 @@ def test_a_bus_that_only_fails_is_opened_anew():
     loop = PowerLoop(sensor, 0.0005, lambda _: None)
     loop.start()
     wait_for(lambda: len(opened) >= 2)
-    loop.end()
+    loop.close()
 
 
 class Sensor:
@@ -315,7 +320,7 @@ def test_the_power_loop_hands_every_sample_over_and_counts_the_valid_ones():
     loop = PowerLoop(sensor, 0.001, samples.append)
     loop.start()
     wait_for(lambda: len(samples) >= 20)
-    loop.end()
+    loop.close()
     assert len(samples) == sensor.count
     assert loop.valid_samples == sum(s.status is SampleStatus.VALID for s in samples)
     assert sensor.closed

@@ -74,14 +74,15 @@ def test_who_shares_the_interpreter_gets_half_until_it_is_given_back():
 def test_it_is_asked_for_by_the_thread_itself_before_its_first_step():
     seen: list[tuple[str, str]] = []
 
-    def note(what: str) -> None:
-        seen.append((what, threading.current_thread().name))
+    class Thread(PeriodicThread):
+        def _at_start(self) -> None:
+            seen.append(("start", threading.current_thread().name))
 
-    def step(_: float) -> bool:
-        note("step")
-        return False
+        def _step(self, now: float) -> bool:
+            seen.append(("step", threading.current_thread().name))
+            return False
 
-    thread = PeriodicThread("servo", 0.001, step, at_start=lambda: note("start"))
+    thread = Thread("servo", 0.001)
     thread.start()
     end = time.monotonic() + 20.0
     while thread.alive:

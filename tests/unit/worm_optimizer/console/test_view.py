@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from worm_model.twin.records import Activity, Health, LengthSource, StateRecord
+from worm_model.twin.records import Activity, Health, LengthSource, ResidualRecord, StateRecord
 from worm_optimizer.console.view import (
     SOURCES,
     History,
@@ -17,7 +17,7 @@ from worm_optimizer.console.view import (
     state_words,
     twin_words,
 )
-from worm_optimizer.snapshot import DriverWord, Residuals, Snapshot
+from worm_optimizer.snapshot import DriverWord, Snapshot
 
 NOW = 50.0
 IDLE = DriverWord(Activity.IDLE, True, False, 0, 0, 0, 0.0, 0.0, 1, "")
@@ -78,7 +78,7 @@ def test_what_can_be_pressed_follows_from_the_state(given: Snapshot, pressable: 
 
 
 def test_how_old_the_twins_words_are_is_told():
-    residuals = Residuals(*(0.0,) * 6, Health.SUSPECT, "a fin slips")
+    residuals = ResidualRecord(0, *(0.0,) * 7, Health.SUSPECT, "a fin slips")
     heard = {**HEARD, "twin/residuals": NOW}
     known = replace(snapshot(), residuals=residuals, twin_age=0.43, heard=heard)
     assert twin_words(known, NOW) == "twin: suspect, a fin slips, 0.4 s behind"

@@ -104,9 +104,7 @@ def _profile(state: MotorState, command: MotorCommand, step_s: float) -> tuple[f
     if command.acceleration != math.inf:
         braking = min(braking, math.sqrt(2 * command.acceleration * abs(distance)))
     velocity = _approach(
-        state.trajectory_velocity,
-        math.copysign(braking, distance),
-        command.acceleration * step_s,
+        state.trajectory_velocity, math.copysign(braking, distance), command.acceleration * step_s
     )
     if abs(distance) <= abs(velocity) * step_s:
         return command.goal, 0.0

@@ -105,7 +105,7 @@ class Endpoints:
     """Serves a robot in a directory; open(), run() in a thread, stop() from any other, close().
 
     on_samples: called in the serving thread with samples of the camera that have become available.
-    clock: s, the machine's, monotonic. rate: virtual seconds per second at most, inf: as fast as
+    rate: virtual seconds per second at most, inf: as fast as
     those who take part can; None: in real time, nobody can take part, as with a real robot.
     epoch_ns: the ROS time (ns) of the robot's time 0. on_time: called in the serving thread with
     the time (s), often.
@@ -116,7 +116,6 @@ class Endpoints:
         robot: VirtualRobot,
         directory: Path,
         on_samples: Callable[[list[TrackerSample]], None],
-        clock: Callable[[], float] = time.monotonic,
         rate: float | None = 1.0,
         epoch_ns: int = 0,
         on_time: Callable[[float], None] = lambda _: None,
@@ -125,11 +124,11 @@ class Endpoints:
         self._robot = robot
         self._directory = directory
         self._on_samples = on_samples
-        self._clock = clock
+        self._clock = time.monotonic
         self.epoch_ns = epoch_ns
         self.shares_time = rate is not None
         self.time = Timekeeper(1.0 if rate is None else rate)
-        self.time.begin(clock())
+        self.time.begin(self._clock())
         self._page: Page | None = None
         self._parties: dict[socket.socket, Party] = {}  # that take part in the time
         # over the serial line since somebody took part; infinite once they are not worth counting

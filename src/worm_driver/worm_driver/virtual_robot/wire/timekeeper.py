@@ -31,12 +31,7 @@ class Party:
     since: float = 0.0
 
     def waits(self, sent: float, received: float) -> bool:
-        """Whether it does nothing but wait.
-
-        Args:
-            sent: bytes sent to it over the serial line.
-            received: bytes received from it.
-        """
+        """Whether it does nothing but wait, by the bytes sent to it and received from it over the serial line."""
         if self.wait is None or self.door != SERIAL:
             return self.wait is not None
         heard = not self.wait.listening or self.wait.read >= sent

@@ -99,12 +99,7 @@ class VirtualClock:
 
     Once the robot is gone its time goes on as the machine's does, so that nobody waits for ever.
 
-    Args:
-        directory: of the virtual robot.
-        door: SERIAL or I2C, which the thread works with.
-
-    Raises:
-        OSError: there is no clock.
+    The thread works with a door of the robot in a directory, SERIAL or I2C. Raises OSError where there is no clock.
     """
 
     patience = _PATIENCE

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a camera tells of the robot: the topics ``tracker`` and ``body_length/measured``."""
+
+import math
+
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+from std_msgs.msg import Header
+
+from worm_msgs.msg import BodyLength, Tracker
+
+_FRAME = "pipe"  # x forward along the axis, z up (REP 103)
+_SAMPLES = 30  # at the start, at rest, whose mean length is the one that changes count from
+
+
+class PositionPublisher:
+    """``depth`` is how many samples may wait for a subscriber whose machine is busy."""
+
+    def __init__(self, node: Node, depth: int) -> None:
+        self._positions = node.create_publisher(Tracker, "tracker", depth)
+        self._length = node.create_publisher(BodyLength, "body_length/measured", depth)
+        self._sum, self._count = 0.0, 0
+
+    def publish(self, stamp: Time, rear: float, front: float) -> None:
+        """Positions (m) of the modules, NaN while one is hidden: then there is no length."""
+        header = Header(stamp=stamp, frame_id=_FRAME)
+        self._positions.publish(Tracker(header=header, rear_position=rear, front_position=front))
+        length = front - rear
+        if math.isnan(length):
+            return
+        if self._count < _SAMPLES:
+            self._sum += length
+            self._count += 1
+        change = length - self._sum / self._count
+        source = BodyLength.MEASURED
+        self._length.publish(
+            BodyLength(header=header, source=source, length=length, length_change=change)
+        )
