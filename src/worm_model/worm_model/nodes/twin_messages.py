@@ -17,10 +17,9 @@ from worm_model.gait import Gait
 from worm_model.twin.forecast import Forecast
 from worm_model.twin.records import (
     NANOSECONDS,
-    RESIDUAL_ROW,
+    RESIDUAL_FIELDS,
     STATE_ROW,
     Event,
-    ResidualRecord,
     residual_message,
 )
 from worm_model.twin.samples import Kind
@@ -87,11 +86,6 @@ INPUTS: Mapping[str, tuple[type, Callable[[Any], Row]]] = {
 # --- what the twin yields, as messages ---------------------------------------------------------------
 
 _STATE = tuple(name for name in STATE_ROW.names or () if name != "stamp_ns")
-_RESIDUALS = tuple(
-    field.name
-    for field in dataclasses.fields(ResidualRecord)
-    if field.name in (RESIDUAL_ROW.names or ())
-)[1:]
 
 
 def state_message(row: Any) -> TwinState:
@@ -103,7 +97,7 @@ def state_message(row: Any) -> TwinState:
 
 def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
     """A row of RESIDUAL_ROW as TwinResiduals; ``warnings`` are the texts that it refers to."""
-    message = _filled(TwinResiduals(), row, _RESIDUALS)
+    message = _filled(TwinResiduals(), row, RESIDUAL_FIELDS)
     if message.health > TwinResiduals.HEALTHY:
         message.message = residual_message(row, warnings)
     return message
