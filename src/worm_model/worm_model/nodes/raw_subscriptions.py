@@ -302,11 +302,11 @@ def _describe_gait(state: Any) -> dict[str, str]:
     """A running gait as text; empty when none runs."""
     if state.state != state.RUNNING or state.gait.stroke <= 0.0:
         return {}
-    return {
-        "stroke": repr(state.gait.stroke),
-        "frequency": repr(state.gait.frequency),
-        "direction": str(state.gait.direction),
-        "margin": repr(state.gait.margin),
+    gait = {
+        key: repr(getattr(state.gait, key))
+        for key in ("stroke", "frequency", "direction", "margin")
+    }
+    return gait | {
         "cycles": str(state.cycles),
         "onset_ns": str(state.onset.sec * 10**9 + state.onset.nanosec),
         "run": str(state.run),

@@ -146,15 +146,9 @@ def gait_of(message: Any) -> Gait:
 def fill_forecast(response: Any, found: Forecast) -> Any:
     """A forecast as the response of PredictGait."""
     nan = math.nan
-    gait = found.robust.gait
     response.success = True
     response.prediction = GaitPrediction(
-        gait=GaitMessage(
-            stroke=gait.stroke,
-            frequency=gait.frequency,
-            direction=gait.direction,
-            margin=gait.margin,
-        ),
+        gait=GaitMessage(**dataclasses.asdict(found.robust.gait)),
         speed=found.robust.speed,
         power=found.robust.power,
         cost_of_transport=found.robust.cost_of_transport,
@@ -169,10 +163,8 @@ def fill_forecast(response: Any, found: Forecast) -> Any:
         success_probability=nan,
         success_probability_any_phase=nan,
     )
-    response.time = found.time.tolist()
-    response.rear_position = found.rear_position.tolist()
-    response.front_position = found.front_position.tolist()
-    response.power = found.power.tolist()
+    for name in ("time", "rear_position", "front_position", "power"):
+        setattr(response, name, getattr(found, name).tolist())
     response.energy = found.energy
     response.grooves = found.grooves
     return response
