@@ -40,7 +40,7 @@ _RUN_TYPES = {TYPES[name] for name in RUN_TOPICS if name != "joint_states"}
 
 
 class CsvWriter:
-    """A table whose columns have ``kinds``, those of arrays of elements of ``lists``, as CSV.
+    """Columns of ``kinds``, and those of arrays by the kinds of their elements, ``lists``, which CSV cannot hold.
 
     Numbers are written so that reading them gives the same; what is missing, and NaN, is an empty cell.
     """
