@@ -24,9 +24,8 @@ from worm_model.run import (
     seconds,
 )
 
-LONGEST_REST = (
-    3_000_000_000  # ns before the onset, of a recording that does not say when the rest began
-)
+# ns before the onset, of a recording that does not say when the rest began
+LONGEST_REST = 3_000_000_000
 FEWEST_SAMPLES = 20  # of an instrument
 SAME_PLACE = 4e-3  # m between two starts, half the paper's clearance: within it no fin is bent
 MOST_MISFIT = 1e-3  # m, between the commanded lengths and the gait they are said to be

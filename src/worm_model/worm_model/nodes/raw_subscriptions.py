@@ -35,9 +35,8 @@ from worm_model.nodes.recording_qos import describe, subscription_qos
 from worm_model.run import INACTIVE
 from worm_msgs.node_command import declare_none
 
-OVERLAP_LOOKS = (
-    50  # with both subscriptions: publishers learn of the second one later than it does of them
-)
+# with both subscriptions: publishers learn of the second one later than it does of them
+OVERLAP_LOOKS = 50
 
 SETTLING_S = 3.0  # after which a publisher that appears was not there before the recorder
 
