@@ -25,9 +25,8 @@ STATE_NAMES = ("inactive", "idle", "resting", "running", "stopping", "fault")
 POWER_VALID = 0
 POWER_STATUS_NAMES = ("valid", "overflow", "not ready", "bus error", "sensor reset")
 
-SAME_ONSET_NS = (
-    100_000_000  # the driver tells a run's onset anew with each cycle, through two clocks
-)
+# the driver tells a run's onset anew with each cycle, through two clocks
+SAME_ONSET_NS = 100_000_000
 
 
 def state_name(state: int) -> str:

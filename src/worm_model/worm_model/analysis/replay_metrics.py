@@ -142,15 +142,8 @@ def _run_report(
 
 def _residuals(series: Series, start: int, end: int) -> Residuals:
     inside = (series["stamp_ns"] >= start) & (series["stamp_ns"] < end)
-    x1, length, power = (series[name][inside] for name in ("rear_position", "length", "power"))
-    return Residuals(
-        x1_residual=_mean(x1),
-        x1_rmse=root_mean_square(x1),
-        length_residual=_mean(length),
-        length_rmse=root_mean_square(length),
-        power_residual=_mean(power),
-        power_rmse=root_mean_square(power),
-    )
+    values = (series[name][inside] for name in ("rear_position", "length", "power"))
+    return Residuals(*(judge(v) for v in values for judge in (_mean, root_mean_square)))
 
 
 def _mean(values: Array) -> float:

@@ -88,13 +88,8 @@ def _series(run: Run) -> Iterator[tuple[Stamps, dict[str, Column]]]:
     yield states.stamp, {"state": _texts([state_name(state) for state in states.state.tolist()])}
     for name in _LENGTHS:
         samples = getattr(run, name)
-        yield (
-            samples.stamp,
-            {
-                f"{name}_length_m": samples.length,
-                f"{name}_length_change_m": samples.length_change,
-            },
-        )
+        columns = {"length_m": samples.length, "length_change_m": samples.length_change}
+        yield samples.stamp, {f"{name}_{column}": values for column, values in columns.items()}
     yield tracker.stamp, {"x1_m": tracker.rear_position, "x2_m": tracker.front_position}
     yield (
         power.stamp,

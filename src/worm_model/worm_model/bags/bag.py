@@ -3,12 +3,10 @@
 
 from __future__ import annotations
 
-import logging
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol
 
 import numpy as np
 
@@ -18,7 +16,6 @@ from worm_model.bags.message_block import Message, Messages, Topic
 from worm_model.bags.message_types import PACKAGE, with_definition
 
 Notify = Callable[[str], None]
-_log = logging.getLogger("worm_model.bags")
 
 
 @dataclass(frozen=True)
@@ -38,57 +35,46 @@ class AttachedFile:
     data: bytes
 
 
-class Storage(Protocol):
-    """What a bag needs of the files that it lies in."""
-
-    @property
-    def channels(self) -> tuple[Topic, ...]:
-        """Topics with their layouts; one whose layout changes occurs several times."""
-        ...
-
-    @property
-    def span(self) -> tuple[int, int]:
-        """Least and greatest log time, ns; (0, 0) without messages."""
-        ...
-
-    @property
-    def records(self) -> tuple[MetadataRecord, ...]:
-        """Metadata records in their order, those that several files repeat once."""
-        ...
-
-    def attachments(self) -> Iterator[AttachedFile]:
-        """Files kept inside."""
-        ...
-
-    def blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
-        """Messages of some topics by rising log time, lazily."""
-        ...
-
-    def close(self) -> None:
-        """Close the files."""
-        ...
-
-
-class Bag:
+class Bag(ABC):
     """A bag that is open for reading; a context manager.
 
-    Args:
-        path: directory or file that the bag was opened by.
-        storage: the files behind it.
-        notify: told in one line what is odd about the bag.
-
     Attributes:
-        channels: topics with their layouts.
+        path: directory or file that the bag was opened by.
+        channels: topics with their layouts; one whose layout changes occurs several times.
+        start, end: least and greatest log time, ns since the epoch; 0 in an empty bag.
+        records: all metadata records in their order, those that several files repeat once: a recording has one
+            ``worm_gait`` for each gait that was run.
+        notify: told in one line what is odd about the bag.
         topics: by name, with the layout that was last and the messages of all.
     """
 
-    def __init__(self, path: Path, storage: Storage, notify: Notify = _log.warning) -> None:
+    def __init__(
+        self,
+        path: Path,
+        channels: tuple[Topic, ...],
+        span: tuple[int, int],
+        records: tuple[MetadataRecord, ...],
+        notify: Notify,
+    ) -> None:
         self.path = path
+        self.channels = channels
+        self.start, self.end = span
+        self.records = records
         self.notify = notify
-        self._storage = storage
-        self.channels = storage.channels
-        self.topics = _by_name(self.channels)
+        self.topics = _by_name(channels)
         self._given: dict[Topic, Topic] = {}
+
+    @abstractmethod
+    def attachments(self) -> Iterator[AttachedFile]:
+        """Files kept inside the bag, such as the parameter file of the run."""
+
+    @abstractmethod
+    def _blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
+        """Messages of some topics by rising log time, lazily."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the files."""
 
     def define(self, definitions: Path | None) -> None:
         """Take definitions for topics that carry none, and tell which.
@@ -121,27 +107,8 @@ class Bag:
     def __enter__(self) -> Bag:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-    def close(self) -> None:
-        """Close the bag."""
-        self._storage.close()
-
-    @property
-    def start(self) -> int:
-        """Least log time, ns since the epoch; 0 in an empty bag."""
-        return self._storage.span[0]
-
-    @property
-    def end(self) -> int:
-        """Greatest log time, ns since the epoch; 0 in an empty bag."""
-        return self._storage.span[1]
 
     @property
     def message_count(self) -> int:
@@ -152,15 +119,6 @@ class Bag:
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata by name, such as ``worm_run``, the last record of each; empty where the format has none."""
         return {record.name: dict(record.values) for record in self.records}
-
-    @property
-    def records(self) -> tuple[MetadataRecord, ...]:
-        """All metadata records in their order: a recording has one ``worm_gait`` for each gait that was run."""
-        return self._storage.records
-
-    def attachments(self) -> Iterator[AttachedFile]:
-        """Files kept inside the bag, such as the parameter file of the run."""
-        return self._storage.attachments()
 
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[Message]:
         """Messages by rising log time, lazily: memory does not grow with the bag.
@@ -182,7 +140,7 @@ class Bag:
             raise BagError(
                 f"{self.path} has no topic {unknown[0]}; it has {', '.join(self.topics) or 'none'}"
             )
-        blocks = self._storage.blocks(wanted) if wanted else iter(())
+        blocks = self._blocks(wanted) if wanted else iter(())
         return map(self._defined, blocks) if self._given else blocks
 
     def _defined(self, block: Messages) -> Messages:

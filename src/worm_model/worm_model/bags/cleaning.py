@@ -15,8 +15,8 @@ from worm_model.bags.bag import AttachedFile, Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_writer import ROSBAG2_RECORD, new_bag
 from worm_model.bags.cdr import defined_message
-from worm_model.bags.message_block import Message, Topic
-from worm_model.bags.message_types import Types, parse_types, typestore, with_definition
+from worm_model.bags.message_block import Message
+from worm_model.bags.message_types import typestore, with_definition
 from worm_model.bags.recorder import Manifest
 from worm_model.bags.run_manifest import HOST, RUN_RECORD
 
@@ -39,7 +39,6 @@ class Cleaner:
         self.changed = 0
         self._roots = {name.lstrip("/").split("/")[0] for name in topics}
         self._host = re.compile(rf"(?<![\w-]){re.escape(host)}(?![\w-])") if host else None
-        self._stringless: dict[Topic, bool] = {}
 
     def know(self, topics: Iterable[str]) -> None:
         """Take further names of topics for ROS names."""
@@ -82,10 +81,8 @@ class Cleaner:
             BagError: it cannot be decoded.
         """
         topic = message.channel
-        if topic not in self._stringless:
-            self._stringless[topic] = not _has_texts(_types(topic), topic.type_name)
-        if self._stringless[topic]:
-            return message
+        if topic.encoding != "cdr":
+            raise BagError(f"{topic.name} is encoded as {topic.encoding!r} and cannot be cleaned")
         store = typestore(topic.type_name, topic.definition, topic.definition_format)
         try:
             content = store.deserialize_cdr(message.data, topic.type_name)
@@ -96,20 +93,6 @@ class Cleaner:
             return message
         self.changed += 1
         return message._replace(data=bytes(store.serialize_cdr(content, topic.type_name)))
-
-
-def _types(topic: Topic) -> Types:
-    if topic.encoding != "cdr":
-        raise BagError(f"{topic.name} is encoded as {topic.encoding!r} and cannot be cleaned")
-    return parse_types(topic.type_name, topic.definition, topic.definition_format)
-
-
-def _has_texts(types: Types, type_name: str) -> bool:
-    """Whether a message may hold a text, be it the frame of its header."""
-    return "string" in repr(types[type_name]) or any(
-        other != type_name and other in repr(types[type_name]) and _has_texts(types, other)
-        for other in types
-    )
 
 
 def _clean_texts(content: Any, clean: Callable[[str], str]) -> bool:

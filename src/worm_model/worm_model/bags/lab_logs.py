@@ -117,16 +117,19 @@ def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
     gait = read_gait(folder)
     transmission = _transmission(tables.get("servo.csv"), gait, settings)
     length = _initial_length(tables.get("camera.csv"), settings, transmission.onset)
-    run = Run(
-        origin=settings.epoch,
-        commanded=_commanded(tables.get("servo.csv"), length, settings, transmission.spool_radius),
-        measured=_measured(tables.get("camera.csv"), length, settings),
-        tracker=_tracker(tables.get("camera.csv"), settings),
-        power=_power(tables.get("power.csv"), settings),
-        gait_state=_gait_states(
-            gait, max(t["time_s"][-1] for t in tables.values()), settings, transmission.onset
-        ),
-    )
+    end = max(table["time_s"][-1] for table in tables.values())
+    series: dict[str, Any] = {}
+    if (servo := tables.get("servo.csv")) is not None:
+        series["commanded"] = _commanded(servo, length, settings, transmission.spool_radius)
+    if (camera := tables.get("camera.csv")) is not None:
+        series["measured"] = _measured(camera, length, settings)
+        positions = camera["x1_m"], camera["x2_m"]
+        series["tracker"] = TrackerSamples(_stamp(camera, settings), *positions)
+    if (power := tables.get("power.csv")) is not None:
+        series["power"] = _power(power, settings)
+    if gait is not None:
+        series["gait_state"] = _gait_states(gait, end, settings, transmission.onset)
+    run = Run(origin=settings.epoch, **series)
     checksums = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in tables}
     return LabRun(run, gait, length, checksums, transmission)
 
@@ -287,10 +290,8 @@ def _stamp(table: Table, settings: LabSettings) -> Stamps:
 
 
 def _commanded(
-    table: Table | None, initial_length: float, settings: LabSettings, radius: float
+    table: Table, initial_length: float, settings: LabSettings, radius: float
 ) -> LengthSamples:
-    if table is None:
-        return LengthSamples()
     turns = table["goal_ticks"] / TICKS_PER_TURN
     change = -turns * 2.0 * math.pi * radius
     present = np.isfinite(change)
@@ -298,25 +299,15 @@ def _commanded(
     return LengthSamples(stamp[present], initial_length + change[present], change[present])
 
 
-def _measured(table: Table | None, initial_length: float, settings: LabSettings) -> LengthSamples:
+def _measured(table: Table, initial_length: float, settings: LabSettings) -> LengthSamples:
     """As the tracker publishes it: a hidden marker gives no length."""
-    if table is None:
-        return LengthSamples()
     length = table["x2_m"] - table["x1_m"]
     seen = np.isfinite(length)
     stamp = _stamp(table, settings)
     return LengthSamples(stamp[seen], length[seen], length[seen] - initial_length)
 
 
-def _tracker(table: Table | None, settings: LabSettings) -> TrackerSamples:
-    if table is None:
-        return TrackerSamples()
-    return TrackerSamples(_stamp(table, settings), table["x1_m"], table["x2_m"])
-
-
-def _power(table: Table | None, settings: LabSettings) -> PowerSamples:
-    if table is None:
-        return PowerSamples()
+def _power(table: Table, settings: LabSettings) -> PowerSamples:
     voltage, current = table["bus_voltage_V"], table["current_A"]
     power = voltage * current
     bus_error = 3  # Power.BUS_ERROR: the logger has a line but no reading
@@ -324,10 +315,8 @@ def _power(table: Table | None, settings: LabSettings) -> PowerSamples:
     return PowerSamples(_stamp(table, settings), status.astype(np.int64), voltage, current, power)
 
 
-def _gait_states(gait: Gait | None, end: float, settings: LabSettings, onset: float) -> GaitStates:
+def _gait_states(gait: Gait, end: float, settings: LabSettings, onset: float) -> GaitStates:
     """At rest from the start, then a message at each cycle's start, as the driver publishes them."""
-    if gait is None:
-        return GaitStates()
     cycles = max(math.ceil((end - onset) * gait.frequency), 0)
     begins = onset + np.arange(cycles) / gait.frequency
     times = np.concatenate([[0.0], begins])

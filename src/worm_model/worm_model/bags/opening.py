@@ -12,7 +12,7 @@ from worm_model.bags.bag import Bag, Notify
 from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
 from worm_model.bags.bag_metadata import custom_data, read_metadata
 from worm_model.bags.finding import METADATA_FILE, recovered_path
-from worm_model.bags.mcap_storage import McapFile, McapStorage
+from worm_model.bags.mcap_bag import McapBag, McapFile
 from worm_model.bags.message_types import PACKAGE
 from worm_model.bags.recorder import STATE, UNFINISHED
 from worm_model.bags.recovery import (
@@ -25,7 +25,7 @@ from worm_model.bags.recovery import (
     recover,
     undeclared,
 )
-from worm_model.bags.rosbags_storage import RosbagsStorage
+from worm_model.bags.rosbags_bag import RosbagsBag
 
 _log = logging.getLogger("worm_model.bags")
 
@@ -63,14 +63,14 @@ def _open(path: Path, notify: Notify) -> Bag:
         raise BagError(f"{path} does not exist")
     if path.is_file():
         if path.suffix == ".db3":
-            return Bag(path, RosbagsStorage(path), notify)
+            return RosbagsBag(path, notify)
         return _open_mcap(path, [path], notify)
     if not (path / METADATA_FILE).exists():
         return _open_without_metadata(path, notify)
     content = read_metadata(path)
     files = _named_files(path, content)
     if content.get("storage_identifier") != "mcap" or content.get("compression_mode"):
-        return _compared(Bag(path, RosbagsStorage(path), notify), files)
+        return _compared(RosbagsBag(path, notify), files)
     if is_unfinished(content):
         return _recovered(path, notify)
     return _compared(_open_mcap(path, files, notify), files)
@@ -123,7 +123,7 @@ def _open_mcap(path: Path, paths: Sequence[Path], notify: Notify) -> Bag:
         for file in files:
             for complaint in file.contents.complaints:
                 notify(f"{file.path}: {complaint}")
-        return Bag(path, McapStorage(files), notify)
+        return McapBag(path, files, notify)
     _close(files)
     return _recovered(path, notify)
 

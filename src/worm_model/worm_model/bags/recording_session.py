@@ -211,7 +211,5 @@ class _Ring:
 
 def is_latched(topic: Topic) -> bool:
     """Whether a topic was published for those who come later, too."""
-    return first_qos_profile(topic).get("durability") in (
-        "transient_local",
-        1,
-    )  # 1: before version 9
+    durability = first_qos_profile(topic).get("durability")
+    return durability in ("transient_local", 1)  # a number before version 9

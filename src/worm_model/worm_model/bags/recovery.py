@@ -19,8 +19,8 @@ from worm_model.bags.bag_metadata import (
 )
 from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.finding import METADATA_FILE, recovered_path
+from worm_model.bags.mcap_bag import McapBag, McapFile, explained
 from worm_model.bags.mcap_scan import verify
-from worm_model.bags.mcap_storage import McapFile, McapStorage, explained
 from worm_model.bags.message_block import Topic
 from worm_model.bags.message_types import with_definition
 
@@ -111,7 +111,7 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
             with explained(file.path):
                 verify(file.data, file.contents)
         target = recovered_path(path) if output is None else output
-        bag = Bag(path, McapStorage(files))
+        bag = McapBag(path, files)
         custom = {SOURCE: path.name, SOURCE_SHA256: fingerprint(files)}
         with new_bag(target, custom) as writer:
             writer.copy_records(bag)

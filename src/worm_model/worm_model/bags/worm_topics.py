@@ -47,6 +47,13 @@ SERIES: Mapping[str, tuple[str, type[Any]]] = {
 }
 
 LATCHED = frozenset({"gait_state"})  # published once, for those who come later
+TWIN_INPUTS = (
+    "gait_state",
+    "body_length/commanded",
+    "body_length/measured",
+    "tracker",
+    "power",
+)
 TWIN_TOPICS = ("body_length/estimated", "twin/state", "twin/residuals", "twin/events")
 
 

@@ -26,13 +26,13 @@ from worm_model.bags.finding import METADATA_FILE
 from worm_model.bags.opening import are_sound, is_unfinished, open_bag
 from worm_model.bags.run_manifest import RUN_RECORD, recorded_parameters
 from worm_model.bags.run_reader import read_run
+from worm_model.bags.worm_topics import TWIN_INPUTS
 from worm_model.commands.bag_table import CLOSED, DAMAGED, OPEN
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.run import Run, utc_of
 from worm_model.simulation.simulator import cost_of_transport
 from worm_model.twin.offline_replay import Replay, replay_run
 
-INPUTS = ("gait_state", "body_length/commanded", "body_length/measured", "tracker", "power")
 RECOVER = "./worm run worm_model recover makes a whole bag of it"
 
 
@@ -52,7 +52,7 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
     """A row for each run of a closed bag; one without a run says so. Raises `InputError` if it cannot be read."""
     remarks: list[str] = []
     with open_bag(path, remarks.append) as bag:
-        run = read_run(bag, names=INPUTS)
+        run = read_run(bag, names=TWIN_INPUTS)
         values = load_parameters(parameters) if parameters else _own_parameters(bag)
         record = bag.metadata.get(RUN_RECORD, {})
         span = (bag.end - bag.start) * 1e-9

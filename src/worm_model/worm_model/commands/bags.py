@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,8 +35,16 @@ def _parser() -> Parser:
         "`bags table FOLDER`.",
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
-    table = verbs.add_parser(
+
+    def add_verb(name: str, act: Callable[[argparse.Namespace], None], **texts: Any) -> Parser:
+        verb: Parser = verbs.add_parser(name, **texts)
+        verb.set_defaults(act=act)
+        verb.add_json()
+        return verb
+
+    table = add_verb(
         TABLE,
+        _table,
         help="what was recorded; the verb may be left out",
         description="Gait, cycles, groove phase, grooves per cycle, speed, power, cost of transport, health by the "
         "twin, state of the files and notes of every run. What was read once is kept in an index.",
@@ -43,15 +52,12 @@ def _parser() -> Parser:
     table.add_argument(
         "folder", type=Path, nargs="?", default=FOLDER, metavar="FOLDER", help="default: bags"
     )
-    table.add_json()
     table.add_parameters()
-    table.set_defaults(act=_table)
-    info = verbs.add_parser("info", help="what a bag holds")
+    info = add_verb("info", _info, help="what a bag holds")
     info.add_argument("bag", type=Path, metavar="BAG")
-    info.add_json()
-    info.set_defaults(act=_info)
-    trim = verbs.add_parser(
+    trim = add_verb(
         "trim",
+        _trim,
         help="a part of a bag, by time or by run",
         description="Writes a bag with the messages of a span, or of one run with the rest before it.",
     )
@@ -60,22 +66,17 @@ def _parser() -> Parser:
     trim.add_number("--start", "S", "start of the span, in s since the bag's")
     trim.add_number("--end", "S", "end of the span, in s since the bag's start")
     trim.add_argument("--run", type=int, metavar="N", help="the n-th run instead")
-    trim.add_json()
-    trim.set_defaults(act=_trim)
-    split = verbs.add_parser("split", help="a bag for each run of a bag")
+    split = add_verb("split", _split, help="a bag for each run of a bag")
     split.add_argument("bag", type=Path, metavar="BAG")
     split.add_argument(
         "--output", required=True, metavar="FOLDER", help="of run_1, run_2, …; must not exist"
     )
-    split.add_json()
-    split.set_defaults(act=_split)
-    merge = verbs.add_parser("merge", help="one bag of several, by time")
+    merge = add_verb("merge", _merge, help="one bag of several, by time")
     merge.add_argument("bags", type=Path, nargs="+", metavar="BAG")
     merge.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
-    merge.add_json()
-    merge.set_defaults(act=_merge)
-    clean = verbs.add_parser(
+    clean = add_verb(
         "clean",
+        _clean,
         help="a copy without the host's name and absolute paths",
         description="Writes a copy of a bag without what tells where it was recorded: the host's name, and of every "
         "absolute path (command line, parameter file, devices; in metadata, attachments and texts of messages) "
@@ -84,8 +85,6 @@ def _parser() -> Parser:
     clean.add_argument("bag", type=Path, metavar="BAG")
     clean.add_argument("--output", required=True, metavar="BAG2", help="must not exist")
     clean.add_definitions()
-    clean.add_json()
-    clean.set_defaults(act=_clean)
     return parser
 
 

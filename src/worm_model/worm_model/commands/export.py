@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from worm_model.analysis.run_table import run_table
 from worm_model.bags.bag import Bag
@@ -33,27 +33,17 @@ from worm_model.commands.command_line import (
 
 STEM_BYTES = 200
 MERGED = "run"  # the table of all that was measured and commanded
-FORMATS = ("csv", "parquet")
 _NOTIFY = notifier("export")
 
 Kinds = Mapping[str, Kind]
 _RUN_TYPES = {TYPES[name] for name in RUN_TOPICS if name != "joint_states"}
 
 
-class TableWriter(Protocol):
-    """Takes the rows of one table, whose columns have `Kinds`; ``lists`` are those of the elements of arrays."""
-
-    def write(self, rows: Rows) -> None:
-        """Append rows."""
-        ...
-
-    def close(self) -> None:
-        """Finish the file."""
-        ...
-
-
 class CsvWriter:
-    """Numbers are written so that reading them gives the same; what is missing, and NaN, is an empty cell."""
+    """Columns of ``kinds``, and those of arrays by the kinds of their elements, ``lists``, which CSV cannot hold.
+
+    Numbers are written so that reading them gives the same; what is missing, and NaN, is an empty cell.
+    """
 
     def __init__(self, path: Path, kinds: Kinds, lists: Kinds) -> None:
         self._columns = list(kinds)
@@ -110,10 +100,8 @@ class ParquetWriter:
         self._writer.close()
 
 
-WRITERS: Mapping[str, type[CsvWriter] | type[ParquetWriter]] = {
-    "csv": CsvWriter,
-    "parquet": ParquetWriter,
-}
+TableWriter = CsvWriter | ParquetWriter
+WRITERS: Mapping[str, type[TableWriter]] = {"csv": CsvWriter, "parquet": ParquetWriter}
 
 
 @dataclass(frozen=True)
@@ -196,7 +184,7 @@ def _parser() -> Parser:
     )
     parser.add_argument("bag", type=Path, metavar="BAG")
     parser.add_argument("--output", required=True, metavar="FOLDER", help="must not exist")
-    parser.add_argument("--format", choices=FORMATS, default="csv", help="default csv")
+    parser.add_argument("--format", choices=WRITERS, default="csv", help="default csv")
     parser.add_argument(
         "--topic", action="append", default=[], help="only this one; may be repeated"
     )

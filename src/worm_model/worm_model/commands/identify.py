@@ -139,22 +139,22 @@ def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -
             "--literal has the paper's form of the power: leave --one-sided-cable out, or --literal"
         )
     reference = _reference(options, inputs)
-    found = literal(inputs, reference.parameters, StageProgress())
+    parameters, costs = literal(inputs, reference.parameters, StageProgress())
     if output is not None:
         provenance = {"made_by": f"{MADE_BY} --literal", FORM: False, "given": reference.source}
-        write_parameter_file(output, ParameterFile(found.parameters, {}, provenance))
+        write_parameter_file(output, ParameterFile(parameters, {}, provenance))
     unknown = {"low": None, "high": None, "identifiable": True}
-    values = {key: getattr(found.parameters, key) for key in KEYS}
+    values = {key: getattr(parameters, key) for key in KEYS}
     content = {
         "parameters": {key: {"value": value, **unknown} for key, value in values.items()},
         FORM: False,
-        "costs": dict(found.costs),
+        "costs": costs,
     }
     lines = [
         f"{key:22} {value:12.6g} {UNITS[key]:6}  (paper: {getattr(PAPER, key):g})"
         for key, value in values.items()
     ]
-    lines += [f"{name:22} {cost:12.6g}" for name, cost in found.costs.items()]
+    lines += [f"{name:22} {cost:12.6g}" for name, cost in costs.items()]
     for remark in inputs.remarks:
         sys.stderr.write(f"{remark}\n")
     print_result(options, content, "\n".join(lines))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,14 @@ from worm_model.bags.message_types import parse_ahead, topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.bags.run_writer import stamped_messages, write_beside
-from worm_model.bags.worm_topics import TWIN_TOPICS, TYPES, find_topic, offered_qos
+from worm_model.bags.worm_topics import (
+    SERIES,
+    TWIN_INPUTS,
+    TWIN_TOPICS,
+    TYPES,
+    find_topic,
+    offered_qos,
+)
 from worm_model.commands.command_line import (
     Parser,
     executable,
@@ -36,16 +43,9 @@ from worm_model.parameters import Parameters, load_parameters
 from worm_model.run import Run, Stamps
 from worm_model.simulation import warm_up
 from worm_model.twin.offline_replay import Replay, Series, replay_run
-from worm_model.twin.records import NANOSECONDS, RESIDUAL_ROW, Event, LengthSource, ResidualRecord
+from worm_model.twin.records import NANOSECONDS, RESIDUAL_FIELDS, Event, LengthSource
 from worm_model.twin.samples import Kind
 
-INPUTS = ("gait_state", "body_length/commanded", "body_length/measured", "tracker", "power")
-#: columns that say how a residual's health came about; its message has it in words
-NOT_PUBLISHED = frozenset(RESIDUAL_ROW.names or ()) - {
-    *(field.name for field in fields(ResidualRecord) if field.name != "stamp_ns")
-}
-#: of a run, by `Kind`
-SERIES = ("gait_state", "commanded", "measured", "tracker", "power")
 LONGEST_DELAY_NS = NANOSECONDS  # of a message on its way to the recorder
 _notify = notifier("replay")
 
@@ -67,7 +67,7 @@ def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str, shift_n
 
 def received(bag: Bag, namespace: str, run: Run) -> dict[int, Stamps]:
     """When the samples of a run were received (ns), by their kind; without kinds of which it left messages out."""
-    topics = [find_topic(bag.topics.values(), name, namespace) for name in INPUTS]
+    topics = [find_topic(bag.topics.values(), name, namespace) for name in TWIN_INPUTS]
     names = {topic.name: Kind(k) for k, topic in enumerate(topics) if topic is not None}
     found: dict[int, list[Stamps]] = {kind: [] for kind in names.values()}
     for block in bag.blocks(names):
@@ -88,7 +88,7 @@ def shift_of(run: Run, times: Mapping[int, Stamps]) -> int:
 
 def _by_kind(run: Run) -> dict[int, Any]:
     """The run's samples of the twin's inputs."""
-    return dict(zip(Kind, (getattr(run, name) for name in SERIES), strict=True))
+    return dict(zip(Kind, (getattr(run, SERIES[name][0]) for name in TWIN_INPUTS), strict=True))
 
 
 def _messages(name: str, replay: Replay, namespace: str, shift_ns: int) -> list[Message]:
@@ -124,7 +124,8 @@ def twin_columns(
         "twin/residuals": replay.residuals,
         "body_length/estimated": replay.lengths,
     }[name]
-    numbers = {key: v for key, v in series.items() if key not in NOT_PUBLISHED}
+    kept = RESIDUAL_FIELDS if name == "twin/residuals" else list(series)[1:]  # but for the stamp
+    numbers = {key: series[key] for key in kept}
     if name == "body_length/estimated":
         numbers["source"] = LengthSource.ESTIMATED
     return (
@@ -239,10 +240,10 @@ def _replay(options: argparse.Namespace) -> None:
     parameters = load_parameters(options.parameters)
     output = new_file(options.output) if options.output else None
     warm_up.main()  # neither compiling nor parsing definitions is replaying
-    parse_ahead(TYPES[name] for name in (*INPUTS, *TWIN_TOPICS))
+    parse_ahead(TYPES[name] for name in (*TWIN_INPUTS, *TWIN_TOPICS))
     begin = time.perf_counter()
     with open_bag(options.bag, _notify, options.definitions) as bag:
-        run = read_run(bag, options.namespace, INPUTS)
+        run = read_run(bag, options.namespace, TWIN_INPUTS)
         followed = _follow(run, parameters, bag, output, options.namespace)
         duration = (bag.end - bag.start) * 1e-9
     report = report_replay(run, followed, parameters.pitch)

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from worm_model.arrays import Array
 from worm_model.identification.actuation_stage import ActuationResult
-from worm_model.identification.estimate import Estimate, not_told, quantile
+from worm_model.identification.estimate import Estimate, half_of_mean, not_told, quantile
 from worm_model.identification.observed_run import Recording
 
 LONGEST_LAG = 0.2  # s, of a servo that follows its goals
@@ -40,8 +40,7 @@ def camera_delay(recordings: Sequence[Recording], actuation: ActuationResult) ->
     delays = late - lag
     deviation = float(np.mean(actuation.clock_deviation[told])) / np.sqrt(delays.size)
     if delays.size > 1:
-        by_runs = float(delays.std(ddof=1)) / np.sqrt(delays.size)
-        half = quantile(delays.size - 1) * max(by_runs, deviation)
+        half = max(half_of_mean(delays), quantile(delays.size - 1) * deviation)
     else:
         half = quantile(np.inf) * deviation
     half = float(np.hypot(half, STAMPED))

@@ -18,7 +18,7 @@ from worm_model.identification.actuation_stage import identify_actuation
 from worm_model.identification.estimate import Estimate
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.idle import idle_power, idle_power_of
-from worm_model.identification.inputs import read_recording
+from worm_model.identification.inputs import read_recordings
 from worm_model.identification.locomotion import Known, traverse_of
 from worm_model.identification.locomotion_stage import identify_locomotion
 from worm_model.identification.measured_length import measured_length
@@ -73,7 +73,7 @@ def estimate_bags(
         try:
             with open_bag(path, definitions=definitions) as bag:
                 start = bag.start
-            recording = read_recording(path, definitions)
+            recording = read_recordings([path], definitions)[0]
             content = _content(recording)
             if content in found:
                 raise IdentificationError(f"the same run as {found[content].name}")

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
+from worm_model.arrays import Array
+
 CONFIDENCE = 0.95
 MOST_STEPS = 12  # by which a profile looks for its end
 NARROW = 0.03  # of an end's distance, between whose bounds it is found: where a cost jumps it meets no value
@@ -46,6 +48,11 @@ class Estimate:
 def quantile(degrees: float) -> float:
     """How many standard deviations 95 % intervals reach to each side, for so many degrees of freedom."""
     return float(student.ppf(0.5 + 0.5 * CONFIDENCE, max(degrees, 1.0)))
+
+
+def half_of_mean(values: Array) -> float:
+    """By how much the 95 % interval of the mean of some values (n,), two at least, reaches to each side."""
+    return quantile(values.size - 1) * float(values.std(ddof=1) / np.sqrt(values.size))
 
 
 def not_told(value: float, note: str) -> Estimate:

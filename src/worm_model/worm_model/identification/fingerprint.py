@@ -25,4 +25,4 @@ def imported_files(package: Path, entry: str) -> list[Path]:
     finder = ModuleFinder([str(package.parent)])
     finder.run_script(str(package / entry))
     files = (getattr(module, "__file__", None) for module in finder.modules.values())
-    return sorted(Path(file) for file in files if file)
+    return sorted({Path(file) for file in files if file})

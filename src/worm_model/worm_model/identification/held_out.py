@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 from worm_model.identification.actuation_fit import KEYS as ACTUATION
 from worm_model.identification.actuation_fit import ActuationFit, fit_actuation
@@ -23,14 +22,6 @@ ITERATIONS = 4
 FEWEST = 2  # runs, of which one can be left out
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """Errors by run, under what the others say (empty with one run) and under the paper's table."""
-
-    held_out: Mapping[str, Errors]
-    paper: Mapping[str, Errors]
-
-
 def run_errors(run: Run, parameters: Parameters, clock_offset: float) -> Errors:
     """Of one run; ``clock_offset`` s is by how much the camera is behind the servo, as other runs tell."""
     prediction = predict(run.recording, run.traverse, parameters, clock_offset)
@@ -45,16 +36,17 @@ def leave_one_out(
     actuation: ActuationFit,
     power_runs: Sequence[PowerRun],
     energy: EnergyResult,
-) -> LeftOut:
-    """Stages 4 to 7 without each run in turn, from the fit to all of them.
+) -> tuple[dict[str, Errors], dict[str, Errors]]:
+    """Errors by run: (under what the others say, empty with one run; under the paper's table).
 
+    Stages 4 to 7 are done without each run in turn, from the fit to all of them.
     Where the runs do not tell c_b it stays as it is. Three things are not done anew: the forces under which
     the energy is fitted and the scatter of the grooves are those of the fit to all runs, and a run's length is
     smoothed by a fit to that run itself. Both columns get the camera's clock offset that the other runs tell.
     """
     if len(runs) < FEWEST:
         offset = float(actuation.clock_offset.mean())
-        return LeftOut({}, {run.name: run_errors(run, PAPER, offset) for run in runs})
+        return {}, {run.name: run_errors(run, PAPER, offset) for run in runs}
     damping = None if energy.bellows_damping.identifiable else energy.fit.damping
     by_name = {run.name: run for run in power_runs}
 
@@ -79,8 +71,6 @@ def leave_one_out(
 
     with ThreadPoolExecutor() as pool:
         found = list(pool.map(left_out, range(len(runs))))
+    held_out, paper = zip(*found, strict=True)
     names = [run.name for run in runs]
-    return LeftOut(
-        {name: pair[0] for name, pair in zip(names, found, strict=True)},
-        {name: pair[1] for name, pair in zip(names, found, strict=True)},
-    )
+    return dict(zip(names, held_out, strict=True)), dict(zip(names, paper, strict=True))

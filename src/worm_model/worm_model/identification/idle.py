@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.identification.estimate import Estimate, quantile
+from worm_model.identification.estimate import Estimate, half_of_mean, quantile
 from worm_model.identification.observed_run import Recording
 
 SAMPLES = 10
@@ -72,7 +72,7 @@ def idle_power(runs: Sequence[IdlePower]) -> Estimate | None:
     values = np.array([run.value for run in known])
     mean = float(values.mean())
     if len(known) > 1:
-        half = quantile(len(known) - 1) * float(values.std(ddof=1) / np.sqrt(len(known)))
+        half = half_of_mean(values)
     else:
         half = quantile(SAMPLES - 1) * known[0].deviation
     return Estimate(mean, mean - half, mean + half)

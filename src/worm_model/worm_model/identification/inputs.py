@@ -133,13 +133,6 @@ def run_folders(folder: Path) -> list[Path]:
     return sorted(file.parent for file in folder.glob(f"*/{RUN_FILE}"))
 
 
-def read_recording(path: Path, definitions: Path | None = None) -> Recording:
-    """The first run in a bag, or that in a lab's folder of one run."""
-    if is_lab_folder(path):
-        return read_lab_recording(path)
-    return _read_bag(path, definitions)[0]
-
-
 def _read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
     """The runs in a bag."""
     with open_bag(path, definitions=definitions) as bag:

@@ -8,7 +8,7 @@ is gained or lost, so it is searched over a grid first; the paper does not say h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,14 +42,6 @@ LOST = 1.0  # m², cost of a run whose anchors switch without end
 
 
 @dataclass(frozen=True)
-class Literal:
-    """The ``parameters`` found, and the least ``costs``: J_loc and J_act in m², J_E in J²."""
-
-    parameters: Parameters
-    costs: Mapping[str, float]
-
-
-@dataclass(frozen=True)
 class _Traverse:
     """A run over five ridges: ``time`` (n,) s, ``x1`` and ``change`` (n,) m where both markers were seen, ``L0`` m."""
 
@@ -62,8 +54,10 @@ class _Traverse:
 
 def literal(
     inputs: Inputs, known: Parameters, progress: Callable[[str, float], None] = lambda *_: None
-) -> Literal:
-    """The parameters by the paper's costs, and its form of the power; those of bench tests and ``known`` ones as given.
+) -> tuple[Parameters, dict[str, float]]:
+    """(parameters by the paper's costs, and its form of the power; the least costs: J_loc and J_act in m², J_E in J²).
+
+    Those of bench tests and ``known`` ones stay as given.
 
     Raises `IdentificationError` if no run shows power.
     """
@@ -82,7 +76,7 @@ def literal(
     (damping, factor), j_e = _energy(powered, p)
     progress("J_E", 1.0)
     p = p.replace(idle_power=idle, bellows_damping=damping, power_factor=factor)
-    return Literal(p, {"J_loc": j_loc, "J_act": j_act, "J_E": j_e})
+    return p, {"J_loc": j_loc, "J_act": j_act, "J_E": j_e}
 
 
 def _with_bench(inputs: Inputs, p: Parameters) -> Parameters:

@@ -24,9 +24,8 @@ from worm_model.run import (
     seconds,
 )
 
-LONGEST_REST = (
-    3_000_000_000  # ns before the onset, of a recording that does not say when the rest began
-)
+# ns before the onset, of a recording that does not say when the rest began
+LONGEST_REST = 3_000_000_000
 FEWEST_SAMPLES = 20  # of an instrument
 SAME_PLACE = 4e-3  # m between two starts, half the paper's clearance: within it no fin is bent
 MOST_MISFIT = 1e-3  # m, between the commanded lengths and the gait they are said to be
@@ -209,17 +208,14 @@ def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
 
 def _from_onset(recording: Recording) -> Recording:
     """Commands before the onset are rest; the onset itself becomes their first sample."""
-    after = recording.command_time > 0.0
-    cable_after = recording.cable_time > 0.0
-    cable = recording.cable[cable_after]
+    after, turned = recording.command_time > 0.0, recording.cable_time > 0.0
+    first = np.zeros(int(turned.any()))  # of an encoder that was recorded
     return replace(
         recording,
-        command_time=np.concatenate([[0.0], recording.command_time[after]]),
-        command=np.concatenate([[0.0], recording.command[after]]),
-        cable_time=np.concatenate([[0.0], recording.cable_time[cable_after]])
-        if cable.size
-        else cable,
-        cable=np.concatenate([[0.0], cable]) if cable.size else cable,
+        command_time=np.append(0.0, recording.command_time[after]),
+        command=np.append(0.0, recording.command[after]),
+        cable_time=np.append(first, recording.cable_time[turned]),
+        cable=np.append(first, recording.cable[turned]),
     )
 
 

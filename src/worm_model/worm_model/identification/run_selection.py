@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.identification.estimate import Estimate, quantile
+from worm_model.identification.estimate import Estimate, half_of_mean, quantile
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.idle import IdlePower, idle_power_of
 from worm_model.identification.locomotion import Traverse, traverse_of
@@ -106,6 +106,5 @@ def initial_length(runs: Sequence[Run]) -> Estimate:
     if lengths.size == 1:
         half = quantile(np.inf) * runs[0].length.initial_spread
         return Estimate(mean, mean - half, mean + half, True, ONE_RUN)
-    deviation = float(lengths.std(ddof=1))
-    half = quantile(lengths.size - 1) * deviation / float(np.sqrt(lengths.size))
-    return Estimate(mean, mean - half, mean + half, True, OF_THE_MEAN.format(deviation * 1e3))
+    half, note = half_of_mean(lengths), OF_THE_MEAN.format(float(lengths.std(ddof=1)) * 1e3)
+    return Estimate(mean, mean - half, mean + half, True, note)

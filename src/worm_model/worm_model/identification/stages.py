@@ -137,7 +137,9 @@ def identify(
     estimates |= _energy_estimates(energy, reference)
     parameters = _with_values(known.parameters, estimates)
     progress("held out", 0.0)
-    left_out = leave_one_out(runs, known, parameters, locomotion, actuation.fit, power_runs, energy)
+    held_out, paper = leave_one_out(
+        runs, known, parameters, locomotion, actuation.fit, power_runs, energy
+    )
     offset = float(actuation.fit.clock_offset.mean())
     result = Identification(
         estimates=estimates,
@@ -150,8 +152,8 @@ def identify(
         actuation=actuation,
         energy=energy,
         power_runs=tuple(power_runs),
-        held_out=left_out.held_out,
-        paper=left_out.paper,
+        held_out=held_out,
+        paper=paper,
         validation={run.name: run_errors(run, parameters, offset) for run in checked},
         camera_delay=camera_delay([run.recording for run in runs], actuation),
         warnings=(*inputs.remarks, *bench_warnings(fin), *warnings, *seen),

@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.observed_run import Recording
 
-SLIPPING = (
-    0.15  # of a pitch from whole grooves, beyond which a fin was on its way at one of both moments
-)
+# of a pitch from whole grooves, beyond which a fin was on its way at one of both moments
+SLIPPING = 0.15
 FEWEST = 20  # samples that tell something
-TOLERANCE = (
-    0.008  # of the pitch, three times what strides are off on a robot whose grooves are not alike
-)
+# of the pitch, three times what strides are off on a robot whose grooves are not alike
+TOLERANCE = 0.008
 
 
 def pitch_of_strides(recording: Recording, pitch: float) -> float:

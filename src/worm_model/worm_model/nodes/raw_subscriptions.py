@@ -35,9 +35,8 @@ from worm_model.nodes.recording_qos import describe, subscription_qos
 from worm_model.run import INACTIVE
 from worm_msgs.node_command import declare_none
 
-OVERLAP_LOOKS = (
-    50  # with both subscriptions: publishers learn of the second one later than it does of them
-)
+# with both subscriptions: publishers learn of the second one later than it does of them
+OVERLAP_LOOKS = 50
 
 SETTLING_S = 3.0  # after which a publisher that appears was not there before the recorder
 
@@ -302,11 +301,11 @@ def _describe_gait(state: Any) -> dict[str, str]:
     """A running gait as text; empty when none runs."""
     if state.state != state.RUNNING or state.gait.stroke <= 0.0:
         return {}
-    return {
-        "stroke": repr(state.gait.stroke),
-        "frequency": repr(state.gait.frequency),
-        "direction": str(state.gait.direction),
-        "margin": repr(state.gait.margin),
+    gait = {
+        key: repr(getattr(state.gait, key))
+        for key in ("stroke", "frequency", "direction", "margin")
+    }
+    return gait | {
         "cycles": str(state.cycles),
         "onset_ns": str(state.onset.sec * 10**9 + state.onset.nanosec),
         "run": str(state.run),

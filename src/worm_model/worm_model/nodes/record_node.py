@@ -4,16 +4,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
 
-from worm_model.bags.bag_errors import BagError
+from worm_model.bags.bag_errors import BagError, UnwritableError
 from worm_model.bags.bag_writer import COMPRESSIONS, WriteOptions
 from worm_model.bags.cleaning import Cleaner
 from worm_model.bags.message_block import Message
@@ -21,7 +19,15 @@ from worm_model.bags.recorder import Manifest
 from worm_model.bags.recording_session import RecordingSession, SessionOptions
 from worm_model.bags.run_manifest import GAIT_RECORD, is_text, run_manifest
 from worm_model.bags.topic_selection import TopicSelection
-from worm_model.commands.command_line import Parser, not_negative
+from worm_model.commands.command_line import (
+    DONE,
+    FAILED,
+    Parser,
+    not_negative,
+    notifier,
+    print_json,
+    run_command,
+)
 from worm_model.nodes.raw_subscriptions import RecordNode
 from worm_msgs.ros_process import Ending, own_arguments, ros_process
 
@@ -55,7 +61,11 @@ def _parser() -> Parser:
     )
     parser.add_argument("topics", nargs="*", metavar="TOPIC", help="topics to record")
     parser.add_argument(
-        "-o", "--output", type=Path, help="the bag, a directory that must not exist"
+        "-o",
+        "--output",
+        type=Path,
+        default=Path(time.strftime("worm_%Y_%m_%d-%H_%M_%S")),
+        help="the bag, a directory that must not exist",
     )
     parser.add_argument("-a", "--all", action="store_true", help="all topics that are not hidden")
     parser.add_argument("-e", "--regex", default="", help="topics whose full name matches")
@@ -221,18 +231,6 @@ class _Recording:
         sys.stderr.flush()
 
 
-def _fail(status: int, message: str) -> NoReturn:
-    sys.stderr.write(f"record: {' '.join(message.split())}\n")
-    raise SystemExit(status)
-
-
-def _output(arguments: argparse.Namespace) -> Path:
-    if arguments.output is None:
-        return Path(time.strftime("worm_%Y_%m_%d-%H_%M_%S"))
-    output: Path = arguments.output
-    return output
-
-
 def _session_options(
     arguments: argparse.Namespace, command: Sequence[str], cleaner: Cleaner | None
 ) -> SessionOptions:
@@ -243,7 +241,7 @@ def _session_options(
 
     manifest()  # what is wrong with it is told before anything is made
     return SessionOptions(
-        output=_output(arguments),
+        output=arguments.output,
         manifest=manifest,
         write=WriteOptions(
             arguments.compression,
@@ -287,12 +285,11 @@ def _report(
     arguments: argparse.Namespace,
 ) -> int:
     recording.show("\n")
+    notify = notifier("record")
     for name in node.missing:
-        sys.stderr.write(f"record: {name} was never published\n")
+        notify(f"{name} was never published")
     for name, count in node.missed.items():
-        sys.stderr.write(
-            f"record: {name}: the first {count} messages of a publisher that came later are missing\n"
-        )
+        notify(f"{name}: the first {count} messages of a publisher that came later are missing")
     if arguments.json:
         outcome = {
             "bag": str(session.options.output),
@@ -301,30 +298,30 @@ def _report(
             "missing": node.missing,
             "missed": node.missed,
         }
-        sys.stdout.write(json.dumps(outcome) + "\n")
+        print_json(outcome)
     error = session.error
     if isinstance(error, FileNotFoundError):
         lost = session.dropped.messages
-        _fail(1, f"{session.failed} was removed while it was recorded: {lost} messages are lost")
-    if error is not None:
-        _fail(
-            1,
-            f"{session.failed} could not be written: {error}; what was written is kept, see recover",
+        notify(f"{session.failed} was removed while it was recorded: {lost} messages are lost")
+    elif error is not None:
+        notify(
+            f"{session.failed} could not be written: {error}; what was written is kept, see recover"
         )
-    return 0
+    return DONE if error is None else FAILED
 
 
-def main() -> None:
-    """Entry point of ``ros2 run worm_model record``."""
+def _record(options: argparse.Namespace) -> int:
+    strange = next((a for a in sys.argv if not is_text(a)), None)
+    if strange is not None:
+        raise BagError(f"an argument is not UTF-8 text: {strange!r}")
     try:
-        strange = next((a for a in sys.argv if not is_text(a)), None)
-        if strange is not None:
-            raise BagError(f"an argument is not UTF-8 text: {strange!r}")
-        command = own_arguments(sys.argv)
-        arguments = _parser().parse_args(command[1:])
         with ros_process() as ended:
-            raise SystemExit(_run(arguments, command, ended))
-    except BagError as error:
-        _fail(2, str(error))
+            return _run(options, own_arguments(sys.argv), ended)
     except OSError as error:
-        _fail(1, f"{error.filename or 'the bag'} cannot be written: {error.strerror}")
+        what = error.filename or "the bag"
+        raise UnwritableError(f"{what} cannot be written: {error.strerror}") from None
+
+
+def main() -> int:
+    """Entry point of ``ros2 run worm_model record``."""
+    return run_command(_parser(), _record, own_arguments(sys.argv)[1:])

@@ -17,10 +17,9 @@ from worm_model.gait import Gait
 from worm_model.twin.forecast import Forecast
 from worm_model.twin.records import (
     NANOSECONDS,
-    RESIDUAL_ROW,
+    RESIDUAL_FIELDS,
     STATE_ROW,
     Event,
-    ResidualRecord,
     residual_message,
 )
 from worm_model.twin.samples import Kind
@@ -87,11 +86,6 @@ INPUTS: Mapping[str, tuple[type, Callable[[Any], Row]]] = {
 # --- what the twin yields, as messages ---------------------------------------------------------------
 
 _STATE = tuple(name for name in STATE_ROW.names or () if name != "stamp_ns")
-_RESIDUALS = tuple(
-    field.name
-    for field in dataclasses.fields(ResidualRecord)
-    if field.name in (RESIDUAL_ROW.names or ())
-)[1:]
 
 
 def state_message(row: Any) -> TwinState:
@@ -103,7 +97,7 @@ def state_message(row: Any) -> TwinState:
 
 def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
     """A row of RESIDUAL_ROW as TwinResiduals; ``warnings`` are the texts that it refers to."""
-    message = _filled(TwinResiduals(), row, _RESIDUALS)
+    message = _filled(TwinResiduals(), row, RESIDUAL_FIELDS)
     if message.health > TwinResiduals.HEALTHY:
         message.message = residual_message(row, warnings)
     return message
@@ -152,15 +146,9 @@ def gait_of(message: Any) -> Gait:
 def fill_forecast(response: Any, found: Forecast) -> Any:
     """A forecast as the response of PredictGait."""
     nan = math.nan
-    gait = found.robust.gait
     response.success = True
     response.prediction = GaitPrediction(
-        gait=GaitMessage(
-            stroke=gait.stroke,
-            frequency=gait.frequency,
-            direction=gait.direction,
-            margin=gait.margin,
-        ),
+        gait=GaitMessage(**dataclasses.asdict(found.robust.gait)),
         speed=found.robust.speed,
         power=found.robust.power,
         cost_of_transport=found.robust.cost_of_transport,
@@ -175,10 +163,8 @@ def fill_forecast(response: Any, found: Forecast) -> Any:
         success_probability=nan,
         success_probability_any_phase=nan,
     )
-    response.time = found.time.tolist()
-    response.rear_position = found.rear_position.tolist()
-    response.front_position = found.front_position.tolist()
-    response.power = found.power.tolist()
+    for name in ("time", "rear_position", "front_position", "power"):
+        setattr(response, name, getattr(found, name).tolist())
     response.energy = found.energy
     response.grooves = found.grooves
     return response

@@ -15,7 +15,6 @@ from worm_model.run import Run
 from worm_model.twin.records import Event, Health, residual_message
 from worm_model.twin.samples import Received, rows_of_run
 from worm_model.twin.twin import Twin
-from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 
 Series = dict[str, NDArray[Any]]
 
@@ -51,16 +50,11 @@ class Replay:
         return tuple(texts)
 
 
-def replay_run(
-    run: Run,
-    parameters: Parameters,
-    settings: TwinSettings = DEFAULTS,
-    received: Received | None = None,
-) -> Replay:
+def replay_run(run: Run, parameters: Parameters, received: Received | None = None) -> Replay:
     """Let the twin follow a recording; ``received`` as `rows_of_run` takes it."""
-    twin = Twin(parameters, settings)
+    twin = Twin(parameters)
     state = twin.start()
-    rows = rows_of_run(run, round(settings.jump_back_s * 1e9), received)
+    rows = rows_of_run(run, round(twin.settings.jump_back_s * 1e9), received)
     output = twin.advance(state, rows, to_the_end=True)
     return Replay(
         states=_columns(output.states),

@@ -128,6 +128,8 @@ class Event:
 
 
 STATE_ROW = row_type(StateRecord)
+#: what of a residual is published beside its stamp: what its health came from, its message has in words
+RESIDUAL_FIELDS = (row_type(ResidualRecord).names or ())[1:]
 #: a residual with its channels' sizes (in usual ones, NaN without a say) and levels, and the number of the warning
 RESIDUAL_ROW = row_type(
     ResidualRecord,

@@ -33,9 +33,8 @@ LATE_NS = 20_000_000  # an onset heard of later than this is worth a word
 PLAUSIBLE_M = 0.02  # between a measured length at rest and the parameter's
 TAKEN_UP = 0.35  # of what the slack costs, by which a body whose slack is taken up may be off
 FEWEST = 5  # samples that make a mean
-GUARD_NS = (
-    100_000_000  # before the onset, as its stamp and the instruments' come from different clocks
-)
+# before the onset, as its stamp and the instruments' come from different clocks
+GUARD_NS = 100_000_000
 RELAX_S = 1.0  # in which the body takes its initial length again, and as long to come to rest
 TOLERANCE = 0.3  # of a pitch, that a robot which nobody touched may be off its place
 JOIN_STEP_S = 0.01  # of the commands that a late twin did not hear

@@ -204,13 +204,10 @@ class _Call:
             )
             self._tell(stamp, text, "camera_moved")
 
-    def _tell(
-        self, stamp: int, text: str, code: str, cycle: int = 0, probability: float = np.nan
-    ) -> None:
+    def _tell(self, stamp: int, text: str, code: str) -> None:
         m = self.state.record
-        run = int(m["run"])
-        cycle = cycle or (int(m["cycle"]) if m["cycle_end_ns"] else 0)
-        self.events.append(Event(stamp, Severity.WARNING, text, code, cycle, run, probability))
+        cycle = int(m["cycle"]) if m["cycle_end_ns"] else 0
+        self.events.append(Event(stamp, Severity.WARNING, text, code, cycle, int(m["run"])))
 
     # --- the driver's words ---------------------------------------------------------------------
 

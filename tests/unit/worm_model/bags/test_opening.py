@@ -328,7 +328,7 @@ def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
     check_one_line(error, "damaged", "recover")
     path.with_name("b.mcap").write_bytes(data[:-1])
     report = recover(path.with_name("b.mcap"), tmp_path / "saved")
-    assert report.damaged_chunks == 1
+    assert len(report.lost) == 1
     with open_bag(tmp_path / "saved") as bag:
         found = numbers(bag)
     assert 301 not in found
@@ -344,7 +344,7 @@ def test_recovery_does_not_trust_the_summary_of_a_spoilt_file(tmp_path: Path):
     data[data.index(payload(301)) + 6] ^= 0xFF
     path.write_bytes(data)
     report = recover(path, tmp_path / "saved")
-    assert report.damaged_chunks == 1
+    assert len(report.lost) == 1
     with open_bag(tmp_path / "saved") as bag:
         assert COUNT - 100 < len(numbers(bag)) == report.messages < COUNT
 

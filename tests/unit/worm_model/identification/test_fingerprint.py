@@ -20,6 +20,7 @@ def test_imports_are_followed_in_every_form(tmp_path):
     package = tmp_path / "thing"
     package.mkdir()
     sources = {
+        "__init__.py": "",
         "start.py": "import json\nfrom thing import one\nimport thing.two\n",
         "one.py": "def f():\n    from thing.three import name\n",
         "two.py": "import thing.start\n",
@@ -29,7 +30,7 @@ def test_imports_are_followed_in_every_form(tmp_path):
     for name, text in sources.items():
         (package / name).write_text(text, encoding="utf-8")
     found = [file.name for file in imported_files(package, "start.py")]
-    assert found == ["one.py", "start.py", "three.py", "two.py"]
+    assert found == ["__init__.py", "one.py", "start.py", "three.py", "two.py"]
 
 
 def test_the_version_tells_both():

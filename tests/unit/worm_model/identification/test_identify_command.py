@@ -17,7 +17,7 @@ from worm_model.commands import identify
 from worm_model.commands.import_lab import import_lab
 from worm_model.gait import Gait
 from worm_model.identification.identification_errors import IdentificationError
-from worm_model.identification.inputs import read_inputs, read_recording, read_recordings
+from worm_model.identification.inputs import read_inputs, read_recordings
 from worm_model.identification.reference_values import reference_by_folder
 from worm_model.parameters import KEYS, PAPER, load_parameter_file
 
@@ -153,7 +153,7 @@ def test_two_runs_a_spoilt_one_and_a_validation_are_told_in_words(
 def test_a_bag_says_what_the_folder_says(shared, tmp_path):
     folder = shared / "campaign" / "run_07"
     import_lab(folder, tmp_path / "run_07", LabSettings(epoch=10**18), "/worm")
-    bag, log = read_recording(tmp_path / "run_07"), read_recording(folder)
+    bag, log = read_recordings([tmp_path / "run_07", folder])
     assert bag.gait == log.gait
     for name in ("camera_time", "x1", "x2", "command_time", "command", "power"):
         assert getattr(bag, name) == pytest.approx(getattr(log, name), abs=1e-8, nan_ok=True)
@@ -286,7 +286,7 @@ def test_bags_of_the_driver_are_read_from_rest_to_the_end_of_the_gait(name, dire
     path = ROOT / "bags" / name
     if not path.is_dir():
         pytest.skip(f"no bag {path}")
-    recording = read_recording(path)
+    recording = read_recordings([path])[0]
     assert recording.gait.direction == direction
     assert recording.at_rest.sum() >= 10
     cycles = recording.command_time[-1] * recording.gait.frequency
@@ -297,6 +297,6 @@ def test_bags_of_the_driver_are_read_from_rest_to_the_end_of_the_gait(name, dire
 def test_every_sample_of_a_bag_is_read(tmp_path):
     run = exact_run(GAIT, PAPER, Instruments(), 0, 7.0)
     write_bag(tmp_path / "x", run)
-    recording = read_recording(tmp_path / "x")
+    recording = read_recordings([tmp_path / "x"])[0]
     assert recording.camera_time.size == run.tracker.stamp.size
     assert np.diff(recording.power_time) == pytest.approx(0.02, abs=1e-6)

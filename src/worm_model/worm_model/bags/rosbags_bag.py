@@ -17,7 +17,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.metadata import dump_qos_v9
 
-from worm_model.bags.bag import AttachedFile, MetadataRecord
+from worm_model.bags.bag import AttachedFile, Bag, Notify
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.bag_metadata import dump_yaml
 from worm_model.bags.message_block import Message, Messages, Topic, messages_of
@@ -42,25 +42,25 @@ def _explained(path: Path) -> Iterator[None]:
         raise BagError(f"{path} cannot be read: {reason}") from None
 
 
-class RosbagsStorage:
+class RosbagsBag(Bag):
     """Reads through `rosbags`, which offers neither metadata records nor attachments.
 
     Args:
         path: rosbag2 directory or sqlite3 file.
+        notify: as `Bag` has it.
 
     Raises:
         BagError: it cannot be read.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, notify: Notify) -> None:
         with _explained(path):
             self._reader = Reader(path)
             self._reader.open()
-            self.channels = tuple(map(_topic, self._reader.connections))
+            channels = tuple(map(_topic, self._reader.connections))
             empty = not self._reader.message_count
-            self.span = (0, 0) if empty else (self._reader.start_time, self._reader.end_time - 1)
-        self.records: tuple[MetadataRecord, ...] = ()
+            span = (0, 0) if empty else (self._reader.start_time, self._reader.end_time - 1)
+        super().__init__(path, channels, span, (), notify)
 
     def close(self) -> None:
         """Close the files."""
@@ -70,15 +70,15 @@ class RosbagsStorage:
         """None."""
         return iter(())
 
-    def blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
+    def _blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
         """Messages of some topics by rising log time; the sending time is not known and taken for the same."""
         wanted = [c for c in self._reader.connections if c.topic in topics]
         channels = {c.id: _topic(c) for c in wanted}
         count = 0
-        with _explained(self._path):
+        with _explained(self.path):
             found = self._reader.messages(wanted)
         while True:
-            with _explained(self._path):
+            with _explained(self.path):
                 batch = [
                     Message(c.topic, time, bytes(data), time, channels[c.id])
                     for c, time, data in islice(found, BATCH)
@@ -90,7 +90,7 @@ class RosbagsStorage:
             yield block
         expected = sum(connection.msgcount for connection in wanted)
         if count != expected:
-            raise BagError(f"{self._path} holds {count} messages instead of {expected}")
+            raise BagError(f"{self.path} holds {count} messages instead of {expected}")
 
 
 def _topic(connection: Connection) -> Topic:

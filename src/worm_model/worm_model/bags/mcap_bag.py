@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.bags.bag import AttachedFile, MetadataRecord
+from worm_model.bags.bag import AttachedFile, Bag, MetadataRecord, Notify
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.mcap_scan import (
     DAMAGE,
@@ -185,30 +185,33 @@ class McapFile:
         return False
 
 
-class McapStorage:
+class McapBag(Bag):
     """Reads MCAP files as one.
 
     Args:
-        files: the open files; closed with the storage.
+        path, notify: as `Bag` has them.
+        files: the open files; closed with the bag.
     """
 
-    def __init__(self, files: Sequence[McapFile]) -> None:
+    def __init__(
+        self, path: Path, files: Sequence[McapFile], notify: Notify = lambda _: None
+    ) -> None:
         self._files = files
         counts: Counter[Topic] = Counter()
         for file in files:
             for number, topic in file.channels.items():
                 counts[topic] += file.contents.counts[number]
         by_name = sorted(counts.items(), key=lambda item: item[0].name)
-        self.channels = tuple(replace(topic, count=count) for topic, count in by_name)
+        channels = tuple(replace(topic, count=count) for topic, count in by_name)
         extents = [extent for file in files for extent in file.contents.extents]
         start = min((extent.start for extent in extents), default=0)
-        self.span = start, max((extent.end for extent in extents), default=0)
-        records = (record for file in files for record in file.contents.metadata)
-        self.records = tuple(
-            dict.fromkeys(
-                MetadataRecord(record.name, tuple(record.metadata.items())) for record in records
-            )
-        )
+        span = start, max((extent.end for extent in extents), default=0)
+        records = [
+            MetadataRecord(record.name, tuple(record.metadata.items()))
+            for file in files
+            for record in file.contents.metadata
+        ]
+        super().__init__(path, channels, span, tuple(dict.fromkeys(records)), notify)
 
     def close(self) -> None:
         """Close the files."""
@@ -224,7 +227,7 @@ class McapStorage:
                     seen.add(attached)
                     yield attached
 
-    def blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
+    def _blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
         """Messages of some topics by rising log time.
 
         What is in memory at a time is the extents that overlap in time, or TOGETHER_BYTES of small ones, however long
