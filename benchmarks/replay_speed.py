@@ -56,7 +56,9 @@ def _measure(cycles: int) -> list[Row]:
         def publish() -> None:
             with open_bag(path) as bag:
                 output = Path(folder, f"output_{len(list(Path(folder).iterdir()))}")
-                write_replay(bag, output, replay_run(read_run(bag, names=TWIN_INPUTS), PAPER), "/worm")
+                write_replay(
+                    bag, output, replay_run(read_run(bag, names=TWIN_INPUTS), PAPER), "/worm"
+                )
 
         name = f"a bag of {duration:.0f} s"
         calls = (
