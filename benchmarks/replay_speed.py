@@ -14,7 +14,8 @@ from worm_model.bags.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_run
-from worm_model.commands.replay import INPUTS, write_replay
+from worm_model.bags.worm_topics import TWIN_INPUTS
+from worm_model.commands.replay import write_replay
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
@@ -46,7 +47,7 @@ def _measure(cycles: int) -> list[Row]:
 
         def read() -> Run:
             with open_bag(path) as bag:
-                return read_run(bag, names=INPUTS)
+                return read_run(bag, names=TWIN_INPUTS)
 
         def report() -> None:
             found = read()
@@ -55,7 +56,9 @@ def _measure(cycles: int) -> list[Row]:
         def publish() -> None:
             with open_bag(path) as bag:
                 output = Path(folder, f"output_{len(list(Path(folder).iterdir()))}")
-                write_replay(bag, output, replay_run(read_run(bag, names=INPUTS), PAPER), "/worm")
+                write_replay(
+                    bag, output, replay_run(read_run(bag, names=TWIN_INPUTS), PAPER), "/worm"
+                )
 
         name = f"a bag of {duration:.0f} s"
         calls = (

@@ -356,15 +356,9 @@ def judge_causes(
     for cycle in history.cycles:
         if cycle.watched:
             continue  # the tracker settles that
+        covering = [c for c in weighed if c.cycle <= cycle.number < c.cycle + c.cycles]
         shares = {
-            code: _share(
-                (
-                    c
-                    for c in weighed
-                    if c.code == code and cycle.number - c.cycle in range(c.cycles)
-                ),
-                total,
-            )
+            code: _share((c for c in covering if c.code == code), total)
             for code in (MISSED_REAR, MISSED_FRONT, GAINED)
         }
         missed = shares[MISSED_REAR] + shares[MISSED_FRONT]
