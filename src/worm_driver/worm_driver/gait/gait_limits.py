@@ -59,24 +59,19 @@ class GaitLimits:
 
     def check(self, gait: Gait, cycles: int) -> None:
         """Raises LimitError, which says what is wrong and what would be right."""
-        for name in ("stroke", "frequency", "margin"):
+        ranges = (
+            ("stroke", self.min_stroke, self.max_stroke, "m", "limits.max_stroke_m"),
+            ("frequency", self.min_frequency, self.max_frequency, "Hz", "limits.max_frequency_Hz"),
+            ("margin", 0.0, self.max_stroke, "m", "limits.max_stroke_m"),
+        )
+        for name, low, high, unit, limit in ranges:
             value = getattr(gait, name)
             if not math.isfinite(value):
                 raise LimitError(f"the gait's {name} is {value}, not a number that can be played")
-        if not self.min_stroke <= gait.stroke <= self.max_stroke:
-            raise LimitError(
-                f"stroke {gait.stroke:g} m is outside {self.min_stroke:g} to {self.max_stroke:g} m "
-                "(limits.max_stroke_m)"
-            )
-        if not self.min_frequency <= gait.frequency <= self.max_frequency:
-            raise LimitError(
-                f"frequency {gait.frequency:g} Hz is outside {self.min_frequency:g} to "
-                f"{self.max_frequency:g} Hz (limits.max_frequency_Hz)"
-            )
-        if not 0.0 <= gait.margin <= self.max_stroke:
-            raise LimitError(
-                f"margin {gait.margin:g} m is outside 0 to {self.max_stroke:g} m (limits.max_stroke_m)"
-            )
+            if not low <= value <= high:
+                raise LimitError(
+                    f"{name} {value:g} {unit} is outside {low:g} to {high:g} {unit} ({limit})"
+                )
         if gait.direction not in (FORWARD, REVERSE):
             raise LimitError(f"direction must be 1 (forward) or -1 (reverse), not {gait.direction}")
         if not 1 <= cycles <= self.max_cycles:

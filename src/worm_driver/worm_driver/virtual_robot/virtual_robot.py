@@ -207,7 +207,7 @@ class VirtualRobot:
         overflow = self.board.active(faults.INA219_OVERFLOW, time)
         surge = overflow or self.board.active(faults.INA219_SATURATION, time)
         self._extra_current = 0.0 if surge is None else surge.value
-        self.chip.force_overflow(forced=overflow is not None)
+        self.chip.forced_overflow = overflow is not None
         if self.board.take(faults.INA219_RESET, time):
             self.chip.power_on()
 

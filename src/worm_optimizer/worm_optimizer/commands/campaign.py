@@ -8,6 +8,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,7 @@ from worm_optimizer.operation.identification_runs import (
     virtual_bench,
 )
 from worm_optimizer.operation.processes import termination_as_interrupt
-from worm_optimizer.operation.spread import Spread, run_names, spread, spread_json, spread_table
+from worm_optimizer.operation.spread import Spread, run_names, spread, spread_table
 from worm_optimizer.operation.spread_figure import draw_spread
 from worm_optimizer.orders import Order
 from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
@@ -273,7 +274,12 @@ def _print(
     found: dict[str, Any],
 ) -> None:
     judged = agreement_json(gaits)
-    content = {"folder": str(folder), "page": str(page), **judged, "spread": spread_json(spreads)}
+    content = {
+        "folder": str(folder),
+        "page": str(page),
+        **judged,
+        "spread": [asdict(row) for row in spreads],
+    }
     content["gaits"] = [
         {
             "name": row["name"],

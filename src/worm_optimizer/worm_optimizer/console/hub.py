@@ -59,10 +59,6 @@ class Hub:
             self._drawn = (snapshot, picture(twin, snapshot.robot, self.parameters, direction))
         return self._drawn[1]
 
-    def remember(self) -> None:
-        """Add this moment to the history; see `History.add`."""
-        self.history.add(self.snapshot())
-
     def unwanted(self) -> str:
         """Why what runs is not wanted any more, empty: nobody has stopped it, and the page that holds control lives."""
         return self.worker.stopped or self.control.loss

@@ -85,7 +85,7 @@ def build(hub: Hub, access: Access) -> None:
             return PlainTextResponse(str(error), 404)
         return FileResponse(packed, filename=packed.name, background=BackgroundTask(folder.cleanup))
 
-    app.timer(SAMPLE_S, hub.remember)
+    app.timer(SAMPLE_S, lambda: hub.history.add(hub.snapshot()))
 
 
 class ConsolePage:

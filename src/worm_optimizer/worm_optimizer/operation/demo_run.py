@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from worm_optimizer.operation.bring_up import CYCLES, RECORDER, Say, Session, left_out, session
+from worm_optimizer.operation.bring_up import CYCLES, RECORDER, Say, left_out, session
 from worm_optimizer.operation.system import System
 from worm_optimizer.orders import Order
 from worm_optimizer.robustness.prediction import Prediction
@@ -23,22 +23,18 @@ def drive(system: System, logs: Path, say: Say) -> Prediction:
     optimizer predicted. Raises `ProcessError` or `OperatorError` with the stage that failed.
     """
     with session(system, logs, say) as running:
-        return _run_gait(running, say)
-
-
-def _run_gait(running: Session, say: Say) -> Prediction:
-    node = running.node
-    prediction = node.request_gait(GaitRequest(Objective.CRUISE), now_and_then(say))
-    gait = prediction.gait
-    say(
-        f"the optimizer answers: stroke {1e3 * gait.stroke:.1f} mm, frequency "
-        f"{gait.frequency:.3f} Hz, margin {1e3 * gait.margin:.1f} mm"
-    )
-    running.activate()
-    node.wait_for_recorder(RECORDER, left_out(running.system.node(RECORDER)))
-    say(f"running {CYCLES} cycles, {CYCLES / gait.frequency:.0f} s")
-    running.run_gait(Order(gait, CYCLES))
-    running.release()
+        node = running.node
+        prediction = node.request_gait(GaitRequest(Objective.CRUISE), now_and_then(say))
+        gait = prediction.gait
+        say(
+            f"the optimizer answers: stroke {1e3 * gait.stroke:.1f} mm, frequency "
+            f"{gait.frequency:.3f} Hz, margin {1e3 * gait.margin:.1f} mm"
+        )
+        running.activate()
+        node.wait_for_recorder(RECORDER, left_out(system.node(RECORDER)))
+        say(f"running {CYCLES} cycles, {CYCLES / gait.frequency:.0f} s")
+        running.run_gait(Order(gait, CYCLES))
+        running.release()
     return prediction
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -75,8 +74,3 @@ def spread_table(spreads: Sequence[Spread]) -> str:
         )
         lines.append(f"{title_of(row.name):<24}{kept:>18}{cells}")
     return "\n".join(lines)
-
-
-def spread_json(spreads: Sequence[Spread]) -> list[dict[str, Any]]:
-    """As the machine-readable output has it."""
-    return [asdict(row) for row in spreads]

@@ -11,6 +11,7 @@ import numpy as np
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.cdr import Columns
+from worm_model.bags.message_block import Topic
 from worm_model.bags.run_reader import read_columns
 from worm_model.bags.worm_topics import find_topic
 from worm_model.run import FAULT, POWER_VALID, Run, power_status_name, state_name
@@ -50,11 +51,8 @@ def events_of(bag: Bag, run: Run, holds: Holds, replay: Replay) -> tuple[Event, 
 
 def _driver_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
     """Changes of the driver's state, cycles apart."""
-    topic = find_topic(bag.topics.values(), "gait_state")
-    if topic is None:
-        return
-    columns = read_columns(bag, [topic])[topic.name]
-    if not columns.numbers:
+    columns = _columns(bag, find_topic(bag.topics.values(), "gait_state"))
+    if columns is None:
         return
     shown: tuple[int, str | None] | None = None
     for stamp, state, message in zip(
@@ -71,11 +69,8 @@ def _driver_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
 
 def _complaints(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
     """Diagnostics that are not ok: the first of each part and level, and how often it came."""
-    topic = bag.topics.get(_DIAGNOSTICS)
-    if topic is None:
-        return
-    columns = read_columns(bag, [topic])[topic.name]
-    if not columns.numbers:
+    columns = _columns(bag, bag.topics.get(_DIAGNOSTICS))
+    if columns is None:
         return
     first: dict[tuple[str, int], tuple[int, str]] = {}
     reports: Counter[str] = Counter()
@@ -92,6 +87,12 @@ def _complaints(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
         kind = _LEVELS[level] if level < len(_LEVELS) else "error"
         often = f"{complaints[name, level]} of {reports[name]} reports"
         yield Event((time - run.origin) * 1e-9, name, kind, f"{message} (the first; {often})")
+
+
+def _columns(bag: Bag, topic: Topic | None) -> Columns | None:
+    """The messages of a topic, None where there are none."""
+    found = None if topic is None else read_columns(bag, [topic])[topic.name]
+    return found if found is not None and found.numbers else None
 
 
 def _stamps(columns: Columns) -> list[int]:

@@ -25,14 +25,12 @@ def versions() -> dict[str, str]:
     return versions
 
 
-def code_hash() -> str:
-    """Hash of the sources that decide about a study's numbers."""
+def identity() -> str:
+    """Hash of the sources that decide about a study's numbers, and the versions of the numerical packages.
+
+    Every worker must share it.
+    """
     digest = hashlib.sha256(fingerprint().encode())
     for name in ("plan.py", "point.py"):
         digest.update((Path(__file__).parent / name).read_bytes())
-    return digest.hexdigest()[:24]
-
-
-def identity() -> str:
-    """The code hash and the versions of the numerical packages: what every worker must share."""
-    return " ".join([code_hash(), *(f"{name}-{version(name)}" for name in _NUMERIC)])
+    return " ".join([digest.hexdigest()[:24], *(f"{name}-{version(name)}" for name in _NUMERIC)])

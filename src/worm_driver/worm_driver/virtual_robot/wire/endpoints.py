@@ -105,10 +105,9 @@ class Endpoints:
     """Serves a robot in a directory; open(), run() in a thread, stop() from any other, close().
 
     on_samples: called in the serving thread with samples of the camera that have become available.
-    rate: virtual seconds per second at most, inf: as fast as
-    those who take part can; None: in real time, nobody can take part, as with a real robot.
-    epoch_ns: the ROS time (ns) of the robot's time 0. on_time: called in the serving thread with
-    the time (s), often.
+    rate: virtual seconds per second at most, inf: as fast as those who take part can; None: in real time, nobody can
+    take part, as with a real robot. epoch_ns: the ROS time (ns) of the robot's time 0. on_time: called in the serving
+    thread with the time (s), often.
     """
 
     def __init__(

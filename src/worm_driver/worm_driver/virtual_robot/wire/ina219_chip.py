@@ -49,13 +49,16 @@ class AdcNoise:
 
 
 class Ina219:
-    """The chip. Registers are 16-bit raw values; times in s, never going back."""
+    """The chip. Registers are 16-bit raw values; times in s, never going back.
+
+    ``forced_overflow`` raises the overflow bit from outside, whatever the arithmetic says.
+    """
 
     def __init__(self, noise: AdcNoise, random: Random) -> None:
         self._noise = noise
         self._random = random
         self._time = 0.0
-        self._forced_overflow = False
+        self.forced_overflow = False
         self.power_on()
 
     def power_on(self) -> None:
@@ -64,10 +67,6 @@ class Ina219:
         self._ready = False
         self._math_overflow = False
         self._restart()
-
-    def force_overflow(self, *, forced: bool) -> None:
-        """Raises the overflow bit from outside, whatever the arithmetic says."""
-        self._forced_overflow = forced
 
     # --- the bus side -------------------------------------------------------------------------
 
@@ -78,7 +77,7 @@ class Ina219:
         value = self._registers[register]
         if register == BUS:
             value |= _CONVERSION_READY * self._ready
-            value |= _OVERFLOW * (self._math_overflow or self._forced_overflow)
+            value |= _OVERFLOW * (self._math_overflow or self.forced_overflow)
         if register == POWER:
             self._ready = False
         return value
