@@ -47,27 +47,40 @@ _ROWS = (
         "parameter_file", "", "YAML with rear_mass, front_mass, initial_length; empty: the paper's."
     ),
     _Row("port", "/dev/worm_bus", "Serial device of the servo bus."),
-    _Row("baud_rate", 1_000_000, "bit/s, as set in the servos.", (9600, 4_000_000)),
-    _Row("rate_Hz", 100.0, "Rate of commands and telemetry.", (10.0, 100.0)),
+    _Row("baud_rate", DriverSettings.baud_rate, "bit/s, as set in the servos.", (9600, 4_000_000)),
+    _Row("rate_Hz", DriverSettings.rate, "Rate of commands and telemetry.", (10.0, 100.0)),
     _Row(
         "real_time_priority",
         40,
         "SCHED_FIFO of the servo thread, half for the others, with locked memory; 0: none.",
         (0, 99),
     ),
-    _Row("bus_watchdog_s", 0.08, "Silence after which the servos stop by themselves.", (0.04, 2.0)),
+    _Row(
+        "bus_watchdog_s",
+        DriverSettings.watchdog,
+        "Silence after which the servos stop by themselves.",
+        (0.04, 2.0),
+    ),
     _Row(
         "home_at_start", False, "Take the length at configuring as the initial one, if not homed."
     ),
     _Row(
         "i2c_bus",
-        "1",
+        PowerSettings.i2c_bus,
         "Number or device of the I2C bus, socket of a virtual robot; empty or none: no sensor.",
     ),
-    _Row("i2c_address", 0x40, "Address of the INA219.", (0x40, 0x4F)),
-    _Row("ina219.shunt_resistance_ohm", 0.1, "Resistance of the shunt.", (1e-4, 10.0)),
+    _Row("i2c_address", PowerSettings.i2c_address, "Address of the INA219.", (0x40, 0x4F)),
     _Row(
-        "ina219.max_current_A", 3.2, "Current above which a sample is an overflow.", (0.01, 100.0)
+        "ina219.shunt_resistance_ohm",
+        PowerSettings.shunt_resistance,
+        "Resistance of the shunt.",
+        (1e-4, 10.0),
+    ),
+    _Row(
+        "ina219.max_current_A",
+        PowerSettings.max_current,
+        "Current above which a sample is an overflow.",
+        (0.01, 100.0),
     ),
     _Row("cable_servos.ids", [1], "Ids of the cable servos."),
     _Row("cable_servos.signs", [1], "1: rising ticks shorten the body; -1: they lengthen it."),
@@ -75,30 +88,42 @@ _ROWS = (
     _Row("fin_servos.ids", [11, 12], "Ids of the fin servos, rear to front."),
     _Row("fin_servos.forward_angle_rad", [2.356, 2.356], "Servo angles for forward gaits."),
     _Row("fin_servos.reverse_angle_rad", [3.927, 3.927], "Servo angles for reverse gaits."),
-    _Row("fin_servos.speed_rad_s", 3.0, "Speed of a flip.", (0.1, 6.0)),
-    _Row("limits.max_stroke_m", 0.09, "Largest stroke.", (1e-3, 1.0)),
-    _Row("limits.max_frequency_Hz", 0.4, "Highest frequency.", (0.01, 5.0)),
-    _Row("limits.max_cable_speed_m_s", 0.12, "Largest cable speed.", (1e-3, 2.0)),
+    _Row("fin_servos.speed_rad_s", DriverSettings.fin_speed, "Speed of a flip.", (0.1, 6.0)),
+    _Row("limits.max_stroke_m", DriverSettings.max_stroke, "Largest stroke.", (1e-3, 1.0)),
+    _Row(
+        "limits.max_frequency_Hz", DriverSettings.max_frequency, "Highest frequency.", (0.01, 5.0)
+    ),
+    _Row(
+        "limits.max_cable_speed_m_s",
+        DriverSettings.max_cable_speed,
+        "Largest cable speed.",
+        (1e-3, 2.0),
+    ),
     _Row(
         "limits.max_servo_current_A",
-        2.0,
+        Limits.max_current,
         "Of a cable servo; longer than 50 ms is a fault.",
         (0.05, 5.0),
     ),
     _Row(
         "limits.max_servo_load",
-        0.9,
+        Limits.max_load,
         "As max_servo_current_A, for a model without a current sensor (XL430): ratio of its load.",
         (0.1, 1.0),
     ),
-    _Row("limits.max_following_error_m", 0.015, "Of the cable; longer is a fault.", (1e-3, 0.2)),
+    _Row(
+        "limits.max_following_error_m",
+        Limits.following_error,
+        "Of the cable; longer is a fault.",
+        (1e-3, 0.2),
+    ),
     _Row(
         "limits.max_silence_s",
-        0.035,
+        Limits.max_silence,
         "Time without a servo's state; longer is a fault.",
         (0.0, 2.0),
     ),
-    _Row("rest_duration_s", 1.0, "Least rest before a gait.", (0.1, 60.0)),
+    _Row("rest_duration_s", PlayerSettings.rest_duration, "Least rest before a gait.", (0.1, 60.0)),
     _Row(
         HEARTBEAT,
         0.0,
@@ -106,7 +131,12 @@ _ROWS = (
         "each goal asks.",
         (0.0, 60.0),
     ),
-    _Row("return_speed_m_s", 0.05, "Peak cable speed on the way back to rest.", (1e-3, 0.5)),
+    _Row(
+        "return_speed_m_s",
+        PlayerSettings.return_speed,
+        "Peak cable speed on the way back to rest.",
+        (1e-3, 0.5),
+    ),
 )
 
 
