@@ -21,7 +21,7 @@ from worm_model.errors import InputError
 from worm_model.gait import Gait, GaitError
 from worm_model.run import FAULT, RESTING, RUNNING, STOPPING, GaitStates, Run, state_name
 from worm_model.simulation.quadrature import accumulated
-from worm_model.simulation.simulator import AVERAGED, cost_of_transport
+from worm_model.simulation.simulator import AVERAGED
 
 Samples = tuple[Stamps, Array]  # stamps in ns since the epoch and values, NaN where there is none
 
@@ -162,32 +162,6 @@ def early_end(run: Run, played: PlayedGait) -> str:
     if recorded < played.cycles:
         return f"recorded only up to cycle {recorded} of {played.cycles}"
     return ""
-
-
-@dataclass(frozen=True)
-class Performance:
-    """What one source says of a gait.
-
-    ``speed`` in m/s along the gait's direction, ``power`` the mean source power in W, ``cost_of_transport`` 1; NaN
-    where the source does not tell.
-    """
-
-    speed: float
-    power: float
-    cost_of_transport: float
-
-
-def performance(
-    position: Samples, energy: Samples, mass: float, window: Window, direction: int
-) -> Performance:
-    """Speed, power and cost of transport over a window from samples of x1 in m and of energy in J.
-
-    ``mass`` in kg. Values between samples are interpolated, samples that are NaN are skipped. Raises
-    `RecordingError` if the samples do not reach over the window.
-    """
-    speed = direction * mean_rate(position, window, "position of x1")
-    power = mean_rate(energy, window, "power")
-    return Performance(speed, power, float(cost_of_transport(speed, power, mass)))
 
 
 def mean_rate(samples: Samples, window: Window, name: str) -> float:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from worm_model.analysis.run_metrics import Performance, RecordingError, Window
+from worm_model.analysis.run_metrics import RecordingError, Window
 from worm_optimizer.report.expectation import Bands
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robustness.prediction import Prediction
@@ -18,6 +18,19 @@ _COLUMNS = (
     ("cost_of_transport", "cost of transport", 18),
 )
 _SHARE_WIDTH = 9  # of a relative difference after its value
+
+
+@dataclass(frozen=True)
+class Performance:
+    """What one source says of a gait.
+
+    ``speed`` in m/s along the gait's direction, ``power`` the mean source power in W, ``cost_of_transport`` 1; NaN
+    where the source does not tell.
+    """
+
+    speed: float
+    power: float
+    cost_of_transport: float
 
 
 @dataclass(frozen=True)

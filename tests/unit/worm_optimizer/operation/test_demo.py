@@ -5,8 +5,11 @@ import math
 
 import pytest
 
-from worm_model.analysis.run_metrics import Performance
-from worm_optimizer.operation.demo_comparison import comparison_table, relative_difference
+from worm_optimizer.operation.demo_comparison import (
+    Performance,
+    comparison_table,
+    relative_difference,
+)
 
 
 def test_the_table_shows_differences_to_the_measurement():
