@@ -20,6 +20,7 @@ from worm_model.bags.recording_session import RecordingSession, SessionOptions
 from worm_model.bags.run_manifest import GAIT_RECORD, is_text, run_manifest
 from worm_model.bags.topic_selection import TopicSelection
 from worm_model.commands.command_line import (
+    BAD_INPUT,
     DONE,
     FAILED,
     Parser,
@@ -311,9 +312,6 @@ def _report(
 
 
 def _record(options: argparse.Namespace) -> int:
-    strange = next((a for a in sys.argv if not is_text(a)), None)
-    if strange is not None:
-        raise BagError(f"an argument is not UTF-8 text: {strange!r}")
     try:
         with ros_process() as ended:
             return _run(options, own_arguments(sys.argv), ended)
@@ -324,4 +322,8 @@ def _record(options: argparse.Namespace) -> int:
 
 def main() -> int:
     """Entry point of ``ros2 run worm_model record``."""
+    strange = next((a for a in sys.argv if not is_text(a)), None)
+    if strange is not None:  # which ROS could not take apart
+        notifier("record")(f"an argument is not UTF-8 text: {strange!r}")
+        return BAD_INPUT
     return run_command(_parser(), _record, own_arguments(sys.argv)[1:])
