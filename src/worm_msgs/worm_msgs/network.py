@@ -108,11 +108,11 @@ def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
     Raises:
         NetworkError: as reach.
     """
-    found, binding = reach(environment, middleware), _binding(middleware) or {}
-    if found.is_local:
+    current, binding = reach(environment, middleware), _binding(middleware) or {}
+    if current.is_local:
         silent = environment.get(_RANGE) == "OFF"  # hears nobody at all, and shall not
         environment.update({n: v for n, v in binding.items() if n != _RANGE or not silent})
-        return found
+        return current
     inherited = {n: v for n, v in binding.items() if n != _RANGE}
     if (
         binding and inherited.items() <= environment.items()
@@ -123,7 +123,7 @@ def bind(environment: MutableMapping[str, str], middleware: str) -> Reach:
             del environment[_RANGE]
     if environment.get(DECISION) == "1" and environment.get(_RANGE, "LOCALHOST") == "LOCALHOST":
         environment[_RANGE] = "SUBNET"
-    return found
+    return current
 
 
 def _binding(middleware: str) -> Mapping[str, str] | None:

@@ -63,22 +63,22 @@ def declare(node: Node, rows: Rows) -> None:
     table = rows()
     floats = {name for name, default, _ in table if _is_float(default)}
     # rclpy keeps what the command line gave in this mapping alone
-    given: dict[str, Parameter] = node._parameter_overrides
-    for name in floats & set(given):
-        given[name] = _as_float(given[name])
+    overrides: dict[str, Parameter] = node._parameter_overrides
+    for name in floats & set(overrides):
+        overrides[name] = _as_float(overrides[name])
     for name, default, descriptor in table:
         try:
             node.declare_parameter(name, default, descriptor)
         except ParameterException as error:
             raise ParameterRefusedError(f"parameter {name}: {_one_line(error)}") from error
-    _refuse_unknown(node, given)
+    _refuse_unknown(node, overrides)
     node.add_pre_set_parameters_callback(
         lambda parameters: [_as_float(p) if p.name in floats else p for p in parameters]
     )
 
 
-def _refuse_unknown(node: Node, given: dict[str, Parameter]) -> None:
-    for name in given:
+def _refuse_unknown(node: Node, overrides: dict[str, Parameter]) -> None:
+    for name in overrides:
         if node.has_parameter(name) or name.startswith(_ALLOWED):
             continue
         known = sorted(node.get_parameters_by_prefix(""))
@@ -167,10 +167,10 @@ def run_node(
         arguments: the command line with the program's name; None for that of the process.
     """
     refused: tuple[type[Exception], ...] = (ParameterRefusedError, *refusals)
-    given = list(sys.argv if arguments is None else arguments)
-    _Parser(name, description, rows).parse_args(own_arguments(given)[1:])
+    words = list(sys.argv if arguments is None else arguments)
+    _Parser(name, description, rows).parse_args(own_arguments(words)[1:])
     try:
-        with ros_process(given) as ended:
+        with ros_process(words) as ended:
             return run(ended) or 0
     except refused as error:
         print(f"{name}: {_one_line(error)}", file=sys.stderr)  # noqa: T201 (the command's own words)

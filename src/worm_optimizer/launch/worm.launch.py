@@ -94,10 +94,10 @@ def _start(context: LaunchContext, content: SystemFile) -> list[LaunchDescriptio
 
     mode, namespace = value("mode"), _full_namespace(context, value("namespace"))
     # A default is filled in with the namespace by the system file, not here.
-    given = {
+    settings = {
         name: value(name) for name, row in content.settings.items() if value(name) != row.default
     }
-    system = content.system(mode, namespace, **given)
+    system = content.system(mode, namespace, **settings)
     slowness = VIRTUAL_SLOWNESS if mode == "virtual" else 1.0
     sim_time = _sim_time(mode, value("use_sim_time"))
     common = _Common(namespace, slowness, value("log_level"), sim_time)
@@ -311,9 +311,9 @@ class _LineReader:
         text = self._rests.get(event.from_stdout, "") + event.text.decode(errors="replace")
         *lines, self._rests[event.from_stdout] = text.split("\n")
         for line in lines:
-            found = self._read(line)
-            if found:
-                return found
+            entities = self._read(line)
+            if entities:
+                return entities
         return []
 
 

@@ -69,7 +69,7 @@ def judged(calibration: Calibration, views: list[View], size: tuple[int, int]) -
             f"the corners fit within {calibration.error:.2f} px only (view {worst} worst): is the board flat, "
             "are the images sharp, is --square-m what you measure on the print?"
         )
-    corners = np.concatenate([seen for _, seen in views])
+    corners = np.concatenate([view_corners for _, view_corners in views])
     reach = np.ptp(corners, axis=0) / np.array(size)
     if reach.min() < _COVERED:
         doubts.append(

@@ -85,10 +85,10 @@ class FaultWatch:
         if servo is None:
             return None
         names = ("torque_enable", "led", "hardware_error_status", "bus_watchdog")
-        found = self._reader.look(servo, names)
-        if found is None:
+        registers = self._reader.look(servo, names)
+        if registers is None:
             return None  # a servo that does not answer is counted as such
-        health = Health(*(found[name] for name in names))
+        health = Health(*(registers[name] for name in names))
         is_cable = servo in robot.cables
         robot.homed = robot.homed and not (is_cable and not health.led)
         if health.watchdog == WATCHDOG_EXPIRED and self._clock() - self._away_at < _REMEMBERED:

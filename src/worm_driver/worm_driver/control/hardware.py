@@ -159,7 +159,7 @@ class Hardware:
 
     def report(self, latest: Snapshot) -> list[Report]:
         """On every part; to be called once a second."""
-        robot, seen = self.robot, self._seen
+        robot, sensor = self.robot, self._seen
         counters, power = self._bus.counters, self._power_counts.copy()
         self._seen = _Seen(counters, power)
         timer = serial_port.latency_timer_ms(self.settings.port)
@@ -170,7 +170,7 @@ class Hardware:
                 homed=robot.actuators.homed,
                 left_on=robot.actuators.left_on,
             ),
-            diagnostics.bus_report(self.settings.port, counters, seen.counters, timer),
+            diagnostics.bus_report(self.settings.port, counters, sensor.counters, timer),
             diagnostics.timing_report(self.loop.report(), self.settings.period, self.loop.urgency),
         ]
         if robot.actuators.unreleased:
@@ -182,7 +182,7 @@ class Hardware:
             where = (
                 f"INA219 0x{self.settings.power.i2c_address:02X} on {self.settings.power.i2c_bus}"
             )
-            reports.append(diagnostics.power_report(power - seen.power, where))
+            reports.append(diagnostics.power_report(power - sensor.power, where))
         return reports
 
     def _check_latency(self, latency: float) -> None:

@@ -130,8 +130,8 @@ class Robot:
             cable = self.actuators.length_change(self._reader.read()[1])
             if not math.isnan(cable):
                 return cable
-        seen = "; ".join(f"servo {servo} {why}" for servo, why in self._reader.problems.items())
-        raise NoReplyError(f"no length of the cable: {seen or 'its servo gives no position'}")
+        problems = "; ".join(f"servo {servo} {why}" for servo, why in self._reader.problems.items())
+        raise NoReplyError(f"no length of the cable: {problems or 'its servo gives no position'}")
 
     def start(self, now: float, gait: Gait, cycles: int) -> int:
         """Begins a run and returns its number. Raises LimitError."""
@@ -239,8 +239,8 @@ class Robot:
         before = self.player.phase
         samples = self._valid_power_samples()
         fins_set = self.actuators.fins_set(self._states, self.player.direction)
-        seen = Observation(fins_set, samples - self._idle_from, self._tracker_ready())
-        self.player = gait_player.step(self.player, now, seen, self.settings.player)
+        observation = Observation(fins_set, samples - self._idle_from, self._tracker_ready())
+        self.player = gait_player.step(self.player, now, observation, self.settings.player)
         if self.player.phase is Phase.RESTING and before is not Phase.RESTING:
             self._idle_from = samples
 

@@ -214,27 +214,27 @@ def moving(state: PlayerState) -> bool:
 
 
 def step(
-    state: PlayerState, now: float, seen: Observation, settings: PlayerSettings
+    state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
     """The state at a time. A step must follow the one before closely while the cable moves."""
     handler = _STEPS.get(state.phase)
     if handler is None:
         return state
-    before, state = state, handler(state, now, seen, settings)
-    if moving(before) or state.direction != before.direction or not seen.fins_set:
+    before, state = state, handler(state, now, observation, settings)
+    if moving(before) or state.direction != before.direction or not observation.fins_set:
         return replace(state, still_since=now)
     return state
 
 
 def _returning(
-    state: PlayerState, now: float, seen: Observation, settings: PlayerSettings
+    state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
     state = _ramp(state, now, settings)
     if state.length_change != 0.0:
         return state
     if state.active_run is None:
         return _enter(state, Phase.IDLE, now)
-    return _flipping(_enter(state, Phase.FLIPPING, now), now, seen, settings)
+    return _flipping(_enter(state, Phase.FLIPPING, now), now, observation, settings)
 
 
 def _ramp(state: PlayerState, now: float, settings: PlayerSettings) -> PlayerState:
@@ -248,30 +248,30 @@ def _ramp(state: PlayerState, now: float, settings: PlayerSettings) -> PlayerSta
 
 
 def _flipping(
-    state: PlayerState, now: float, seen: Observation, settings: PlayerSettings
+    state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
     run = state.run
     assert run is not None
     if state.direction != run.gait.direction:
         return replace(state, direction=run.gait.direction, since=now)
-    if seen.fins_set and now - state.still_since >= settings.settle_time:
+    if observation.fins_set and now - state.still_since >= settings.settle_time:
         return _enter(replace(state, run=replace(run, rest_start=now)), Phase.RESTING, now)
-    if not seen.fins_set and now - state.since > settings.flip_timeout:
+    if not observation.fins_set and now - state.since > settings.flip_timeout:
         reason = f"the fins did not reach their place within {settings.flip_timeout:g} s"
         return fault(state, now, state.length_change, reason)
     return state
 
 
 def _resting(
-    state: PlayerState, now: float, seen: Observation, settings: PlayerSettings
+    state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
     run = state.run
     assert run is not None
     rested = now - state.since
-    enough = rested >= settings.rest_duration and seen.idle_samples >= settings.rest_samples
-    if not (enough and seen.tracker_ready) and rested < settings.rest_timeout:
+    enough = rested >= settings.rest_duration and observation.idle_samples >= settings.rest_samples
+    if not (enough and observation.tracker_ready) and rested < settings.rest_timeout:
         return state
-    message = "" if seen.tracker_ready else "the robot was not seen at rest before the gait"
+    message = "" if observation.tracker_ready else "the robot was not seen at rest before the gait"
     state = replace(state, run=replace(run, onset=now), message=message)
     return _enter(state, Phase.RUNNING, now)
 

@@ -18,10 +18,10 @@ def refuse_impossible_transitions(node: LifecycleNode) -> None:
 
     def checked(request: ChangeState.Request, response: ChangeState.Response) -> Any:
         asked = request.transition
-        found = offered(
+        available = offered(
             GetAvailableTransitions.Request(), GetAvailableTransitions.Response()
         ).available_transitions
-        possible = [description.transition for description in found]
+        possible = [description.transition for description in available]
         # A label counts before the number, as in rclpy.
         if any(t.label == asked.label if asked.label else t.id == asked.id for t in possible):
             return carry_out(request, response)

@@ -244,8 +244,8 @@ class RunGaitAction:
         """Ends a goal once the tracker has reported beyond the run's end, or has had its time."""
         assert run.end is not None
         positions = current.record.positions
-        seen = not positions or positions[-1][0] >= run.end + _TRACKER_AFTERWARDS
-        if seen or now > run.end + _TRACKER_PATIENCE:
+        complete = not positions or positions[-1][0] >= run.end + _TRACKER_AFTERWARDS
+        if complete or now > run.end + _TRACKER_PATIENCE:
             current.done.set_result(run)
 
 
@@ -257,25 +257,25 @@ def _elapsed(run: Run, snapshot: Snapshot) -> float:
     return -(snapshot.command_time - snapshot.player.since) if resting else -0.0
 
 
-def _result(run: Run, found: Figures, pitch: float) -> RunGait.Result:
+def _result(run: Run, measured: Figures, pitch: float) -> RunGait.Result:
     endings = {
-        Ending.COMPLETED: f"completed {found.cycles_completed} cycles",
-        Ending.CANCELLED: f"{run.reason}, at rest after {found.cycles_completed} cycles",
+        Ending.COMPLETED: f"completed {measured.cycles_completed} cycles",
+        Ending.CANCELLED: f"{run.reason}, at rest after {measured.cycles_completed} cycles",
         Ending.STOPPED: f"stopped: {run.reason}",
         Ending.FAILED: f"fault: {run.reason}",
         None: "unfinished",
     }
     return RunGait.Result(
         success=run.ending is Ending.COMPLETED,
-        message="; ".join((endings[run.ending], *found.reasons)),
-        cycles_completed=found.cycles_completed,
-        cycles_averaged=found.cycles_averaged,
-        grooves=found.distance / pitch,
-        distance=found.distance,
-        speed=found.speed,
-        power=found.power,
-        cost_of_transport=found.cost_of_transport,
-        idle_power=found.idle_power,
+        message="; ".join((endings[run.ending], *measured.reasons)),
+        cycles_completed=measured.cycles_completed,
+        cycles_averaged=measured.cycles_averaged,
+        grooves=measured.distance / pitch,
+        distance=measured.distance,
+        speed=measured.speed,
+        power=measured.power,
+        cost_of_transport=measured.cost_of_transport,
+        idle_power=measured.idle_power,
     )
 
 

@@ -57,20 +57,20 @@ class TrackerNode(Node):
     def __init__(self) -> None:
         super().__init__("tracker")
         declare(self, rows)
-        given = {name: str(self.get_parameter(name).value) for name, _, _ in _PARAMETERS}
-        self._setup = load_setup(_setup_path(given["setup_file"]))
+        texts = {name: str(self.get_parameter(name).value) for name, _, _ in _PARAMETERS}
+        self._setup = load_setup(_setup_path(texts["setup_file"]))
         self._detector = vision.MarkerDetector(self._setup.dictionary)
         self._tracker = None if self._setup.camera is None else ModuleTracker(self._setup)
-        self._report = TrackerReport(given["source"])
+        self._report = TrackerReport(texts["source"])
         self._positions = PositionPublisher(self, 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._frames: FrameThread | None = None
         self._deaf = False
         self.failure: TrackingError | None = None
-        if given["source"] == TOPIC:
-            self._subscribe(given["image_transport"])
+        if texts["source"] == TOPIC:
+            self._subscribe(texts["image_transport"])
         else:
-            self._open(given["source"])
+            self._open(texts["source"])
         self.create_timer(1.0, self._publish_report)
 
     def _subscribe(self, transport: str) -> None:

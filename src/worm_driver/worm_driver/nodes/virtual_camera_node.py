@@ -148,9 +148,9 @@ class CameraProcess:
         while select.select(
             [self._output], [], [], max(end - time.monotonic(), 0.0) if self._ahead else 0.0
         )[0]:
-            told = os.read(self._output, _CHUNK)
-            self._ahead = max(self._ahead - told.count(b"\n"), 0)
-            if not told or not self._ahead:
+            chunk = os.read(self._output, _CHUNK)
+            self._ahead = max(self._ahead - chunk.count(b"\n"), 0)
+            if not chunk or not self._ahead:
                 return
 
     def close(self) -> None:
@@ -166,13 +166,13 @@ class CameraProcess:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs until its input is closed; returns the exit status."""
-    given = sys.argv if arguments is None else ["virtual_camera", *arguments]
+    words = sys.argv if arguments is None else ["virtual_camera", *arguments]
     parser = Parser(prog="virtual_camera", description=__doc__)
     parser.add_argument("--parameters", type=Path, metavar="FILE")
     parser.add_argument("--seed", type=int, default=0, metavar="N")
-    options = parser.parse_args(remove_ros_args(given)[1:])
+    options = parser.parse_args(remove_ros_args(words)[1:])
     settings = load_camera_settings(options.parameters)
-    with ros_process(given) as ended:
+    with ros_process(words) as ended:
         node = VirtualCameraNode(settings, options.seed)
         threading.Thread(target=node.read, name="exposures", daemon=True).start()
         executor = SingleThreadedExecutor()

@@ -244,15 +244,15 @@ def _refuse(error: Exception) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns the exit status."""
     logging.basicConfig(stream=sys.stderr, format="virtual_robot: %(message)s")
-    given = sys.argv if arguments is None else ["virtual_robot", *arguments]
-    options = _parse_arguments(own_arguments(given)[1:])
+    words = sys.argv if arguments is None else ["virtual_robot", *arguments]
+    options = _parse_arguments(own_arguments(words)[1:])
     try:
         robot = _make_robot(options)
     except (SettingsError, FaultError) as error:
         return _refuse(error)
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
-        with ros_process(given) as ended:
+        with ros_process(words) as ended:
             _run(robot, options, ended)
     except DirectoryError as error:
         return _refuse(error)

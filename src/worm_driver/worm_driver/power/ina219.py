@@ -90,15 +90,15 @@ class INA219:
         swapped = f"{where} sends its bytes swapped: an SMBus adapter swaps words already"
         if swap(self.device.read(CONFIGURATION)) in (POWER_ON_CONFIGURATION, RUNNING_CONFIGURATION):
             raise PowerSensorError(swapped)
-        found = self._reset(RESET)
-        if found == POWER_ON_CONFIGURATION:
+        configuration = self._reset(RESET)
+        if configuration == POWER_ON_CONFIGURATION:
             self.set_up()
             return
         # Over an adapter that swaps, that was no reset but a setting: the swapped word is the reset.
-        if POWER_ON_CONFIGURATION in (swap(found), swap(self._reset(swap(RESET)))):
+        if POWER_ON_CONFIGURATION in (swap(configuration), swap(self._reset(swap(RESET)))):
             raise PowerSensorError(swapped)
         raise PowerSensorError(
-            f"{where} is no INA219: configuration after reset is 0x{found:04X}, not 0x399F; "
+            f"{where} is no INA219: configuration after reset is 0x{configuration:04X}, not 0x399F; "
             "check the parameter i2c_address"
         )
 

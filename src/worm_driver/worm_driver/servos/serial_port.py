@@ -38,34 +38,34 @@ def latency_timer_path(port: str, sysfs: Path = _SYSFS) -> Path:
 def why_no_port(port: str) -> str:
     """One line on why a path that exists can be no servo bus, with the remedy; empty where it may be one."""
     try:
-        found = Path(port).stat()
+        status = Path(port).stat()
     except OSError:
         return ""  # opening it says why
     remedy = (
         "set the parameter port to the adapter's device (/dev/worm_bus, or see /dev/serial/by-id)"
     )
-    if not stat.S_ISCHR(found.st_mode):
-        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a file, not a device"
+    if not stat.S_ISCHR(status.st_mode):
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a file, not a device"
         return f"servo bus {port} is {kind}: {remedy}"
-    if os.major(found.st_rdev) in _MEMORY_MAJORS:
+    if os.major(status.st_rdev) in _MEMORY_MAJORS:
         return f"servo bus {port} is no serial device: {remedy}"
-    if os.major(found.st_rdev) in _CONSOLE_MAJORS and os.minor(found.st_rdev) < _SERIAL_MINORS:
+    if os.major(status.st_rdev) in _CONSOLE_MAJORS and os.minor(status.st_rdev) < _SERIAL_MINORS:
         return f"servo bus {port} is a console of this computer: {remedy}"
-    if found.st_rdev in _own_terminals():
+    if status.st_rdev in _own_terminals():
         return f"servo bus {port} is the terminal that this runs in: {remedy}"
     return ""
 
 
 def _own_terminals() -> set[int]:
     """Device numbers of the terminals that this process reads from and writes to, or belongs to."""
-    found = set()
+    terminals = set()
     for descriptor in (0, 1, 2):
         with contextlib.suppress(OSError):
             if os.isatty(descriptor):
-                found.add(os.fstat(descriptor).st_rdev)
+                terminals.add(os.fstat(descriptor).st_rdev)
     with contextlib.suppress(OSError):
-        found.add(Path("/dev/tty").stat().st_rdev)
-    return found
+        terminals.add(Path("/dev/tty").stat().st_rdev)
+    return terminals
 
 
 def refuse_other_openers(descriptor: int) -> None:

@@ -80,8 +80,8 @@ def identify(bus: ServoBus, number: int) -> Servo:
         )
 
     names = ("velocity_limit", "min_voltage_limit", "max_voltage_limit", "temperature_limit")
-    found = _registers(bus, number, model, names)
-    speed, low, high, temperature = (from_raw(model[name], found[name]) for name in names)
+    values = _registers(bus, number, model, names)
+    speed, low, high, temperature = (from_raw(model[name], values[name]) for name in names)
     return Servo(number, model, identity.firmware, speed, (low, high), temperature)
 
 
@@ -113,23 +113,23 @@ def _registers(
 def store(bus: ServoBus, servo: Servo, name: str, raw: int) -> None:
     """Sets a register that others are understood by, and makes sure of it. Raises BusError."""
     bus.write(servo.number, servo[name], raw)
-    found = registers(bus, servo, name)[name]
-    if found != raw:
+    stored = registers(bus, servo, name)[name]
+    if stored != raw:
         raise CorruptReplyError(
-            f"servo {servo.number} has {found} in {name}, not the {raw} that was written: try again"
+            f"servo {servo.number} has {stored} in {name}, not the {raw} that was written: try again"
         )
 
 
 def check(bus: ServoBus, servo: Servo) -> None:
     """Raises ConfigurationError when a servo reports a fault, or its supply is out of range."""
-    found = registers(bus, servo, "hardware_error_status", "present_input_voltage")
-    status = found["hardware_error_status"]
+    values = registers(bus, servo, "hardware_error_status", "present_input_voltage")
+    status = values["hardware_error_status"]
     if status:
         raise ConfigurationError(
             f"servo {servo.number} reports {hardware_error_text(status)}: mend the cause, then call the "
             "service reboot"
         )
-    voltage = from_raw(servo["present_input_voltage"], found["present_input_voltage"])
+    voltage = from_raw(servo["present_input_voltage"], values["present_input_voltage"])
     low, high = servo.voltage_range
     if not low <= voltage <= high:
         raise ConfigurationError(
@@ -161,10 +161,10 @@ def prepare(
     bus.write(servo.number, servo["torque_enable"], 0)
     bus.write(servo.number, servo["status_return_level"], 2)
     wanted = {"return_delay_time": 0, "drive_mode": 0, "operating_mode": mode, **settings}
-    found = registers(bus, servo, "torque_enable", *wanted)
-    if found["torque_enable"]:
+    values = registers(bus, servo, "torque_enable", *wanted)
+    if values["torque_enable"]:
         raise CorruptReplyError(f"servo {servo.number} keeps its torque: switch its supply off")
-    differing = {name: raw for name, raw in wanted.items() if found[name] != raw}
+    differing = {name: raw for name, raw in wanted.items() if values[name] != raw}
     if differing.keys() & {"drive_mode", "operating_mode"}:
         store(bus, servo, "led", 0)
     for name, raw in differing.items():
@@ -200,8 +200,8 @@ def held_position(bus: ServoBus, servo: Servo, limit: float) -> int | None:
         "torque_enable": 1,
     }
     wanted |= cable_settings(servo, limit)
-    found = registers(bus, servo, *wanted, "present_position")
-    return found["present_position"] if wanted.items() <= found.items() else None
+    values = registers(bus, servo, *wanted, "present_position")
+    return values["present_position"] if wanted.items() <= values.items() else None
 
 
 def is_homed(bus: ServoBus, servo: Servo) -> bool:
@@ -224,18 +224,18 @@ def home(bus: ServoBus, cables: Sequence[Servo]) -> None:
 
 
 def _set_zero(bus: ServoBus, servo: Servo) -> None:
-    found = registers(bus, servo, "homing_offset", "present_position")
-    offset = found["homing_offset"] - found["present_position"]
+    values = registers(bus, servo, "homing_offset", "present_position")
+    offset = values["homing_offset"] - values["present_position"]
     if abs(offset) > _HOMING_OFFSET_LIMIT:
         raise HomingError(
             f"servo {servo.number} is too many turns from its encoder's zero: call the service reboot, "
             "which folds it to one turn, then home"
         )
     bus.write(servo.number, servo["homing_offset"], offset)
-    found = registers(bus, servo, "homing_offset", "present_position")
-    if found["homing_offset"] != offset or abs(found["present_position"]) > _HOME_TOLERANCE:
+    values = registers(bus, servo, "homing_offset", "present_position")
+    if values["homing_offset"] != offset or abs(values["present_position"]) > _HOME_TOLERANCE:
         raise HomingError(
-            f"servo {servo.number} stands at {found['present_position']} ticks after homing, not at 0: "
+            f"servo {servo.number} stands at {values['present_position']} ticks after homing, not at 0: "
             "was the robot moved? Call home again"
         )
 

@@ -95,12 +95,12 @@ class StateReader:
         reply = replies.get(servo.number)
         if reply is None or reply.error:
             return None
-        found = {
+        values = {
             name: unpack_from(servo[name], reply.data, _HEALTH_START)
             for name in ("realtime_tick", *names)
         }
-        tick = from_raw(servo["realtime_tick"], found["realtime_tick"])
-        return found if self._is_fresh(servo.number, asked, reply.received, tick) else None
+        tick = from_raw(servo["realtime_tick"], values["realtime_tick"])
+        return values if self._is_fresh(servo.number, asked, reply.received, tick) else None
 
     def _ask(self) -> tuple[float, Mapping[int, ServoState]]:
         asked, replies = self._bus.sync_read(STATE_START, STATE_SIZE, self._ids)

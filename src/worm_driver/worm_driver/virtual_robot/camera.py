@@ -40,8 +40,8 @@ class Tracker:
         """A sample of the true positions (m) at a time (s)."""
         self._exposures += 1
         self.next_exposure = self._exposures / self._settings.rate
-        seen = [self._see(marker, time, true) for marker, true in enumerate((rear, front))]
-        return TrackerSample(time, seen[0], seen[1], time + self._settings.latency)
+        positions = [self._see(marker, time, true) for marker, true in enumerate((rear, front))]
+        return TrackerSample(time, positions[0], positions[1], time + self._settings.latency)
 
     def _see(self, marker: int, time: float, true: float) -> float:
         # Both are drawn each time, so that an occlusion does not shift the noise after it.

@@ -169,18 +169,22 @@ class Footprints(NamedTuple):
 
 
 def _put(
-    scene: Array, seen: Footprints, pattern: Pattern, centre: tuple[float, float], sweep: float
+    scene: Array,
+    footprints: Footprints,
+    pattern: Pattern,
+    centre: tuple[float, float],
+    sweep: float,
 ) -> None:
     """Puts a pattern at (x, z) into a scene of the same pixels; sweep: m that it moves along x meanwhile."""
-    u, v = seen.x - centre[0], seen.z - centre[1]
-    near = (np.abs(u) < pattern.half[0] + seen.width + sweep) & (
-        np.abs(v) < pattern.half[1] + seen.height
+    u, v = footprints.x - centre[0], footprints.z - centre[1]
+    near = (np.abs(u) < pattern.half[0] + footprints.width + sweep) & (
+        np.abs(v) < pattern.half[1] + footprints.height
     )
     rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
     if not rows.size:
         return
     part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    sizes = seen.width[part] + sweep, seen.height[part]
+    sizes = footprints.width[part] + sweep, footprints.height[part]
     reflectance, share = pattern.average(u[part], v[part], *sizes)
     scene[part] = scene[part] * (1.0 - share) + reflectance * share
 
@@ -247,8 +251,8 @@ class VirtualCamera:
         corners = np.array(
             [[x + a * half[0], y, z + b * half[1]] for a in (-1, 1) for b in (-1, 1)]
         )
-        seen = (corners - np.array(s.position)) @ axes.T
-        flat = seen[:, :2] / np.maximum(seen[:, 2:], 1e-3)
+        projected = (corners - np.array(s.position)) @ axes.T
+        flat = projected[:, :2] / np.maximum(projected[:, 2:], 1e-3)
         r2 = (flat**2).sum(axis=1, keepdims=True)
         k1, k2, *_, k3 = s.distortion
         pixels = flat * (1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3) * s.focal + np.array(s.centre)
@@ -313,13 +317,13 @@ class VirtualCamera:
         window = self._window((middle, y, z), half)
         if min(levels[window].shape) < 2:
             return  # out of the image
-        seen = self.footprints(y, window)
+        footprints = self.footprints(y, window)
         behind = self._still[window].copy()
-        _put(behind, seen, self._body, (middle, z), sweep + part)
-        sums = np.zeros(seen.x.shape)
+        _put(behind, footprints, self._body, (middle, z), sweep + part)
+        sums = np.zeros(footprints.x.shape)
         for centre in centres:
             scene = behind.copy()
-            _put(scene, seen, self._prints[number], (float(centre), z), part)
+            _put(scene, footprints, self._prints[number], (float(centre), z), part)
             sums += scene
         levels[window] = self._exposed(sums / len(centres), window)
 

@@ -129,8 +129,8 @@ def _collect(
 ) -> Run:
     servo_time, goal_ticks, encoder_ticks = np.array(goals, dtype=float).T
     power_time, bus_voltage, current = np.array(power, dtype=float).T
-    seen = [(sample.time, sample.rear_position, sample.front_position) for sample in samples]
-    tracker_time, rear, front = np.array(seen, dtype=float).T
+    rows = [(sample.time, sample.rear_position, sample.front_position) for sample in samples]
+    tracker_time, rear, front = np.array(rows, dtype=float).T
     return Run(
         onset,
         servo_time,

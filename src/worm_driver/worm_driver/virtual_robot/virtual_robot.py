@@ -152,8 +152,8 @@ class VirtualRobot:
 
     def _law(self, module: str) -> int:
         """The direction that all fins of a module agree on."""
-        found = {self._fin_law(item, servo) for item, servo in self._fins if item.module == module}
-        return found.pop() if len(found) == 1 else LOOSE
+        laws = {self._fin_law(item, servo) for item, servo in self._fins if item.module == module}
+        return laws.pop() if len(laws) == 1 else LOOSE
 
     def _fin_law(self, item: FinServoSettings, servo: Servo) -> int:
         tolerance = self.settings.fin_tolerance

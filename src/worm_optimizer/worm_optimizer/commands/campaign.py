@@ -133,12 +133,12 @@ def _campaign(options: argparse.Namespace) -> int:
     robot = robot_of(options, options.mode)
     folder = _folder(options)
     say = ProgressLog("campaign")
-    found: dict[str, Any] = {}
+    summary: dict[str, Any] = {}
     try:
         with termination_as_interrupt(), work_folder("campaign") as work:
             robot = robot.in_folder(work)
             if options.identify:
-                found = _identify(options, robot, folder, work, say)
+                summary = _identify(options, robot, folder, work, say)
                 options.parameters = str(folder / PARAMETERS)
                 robot = robot.with_parameters(options.parameters)
                 options.identification = [folder / PARAMETERS, folder / REPORT]
@@ -171,7 +171,7 @@ def _campaign(options: argparse.Namespace) -> int:
     page = build_report(report, folder / "report")
     if len(recorded) > _GAITS:
         draw_spread(folder / SPREAD_FIGURE, spreads)
-    _print(options, recorded, spreads, folder, page, found)
+    _print(options, recorded, spreads, folder, page, summary)
     return 0
 
 
@@ -196,8 +196,8 @@ def _identify(
     logs = work / "logs" / "identification"
     ask = _asked(SAME_PLACE) if _asks(options) else put_back
     bags = record_identification(robot, orders, folder, logs, say, ask)
-    found = folder / SUMMARY
-    if not found.exists():
+    summary_file = folder / SUMMARY
+    if not summary_file.exists():
         for left in (folder / REPORT, folder / PARAMETERS):  # of one that was broken off
             put_aside(left, say)
         say("identifying")
@@ -206,8 +206,8 @@ def _identify(
         if options.mode == "virtual" and bench == Bench(None, None):
             bench = virtual_bench(robot, folder, work / "logs")
         result = identify_robot(bags, bench, (known, source), folder, StageProgress())
-        found.write_text(json.dumps(finite(result)), encoding="utf-8")
-    content: dict[str, Any] = json.loads(found.read_text(encoding="utf-8"))
+        summary_file.write_text(json.dumps(finite(result)), encoding="utf-8")
+    content: dict[str, Any] = json.loads(summary_file.read_text(encoding="utf-8"))
     return content | {"parameter_file": str(folder / PARAMETERS), "bags": [str(b) for b in bags]}
 
 
@@ -271,7 +271,7 @@ def _print(
     spreads: Sequence[Spread],
     folder: Path,
     page: Path,
-    found: dict[str, Any],
+    summary: dict[str, Any],
 ) -> None:
     judged = agreement_json(gaits)
     content = {
@@ -291,9 +291,9 @@ def _print(
         for row, gait in zip(judged["runs"], gaits, strict=True)
     ]
     text = f"{describe(gaits)}\n\n{spread_table(spreads)}"
-    if found:
-        text += f"\n\nparameters  {found['parameter_file']}"
-    print_result(options, content | found, f"{text}\n\nrecordings  {folder}\nreport      {page}")
+    if summary:
+        text += f"\n\nparameters  {summary['parameter_file']}"
+    print_result(options, content | summary, f"{text}\n\nrecordings  {folder}\nreport      {page}")
 
 
 def _values(bands: dict[str, Any]) -> dict[str, float]:

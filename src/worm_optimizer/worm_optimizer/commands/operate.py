@@ -241,12 +241,12 @@ def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog
     request = request_of_options(options)
     length = node.state().initial_length
     try:
-        found = node.request_gait(request, now_and_then(say), options.direction, length)
+        answer = node.request_gait(request, now_and_then(say), options.direction, length)
     except UnreachableError as error:
         raise InputError(str(error)) from None
-    phase = 1e3 * found.groove_phase
-    say(f"{1e3 * found.nominal_speed:.2f} mm/s expected at a groove phase of {phase:+.1f} mm")
-    return found.gait
+    phase = 1e3 * answer.groove_phase
+    say(f"{1e3 * answer.nominal_speed:.2f} mm/s expected at a groove phase of {phase:+.1f} mm")
+    return answer.gait
 
 
 def _attended(node: OperatorNode, order: Order, say: ProgressLog) -> RunResult:
@@ -266,12 +266,12 @@ def _attended(node: OperatorNode, order: Order, say: ProgressLog) -> RunResult:
 
 
 def _progress(say: ProgressLog) -> Callable[[RunProgress], None]:
-    told, cycle = -math.inf, -1
+    last, cycle = -math.inf, -1
 
     def progress(now: RunProgress) -> None:
-        nonlocal told, cycle
-        if now.cycle != cycle or time.monotonic() > told + _TOLD_S:
-            told, cycle = time.monotonic(), now.cycle
+        nonlocal last, cycle
+        if now.cycle != cycle or time.monotonic() > last + _TOLD_S:
+            last, cycle = time.monotonic(), now.cycle
             say(str(now))
 
     return progress

@@ -47,9 +47,9 @@ def _parser() -> Parser:
 
 def sensitivity_json(content: Sensitivity) -> dict[str, Any]:
     """Indices by figure and parameter, with 95 % bounds."""
-    found: dict[str, Any] = {"parameters": list(content.parameters)}
+    result: dict[str, Any] = {"parameters": list(content.parameters)}
     for name, indices in content.indices.items():
-        found[name] = {
+        result[name] = {
             "mean": indices.mean,
             "deviation": indices.deviation,
             "indices": {
@@ -62,7 +62,7 @@ def sensitivity_json(content: Sensitivity) -> dict[str, Any]:
                 for k, key in enumerate(content.parameters)
             },
         }
-    return {**found, "evaluations": content.evaluations}
+    return {**result, "evaluations": content.evaluations}
 
 
 def describe(content: Sensitivity) -> str:
@@ -95,10 +95,10 @@ def _run(options: argparse.Namespace) -> None:
     gait = Gait(options.stroke, options.frequency, options.direction)
     content = load_parameter_file(options.parameters)
     figure = figure_file(options)
-    found = sensitivity(gait, content, options.samples, options.seed)
+    result = sensitivity(gait, content, options.samples, options.seed)
     if figure is not None:
-        save_figure(sensitivity_figure(found), figure)
-    print_result(options, sensitivity_json(found), describe(found))
+        save_figure(sensitivity_figure(result), figure)
+    print_result(options, sensitivity_json(result), describe(result))
 
 
 def main() -> int:

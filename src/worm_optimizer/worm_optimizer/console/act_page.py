@@ -112,9 +112,9 @@ class ActPage:
         length = 0.0 if twin is None else twin.initial_length
 
         def read(node: OperatorNode) -> str:
-            found = page_actions.read_front(node, direction, length, self._hub.worker.going)
-            self._hub.fronts[direction] = found
-            return f"the front has {len(found)} gaits"
+            front = page_actions.read_front(node, direction, length, self._hub.worker.going)
+            self._hub.fronts[direction] = front
+            return f"the front has {len(front)} gaits"
 
         if not self._hub.worker.ask("reading the front", read):
             ui.notify(self._hub.worker.hindrance, type="warning")

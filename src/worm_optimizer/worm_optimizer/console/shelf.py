@@ -82,14 +82,14 @@ class Shelf:
         """
         bags = [str(self.bag(name)) for name in names]
         made = self.folder / time.strftime(f"{_IDENTIFIED}%Y_%m_%d-%H_%M_%S.yaml")
-        given = ["--parameters", parameters] if parameters else []
+        parameter_words = ["--parameters", parameters] if parameters else []
         with tempfile.TemporaryDirectory(prefix="worm_console_") as work:
-            found = Path(work) / "identification"
-            words = [*bags, *given, "--output", str(made), "--report", str(found)]
+            report = Path(work) / "identification"
+            words = [*bags, *parameter_words, "--output", str(made), "--report", str(report)]
             await _run("worm_model", "identify", *words, tell=tell)
             tell("report")
-            parts = ["--identification", str(made), "--identification", str(found)]
-            words = [*bags, *given, "--without-front", *parts]
+            parts = ["--identification", str(made), "--identification", str(report)]
+            words = [*bags, *parameter_words, "--without-front", *parts]
             words += ["--output", str(self.folder / report_of(made.name))]
             await _run("worm_optimizer", "report", *words, tell=tell)
         return made.name

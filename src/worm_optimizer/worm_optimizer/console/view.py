@@ -33,14 +33,14 @@ def live(snapshot: Snapshot, topic: str, now: float) -> bool:
 
 def silences(snapshot: Snapshot, now: float) -> list[str]:
     """Who has fallen silent, or was never heard, in words."""
-    found = []
+    texts = []
     for topic, name in SOURCES.items():
         at = snapshot.heard.get(topic)
         if at is None:
-            found.append(f"{name}: not heard")
+            texts.append(f"{name}: not heard")
         elif now - at > STALE_S:
-            found.append(f"{name}: silent for {now - at:.0f} s")
-    return found
+            texts.append(f"{name}: silent for {now - at:.0f} s")
+    return texts
 
 
 def state_words(snapshot: Snapshot, now: float) -> str:

@@ -214,12 +214,12 @@ class OperatorNode(Node):
         if missing:
             raise OperatorError(f"no node {missing[0]} within {NODES_TIMEOUT_S:g} s")
         if not self.wait(lambda: not self._repeated(expected), LEASE_S):
-            found = ", ".join(sorted(self._names()))
-            raise self._another_worm(f"the nodes of {self.get_namespace()} are {found}")
+            names = ", ".join(sorted(self._names()))
+            raise self._another_worm(f"the nodes of {self.get_namespace()} are {names}")
 
     def _repeated(self, names: set[str]) -> list[str]:
-        found = self._names()
-        return [name for name in names if found.count(name) > 1]
+        current = self._names()
+        return [name for name in names if current.count(name) > 1]
 
     @staticmethod
     def _another_worm(sign: str) -> OperatorError:
@@ -385,8 +385,8 @@ class OperatorNode(Node):
         while True:
             response = self._call_twice(RequestGait, "request_gait", message)
             if response.success:
-                found = response.prediction
-                return value_of(Prediction, found.gait, found)
+                prediction = response.prediction
+                return value_of(Prediction, prediction.gait, prediction)
             if response.status == RequestGait.Response.UNREACHABLE:
                 raise UnreachableError(response.message)
             waits = response.status == RequestGait.Response.COMPUTING
@@ -431,14 +431,14 @@ class OperatorNode(Node):
         ``progress`` gets each new word of it. Raises `OperatorError` when nothing is heard any more: a virtual
         robot's time may pass more slowly than this computer's, but as long as it goes on, all is well.
         """
-        told = None
+        last = None
         while not run.done and not until():
             if time.monotonic() > run.heard_at + SILENCE_S:
                 raise _NoAnswerError(f"nothing is heard of the run for {SILENCE_S:g} s")
             self._spin()
-            if run.progress is not None and run.progress is not told:
-                told = run.progress
-                progress(told)
+            if run.progress is not None and run.progress is not last:
+                last = run.progress
+                progress(last)
         return run.done
 
     def run(self, order: Order, progress: Progress) -> RunResult:
@@ -529,20 +529,20 @@ class OperatorNode(Node):
 
 def _state_of(lifecycle: str, heard: dict[type, Any]) -> RobotState:
     gait_state = heard[GaitState]
-    told: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     if (power := heard.get(Power)) is not None:
-        told["power"] = power.power
+        fields["power"] = power.power
     if (tracker := heard.get(Tracker)) is not None:
-        told["rear_position"] = tracker.rear_position
+        fields["rear_position"] = tracker.rear_position
     if (residuals := heard.get(TwinResiduals)) is not None:
-        told["health"] = _HEALTH.get(residuals.health, "")
+        fields["health"] = _HEALTH.get(residuals.health, "")
     if (twin := heard.get(TwinState)) is not None:
-        told["initial_length"] = twin.initial_length
+        fields["initial_length"] = twin.initial_length
     return value_of(
         RobotState,
         gait_state,
         gait_state.gait,
         lifecycle=lifecycle,
         state=_STATES.get(gait_state.state, ""),
-        **told,
+        **fields,
     )

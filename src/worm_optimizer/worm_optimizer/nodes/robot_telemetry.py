@@ -121,11 +121,11 @@ def _residuals_of(message: Any, kept: Mapping[str, tuple[float, Any]]) -> Residu
 
 def _robot_at(twin: Any, sightings: list[Any]) -> Sighting:
     """What the tracker said about the stamp of a message of the twin, its newest word without one."""
-    seen = [
+    in_time = [
         Sighting(message.rear_position, message.front_position, nanoseconds(message.header.stamp))
         for message in (sightings if twin is not None else sightings[-1:])
     ]
-    if twin is None or not seen:
-        return seen[-1] if seen else Sighting()
+    if twin is None or not in_time:
+        return in_time[-1] if in_time else Sighting()
     stamp = nanoseconds(twin.header.stamp)
-    return min(seen, key=lambda sighting: abs(sighting.stamp_ns - stamp))
+    return min(in_time, key=lambda sighting: abs(sighting.stamp_ns - stamp))

@@ -76,14 +76,14 @@ def _result_of(message: Any) -> SearchResult:
     if isinstance(message, OptimizeGaits.Result):
         return SearchResult(message.success, message.message)
     cliff = message.cliff_margin
-    found = (
+    cliff_text = (
         f"the cliff is at {1e3 * cliff:.2f} mm"
         if math.isfinite(cliff)
         else "no cliff is among them"
     )
     return SearchResult(
         message.success,
-        found if message.success else message.message,
+        cliff_text if message.success else message.message,
         tuple(message.margins),
         tuple(message.cost_of_transport),
         cliff,

@@ -211,11 +211,11 @@ def left_out(recorder: NodeDescription) -> str:
 
 def once_per_cycle(say: Say, order: Order) -> Callable[[RunProgress], None]:
     """A progress that tells each cycle once."""
-    told = {0}
+    reported = {0}
 
     def progress(now: RunProgress) -> None:
-        if now.cycle not in told:
-            told.add(now.cycle)
+        if now.cycle not in reported:
+            reported.add(now.cycle)
             say(f"cycle {now.cycle} of {order.cycles}" if order.cycles else str(now))
 
     return progress
@@ -224,12 +224,12 @@ def once_per_cycle(say: Say, order: Order) -> Callable[[RunProgress], None]:
 def load(late_cycles: int) -> str:
     """What is to be said of the computer beside a failure; empty where it was not busy and the driver not late."""
     average, processors = os.getloadavg()[0], os.cpu_count() or 1
-    found = []
+    shares = []
     if average > BUSY * processors:
-        found.append(f"load average {average:.1f} on {processors} processors")
+        shares.append(f"load average {average:.1f} on {processors} processors")
     if late_cycles:
-        found.append(f"{late_cycles} cycles of the driver late")
-    return f" (the computer was busy: {', '.join(found)})" if found else ""
+        shares.append(f"{late_cycles} cycles of the driver late")
+    return f" (the computer was busy: {', '.join(shares)})" if shares else ""
 
 
 def check_ends(group: ProcessGroup) -> None:

@@ -99,9 +99,9 @@ def is_recorded(bag: Path) -> bool:
         played = last_played_gait(run.gait_state)
     except (BagError, RecordingError):
         return False
-    seen = run.tracker.stamp
-    ended = played.end is not None and seen.size > 0
-    return ended and played.whole_cycles_until(int(seen[-1])) == played.cycles
+    stamps = run.tracker.stamp
+    ended = played.end is not None and stamps.size > 0
+    return ended and played.whole_cycles_until(int(stamps[-1])) == played.cycles
 
 
 def put_aside(bag: Path, say: Say) -> None:

@@ -52,10 +52,10 @@ def spread(name: str, promise: Prediction, runs: Sequence[RecordedGait]) -> Spre
         repeats=len(runs),
         promised=promised,
         kept=sum(grooves > promised - 0.5 for grooves in poorest),
-        means={quantity: float(np.mean(found)) for quantity, found in values.items()},
+        means={quantity: float(np.mean(measured)) for quantity, measured in values.items()},
         deviations={
-            quantity: float(np.std(found, ddof=1)) if len(runs) > 1 else math.nan
-            for quantity, found in values.items()
+            quantity: float(np.std(measured, ddof=1)) if len(runs) > 1 else math.nan
+            for quantity, measured in values.items()
         },
         speeds=tuple(values["speed"].tolist()),
         promised_speed=promise.speed,

@@ -91,8 +91,8 @@ def _complaints(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
 
 def _columns(bag: Bag, topic: Topic | None) -> Columns | None:
     """The messages of a topic, None where there are none."""
-    found = None if topic is None else read_columns(bag, [topic])[topic.name]
-    return found if found is not None and found.numbers else None
+    columns = None if topic is None else read_columns(bag, [topic])[topic.name]
+    return columns if columns is not None and columns.numbers else None
 
 
 def _stamps(columns: Columns) -> list[int]:

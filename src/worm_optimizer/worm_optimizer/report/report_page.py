@@ -243,8 +243,8 @@ def _parameter_rows(parts: IdentificationParts) -> Iterator[tuple[str, ...]]:
     for key in KEYS:
         low, high = parts.content.intervals.get(key, (math.nan, math.nan))
         interval = f"{low:.5g} to {high:.5g}" if math.isfinite(low) else "not identified"
-        told = f"{paper[key]:.5g}" if key in alike else "–"
-        yield key, SYMBOLS[key], f"{values[key]:.5g}", interval, told, UNITS[key]
+        text = f"{paper[key]:.5g}" if key in alike else "–"
+        yield key, SYMBOLS[key], f"{values[key]:.5g}", interval, text, UNITS[key]
 
 
 def _picture(png: bytes, caption: str) -> Picture:

@@ -48,14 +48,14 @@ def resting_answer(
         content, parameters=dataclasses.replace(parameters, initial_length=initial_length)
     )
     task = task_of(here, settings, front.direction)
-    found = _front_here(task.with_margin(front.margin), front)
-    if not len(found):
+    resting_front = _front_here(task.with_margin(front.margin), front)
+    if not len(resting_front):
         return GaitAnswer(
             RequestStatus.UNREACHABLE,
             f"no gait moves with a margin of {1e3 * front.margin:.2f} mm at this groove phase: optimise with a "
             "smaller margin, or bring the robot to another place",
         )
-    chosen = select(_candidates(found, front, here), request)
+    chosen = select(_candidates(resting_front, front, here), request)
     assert chosen.prediction is not None
     gait = chosen.prediction.gait
     (prediction,) = predict(
@@ -79,9 +79,9 @@ def _front_here(task: MarginTask, front: RobustFront) -> Points:
     return front_of(task.points(grid[0].ravel(), grid[1].ravel()))
 
 
-def _candidates(found: Points, front: RobustFront, content: ParameterFile) -> list[Prediction]:
+def _candidates(points: Points, front: RobustFront, content: ParameterFile) -> list[Prediction]:
     """The points as what a request chooses from, with the robust figures alone."""
-    cost = cost_of_transport(found.speed, found.power, content.parameters.mass)
+    cost = cost_of_transport(points.speed, points.power, content.parameters.mass)
     template = dataclasses.replace(
         front.predictions[0],
         margin=front.margin,
@@ -91,12 +91,12 @@ def _candidates(found: Points, front: RobustFront, content: ParameterFile) -> li
     return [
         dataclasses.replace(
             template,
-            stroke=float(found.stroke[k]),
-            frequency=float(found.frequency[k]),
-            speed=float(found.speed[k]),
-            power=float(found.power[k]),
+            stroke=float(points.stroke[k]),
+            frequency=float(points.frequency[k]),
+            speed=float(points.speed[k]),
+            power=float(points.power[k]),
             cost_of_transport=float(cost[k]),
-            grooves_per_cycle=float(found.branch[k]),
+            grooves_per_cycle=float(points.branch[k]),
         )
-        for k in range(len(found))
+        for k in range(len(points))
     ]

@@ -227,30 +227,32 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> Study:
         raise StudyError(
             "is not valid YAML" + (f" at line {mark.line + 1}" if mark else "")
         ) from None
-    given = _mapping("the file", content, _KEYS)
-    axes = _axes(given.get("vary"))
-    fixed, at_cliff = _fixed(given.get("fixed"))
+    entries = _mapping("the file", content, _KEYS)
+    axes = _axes(entries.get("vary"))
+    fixed, at_cliff = _fixed(entries.get("fixed"))
     twice = {axis.name for axis in axes} & set(fixed)
     if at_cliff and any(axis.name == "margin_m" for axis in axes):
         twice.add("margin_m")
     if twice:
         raise StudyError(f"{min(twice)}: stands under vary and under fixed; keep one")
     study = Study(
-        title=str(given.get("title") or "Study"),
+        title=str(entries.get("title") or "Study"),
         text=text,
-        files=_files(given, folder, parameters),
+        files=_files(entries, folder, parameters),
         axes=axes,
-        sample=_sample(given.get("sample"), axes),
+        sample=_sample(entries.get("sample"), axes),
         fixed=fixed,
         margin_at_cliff=at_cliff,
-        hardware=_hardware(given.get("hardware"), folder),
-        compute=_compute(given.get("compute")),
-        resolution=_resolution(given.get("resolution")),
-        scan=_scan(given.get("scan")),
+        hardware=_hardware(entries.get("hardware"), folder),
+        compute=_compute(entries.get("compute")),
+        resolution=_resolution(entries.get("resolution")),
+        scan=_scan(entries.get("scan")),
         block_points=1,
     )
     _check(study)
-    return dataclasses.replace(study, block_points=_block_points(given.get("block_points"), study))
+    return dataclasses.replace(
+        study, block_points=_block_points(entries.get("block_points"), study)
+    )
 
 
 def _check(study: Study) -> None:

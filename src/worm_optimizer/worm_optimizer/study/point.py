@@ -83,27 +83,27 @@ _NOMINAL = {
 
 def variables(study: Study) -> dict[str, Variable]:
     """The results of a study, by name."""
-    found = {
+    variables_of = {
         "margin": Variable((), "m", "margin that front and gaits keep"),
         "groove_phase": Variable((), "m", "groove phase that every speed holds for"),
         "closed_form_cliff_margin": Variable((), "m", "margin of the cliff in the slow limit"),
     }
     if "front" in study.compute:
-        found["front_size"] = Variable((), "1", "gaits of the whole front")
-        found |= {
+        variables_of["front_size"] = Variable((), "1", "gaits of the whole front")
+        variables_of |= {
             f"front_{name}": Variable((FRONT,), unit, f"of the front: {words}")
             for name, (unit, words) in _OF_GAIT.items()
             if name != "cost_of_transport"
         }
     if "gaits" in study.compute or "success" in study.compute:
         rows = {**_OF_GAIT, **_NOMINAL}
-        found |= {name: Variable((GAIT,), *row) for name, row in rows.items()}
+        variables_of |= {name: Variable((GAIT,), *row) for name, row in rows.items()}
     if "cliff" in study.compute or study.margin_at_cliff:
-        found["cliff_margin"] = Variable((), "m", "last margin before the cliff of the scan")
-        found["cliff_rise"] = Variable(
+        variables_of["cliff_margin"] = Variable((), "m", "last margin before the cliff of the scan")
+        variables_of["cliff_rise"] = Variable(
             (), "1", "factor of the lowest cost of transport at the cliff"
         )
-        found["scan_cost_of_transport"] = Variable(
+        variables_of["scan_cost_of_transport"] = Variable(
             (SCAN,), "1", "lowest cost of transport of the scan"
         )
     if "success" in study.compute:
@@ -112,13 +112,13 @@ def variables(study: Study) -> dict[str, Variable]:
             ("_any_phase", "at an unknown phase"),
         ):
             text = f"share of parameter draws in which the predicted grooves are gained, {words}"
-            found[f"success_probability{name}"] = Variable((GAIT,), "1", text)
+            variables_of[f"success_probability{name}"] = Variable((GAIT,), "1", text)
     if "any_phase" in study.compute:
-        found |= {
+        variables_of |= {
             f"any_phase_{name}": Variable((GAIT,), unit, f"of any-phase gaits: {words}")
             for name, (unit, words) in _OF_GAIT.items()
         }
-    return found
+    return variables_of
 
 
 def dimensions(study: Study) -> dict[str, Sequence[Any]]:
@@ -144,12 +144,12 @@ def compute_block(study: Study, points: Array) -> Results:
     results["reason"] = np.full(len(points), "", dtype=f"<U{REASON_LENGTH}")
     for row, point in enumerate(points):
         try:
-            found = compute_point(study, dict(zip(study.varied, point.tolist(), strict=True)))
+            of_point = compute_point(study, dict(zip(study.varied, point.tolist(), strict=True)))
         except (InputError, SimulationError) as error:
             results["state"][row] = FAILED
             results["reason"][row] = " ".join(str(error).split())[:REASON_LENGTH]
             continue
-        for name, value in found.items():
+        for name, value in of_point.items():
             results[name][row] = value
     return results
 
@@ -163,7 +163,7 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
     asked = {**study.fixed, **values}
     content = content_of(study, asked)
     task = task_of(study, asked, content.parameters)
-    found: dict[str, Any] = {
+    results: dict[str, Any] = {
         "groove_phase": groove_phase(content.parameters),
         "closed_form_cliff_margin": cliff_margin(content.parameters),
     }
@@ -171,19 +171,19 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
     if "cliff" in study.compute or study.margin_at_cliff:
         points = list(scan(task, study.resolution.map, study.scan.margins()))
         price = price_of_robustness(points, content.parameters)
-        found |= _cliff(price)
+        results |= _cliff(price)
         if study.margin_at_cliff:
             margin = price.margin
     if margin is not None:
-        found["margin"] = margin
+        results["margin"] = margin
         if {"front", "gaits", "success"} & set(study.compute):
-            found |= _robust(study, asked, content, task.with_margin(margin))
+            results |= _robust(study, asked, content, task.with_margin(margin))
     if "any_phase" in study.compute:
         guarded = task.with_margin(phase_guard(content.parameters))
         promise = PromiseTask(guarded, every_phase(content.parameters), 1.0)
         chosen = _chosen(study, asked, _front(study, promise), content.parameters, margin=0.0)
-        found |= {f"any_phase_{name}": column for name, column in chosen.items()}
-    return found
+        results |= {f"any_phase_{name}": column for name, column in chosen.items()}
+    return results
 
 
 def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
@@ -248,12 +248,12 @@ def _driver(plain: DrivenBy, asked: Mapping[str, float]) -> DrivenBy:
 
 
 def _cliff(price: PriceOfRobustness) -> dict[str, Any]:
-    found: dict[str, Any] = {
+    results: dict[str, Any] = {
         "scan_cost_of_transport": [point.cost_of_transport for point in price.points]
     }
     if price.cliff is not None:
-        found |= {"cliff_margin": price.cliff.margin, "cliff_rise": price.cliff.rise}
-    return found
+        results |= {"cliff_margin": price.cliff.margin, "cliff_rise": price.cliff.rise}
+    return results
 
 
 def _front(study: Study, task: Task) -> Points:
@@ -265,27 +265,27 @@ def _robust(
 ) -> dict[str, Any]:
     """Front, gaits and success probabilities with the task's margin."""
     front = _front(study, task)
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     if "front" in study.compute:
-        found["front_size"] = len(front)
+        results["front_size"] = len(front)
         if len(front):
-            found |= _kept_front(study, front, content.parameters)
+            results |= _kept_front(study, front, content.parameters)
     if not len(front) or not {"gaits", "success"} & set(study.compute):
-        return found
+        return results
     chosen = _chosen(study, asked, front, content.parameters, task.margin)
-    found |= chosen
+    results |= chosen
     known = np.isfinite(chosen["stroke"])
     gaits = chosen["stroke"][known], chosen["frequency"][known]
     nominal = task.with_margin(0.0).table(*gaits)
-    found["nominal_speed"] = _spread(nominal.speed, known)
-    found["nominal_power"] = _spread(nominal.power, known)
+    results["nominal_speed"] = _spread(nominal.speed, known)
+    results["nominal_power"] = _spread(nominal.power, known)
     if "success" in study.compute:
         promised = chosen["grooves_per_cycle"][known]
         samples, seed = study.resolution.samples, study.resolution.seed
         for name, draw in (("", phase_known), ("_any_phase", phase_unknown)):
             share = success_probability(task, *gaits, promised, draw(content, samples, seed))
-            found[f"success_probability{name}"] = _spread(share, known)
-    return found
+            results[f"success_probability{name}"] = _spread(share, known)
+    return results
 
 
 def _spread(values: Array, known: np.ndarray) -> Array:

@@ -73,17 +73,17 @@ def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> 
     at_random = figures(random.standard_normal((len(reach), samples)))
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a figure that does not vary has no indices, as is told
-        found = sobol_indices(
+        result = sobol_indices(
             func=figures, n=samples, dists=[norm()] * len(reach), random_state=random
         )
-        bounds = found.bootstrap(confidence_level=0.95)
+        bounds = result.bootstrap(confidence_level=0.95)
     indices = {}
     for k, name in enumerate(FIGURES):
         varies = float(np.var(at_random[k])) > _LEAST_VARIANCE
         unknown = 1.0 if varies else np.nan
         indices[name] = Indices(
-            unknown * found.first_order[k],
-            unknown * found.total_order[k],
+            unknown * result.first_order[k],
+            unknown * result.total_order[k],
             unknown * _interval(bounds.first_order, k),
             unknown * _interval(bounds.total_order, k),
             float(np.mean(at_random[k])),
@@ -99,10 +99,10 @@ def _interval(bounds: object, row: int) -> Array:
 
 def _reach(content: ParameterFile) -> dict[str, tuple[float, float]]:
     """Of every parameter that is not exact; that of L0 stands for the groove phase."""
-    found = {
+    reaches = {
         key: reach_of(content, key) for key in (*MOTION_HALF_WIDTHS, *POWER_HALF_WIDTHS, LENGTH)
     }
-    return {key: ends for key, ends in found.items() if max(ends) > 0.0}
+    return {key: ends for key, ends in reaches.items() if max(ends) > 0.0}
 
 
 def _figures(

@@ -117,12 +117,12 @@ def _check(path: Path, study: Study) -> None:
     """That an output is this study's, by this code."""
     try:
         attributes = json.loads((path / ".zattrs").read_text(encoding="utf-8"))
-        found, code = attributes["study_hash"], attributes["code"]
+        study_hash, code = attributes["study_hash"], attributes["code"]
     except (OSError, ValueError, KeyError, TypeError):
         raise StoreError(
             f"{path}: exists already and is no study; give another name, nothing is overwritten"
         ) from None
-    if found != study.identity:
+    if study_hash != study.identity:
         raise StoreError(
             f"{path}: holds another study ({attributes.get('title', '')}); give another name, nothing is overwritten"
         )

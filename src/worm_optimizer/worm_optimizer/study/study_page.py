@@ -102,11 +102,11 @@ def _lead(summary: Summary) -> list[str]:
 
 def _told(summary: Summary, row: int) -> str:
     """A design and what was found of it, in words."""
-    design, found = (
+    design, figures = (
         ", ".join(f"{label(column)} {shown(column)[row]:.4g}" for column in columns)
         for columns in (summary.varied, summary.figures)
     )
-    return f"{design}. There: {found}."
+    return f"{design}. There: {figures}."
 
 
 def _best_table(summary: Summary) -> Table:

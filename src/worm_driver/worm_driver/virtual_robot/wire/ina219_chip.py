@@ -131,8 +131,8 @@ class Ina219:
 
     def _observe(self, duration: float, shunt_voltage: float, bus_voltage: float) -> None:
         if self._end != math.inf:
-            seen = shunt_voltage if self._sequence[self._index] == SHUNT else bus_voltage
-            self._sum += seen * duration
+            voltage = shunt_voltage if self._sequence[self._index] == SHUNT else bus_voltage
+            self._sum += voltage * duration
             self._weight += duration
 
     def _convert(self, shunt_voltage: float, bus_voltage: float) -> None:
@@ -159,8 +159,8 @@ class Ina219:
     def _bus_counts(self, voltage: float) -> int:
         adc = self._bus_adc
         noise = self._random.gauss(0.0, self._noise.bus / math.sqrt(adc.samples))
-        seen = min(voltage + noise, _BUS_PIN_LIMIT)
-        counts = round(seen / _BUS_LSB) >> adc.lost_bits << adc.lost_bits
+        noisy = min(voltage + noise, _BUS_PIN_LIMIT)
+        counts = round(noisy / _BUS_LSB) >> adc.lost_bits << adc.lost_bits
         return min(max(counts, 0), self._bus_limit)
 
     def _compute(self) -> None:

@@ -76,12 +76,12 @@ class ServoBus:
             and baud_rate in (None, BAUD_RATES[servo.memory["baud_rate"]])
         ]
         if not packet.intact:
-            found = [
+            answers = [
                 _answer_of(servo, Error.CRC)
                 for servo in listening
                 if servo.servo_id == packet.servo_id
             ]
-            return self._send_each(found, time)
+            return self._send_each(answers, time)
         match packet.instruction:
             case Instruction.SYNC_READ | Instruction.BULK_READ:
                 return self._send_each(_group_read(packet, listening, time)[0], time)
@@ -269,9 +269,9 @@ def _writes(packet: Packet) -> list[tuple[int, int, bytes]]:
         address, length = _range(parameters, exactly=False)
         items = [parameters[i : i + length + 1] for i in range(4, len(parameters), length + 1)]
         return [(item[0], address, item[1:]) for item in items if len(item) == length + 1]
-    found = []
+    writes = []
     while len(parameters) >= 5:
         address, length = _range(parameters[1:], exactly=False)
-        found.append((parameters[0], address, parameters[5 : 5 + length]))
+        writes.append((parameters[0], address, parameters[5 : 5 + length]))
         parameters = parameters[5 + length :]
-    return found
+    return writes
