@@ -110,13 +110,13 @@ def _full_namespace(context: LaunchContext, namespace: str) -> str:
     return prefix_namespace(pushed, namespace).strip("/")
 
 
-def _sim_time(mode: str, given: str) -> dict[str, bool]:
+def _sim_time(mode: str, asked: str) -> dict[str, bool]:
     """The parameter that all nodes get; a robot's clock is the real one, also a virtual robot's."""
-    if given == "true" and mode != "replay":
+    if asked == "true" and mode != "replay":
         raise SystemFileError(
             f"use_sim_time:=true with mode:={mode}: a robot runs in real time; leave use_sim_time out"
         )
-    return {"use_sim_time": given == "true"} if given else {}
+    return {"use_sim_time": asked == "true"} if asked else {}
 
 
 class _Common:

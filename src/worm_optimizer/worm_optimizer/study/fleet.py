@@ -143,7 +143,7 @@ def read_fleet(
     with _parts(output) as parts:
         todo = [k for k, mark in enumerate(marks) if not (parts / f"{mark}.json").exists()]
         progress(1.0 - len(todo) / len(bags))
-        names = [str(bag.relative_to(folder)) for bag in bags]
+        names = [str(bag.relative_to(folder)) if bag != folder else bag.name for bag in bags]
         source = str(Path(parameters).resolve()) if parameters else ""
         if todo:
             with connected(scheduler, min(workers or cores(), len(todo))) as client:
