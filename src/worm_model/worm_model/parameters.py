@@ -216,11 +216,11 @@ def _parse_run_to_run(content: Any) -> dict[str, float]:
 
 
 def _check_form(
-    parameters: Parameters, given: Container[str], provenance: Mapping[str, Any]
+    parameters: Parameters, keys: Container[str], provenance: Mapping[str, Any]
 ) -> None:
     """Raises `ParameterError` if c_b and α_P were fitted with another form of the power than the file's."""
     form = parameters.one_sided_cable
-    if form and not all(key in given for key in FITTED_WITH_FORM):
+    if form and not all(key in keys for key in FITTED_WITH_FORM):
         raise ParameterError(
             f"{FORM}: true needs {' and '.join(FITTED_WITH_FORM)} that were fitted with it, which the paper's were "
             "not: identify with --one-sided-cable, which writes them"

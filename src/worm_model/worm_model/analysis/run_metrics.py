@@ -129,9 +129,9 @@ def _played_gait(states: GaitStates, rows: NDArray[np.int64]) -> PlayedGait:
 
 def _state_after(states: GaitStates, after: int, stopping: NDArray[np.int64]) -> int:
     """What the driver told at the end, or that it was stopping until then."""
-    told = int(states.state[after])
+    state = int(states.state[after])
     stopped = np.any(states.stamp[stopping] <= states.stamp[after])
-    return STOPPING if stopped and told != FAULT else told
+    return STOPPING if stopped and state != FAULT else state
 
 
 def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:

@@ -87,16 +87,16 @@ class Bag(ABC):
             BagError: what is in the folder is incomplete, or another type by its hash.
         """
         bare = [c for c in self.channels if c.count and not c.definition]
-        given = [c for c in bare if definitions and _is_defined(c, definitions)]
-        self._given = {channel: with_definition(channel, definitions) for channel in given}
+        defined = [c for c in bare if definitions and _is_defined(c, definitions)]
+        self._given = {channel: with_definition(channel, definitions) for channel in defined}
         self.channels = tuple(self._given.get(channel, channel) for channel in self.channels)
         self.topics = _by_name(self.channels)
-        self._tell(given, f"those in {definitions} are taken")
-        rest = [c for c in bare if c not in given]
+        self._tell(defined, f"those in {definitions} are taken")
+        rest = [c for c in bare if c not in defined]
         self._tell(
             rest, "the installed ones are taken, if type hash and length of the messages allow it"
         )
-        if definitions and not given:
+        if definitions and not defined:
             self.notify(f"{self.path} has no use for {definitions}: {_why_useless(bare)}")
 
     def _tell(self, channels: Sequence[Topic], what: str) -> None:

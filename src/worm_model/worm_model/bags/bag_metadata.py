@@ -107,12 +107,12 @@ def custom_data(content: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def declared_counts(content: Mapping[str, Any]) -> dict[str, int]:
     """Number of messages by topic that metadata.yaml declares; empty where it does not."""
-    found: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for entry in _topics(content):
         with suppress(KeyError, TypeError, ValueError):
             name, count = entry["topic_metadata"]["name"], entry["message_count"]
-            found[str(name)] = found.get(str(name), 0) + int(count)
-    return found
+            counts[str(name)] = counts.get(str(name), 0) + int(count)
+    return counts
 
 
 def _topics(content: Mapping[str, Any]) -> list[Any]:
@@ -122,22 +122,26 @@ def _topics(content: Mapping[str, Any]) -> list[Any]:
 
 def silent_topics(content: Mapping[str, Any]) -> list[Topic]:
     """The topics that metadata.yaml declares without any message, with what it tells of them."""
-    found = []
+    topics = []
     for entry in _topics(content):
         with suppress(KeyError, TypeError):
-            told = entry["topic_metadata"]
-            profiles = told.get("offered_qos_profiles") or ""
+            description = entry["topic_metadata"]
+            profiles = description.get("offered_qos_profiles") or ""
             metadata = {
                 "offered_qos_profiles": profiles
                 if isinstance(profiles, str)
                 else dump_yaml(profiles),
-                "topic_type_hash": told.get("type_description_hash") or "",
+                "topic_type_hash": description.get("type_description_hash") or "",
             }
-            name, kind, encoding = told["name"], told["type"], told["serialization_format"]
+            name, kind, encoding = (
+                description["name"],
+                description["type"],
+                description["serialization_format"],
+            )
             texts = (name, kind, encoding, *metadata.values())
             if entry["message_count"] == 0 and all(isinstance(text, str) for text in texts):
-                found.append(Topic(name, kind, 0, "", "", encoding, tuple(metadata.items())))
-    return found
+                topics.append(Topic(name, kind, 0, "", "", encoding, tuple(metadata.items())))
+    return topics
 
 
 def qos_profiles(text: str) -> list[Any]:

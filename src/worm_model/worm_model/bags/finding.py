@@ -58,10 +58,10 @@ def _with_copies(bags: Sequence[Path]) -> dict[Path, list[Path]]:
         if match and (source := sources.get((bag.parent, match["source"]))):
             copies.append((int(match["number"] or 1), source, bag))
     made = {copy for _, _, copy in copies}
-    found: dict[Path, list[Path]] = {bag: [] for bag in bags if bag not in made}
+    copies_of: dict[Path, list[Path]] = {bag: [] for bag in bags if bag not in made}
     for _, source, copy in sorted(copies):
-        found.setdefault(source, []).append(copy)
-    return found
+        copies_of.setdefault(source, []).append(copy)
+    return copies_of
 
 
 def _plain(bag: Path) -> str:

@@ -137,22 +137,22 @@ def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
 def _transmission(table: Table | None, gait: Gait | None, settings: LabSettings) -> Transmission:
     """What was given, checked against the servo's log, or what the log says; else what a lab usually has."""
     remarks = []
-    found_onset = _onset_of(table, gait) if table is not None else None
+    command_onset = _onset_of(table, gait) if table is not None else None
     onset = settings.onset
     if onset is None:
-        onset = USUAL_ONSET if found_onset is None else found_onset
-        source = "assumed" if found_onset is None else "where the servo's goal begins to move"
+        onset = USUAL_ONSET if command_onset is None else command_onset
+        source = "assumed" if command_onset is None else "where the servo's goal begins to move"
         remarks.append(f"gait from {onset:.2f} s on, {source}")
-    found = _spool_of(table, gait) if table is not None and gait is not None else None
+    spool = _spool_of(table, gait) if table is not None and gait is not None else None
     radius = settings.spool_radius
     if radius is None:
-        radius = USUAL_SPOOL if found is None else found
-        source = "assumed" if found is None else "with which the servo's goals play the stroke"
+        radius = USUAL_SPOOL if spool is None else spool
+        source = "assumed" if spool is None else "with which the servo's goals play the stroke"
         remarks.append(f"spool radius {1e3 * radius:.2f} mm, {source}")
-    elif found is not None and abs(radius / found - 1.0) > SPOOL_TOLERANCE:
+    elif spool is not None and abs(radius / spool - 1.0) > SPOOL_TOLERANCE:
         remarks.append(
             f"spool radius {1e3 * radius:.2f} mm as given, but the servo's goals play the stroke of the gait with "
-            f"{1e3 * found:.2f} mm: one of them is wrong, and K is off by as much"
+            f"{1e3 * spool:.2f} mm: one of them is wrong, and K is off by as much"
         )
     return Transmission(onset, radius, tuple(remarks))
 
@@ -177,12 +177,12 @@ def _spool_of(table: Table, gait: Gait) -> float | None:
     enough = time.size >= FEWEST_MOVED and ticks >= FEWEST_TICKS
     if not enough or time[-1] - time[0] < gait.period:
         return None
-    low, found, high = (
+    low, middle, high = (
         gait.stroke / (2.0 * math.pi * (ticks + rounding) / TICKS_PER_TURN)
         for rounding in (1.0, 0.0, -1.0)
     )
-    whole = round(found, 4)
-    return whole if low <= whole <= high else found
+    whole = round(middle, 4)
+    return whole if low <= whole <= high else middle
 
 
 Table = Mapping[str, NDArray[np.float64]]
@@ -278,9 +278,9 @@ def _initial_length(camera: Table | None, settings: LabSettings, onset: float) -
     if camera is not None:
         at_rest = camera["time_s"] < onset
         lengths = (camera["x2_m"] - camera["x1_m"])[at_rest]
-        seen = lengths[np.isfinite(lengths)]
-        if len(seen):
-            return float(np.median(seen))
+        known = lengths[np.isfinite(lengths)]
+        if len(known):
+            return float(np.median(known))
     return settings.fallback_length
 
 
@@ -302,9 +302,9 @@ def _commanded(
 def _measured(table: Table, initial_length: float, settings: LabSettings) -> LengthSamples:
     """As the tracker publishes it: a hidden marker gives no length."""
     length = table["x2_m"] - table["x1_m"]
-    seen = np.isfinite(length)
+    known = np.isfinite(length)
     stamp = _stamp(table, settings)
-    return LengthSamples(stamp[seen], length[seen], length[seen] - initial_length)
+    return LengthSamples(stamp[known], length[known], length[known] - initial_length)
 
 
 def _power(table: Table, settings: LabSettings) -> PowerSamples:

@@ -80,10 +80,10 @@ class McapFile:
     @property
     def channels(self) -> dict[int, Topic]:
         """Topics by the number of their channel, without their counts."""
-        found = {}
+        topics = {}
         for number, channel in sorted(self.contents.channels.items()):
             schema = self.contents.schemas.get(channel.schema_id)
-            found[number] = Topic(
+            topics[number] = Topic(
                 name=channel.topic,
                 type_name=schema.name if schema else "",
                 count=0,
@@ -92,7 +92,7 @@ class McapFile:
                 encoding=channel.message_encoding,
                 metadata=tuple(channel.metadata.items()),
             )
-        return found
+        return topics
 
     def close(self) -> None:
         """Close the file; what was read from it stays."""
@@ -172,8 +172,8 @@ class McapFile:
         """The files kept inside."""
         for place in self.contents.attachments:
             with explained(self.path):
-                found = read_attachment(self.data, place)
-            yield AttachedFile(found.name, found.media_type, found.data)
+                attached = read_attachment(self.data, place)
+            yield AttachedFile(attached.name, attached.media_type, attached.data)
 
     def is_being_written(self) -> bool:
         """Whether a recorder holds the file at this moment."""
@@ -220,11 +220,11 @@ class McapBag(Bag):
 
     def attachments(self) -> Iterator[AttachedFile]:
         """Files kept inside, each once even if every MCAP file repeats it."""
-        seen = set()
+        earlier = set()
         for file in self._files:
             for attached in file.attachments():
-                if attached not in seen:
-                    seen.add(attached)
+                if attached not in earlier:
+                    earlier.add(attached)
                     yield attached
 
     def _blocks(self, topics: frozenset[str]) -> Iterator[Messages]:

@@ -389,11 +389,11 @@ def _read_summary(data: Buffer) -> tuple[_Summary | None, str]:
     if checksum and zlib.crc32(tail[: _FOOTER.size - 4], zlib.crc32(summary)) != checksum:
         return None, "the checksum of its summary is wrong; what it holds was read from its data"
     try:
-        found = [read_record(o, summary[a:b]) for o, a, b in walk_records(summary)]
+        records = [read_record(o, summary[a:b]) for o, a, b in walk_records(summary)]
     except DAMAGE:
         return None, "its summary is spoilt; what it holds was read from its data"
-    statistics = next((record for record in found if isinstance(record, Statistics)), None)
-    return (None if statistics is None else _Summary(found, statistics)), ""
+    statistics = next((record for record in records if isinstance(record, Statistics)), None)
+    return (None if statistics is None else _Summary(records, statistics)), ""
 
 
 def _contradictions(contents: Contents, summary: _Summary) -> Iterator[str]:

@@ -183,11 +183,11 @@ def typestore(type_name: str, definition: str, definition_format: str) -> Typest
 
 def _parsed(type_name: str, definition: str, definition_format: str) -> dict[str, Any]:
     if definition_format == "ros2idl":
-        found: dict[str, Any] = {}
+        types: dict[str, Any] = {}
         for part in definition.split(f"{SEPARATOR}\n"):
             idl = part.split("\n", 1)[1] if part.startswith("IDL:") else part
-            found.update(get_types_from_idl(idl) if idl.strip() else {})
-        return found
+            types.update(get_types_from_idl(idl) if idl.strip() else {})
+        return types
     try:
         return dict(get_types_from_msg(without_comments(definition), type_name))
     except _UNREADABLE:

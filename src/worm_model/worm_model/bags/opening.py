@@ -79,9 +79,9 @@ def _open(path: Path, notify: Notify) -> Bag:
 def _open_without_metadata(path: Path, notify: Notify) -> Bag:
     if any(path.glob("*.mcap")):
         return _recovered(path, notify)
-    found = ", ".join(sorted(entry.name for entry in path.iterdir())) or "nothing"
+    content = ", ".join(sorted(entry.name for entry in path.iterdir())) or "nothing"
     raise BagError(
-        f"{path} is not a bag: it has neither {METADATA_FILE} nor an MCAP file (found: {found})"
+        f"{path} is not a bag: it has neither {METADATA_FILE} nor an MCAP file (found: {content})"
     )
 
 

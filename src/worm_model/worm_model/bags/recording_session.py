@@ -202,11 +202,11 @@ class _Ring:
         """All messages; the ring is then empty, but for what is latched."""
         if not self._messages:
             return []
-        found = [*self._latched.values(), *self._messages]
+        messages = [*self._latched.values(), *self._messages]
         self._latched |= {m.topic: m for m in self._messages if is_latched(m.channel)}
         self._messages.clear()
         self._bytes = 0
-        return found
+        return messages
 
 
 def is_latched(topic: Topic) -> bool:

@@ -192,10 +192,10 @@ def mcap_files(path: Path) -> list[Path]:
         except BagError:
             named = []  # a spoilt metadata.yaml: the files tell
     beside = sorted((p.name for p in path.glob("*.mcap")), key=_split_number)
-    found = [path / name for name in dict.fromkeys(named + beside) if (path / name).is_file()]
-    if not found:
+    files = [path / name for name in dict.fromkeys(named + beside) if (path / name).is_file()]
+    if not files:
         raise BagError(f"{path} holds no MCAP file: nothing can be recovered")
-    return found
+    return files
 
 
 def _split_number(name: str) -> tuple[int, str]:
@@ -226,7 +226,7 @@ def open_files(paths: Iterable[Path]) -> tuple[list[McapFile], tuple[str, ...]]:
 
 def fingerprint(files: Sequence[McapFile]) -> str:
     """SHA-256 of the files' content, by which a recovery is recognised later."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for file in files:
-        found.update(file.data)
-    return found.hexdigest()
+        digest.update(file.data)
+    return digest.hexdigest()

@@ -76,12 +76,12 @@ class RosbagsBag(Bag):
         channels = {c.id: _topic(c) for c in wanted}
         count = 0
         with _explained(self.path):
-            found = self._reader.messages(wanted)
+            messages = self._reader.messages(wanted)
         while True:
             with _explained(self.path):
                 batch = [
                     Message(c.topic, time, bytes(data), time, channels[c.id])
-                    for c, time, data in islice(found, BATCH)
+                    for c, time, data in islice(messages, BATCH)
                 ]
                 if not batch:
                     break

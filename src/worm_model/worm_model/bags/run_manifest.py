@@ -107,15 +107,15 @@ def _read(path: Path) -> bytes:
 
 
 def _notes(notes: Sequence[str]) -> Mapping[str, str]:
-    found = {}
+    texts = {}
     for note in notes:
         key, separator, value = note.partition("=")
         if not key or not separator:
             raise ManifestError(f"a note is written KEY=VALUE, not {note!r}")
         if not is_text(note):
             raise ManifestError(f"a note is not UTF-8 text: {note!r}")
-        found[f"note.{key}"] = value
-    return found
+        texts[f"note.{key}"] = value
+    return texts
 
 
 def _printable(text: str) -> str:
@@ -129,13 +129,13 @@ def is_text(text: str) -> bool:
 
 
 def _versions() -> Mapping[str, str]:
-    found = {
+    versions = {
         "version.python": platform.python_version(),
         "version.ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
     }
     for package in VERSIONED:
         try:
-            found[f"version.{package}"] = version(package)
+            versions[f"version.{package}"] = version(package)
         except PackageNotFoundError:
             continue  # not installed as a Python distribution: nothing to say
-    return found
+    return versions

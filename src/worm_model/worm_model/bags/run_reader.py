@@ -32,14 +32,14 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
     Raises:
         BagError: the bag holds several robots, none of the topics, or something that cannot be decoded.
     """
-    found = {name: find_topic(bag.topics.values(), name, namespace) for name in names}
-    topics = {name: topic for name, topic in found.items() if topic is not None}
+    topic_of = {name: find_topic(bag.topics.values(), name, namespace) for name in names}
+    topics = {name: topic for name, topic in topic_of.items() if topic is not None}
     if not topics:
         raise _none_of_the_worms(bag, f" under {namespace}" if namespace else "")
-    _tell_odd_topics(bag, found, namespace)
+    _tell_odd_topics(bag, topic_of, namespace)
     columns = {
-        name: _samples(bag, name, found)
-        for name, found in read_columns(bag, list(topics.values())).items()
+        name: _samples(bag, name, columns)
+        for name, columns in read_columns(bag, list(topics.values())).items()
     }
     samples = {name: columns[topic.name] for name, topic in topics.items()}
     stamps = [_stamp(c) for c in samples.values()]
@@ -60,15 +60,15 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
     return Run(origin=int(min((s.min() for s in stamps if len(s)), default=0)), **series)
 
 
-def _tell_odd_topics(bag: Bag, found: Mapping[str, Topic | None], namespace: str) -> None:
+def _tell_odd_topics(bag: Bag, topics: Mapping[str, Topic | None], namespace: str) -> None:
     """Tell which topics have the worm's names but other types, and whether several robots could be mixed."""
-    for name, topic in found.items():
+    for name, topic in topics.items():
         ending = f"{namespace.rstrip('/')}/{name}"
         others = [t for t in bag.topics.values() if t.count and f"/{t.name}".endswith(ending)]
         for other in others if topic is None else ():
             kind = other.type_name or "message without a type"
             bag.notify(f"{bag.path}: {other.name} is not read: it is a {kind}, not {TYPES[name]}")
-    roots = {topic.name.removesuffix(name) for name, topic in found.items() if topic is not None}
+    roots = {topic.name.removesuffix(name) for name, topic in topics.items() if topic is not None}
     if len(roots) > 1:
         bag.notify(
             f"{bag.path}: topics of {', '.join(sorted(roots))} are taken for those of one robot; "
@@ -90,8 +90,8 @@ def namespace_of(bag: Bag) -> str:
 
 
 def _none_of_the_worms(bag: Bag, where: str = "") -> BagError:
-    found = ", ".join(bag.topics) or "none"
-    return BagError(f"{bag.path} has none of the worm's topics{where}; it has {found}")
+    names = ", ".join(bag.topics) or "none"
+    return BagError(f"{bag.path} has none of the worm's topics{where}; it has {names}")
 
 
 def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
@@ -164,14 +164,14 @@ def _series(kind: type[Any], columns: Columns | None) -> Any:
     nothing = kind()
     if columns is None or not columns.numbers:
         return nothing
-    found = {}
+    arrays = {}
     for field in fields(kind):
         if field.name in _READERS:
-            found[field.name] = _READERS[field.name](columns)
+            arrays[field.name] = _READERS[field.name](columns)
         else:
             number = getattr(nothing, field.name).dtype.type
-            found[field.name] = _numbers(columns, path_of(field.name), number)
-    return kind(**found)
+            arrays[field.name] = _numbers(columns, path_of(field.name), number)
+    return kind(**arrays)
 
 
 def _run_numbers(columns: Columns) -> NDArray[np.int64]:

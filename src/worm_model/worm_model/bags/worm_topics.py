@@ -91,7 +91,7 @@ def find_topic(topics: Iterable[Topic], name: str, namespace: str = "") -> Topic
     """
     ending = f"{namespace.rstrip('/')}/{name}" if namespace else f"/{name}"
     longer = tuple(f"/{other}" for other in TYPES if other.endswith(f"/{name}"))
-    found = [
+    matching = [
         topic
         for topic in topics
         if topic.type_name == TYPES[name]
@@ -101,7 +101,7 @@ def find_topic(topics: Iterable[Topic], name: str, namespace: str = "") -> Topic
             else f"/{topic.name}".endswith(ending) and not f"/{topic.name}".endswith(longer)
         )
     ]
-    if len(found) > 1:
-        names = ", ".join(sorted(topic.name for topic in found))
+    if len(matching) > 1:
+        names = ", ".join(sorted(topic.name for topic in matching))
         raise BagError(f"several topics could be {name}: {names}; choose with --namespace")
-    return found[0] if found else None
+    return matching[0] if matching else None

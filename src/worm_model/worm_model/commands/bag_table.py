@@ -44,8 +44,8 @@ def bag_rows(
         progress(done / len(todo))
     if todo or len(known) != len(bags):
         _keep(index, {name: known[name] for name in marks})
-    found = [{"bag": str(bag), **row} for bag in bags for row in known[str(bag)][1]]
-    return found, len(todo)
+    rows = [{"bag": str(bag), **row} for bag in bags for row in known[str(bag)][1]]
+    return rows, len(todo)
 
 
 def _mark(bag: Path) -> str:
@@ -75,9 +75,9 @@ def _keep(index: Path, content: dict[str, Any]) -> None:
     """An index that cannot be kept is made again the next time."""
     with suppress(OSError):
         index.parent.mkdir(parents=True, exist_ok=True)
-        draft = index.with_name(f"{index.name}.{os.getpid()}")
-        draft.write_text(json.dumps(content), encoding="utf-8")
-        draft.replace(index)
+        part = index.with_name(f"{index.name}.{os.getpid()}")
+        part.write_text(json.dumps(content), encoding="utf-8")
+        part.replace(index)
 
 
 def _read(bag: Path, parameters: str) -> list[Row]:

@@ -200,10 +200,10 @@ def _clean(options: argparse.Namespace) -> None:
 VERBS = (TABLE, "info", "trim", "split", "merge", "clean")
 
 
-def _arguments(given: list[str]) -> list[str]:
+def _arguments(words: list[str]) -> list[str]:
     """With the verb that may be left out."""
-    named = bool(given) and (given[0] in VERBS or given[0] in ("-h", "--help"))
-    return given if named else [TABLE, *given]
+    named = bool(words) and (words[0] in VERBS or words[0] in ("-h", "--help"))
+    return words if named else [TABLE, *words]
 
 
 def main() -> int:

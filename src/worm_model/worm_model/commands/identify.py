@@ -114,8 +114,8 @@ class StageProgress:
 
 
 def _reference(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
-    given = _given(options, inputs)
-    return given.with_one_sided_cable() if options.one_sided_cable else given
+    reference = _given(options, inputs)
+    return reference.with_one_sided_cable() if options.one_sided_cable else reference
 
 
 def _given(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:

@@ -61,19 +61,19 @@ def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str, shift_n
     """
     live = {find_topic(bag.topics.values(), name, namespace) for name in TWIN_TOPICS}
     kept = [topic.name for topic in bag.topics.values() if topic not in live]
-    found = [_messages(name, replay, namespace, shift_ns) for name in TWIN_TOPICS]
-    write_beside(bag, output, kept, found)
+    messages = [_messages(name, replay, namespace, shift_ns) for name in TWIN_TOPICS]
+    write_beside(bag, output, kept, messages)
 
 
 def received(bag: Bag, namespace: str, run: Run) -> dict[int, Stamps]:
     """When the samples of a run were received (ns), by their kind; without kinds of which it left messages out."""
     topics = [find_topic(bag.topics.values(), name, namespace) for name in TWIN_INPUTS]
     names = {topic.name: Kind(k) for k, topic in enumerate(topics) if topic is not None}
-    found: dict[int, list[Stamps]] = {kind: [] for kind in names.values()}
+    stamps: dict[int, list[Stamps]] = {kind: [] for kind in names.values()}
     for block in bag.blocks(names):
         for name, messages in block.by_topic():
-            found[names[name]].append(messages.log_time.astype(np.int64))
-    times = {kind: np.concatenate(parts) for kind, parts in found.items() if parts}
+            stamps[names[name]].append(messages.log_time.astype(np.int64))
+    times = {kind: np.concatenate(parts) for kind, parts in stamps.items() if parts}
     samples = _by_kind(run)
     return {kind: t for kind, t in times.items() if len(t) == len(samples[kind].stamp)}
 
@@ -144,7 +144,7 @@ def report_json(
         "energy_error": report.energy_error,
         "cycles": [_cycle_json(cycle) for cycle in report.cycles],
         "runs": [_run_json(run) for run in report.runs],
-        "events": [_event_json(*found) for run in report.runs for found in run.events],
+        "events": [_event_json(*event) for run in report.runs for event in run.events],
         "dropped": replay.dropped or {},
         "duration": duration,
         "real_time_factor": duration / elapsed,
@@ -157,7 +157,7 @@ def _run_json(run: RunReport) -> dict[str, Any]:
         "run": run.played.run,
         "gait": asdict(run.played.gait),
         "cycles": [_cycle_json(cycle) for cycle in run.cycles],
-        "events": [_event_json(*found) for found in run.events],
+        "events": [_event_json(*event) for event in run.events],
         "health": run.health.name.lower(),
     }
 
@@ -200,8 +200,8 @@ def describe(
             f"{'forward' if gait.direction > 0 else 'reverse'}, {run.health.name.lower()} at worst"
         )
         lines.append("cycle  start s  grooves (measured)  x1 mm   length mm  power W  (rms)")
-        told = [event for _, event in run.events]
-        lines += [_cycle_line(count, cycle, told) for count, cycle in enumerate(run.cycles, 1)]
+        events = [event for _, event in run.events]
+        lines += [_cycle_line(count, cycle, events) for count, cycle in enumerate(run.cycles, 1)]
         lines += [f"  {time:.2f} s  {event.text}" for time, event in run.events]
     if dropped:
         why = ", ".join(f"{count} {name}" for name, count in dropped.items())
@@ -210,13 +210,13 @@ def describe(
     return "\n".join(lines)
 
 
-def _cycle_line(number: int, cycle: CycleReport, told: Sequence[Event]) -> str:
+def _cycle_line(number: int, cycle: CycleReport, events: Sequence[Event]) -> str:
     part = cycle.residuals
-    found = ", ".join(event.code.replace("_", " ") for event in told if event.cycle == number)
+    codes = ", ".join(event.code.replace("_", " ") for event in events if event.cycle == number)
     return (
         f"{number:5}  {cycle.start:7.2f}  {cycle.grooves:7.0f} ({cycle.measured_grooves:8.2f})  "
         f"{1e3 * part.x1_rmse:6.2f}  {1e3 * part.length_rmse:9.2f}  {part.power_rmse:7.2f}"
-        f"{'' if cycle.complete else '  (cut off)'}{f'  {found}' if found else ''}"
+        f"{'' if cycle.complete else '  (cut off)'}{f'  {codes}' if codes else ''}"
     )
 
 

@@ -85,11 +85,11 @@ def fitted_samples(recording: Recording) -> NDArray[np.bool_]:
 
 def actuation_problem(recordings: Sequence[Recording], known_noise: float = 0.0) -> Problem:
     """Residuals of the measured lengths in units of the camera's noise, which the data tell unless it is known (m)."""
-    seen = [fitted_samples(recording) for recording in recordings]
+    samples = [fitted_samples(recording) for recording in recordings]
     noise = [known_noise or max(noise_of(r.length), LEAST_NOISE) for r in recordings]
 
     def residuals(run: int, shared: Array, own: Array) -> Array:
-        recording, kept = recordings[run], seen[run]
+        recording, kept = recordings[run], samples[run]
         predicted = predicted_length_change(
             recording, shared, recording.camera_time[kept], own[1], own[2]
         )

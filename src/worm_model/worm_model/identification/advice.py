@@ -114,7 +114,7 @@ def _best_gait(result: Identification, stage: str, key: str) -> tuple[Gait, floa
     entry = keys.index(key)
     inherited = _inherited(result, key)
     covariance = (1.0 - inherited) * _covariance(result, stage)
-    found = []
+    candidates = []
     for stroke, frequency in product(STROKES, FREQUENCIES):
         recording = recorded(Gait(stroke, frequency), result)
         if recording is None:
@@ -124,18 +124,18 @@ def _best_gait(result: Identification, stage: str, key: str) -> tuple[Gait, floa
         posterior = covariance @ np.linalg.inv(gain)
         own = posterior[entry, entry] / covariance[entry, entry]
         shrunk = float(np.sqrt(inherited + (1.0 - inherited) * own))
-        found.append((shrunk, stroke, frequency))
-    if not found:
+        candidates.append((shrunk, stroke, frequency))
+    if not candidates:
         return None
-    shrunk, stroke, frequency = min(found)
+    shrunk, stroke, frequency = min(candidates)
     return Gait(stroke, frequency), shrunk
 
 
 def _covariance(result: Identification, stage: str) -> Array:
     keys = STAGES[stage]
     deviation = np.array([result.estimates[key].spread / quantile(np.inf) for key in keys])
-    found: LocomotionResult | ActuationResult | EnergyResult = getattr(result, stage)
-    correlation = found.correlation[: len(keys), : len(keys)]
+    stage_result: LocomotionResult | ActuationResult | EnergyResult = getattr(result, stage)
+    correlation = stage_result.correlation[: len(keys), : len(keys)]
     return correlation * np.outer(deviation, deviation)
 
 

@@ -201,8 +201,8 @@ def inverse(matrix: Array) -> Array:
     """Of a symmetric matrix whose entries are of very different sizes."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     unit = np.outer(scale, scale)
-    found: Array = np.linalg.pinv(matrix * unit, hermitian=True) * unit
-    return found
+    inverted: Array = np.linalg.pinv(matrix * unit, hermitian=True) * unit
+    return inverted
 
 
 def _jacobian(problem: Problem, state: Solution, run: int, width: float) -> Array:

@@ -30,15 +30,15 @@ NONE_NEEDED = "delay_s of the tracker's setup file may stay as it is"
 
 def camera_delay(recordings: Sequence[Recording], actuation: ActuationResult) -> Estimate:
     """The delay in s that is still in the camera's stamps, with what to do about it; of the mean over runs."""
-    told = np.isfinite(actuation.clock_deviation)
-    if not told.any():
+    known = np.isfinite(actuation.clock_deviation)
+    if not known.any():
         return not_told(float("nan"), NOTHING)
-    late = -actuation.fit.clock_offset[told]
-    lag = np.array([servo_lag(r) for r, t in zip(recordings, told, strict=True) if t])
+    late = -actuation.fit.clock_offset[known]
+    lag = np.array([servo_lag(r) for r, t in zip(recordings, known, strict=True) if t])
     if not np.isfinite(lag).all():
         return not_told(float("nan"), NO_ENCODER.format(1e3 * late.mean()))
     delays = late - lag
-    deviation = float(np.mean(actuation.clock_deviation[told])) / np.sqrt(delays.size)
+    deviation = float(np.mean(actuation.clock_deviation[known])) / np.sqrt(delays.size)
     if delays.size > 1:
         half = max(half_of_mean(delays), quantile(delays.size - 1) * deviation)
     else:

@@ -189,11 +189,11 @@ def find_signals(value: Array, limits: Limits) -> tuple[Signal, ...]:
     """
     index = np.flatnonzero(np.isfinite(value))
     known = value[index]
-    found = []
+    signals = []
     for direction in (1, -1):
         broken = _broken(direction * known, limits if direction > 0 else limits.mirrored)
-        found += [Signal(rule, int(index[a]), int(index[b]), direction) for rule, a, b in broken]
-    return tuple(sorted(found, key=lambda signal: (signal.first, signal.last)))
+        signals += [Signal(rule, int(index[a]), int(index[b]), direction) for rule, a, b in broken]
+    return tuple(sorted(signals, key=lambda signal: (signal.first, signal.last)))
 
 
 def _broken(value: Array, limits: Limits) -> list[tuple[Rule, int, int]]:

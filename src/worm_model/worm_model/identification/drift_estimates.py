@@ -66,7 +66,7 @@ def estimate_bags(
 
     ``definitions`` of messages are as `open_bag` takes them.
     """
-    found: dict[str, BagEstimates] = {}
+    by_bag: dict[str, BagEstimates] = {}
     left_out = []
     for done, path in enumerate(paths):
         progress(done / len(paths))
@@ -75,9 +75,9 @@ def estimate_bags(
                 start = bag.start
             recording = read_recordings([path], definitions)[0]
             content = _content(recording)
-            if content in found:
-                raise IdentificationError(f"the same run as {found[content].name}")
-            found[content] = estimate_bag(recording, start, parameters)
+            if content in by_bag:
+                raise IdentificationError(f"the same run as {by_bag[content].name}")
+            by_bag[content] = estimate_bag(recording, start, parameters)
         except (BagError, GaitError, IdentificationError, SimulationError) as error:
             left_out.append(LeftOut(path.name, str(error)))
         except InputError:
@@ -88,7 +88,7 @@ def estimate_bags(
                 LeftOut(path.name, f"its numbers cannot be fitted ({error}); look at them")
             )
     progress(1.0)
-    return tuple(sorted(found.values(), key=lambda bag: (bag.start, bag.name))), tuple(left_out)
+    return tuple(sorted(by_bag.values(), key=lambda bag: (bag.start, bag.name))), tuple(left_out)
 
 
 def _content(recording: Recording) -> str:
@@ -110,8 +110,8 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
     usable([recording], [length])
     check_pitch([recording], parameters.pitch)
     traverse = traverse_of(recording, length, parameters.pitch)
-    given = parameters.replace(initial_length=length.initial_length)
-    locomotion = identify_locomotion([traverse], Known(given, 0.0))
+    known = parameters.replace(initial_length=length.initial_length)
+    locomotion = identify_locomotion([traverse], Known(known, 0.0))
     actuation = identify_actuation([recording], np.random.default_rng(SEED))
     estimates = {
         "viscous_friction": locomotion.viscous_friction,
@@ -127,8 +127,8 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
 def _check_seen(recording: Recording) -> None:
     """One run has no other to make up for what its camera did not see."""
     time = recording.camera_time
-    seen = time[np.isfinite(recording.length) & (time > 0.0) & (time < recording.end)]
-    gap = float(np.diff(np.concatenate([[0.0], seen, [recording.end]])).max())
+    times = time[np.isfinite(recording.length) & (time > 0.0) & (time < recording.end)]
+    gap = float(np.diff(np.concatenate([[0.0], times, [recording.end]])).max())
     if gap > LONGEST_GAP:
         raise IdentificationError(
             f"{recording.name}: a marker is hidden for {gap:.1f} s of the gait, {LONGEST_GAP:g} s at most are allowed; "

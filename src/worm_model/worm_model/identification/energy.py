@@ -79,14 +79,14 @@ def power_run(
 ) -> PowerRun:
     """The part of a run from the onset to ``end`` s."""
     kept = time <= end
-    seen = (recording.power_time >= 0.0) & (recording.power_time <= min(end, time[kept][-1]))
+    during = (recording.power_time >= 0.0) & (recording.power_time <= min(end, time[kept][-1]))
     return PowerRun(
         recording.name,
         time[kept],
         rate[kept],
         static_force[kept],
-        recording.power_time[seen],
-        recording.power[seen],
+        recording.power_time[during],
+        recording.power[during],
         idle,
         one_sided_cable,
     )

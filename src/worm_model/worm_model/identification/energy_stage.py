@@ -58,19 +58,19 @@ def identify_energy(
     runs: Sequence[PowerRun],
     frequencies: Sequence[float],
     forces: Callable[[np.random.Generator], list[Array]],
-    given: Parameters,
+    parameters: Parameters,
     random: np.random.Generator,
     hindrance: str = "",
 ) -> EnergyResult:
     """Both parameters of all runs.
 
     ``forces`` draws the static forces (n,) in N of every run; ``frequencies`` in Hz are those of the runs;
-    ``given`` has c_b, and α_P where no run was seen;
+    ``parameters`` have c_b, and α_P where no run was seen;
     ``hindrance`` says why no interval would be honest, if so.
     """
     note = hindrance or _why_not(runs, frequencies)
     if note:
-        return _given(runs, given, note)
+        return _given(runs, parameters, note)
     fit = fit_energy(runs)
     weights = unit_weights(random, len(runs))
     seeds = random.integers(2**62, size=(weights.shape[0],)).tolist()
@@ -88,9 +88,9 @@ def identify_energy(
     alike = np.ones(len(runs))
     inherited = refitted(lambda index: refit(index, alike)).var(axis=0) / refits.var(axis=0)
     damping, factor = estimates(np.array([fit.damping, fit.factor]), refits, len(runs))
-    told = [e.spread <= VAGUE * e.value for e in (damping, factor)]  # False of NaN too
-    if not all(told):
-        return _given(runs, given, "the runs leave it open by more than half its value")
+    identifiable = [e.spread <= VAGUE * e.value for e in (damping, factor)]  # False of NaN too
+    if not all(identifiable):
+        return _given(runs, parameters, "the runs leave it open by more than half its value")
     shares = (min(float(inherited[0]), 1.0), min(float(inherited[1]), 1.0))
     return EnergyResult(damping, factor, correlation(refits), shares, fit, _clocks(runs, fit))
 
@@ -101,15 +101,21 @@ def _why_not(runs: Sequence[PowerRun], frequencies: Sequence[float]) -> str:
     if len(runs) < FEWEST_RUNS:
         return "one run cannot tell c_b from α_P; record gaits of several frequencies"
     if max(frequencies) < LEAST_FREQUENCY_RATIO * min(frequencies):
-        told = " to ".join(f"{f:g}" for f in sorted({min(frequencies), max(frequencies)}))
-        return f"gaits of {told} Hz cannot tell c_b from α_P; record another frequency"
+        frequency_range = " to ".join(
+            f"{f:g}" for f in sorted({min(frequencies), max(frequencies)})
+        )
+        return f"gaits of {frequency_range} Hz cannot tell c_b from α_P; record another frequency"
     return ""
 
 
-def _given(runs: Sequence[PowerRun], given: Parameters, note: str) -> EnergyResult:
+def _given(runs: Sequence[PowerRun], parameters: Parameters, note: str) -> EnergyResult:
     """c_b stays as given; the factor that goes with it is fitted, if it can be, but is no more certain than c_b is."""
-    damping, nothing = given.bellows_damping, float("nan")
-    fit = fit_energy(runs, damping=damping) if runs else unseen_energy(damping, given.power_factor)
+    damping, nothing = parameters.bellows_damping, float("nan")
+    fit = (
+        fit_energy(runs, damping=damping)
+        if runs
+        else unseen_energy(damping, parameters.power_factor)
+    )
     return EnergyResult(
         not_told(damping, note),
         not_told(fit.factor, f"{note}; fitted under the given c_b" if runs else note),

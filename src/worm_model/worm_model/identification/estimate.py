@@ -65,10 +65,10 @@ def if_told(estimate: Estimate, usual: float = 0.0, note: str = LEFT_OPEN) -> Es
 
     Too wide is more than half of the value, or of what is ``usual`` if that is more: a slack of 0 ± 0.1 mm is told.
     """
-    told = estimate.spread <= VAGUE * max(
+    narrow = estimate.spread <= VAGUE * max(
         abs(estimate.value), usual
     )  # False if it is infinite or NaN
-    return estimate if told or not estimate.identifiable else not_told(estimate.value, note)
+    return estimate if narrow or not estimate.identifiable else not_told(estimate.value, note)
 
 
 def follow_profile(

@@ -70,7 +70,7 @@ def leave_one_out(
         return run_errors(runs[index], values, offset), run_errors(runs[index], PAPER, offset)
 
     with ThreadPoolExecutor() as pool:
-        found = list(pool.map(left_out, range(len(runs))))
-    held_out, paper = zip(*found, strict=True)
+        estimates = list(pool.map(left_out, range(len(runs))))
+    held_out, paper = zip(*estimates, strict=True)
     names = [run.name for run in runs]
     return dict(zip(names, held_out, strict=True)), dict(zip(names, paper, strict=True))

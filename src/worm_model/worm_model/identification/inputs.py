@@ -106,13 +106,13 @@ def read_recordings(
     paths: Sequence[Path], definitions: Path | None = None, logs: LabSettings = LOGS
 ) -> list[Recording]:
     """The runs in bags and in a lab's folders, each of which may hold several, in the order of their names there."""
-    found = []
+    recordings = []
     for path in paths:
         if is_lab_folder(path):
-            found += [read_lab_recording(run, logs) for run in run_folders(path)]
+            recordings += [read_lab_recording(run, logs) for run in run_folders(path)]
         else:
-            found += _read_bag(path, definitions)
-    return found
+            recordings += _read_bag(path, definitions)
+    return recordings
 
 
 def _lab_of(path: Path) -> Path:

@@ -91,12 +91,12 @@ def _with_bench(inputs: Inputs, p: Parameters) -> Parameters:
 
 
 def _traverse(recording: Recording, pitch: float) -> _Traverse:
-    seen = np.isfinite(recording.length)
+    known = np.isfinite(recording.length)
     length = float(np.mean(recording.length[recording.at_rest]))
     advance = recording.gait.direction * recording.x1
-    arrived = np.flatnonzero(seen & (advance >= RIDGES * pitch))
+    arrived = np.flatnonzero(known & (advance >= RIDGES * pitch))
     end = recording.camera_time[arrived[0]] if arrived.size else recording.end
-    kept = seen & (recording.camera_time > 0.0) & (recording.camera_time <= end)
+    kept = known & (recording.camera_time > 0.0) & (recording.camera_time <= end)
     return _Traverse(
         recording,
         recording.camera_time[kept],
@@ -135,7 +135,7 @@ def _locomotion(
         points = (np.array([friction, threshold]) for threshold in thresholds)
         grid += [(cost(point), *point) for point in points]
         progress(row / SEARCHED_FRICTION.size)
-    found = [
+    fits = [
         minimize(
             cost,
             point,
@@ -152,7 +152,7 @@ def _locomotion(
         )
         for point in (np.array(best[1:]) for best in sorted(grid)[:REFINED])
     ]
-    best = min(found, key=lambda solution: solution.fun)
+    best = min(fits, key=lambda solution: solution.fun)
     return best.x, float(best.fun)
 
 
@@ -164,10 +164,10 @@ def _actuation(runs: Sequence[_Traverse]) -> tuple[Array, float]:
             [run.change - predicted_length_change(run.recording, values, run.time) for run in runs]
         )
 
-    found = least_squares(
+    fit = least_squares(
         residuals, START, x_scale=[1e-3, 0.1, 0.1], bounds=([0.0, 0.01, 1e-3], [0.1, 10.0, 10.0])
     )
-    return found.x, float(np.mean(found.fun**2))
+    return fit.x, float(np.mean(fit.fun**2))
 
 
 def _energy(runs: Sequence[_Traverse], p: Parameters) -> tuple[Array, float]:
@@ -184,8 +184,8 @@ def _energy(runs: Sequence[_Traverse], p: Parameters) -> tuple[Array, float]:
         return np.concatenate(parts)
 
     start = [p.bellows_damping, p.power_factor]
-    found = least_squares(residuals, start, x_scale=[100.0, 1.0], bounds=([0.0, 0.01], np.inf))
-    return found.x, float(np.sum(found.fun**2))
+    fit = least_squares(residuals, start, x_scale=[100.0, 1.0], bounds=([0.0, 0.01], np.inf))
+    return fit.x, float(np.sum(fit.fun**2))
 
 
 def _power_table(run: _Traverse, p: Parameters) -> tuple[Array, Array, Array, Array, float]:

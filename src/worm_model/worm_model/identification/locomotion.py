@@ -86,9 +86,9 @@ class Traverse:
 def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> Traverse:
     """The part of a run from the onset until x1 has advanced by five pitches."""
     advance = recording.gait.direction * recording.x1
-    seen = np.isfinite(advance)
-    beyond = median_filter(advance[seen], 5) >= RIDGES * pitch  # one outlier is no arrival
-    arrivals = recording.camera_time[seen][beyond]
+    known = np.isfinite(advance)
+    beyond = median_filter(advance[known], 5) >= RIDGES * pitch  # one outlier is no arrival
+    arrivals = recording.camera_time[known][beyond]
     end = float(arrivals[0]) if arrivals.size else recording.end
     end = min(end, float(length.time[-1]))
     kept = (recording.camera_time >= length.time[0]) & (recording.camera_time <= end)
@@ -252,9 +252,9 @@ def valleys(landscape: Landscape, count: int = VALLEYS) -> Array:
         if (i, j) != (0, 0)
     ]
     lowest = landscape.cost <= np.min(around, axis=0)
-    found = np.argwhere(lowest)
+    cells = np.argwhere(lowest)
     order = np.argsort(landscape.cost[lowest])[:count]
-    return np.array([(landscape.friction[i], landscape.threshold[j]) for i, j in found[order]])
+    return np.array([(landscape.friction[i], landscape.threshold[j]) for i, j in cells[order]])
 
 
 def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Landscape) -> Solution:
@@ -275,8 +275,8 @@ def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Land
     with ThreadPoolExecutor() as pool:
         near = list(pool.map(lambda s: solve(rough, s, own, iterations=ROUGH_ITERATIONS), starts))
         near.sort(key=lambda solution: solution.cost)
-        found = list(pool.map(lambda s: solve(problem, s.shared, s.own), near[:REFINED]))
-    best = min(found, key=lambda solution: solution.cost)
+        solutions = list(pool.map(lambda s: solve(problem, s.shared, s.own), near[:REFINED]))
+    best = min(solutions, key=lambda solution: solution.cost)
     if max(float(np.sqrt(np.mean(r**2))) for r in best.residuals) >= LOST:
         raise IdentificationError(
             "no friction and threshold explain the motion of x1: is this a worm in a corrugated pipe?"

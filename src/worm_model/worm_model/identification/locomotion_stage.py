@@ -169,8 +169,8 @@ def identify_locomotion(
 def _dry_estimate(value: float, deviation: float) -> Estimate:
     """By the curvature of the cost, which has no jumps in dry friction as small as this; no less than nothing."""
     reach = NORMAL * float(deviation)
-    found = Estimate(float(value), max(float(value) - reach, 0.0), float(value) + reach)
-    return if_told(found, USUAL_DRY)
+    estimate = Estimate(float(value), max(float(value) - reach, 0.0), float(value) + reach)
+    return if_told(estimate, USUAL_DRY)
 
 
 def refit(
@@ -190,13 +190,13 @@ def holding_forces(
 ) -> tuple[Array, ...]:
     """What friction and fin hold of the rear module by a fit, (n,) N at the times of every run's length."""
     grooves = tables_of(fit.solution.shared[MEANS:], fit.places)
-    found = []
+    forces = []
     for traverse, own in zip(traverses, fit.solution.own, strict=True):
         worm = with_values(worm_of(parameters, traverse.direction), fit.means, own[0])
         samples = slide(traverse, worm, *grooves)
         assert samples is not None, "a fit moves without end"
-        found.append(samples[:, HOLDING_FORCE])
-    return tuple(found)
+        forces.append(samples[:, HOLDING_FORCE])
+    return tuple(forces)
 
 
 def _inflation(traverses: Sequence[Traverse], solution: Solution) -> float:
@@ -266,8 +266,10 @@ def _estimate(
         deviation = 0.5 * (interval[1] - interval[0]) / NORMAL
         share = min((_scattered(fit, entry) / deviation) ** 2, 1.0)
         widening = quantile((grooves - 1) / max(share, 1e-3) ** 2) / NORMAL
-    given = NORMAL * float(np.sqrt(sum((v.means[entry] - value) ** 2 for _, v in variants)))
-    low, high = (float(np.hypot((end - value) * widening, given)) for end in interval)
+    from_reference = NORMAL * float(
+        np.sqrt(sum((v.means[entry] - value) ** 2 for _, v in variants))
+    )
+    low, high = (float(np.hypot((end - value) * widening, from_reference)) for end in interval)
     return Estimate(value, value - low, value + high)
 
 
@@ -297,8 +299,8 @@ def deviations_of(covariance: Array) -> Array:
     unit = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
     kept = values > LEAST_EIGENVALUE
-    found: Array = (vectors[:, kept] * np.sqrt(values[kept])).T * scale
-    return found
+    deviations: Array = (vectors[:, kept] * np.sqrt(values[kept])).T * scale
+    return deviations
 
 
 def _as_printed(traverses: Sequence[Traverse], known: Known, start: Solution) -> Array:

@@ -92,7 +92,7 @@ def recordings_of(
     for number, rows in enumerate(runs, 1):
         own = f"{name}_gait_{number}" if number > 1 else name
         try:
-            found = replace(
+            recording = replace(
                 _recording(run, int(rows[0]), own), sources=dict(sources or {}), date=date
             )
         except IdentificationError as error:
@@ -100,12 +100,13 @@ def recordings_of(
                 raise
             remarks.append(f"left out: {error}")
             continue
-        apart = found.start - kept[0].start if kept else 0.0
+        apart = recording.start - kept[0].start if kept else 0.0
         if abs(apart) <= SAME_PLACE:
-            kept.append(found)
+            kept.append(recording)
         else:
             remarks.append(
-                f"gait {number} ({1e3 * found.gait.stroke:g} mm, {found.gait.frequency:g} Hz) is left out: it begins "
+                f"gait {number} ({1e3 * recording.gait.stroke:g} mm, {recording.gait.frequency:g} Hz) is left out: "
+                "it begins "
                 f"{1e3 * apart:+.0f} mm from the first, from fins that the gait before it left bent"
             )
     return (replace(kept[0], remarks=tuple(remarks)), *kept[1:])
@@ -126,7 +127,7 @@ def _recording(run: Run, row: int, name: str) -> Recording:
     def within(stamp: Stamps) -> NDArray[np.bool_]:
         return (stamp >= first) & (stamp <= last)
 
-    commanded, seen = within(run.commanded.stamp), within(run.tracker.stamp)
+    commanded, tracked = within(run.commanded.stamp), within(run.tracker.stamp)
     commanded &= np.isfinite(run.commanded.length_change)
     turned = within(run.cable.stamp) & np.isfinite(run.cable.length_change)
     powered = within(run.power.stamp) & (run.power.status == POWER_VALID)
@@ -137,9 +138,9 @@ def _recording(run: Run, row: int, name: str) -> Recording:
     recording = Recording(
         name=name,
         gait=gait,
-        camera_time=seconds(run.tracker.stamp[seen], onset) - shift,
-        x1=run.tracker.rear_position[seen],
-        x2=run.tracker.front_position[seen],
+        camera_time=seconds(run.tracker.stamp[tracked], onset) - shift,
+        x1=run.tracker.rear_position[tracked],
+        x2=run.tracker.front_position[tracked],
         command_time=command_time - shift,
         command=command,
         power_time=seconds(run.power.stamp[powered], onset) - shift,

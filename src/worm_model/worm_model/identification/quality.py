@@ -71,30 +71,30 @@ def usable(
 
 def remarks(recording: Recording, length: MeasuredLength, traverse: Traverse) -> list[str]:
     """What was seen in a run and how it was handled, in words."""
-    found = []
+    texts = []
     hidden = int(np.sum(~np.isfinite(recording.length)))
     gap = longest_gap(recording)
     if hidden or gap > 3.0 * float(np.median(np.diff(recording.camera_time))):
-        found.append(
+        texts.append(
             f"{hidden} camera samples with a hidden marker, longest gap {gap:.2f} s: x1 is compared where it was "
             "seen, the length is bridged by the run's actuation fit"
         )
     if gap > LONGEST_GAP:
-        found.append(f"a gap of {gap:.1f} s is long: what happened in it is a guess")
+        texts.append(f"a gap of {gap:.1f} s is long: what happened in it is a guess")
     outliers = int(np.sum(length.outliers))
     if outliers:
-        found.append(f"{outliers} lengths left out as outliers")
+        texts.append(f"{outliers} lengths left out as outliers")
     pauses = np.diff(recording.power_time)
     if pauses.size and pauses.max() > POWER_GAP * float(np.median(pauses)):
-        found.append(
+        texts.append(
             f"{pauses.max():.2f} s without a power sample: its energy is bridged by a straight line"
         )
     if not traverse.complete:
         reached = float(np.nanmax(np.abs(recording.x1)))
-        found.append(
+        texts.append(
             f"never reached {RIDGES} ridges (x1 came to {reached * 1e3:.0f} mm): the whole run is used"
         )
-    return [f"{recording.name}: {text}" for text in found]
+    return [f"{recording.name}: {text}" for text in texts]
 
 
 def starts_apart(recordings: Sequence[Recording]) -> list[str]:
@@ -114,17 +114,18 @@ def power_missing(recording: Recording, traverse: Traverse) -> str:
     """Empty, or why a run's energy over its five ridges is not known."""
     begin, end = max(0.0, float(traverse.length.time[0])), traverse.end
     time = recording.power_time
-    seen = time[(time >= begin) & (time <= end)]
-    if seen.size >= FEWEST_POWER and seen[-1] - seen[0] >= POWER_SPAN * (end - begin):
+    times = time[(time >= begin) & (time <= end)]
+    if times.size >= FEWEST_POWER and times[-1] - times[0] >= POWER_SPAN * (end - begin):
         return ""
-    what = f"from {seen[0]:.1f} to {seen[-1]:.1f} s" if seen.size else "nowhere"
+    what = f"from {times[0]:.1f} to {times[-1]:.1f} s" if times.size else "nowhere"
     return (
-        f"{recording.name}: the power sensor saw {seen.size} samples, {what}, of the {end:.1f} s over five ridges: the "
+        f"{recording.name}: the power sensor saw {times.size} samples, {what}, of the {end:.1f} s over five ridges: "
+        "the "
         "run is left out of c_b and α_P"
     )
 
 
 def longest_gap(recording: Recording) -> float:
     """Longest time without a length between the first and the last one, s."""
-    seen = recording.camera_time[np.isfinite(recording.length)]
-    return float(np.diff(seen).max()) if seen.size > 1 else 0.0
+    times = recording.camera_time[np.isfinite(recording.length)]
+    return float(np.diff(times).max()) if times.size > 1 else 0.0

@@ -111,9 +111,9 @@ def correlations(result: Identification) -> list[tuple[str, str, float]]:
 
 
 def _correlated(result: Identification) -> list[tuple[str, str, float]]:
-    found = _pairs(LOCOMOTION, result.locomotion.correlation)
-    found += _pairs(ACTUATION, result.actuation.correlation)
-    return found + _pairs(ENERGY, result.energy.correlation)
+    pairs = _pairs(LOCOMOTION, result.locomotion.correlation)
+    pairs += _pairs(ACTUATION, result.actuation.correlation)
+    return pairs + _pairs(ENERGY, result.energy.correlation)
 
 
 def _of_parameters(result: Identification) -> dict[tuple[str, str], float]:

@@ -37,9 +37,9 @@ def dependence(residuals: Array) -> float:
     r = residuals / max(scale_of(residuals), 1e-300)
     r = np.clip(r - np.median(r), -OUTLIER, OUTLIER)
     count = r.size
-    found = float(np.sum(r[1:] * r[:-1]) / max(float(np.sum(r * r)), 1e-300))
-    if found < ONE_SIDED / np.sqrt(count):
+    correlation = float(np.sum(r[1:] * r[:-1]) / max(float(np.sum(r * r)), 1e-300))
+    if correlation < ONE_SIDED / np.sqrt(count):
         return 1.0
     # The estimate around a fitted line is too small by about (2 + 4ρ)/n (Kendall 1954).
-    memory = min(found + (2.0 + 4.0 * found) / count, MOST_MEMORY)
+    memory = min(correlation + (2.0 + 4.0 * correlation) / count, MOST_MEMORY)
     return (1.0 + memory) / (1.0 - memory)

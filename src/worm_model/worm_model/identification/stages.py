@@ -120,7 +120,9 @@ def identify(
     fin = fit_fin(inputs.fin.x, inputs.fin.y, fin_engages) if inputs.fin else None
     estimates |= _bench_estimates(bellows, fin)
     runs, warnings = fitted_runs(inputs.recordings, reference.parameters.pitch)
-    checked, seen = prepared_validation(validation, inputs.recordings, reference.parameters.pitch)
+    checked, observed = prepared_validation(
+        validation, inputs.recordings, reference.parameters.pitch
+    )
     estimates["initial_length"] = initial_length(runs)
     idle = idle_power([run.idle for run in runs])
     estimates["idle_power"] = idle or not_told(reference.parameters.idle_power, NO_IDLE)
@@ -156,7 +158,7 @@ def identify(
         paper=paper,
         validation={run.name: run_errors(run, parameters, offset) for run in checked},
         camera_delay=camera_delay([run.recording for run in runs], actuation),
-        warnings=(*inputs.remarks, *bench_warnings(fin), *warnings, *seen),
+        warnings=(*inputs.remarks, *bench_warnings(fin), *warnings, *observed),
         seed=seed,
     )
     progress("done", 1.0)
@@ -224,21 +226,21 @@ def bench_warnings(fin: FinFit | None) -> list[str]:
 
 
 def _bench_estimates(bellows: BellowsFit | None, fin: FinFit | None) -> dict[str, Estimate]:
-    found = {}
+    estimates = {}
     if bellows is not None:
-        found["bellows_stiffness"] = bellows.stiffness
-    return found | ({key: getattr(fin, key) for key in FIN} if fin is not None else {})
+        estimates["bellows_stiffness"] = bellows.stiffness
+    return estimates | ({key: getattr(fin, key) for key in FIN} if fin is not None else {})
 
 
 def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> FinKnowledge | None:
     """By the fin test, else by the bounds that were given, None if there are none."""
     if fin is not None:
         return FinKnowledge(fin.values, fin.covariance)
-    given = [estimates[key] for key in FIN]
-    if not all(estimate.identifiable for estimate in given):
+    known = [estimates[key] for key in FIN]
+    if not all(estimate.identifiable for estimate in known):
         return None
-    deviation = np.array([estimate.spread / quantile(np.inf) for estimate in given])
-    return FinKnowledge(np.array([e.value for e in given]), np.diag(deviation**2))
+    deviation = np.array([estimate.spread / quantile(np.inf) for estimate in known])
+    return FinKnowledge(np.array([e.value for e in known]), np.diag(deviation**2))
 
 
 def _locomotion_estimates(
@@ -252,8 +254,9 @@ def _locomotion_estimates(
         friction = not_told(friction.value, NO_FIN)
         threshold = not_told(threshold.value, UNDER_GIVEN_FINS)
         dry = [not_told(estimate.value, NO_FIN) for estimate in dry]
-    given = estimates["pitch"]
-    note = f"from x1 over the ridges; {given.value * 1e3:.2f} ± {given.spread * 1e3:.2f} mm {given.note}"
+    pitch_estimate = estimates["pitch"]
+    value, spread = 1e3 * pitch_estimate.value, 1e3 * pitch_estimate.spread
+    note = f"from x1 over the ridges; {value:.2f} ± {spread:.2f} mm {pitch_estimate.note}"
     pitch = locomotion.pitch
     return {
         "viscous_friction": friction,
@@ -266,14 +269,14 @@ def _locomotion_estimates(
 
 def _energy_estimates(energy: EnergyResult, reference: ReferenceValues) -> dict[str, Estimate]:
     """c_b and α_P, which hold for one form of the power; raises `IdentificationError` if only the other's are known."""
-    found = dict(zip(FITTED_WITH_FORM, (energy.bellows_damping, energy.power_factor), strict=True))
+    fitted = dict(zip(FITTED_WITH_FORM, (energy.bellows_damping, energy.power_factor), strict=True))
     if not reference.parameters.one_sided_cable:
-        return found
+        return fitted
     if reference.fitted_otherwise and not energy.power_factor.identifiable:
         raise IdentificationError(OTHER_FORM.format(energy.power_factor.note))
     return {
         key: replace(estimate, note="; ".join(filter(None, (estimate.note, ONE_SIDED))))
-        for key, estimate in found.items()
+        for key, estimate in fitted.items()
     }
 
 

@@ -35,8 +35,8 @@ def pitch_of_strides(recording: Recording, pitch: float) -> float:
 
 def _strides(recording: Recording) -> NDArray[np.float64]:
     """Advance over one period (m), from every camera sample on that lies between the first cycle and the last."""
-    seen = np.isfinite(recording.x1)
-    time, x1 = recording.camera_time[seen], recording.gait.direction * recording.x1[seen]
+    known = np.isfinite(recording.x1)
+    time, x1 = recording.camera_time[known], recording.gait.direction * recording.x1[known]
     if time.size < FEWEST:
         return np.zeros(0)
     period = recording.gait.period
@@ -50,13 +50,13 @@ def check_pitch(recordings: Sequence[Recording], pitch: float, deviation: float 
 
     Raises `IdentificationError`.
     """
-    found = np.array([pitch_of_strides(recording, pitch) for recording in recordings])
-    found = found[np.isfinite(found)]
-    if not found.size:
+    pitches = np.array([pitch_of_strides(recording, pitch) for recording in recordings])
+    pitches = pitches[np.isfinite(pitches)]
+    if not pitches.size:
         return
-    seen = float(np.median(found))
-    if abs(seen - pitch) > TOLERANCE * pitch + 3.0 * deviation:
+    median = float(np.median(pitches))
+    if abs(median - pitch) > TOLERANCE * pitch + 3.0 * deviation:
         raise IdentificationError(
-            f"pitch: given as {1e3 * pitch:.2f} mm, but the rear module gains {1e3 * seen:.2f} mm a groove: "
+            f"pitch: given as {1e3 * pitch:.2f} mm, but the rear module gains {1e3 * median:.2f} mm a groove: "
             "measure the pitch anew (or the camera's scale), for nothing that is fitted under a wrong one holds"
         )

@@ -288,13 +288,13 @@ def message_class(type_name: str) -> type:
     """
     package, _, kind = type_name.partition("/msg/")
     try:
-        found: type = getattr(importlib.import_module(f"{package}.msg"), kind)
+        kind_class: type = getattr(importlib.import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError, ValueError, TypeError):  # the latter two of odd names
         name = type_name or "a type that is not told"
         raise DefinitionError(
             f"{name} is not installed; source the workspace that has it"
         ) from None
-    return found
+    return kind_class
 
 
 def _describe_gait(state: Any) -> dict[str, str]:

@@ -237,8 +237,8 @@ def _session_options(
 ) -> SessionOptions:
     def manifest() -> Manifest:
         now = time.time_ns()
-        found = run_manifest(arguments.parameters, arguments.seed, arguments.note, command, now)
-        return cleaner.manifest(found) if cleaner else found
+        content = run_manifest(arguments.parameters, arguments.seed, arguments.note, command, now)
+        return cleaner.manifest(content) if cleaner else content
 
     manifest()  # what is wrong with it is told before anything is made
     return SessionOptions(

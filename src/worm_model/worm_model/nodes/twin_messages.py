@@ -57,9 +57,9 @@ Row = tuple[int | float, ...]
 def gait_sample(message: Any) -> Row:
     """Of a GaitState."""
     stamp, gait = nanoseconds(message.header.stamp), message.gait
-    told = nanoseconds(message.onset), message.state, message.run, message.cycle
+    identity = nanoseconds(message.onset), message.state, message.run, message.cycle
     values = gait.stroke, gait.frequency, float(gait.direction), gait.margin
-    return (stamp, Kind.GAIT, *told, stamp, *values)
+    return (stamp, Kind.GAIT, *identity, stamp, *values)
 
 
 def _row(kind: int, message: Any, a: float, b: float = 0.0) -> Row:
@@ -143,30 +143,30 @@ def gait_of(message: Any) -> Gait:
     return Gait(message.stroke, message.frequency, message.direction, message.margin)
 
 
-def fill_forecast(response: Any, found: Forecast) -> Any:
+def fill_forecast(response: Any, prediction: Forecast) -> Any:
     """A forecast as the response of PredictGait."""
     nan = math.nan
     response.success = True
     response.prediction = GaitPrediction(
-        gait=GaitMessage(**dataclasses.asdict(found.robust.gait)),
-        speed=found.robust.speed,
-        power=found.robust.power,
-        cost_of_transport=found.robust.cost_of_transport,
-        grooves_per_cycle=found.robust.grooves_per_cycle,
-        groove_phase=found.groove_phase,
-        nominal_speed=found.nominal.speed,
-        nominal_power=found.nominal.power,
-        nominal_cost_of_transport=found.nominal.cost_of_transport,
-        nominal_grooves_per_cycle=found.nominal.grooves_per_cycle,
+        gait=GaitMessage(**dataclasses.asdict(prediction.robust.gait)),
+        speed=prediction.robust.speed,
+        power=prediction.robust.power,
+        cost_of_transport=prediction.robust.cost_of_transport,
+        grooves_per_cycle=prediction.robust.grooves_per_cycle,
+        groove_phase=prediction.groove_phase,
+        nominal_speed=prediction.nominal.speed,
+        nominal_power=prediction.nominal.power,
+        nominal_cost_of_transport=prediction.nominal.cost_of_transport,
+        nominal_grooves_per_cycle=prediction.nominal.grooves_per_cycle,
         stroke_to_lower_edge=nan,
         stroke_to_upper_edge=nan,
         success_probability=nan,
         success_probability_any_phase=nan,
     )
     for name in ("time", "rear_position", "front_position", "power"):
-        setattr(response, name, getattr(found, name).tolist())
-    response.energy = found.energy
-    response.grooves = found.grooves
+        setattr(response, name, getattr(prediction, name).tolist())
+    response.energy = prediction.energy
+    response.grooves = prediction.grooves
     return response
 
 

@@ -193,11 +193,11 @@ class TwinNode(Node):
     ) -> PredictGait.Response:
         try:
             gait = twin_messages.gait_of(request.gait)
-            found = forecast(self._twin, self._state, gait, request.horizon)
+            prediction = forecast(self._twin, self._state, gait, request.horizon)
         except (GaitError, ForecastError) as error:
             response.success, response.message = False, str(error)
             return response
-        return twin_messages.fill_forecast(response, found)
+        return twin_messages.fill_forecast(response, prediction)
 
     def _publish_markers(self) -> None:
         # Of a twin that does not move on, the markers end with their lifetime.
@@ -207,22 +207,22 @@ class TwinNode(Node):
         parameters = self._twin.effective_parameters(self._state)
         shown = StateRecord(*self._shown.item())
         # The robot as it was then: the twin is behind by its delay.
-        seen = min(self._sightings, key=lambda sighting: abs(sighting.stamp_ns - shown.stamp_ns))
-        shapes = scene(shown, seen, parameters, self._state.direction)
+        nearest = min(self._sightings, key=lambda sighting: abs(sighting.stamp_ns - shown.stamp_ns))
+        shapes = scene(shown, nearest, parameters, self._state.direction)
         stamp = twin_messages.time_message(shown.stamp_ns)
         self._markers.publish(marker_array(shapes, stamp))
 
     # --- diagnostics ------------------------------------------------------------------------------
 
     def _publish_diagnostics(self) -> None:
-        found = report(self._state, self._residual, time.monotonic() - self._heard)
+        diagnosis = report(self._state, self._residual, time.monotonic() - self._heard)
         robot = self.get_namespace().strip("/")
         status = DiagnosticStatus(
-            level=_LEVELS[found.level],
+            level=_LEVELS[diagnosis.level],
             name=f"{robot}/twin: model".lstrip("/"),
             hardware_id=robot,
-            message=found.message,
-            values=[KeyValue(key=key, value=value) for key, value in found.values],
+            message=diagnosis.message,
+            values=[KeyValue(key=key, value=value) for key, value in diagnosis.values],
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

@@ -48,7 +48,7 @@ def _recording(gait: Gait) -> Run:
     stamp = 10**9 + 10**7 * np.arange(50)
     command = np.array([gait.command(time) for time in (stamp - 10**9) * 1e-9])
     length = PAPER.initial_length + command
-    told, one = np.array([10**9]), np.ones(1)
+    onset, one = np.array([10**9]), np.ones(1)
     return Run(
         origin=10**9,
         commanded=LengthSamples(stamp, length, command),
@@ -56,13 +56,13 @@ def _recording(gait: Gait) -> Run:
         tracker=TrackerSamples(stamp, 0.0 * length, length),
         power=PowerSamples(stamp, 0 * stamp, 12.0 * one, 0.1 * one, 0.0 * length),
         gait_state=GaitStates(
-            stamp=told,
+            stamp=onset,
             state=np.array([RUNNING]),
             stroke=gait.stroke * one,
             frequency=gait.frequency * one,
             direction=np.array([FORWARD]),
             margin=0.0 * one,
-            onset=told,
+            onset=onset,
         ),
     )
 

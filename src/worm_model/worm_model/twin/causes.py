@@ -78,16 +78,16 @@ class Candidate(NamedTuple):
 
 
 def weigh_causes(
-    cycles: Sequence[CycleData], told: Sequence[Told], signs: Signatures, *, length_seen: bool
+    cycles: Sequence[CycleData], reported: Sequence[Told], signs: Signatures, *, length_seen: bool
 ) -> list[Candidate]:
     """All candidates for the cycles remembered, weighed; a sound robot has the weight 1."""
-    data = Data(cycles, told, signs)
+    data = Data(cycles, reported, signs)
     lasting = list(_lasting(cycles, signs))
-    grooves = list(_grooves(cycles, told, signs))
+    grooves = list(_grooves(cycles, reported, signs))
     tracked = any(cycle.step is not None for cycle in cycles)
     # Power alone cannot exclude a miss.
     lengths = list(_lengths(cycles, signs)) if tracked and not length_seen else []
-    found = [*lasting, *grooves, *(candidate for candidate, _ in lengths)]
+    candidates = [*lasting, *grooves, *(candidate for candidate, _ in lengths)]
     causes = np.array(
         [
             *data.lasting(lasting),
@@ -95,20 +95,20 @@ def weigh_causes(
             *(direction for _, direction in lengths),
         ]
     )
-    known = np.array([candidate.fact for candidate in found])
+    known = np.array([candidate.fact for candidate in candidates])
     sound = Sound(data.seen, data.weight, data.nuisances, data.offsets)
     weighed = sound.weigh(causes, known)
-    logs = np.array([c.log_prior for c in found]) + weighed.evidence
+    logs = np.array([c.log_prior for c in candidates]) + weighed.evidence
     weights = np.exp(np.minimum(logs, 300.0))
     weights[
-        [_is_impossible(*c) for c in zip(found, weighed.size, weighed.deviation, strict=True)]
+        [_is_impossible(*c) for c in zip(candidates, weighed.size, weighed.deviation, strict=True)]
     ] = 0.0
     strange = sound.weigh_noise(data.odd())
     return [
         *(
             c._replace(weight=w, size=s, deviation=d)
             for c, w, s, d in zip(
-                found,
+                candidates,
                 weights.tolist(),
                 weighed.size.tolist(),
                 weighed.deviation.tolist(),
@@ -132,12 +132,12 @@ class Data:
     """The cycles, (cycles, channels times bins), their weights, and what even a sound robot shows."""
 
     def __init__(
-        self, cycles: Sequence[CycleData], told: Sequence[Told], signs: Signatures
+        self, cycles: Sequence[CycleData], reported: Sequence[Told], signs: Signatures
     ) -> None:
         self.signs, self.numbers = signs, [cycle.number for cycle in cycles]
         values = np.array([cycle.values for cycle in cycles])
         variance = np.array([cycle.variance for cycle in cycles])
-        for event in told:
+        for event in reported:
             if not event.name and event.cycle in self.numbers:
                 variance[self.numbers.index(event.cycle), POWER] = np.inf
         variance *= _excess(values, variance)[None, :, None]
@@ -146,7 +146,7 @@ class Data:
         scatter = np.tile(np.array(SCATTER)[:, None], BINS)
         scatter[POWER] += POWER_SHARE * signs.power
         self.offsets = scatter.ravel()
-        nuisances = [*self._of_the_run(), *self._of_a_cycle(), *self._told(told)]
+        nuisances = [*self._of_the_run(), *self._of_a_cycle(), *self._told(reported)]
         self.nuisances = np.moveaxis(np.array(nuisances), 0, -1)
 
     def direction(self, candidate: Candidate) -> Array:
@@ -184,8 +184,8 @@ class Data:
         changes = np.kron(np.eye(len(self.numbers)), np.vstack([channels, thresholds]))
         return np.asarray(changes, np.float64).reshape(-1, *self.seen.shape)
 
-    def _told(self, told: Sequence[Told]) -> Iterator[Array]:
-        for event in told:
+    def _told(self, reported: Sequence[Told]) -> Iterator[Array]:
+        for event in reported:
             if event.name in self.signs.lasting:
                 yield BROAD * self.lasting([event])[0]
             elif event.name == "missed":
@@ -216,7 +216,7 @@ def _excess(values: Array, variance: Array) -> Array:
 
     The lower median of what follows upon another: a change in the run is not taken for scatter.
     """
-    found = np.ones(CHANNELS)
+    excess = np.ones(CHANNELS)
     for channel in range(CHANNELS):
         ratios = []
         for k in range(1, len(values)):
@@ -226,8 +226,8 @@ def _excess(values: Array, variance: Array) -> Array:
                 difference = (values[k] - values[k - 1])[channel]
                 ratios.append(float(np.mean(difference[both] ** 2 / expected[both])))
         if len(ratios) > 1:
-            found[channel] = max(1.0, sorted(ratios)[(len(ratios) - 1) // 2])
-    return found
+            excess[channel] = max(1.0, sorted(ratios)[(len(ratios) - 1) // 2])
+    return excess
 
 
 def _lasting(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[Candidate]:
@@ -240,11 +240,11 @@ def _lasting(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[Candida
 
 
 def _grooves(
-    cycles: Sequence[CycleData], told: Sequence[Told], signs: Signatures
+    cycles: Sequence[CycleData], reported: Sequence[Told], signs: Signatures
 ) -> Iterator[Candidate]:
     """Grooves that a fin missed or gained in cycles running whose grooves nothing has settled."""
     settled = {cycle.number for cycle in cycles if cycle.step is not None and not cycle.gained}
-    settled |= {event.cycle for event in told if event.name in ("missed", "gained")}
+    settled |= {event.cycle for event in reported if event.name in ("missed", "gained")}
     last = cycles[-1].number
     kinds = [(GROOVES[fin], fin, MISS) for fin in signs.missed]
     kinds += [(GAINED, fin, 2.0 * GAIN / len(signs.gained)) for fin in signs.gained]

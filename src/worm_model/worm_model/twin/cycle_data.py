@@ -128,8 +128,8 @@ def _off_whole(size: float, pitch: float) -> float:
 
 def _located(sums: Array, position: Array, some: NDArray[np.bool_], size: float) -> Step:
     """The step at the beginning of the bin from which it explains the positions best."""
-    seen = sums[:, POSITION_COUNT] > 0
-    share = sums[seen, POSITION_SUM] / sums[seen, POSITION_COUNT] / size
+    tracked = sums[:, POSITION_COUNT] > 0
+    share = sums[tracked, POSITION_SUM] / sums[tracked, POSITION_COUNT] / size
     underway = int(np.sum(np.abs(share - 0.5) < 0.5 - UNDERWAY))
     after = (np.arange(BINS) >= np.arange(BINS)[:, None]).astype(float)
     misfit = np.sum(np.where(some, (position - size * after) ** 2, 0.0), axis=1)

@@ -128,55 +128,55 @@ class History:
     missed_by_power: int = 0
 
 
-def judge_cycle(history: History, seen: CycleSeen) -> tuple[History, list[Finding]]:
+def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Finding]]:
     """(history, findings) once a cycle is over."""
-    driven = bool(np.mean(seen.sums[:, LENGTH_COUNT] > 0) > 0.25)
+    driven = bool(np.mean(cycle.sums[:, LENGTH_COUNT] > 0) > 0.25)
     # L0 as measured differs from run to run by less than matters here.
-    length = round(seen.parameters.initial_length, 4)
-    signs = signatures(seen.gait, seen.parameters.replace(initial_length=length), driven=driven)
+    length = round(cycle.parameters.initial_length, 4)
+    signs = signatures(cycle.gait, cycle.parameters.replace(initial_length=length), driven=driven)
     data = cycle_data(
-        seen.number,
-        seen.sums,
-        seen.noise,
+        cycle.number,
+        cycle.sums,
+        cycle.noise,
         signs.power,
-        seen.parameters.pitch,
+        cycle.parameters.pitch,
         fresh=not history.cycles,
     )
     history = replace(
         history,
-        unplaced=history.unplaced or seen.joined,
-        blind_s=history.blind_s + seen.blind_s,
+        unplaced=history.unplaced or cycle.joined,
+        blind_s=history.blind_s + cycle.blind_s,
     )
-    history, data, findings = _place(history, seen, data)
-    if seen.joined or seen.blind_s:  # nobody knows how it went
+    history, data, findings = _place(history, cycle, data)
+    if cycle.joined or cycle.blind_s:  # nobody knows how it went
         return replace(history, cycles=()), findings
     step = data.step
     if step is not None and not step.is_none:
-        data = replace(data, gained=_whole(step.size, seen) * seen.gait.direction)
+        data = replace(data, gained=_whole(step.size, cycle) * cycle.gait.direction)
     history = replace(history, cycles=(*history.cycles, data)[-REMEMBERED:])
-    weighed = _weigh(history, seen, signs)
-    history, found = _length(history, seen, weighed)
-    if found is not None:
-        return history, [*findings, found]
+    weighed = _weigh(history, cycle, signs)
+    history, finding = _length(history, cycle, weighed)
+    if finding is not None:
+        return history, [*findings, finding]
     if step is None or step.is_none:
         history = replace(history, slight=False)
     else:
-        history, found = _settle(history, seen, step, weighed, signs)
-        findings += [found] if found is not None else []
-        weighed = _weigh(history, seen, signs)
-    history, others = judge_causes(history, seen.number, weighed)
+        history, finding = _settle(history, cycle, step, weighed, signs)
+        findings += [finding] if finding is not None else []
+        weighed = _weigh(history, cycle, signs)
+    history, others = judge_causes(history, cycle.number, weighed)
     return history, findings + others
 
 
-def _weigh(history: History, seen: CycleSeen, signs: Signatures) -> list[Candidate]:
-    return weigh_causes(history.cycles, history.told, signs, length_seen=seen.length_seen)
+def _weigh(history: History, cycle: CycleSeen, signs: Signatures) -> list[Candidate]:
+    return weigh_causes(history.cycles, history.told, signs, length_seen=cycle.length_seen)
 
 
 # --- where the robot stands, after the twin came late or knew nothing for a time --------------------------
 
 
 def _place(
-    history: History, seen: CycleSeen, data: CycleData
+    history: History, cycle: CycleSeen, data: CycleData
 ) -> tuple[History, CycleData, list[Finding]]:
     """Takes the tracker's word for where the robot stands, where nothing else could tell."""
     if data.step is None or not (history.unplaced or history.blind_s):
@@ -185,27 +185,27 @@ def _place(
     variance[POSITION] = np.inf
     data = replace(data, step=Step(0.0), variance=variance)
     # A cycle that the twin came to in the middle does not end where whole ones do.
-    unknown = replace(history, unplaced=seen.joined, blind_s=0.0)
+    unknown = replace(history, unplaced=cycle.joined, blind_s=0.0)
     if history.unplaced:
-        if not seen.joined and abs(size) <= STEP_M:
+        if not cycle.joined and abs(size) <= STEP_M:
             return unknown, data, []
-        text = f"cycle {seen.number}: the twin takes the tracker's word for where the robot stands"
-        return unknown, data, [Finding("", text, seen.number, shift=size, explains_position=True)]
-    grooves = _whole(size, seen)
+        text = f"cycle {cycle.number}: the twin takes the tracker's word for where the robot stands"
+        return unknown, data, [Finding("", text, cycle.number, shift=size, explains_position=True)]
+    grooves = _whole(size, cycle)
     if not grooves:
         return unknown, data, []
-    where = "further" if grooves * seen.gait.direction > 0 else "less far"
+    where = "further" if grooves * cycle.gait.direction > 0 else "less far"
     text = (
-        f"cycle {seen.number}: unknown for {history.blind_s:.1f} s, after which the robot is {_count(grooves)} {where} "
-        f"than predicted ({_off(size)}); the twin's anchors were moved there"
+        f"cycle {cycle.number}: unknown for {history.blind_s:.1f} s, after which the robot is {_count(grooves)} "
+        f"{where} than predicted ({_off(size)}); the twin's anchors were moved there"
     )
-    return unknown, data, [_moved(GAP, text, seen.number, math.nan, grooves)]
+    return unknown, data, [_moved(GAP, text, cycle.number, math.nan, grooves)]
 
 
-def _whole(size: float, seen: CycleSeen) -> int:
+def _whole(size: float, cycle: CycleSeen) -> int:
     """Grooves that a step (m) along +x is, 0 if it is not whole ones."""
-    grooves = round(size / seen.parameters.pitch)
-    return grooves if abs(size - grooves * seen.parameters.pitch) <= 4.0 * WHOLE_M else 0
+    grooves = round(size / cycle.parameters.pitch)
+    return grooves if abs(size - grooves * cycle.parameters.pitch) <= 4.0 * WHOLE_M else 0
 
 
 # --- a step that the tracker saw ------------------------------------------------------------------------
@@ -213,24 +213,26 @@ def _whole(size: float, seen: CycleSeen) -> int:
 
 def _settle(
     history: History,
-    seen: CycleSeen,
+    cycle: CycleSeen,
     step: Step,
     weighed: Sequence[Candidate],
     signs: Signatures,
 ) -> tuple[History, Finding | None]:
     """What made the position's step: a fin, somebody who moved the robot, or the camera."""
-    shares = _shares_of_step(seen, step, weighed, signs)
+    shares = _shares_of_step(cycle, step, weighed, signs)
     best = max(shares, key=lambda code: shares[code])
     if best == NOTHING:
         return replace(history, slight=False), None
     if best == CAMERA and abs(step.size) < SLIGHT_M and not history.slight:
         return replace(history, slight=True), None
     history = replace(history, slight=False)
-    number, grooves = seen.number, _whole(step.size, seen)
-    gained = grooves * seen.gait.direction
+    number, grooves = cycle.number, _whole(step.size, cycle)
+    gained = grooves * cycle.gait.direction
     fins = shares[MISSED_REAR] + shares[MISSED_FRONT] + shares[MISSED]
     name = "gained" if gained > 0 else "missed"
-    off = f"({_off(step.size)} since {step.phase * seen.gait.period:.1f} s after the cycle's begin)"
+    off = (
+        f"({_off(step.size)} since {step.phase * cycle.gait.period:.1f} s after the cycle's begin)"
+    )
     follows = "; the twin's anchors were moved there"
     if shares[GAINED] >= SURE or fins >= SURE:
         by = {MISSED_REAR: " with the rear fin", MISSED_FRONT: " with the front fin"}
@@ -272,11 +274,11 @@ def _settle(
 
 
 def _shares_of_step(
-    seen: CycleSeen, step: Step, weighed: Sequence[Candidate], signs: Signatures
+    cycle: CycleSeen, step: Step, weighed: Sequence[Candidate], signs: Signatures
 ) -> dict[str, float]:
     """Probability of each code that explains a step."""
-    pitch, grooves = seen.parameters.pitch, _whole(step.size, seen)
-    gained = grooves * seen.gait.direction
+    pitch, grooves = cycle.parameters.pitch, _whole(step.size, cycle)
+    gained = grooves * cycle.gait.direction
     shares = dict.fromkeys((MISSED_REAR, MISSED_FRONT, MISSED, GAINED, ROBOT), 0.0)
     swift = {who: p if step.swift else 1.0 - p for who, p in SWIFT.items()}
     shares[CAMERA] = MOVED * _normal(step.size, CAMERA_M) * swift["camera"]
@@ -292,7 +294,7 @@ def _shares_of_step(
             for fin, change in changes.items():
                 code = GROOVES[fin] if missed else GAINED
                 timely = _normal(step.phase - _lets_go(change[1, POSITION], pitch), TIMING)
-                evidence = _evidence(weighed, code, fin, seen.number)
+                evidence = _evidence(weighed, code, fin, cycle.number)
                 shares[code] += (1.0 - ANY_TIME) / len(changes) * chance * timely * evidence
     total = sum(shares.values())
     return {code: share / total for code, share in shares.items()}
@@ -306,8 +308,8 @@ def _lets_go(position: Array, pitch: float) -> float:
 def _evidence(weighed: Sequence[Candidate], code: str, fin: str, number: int) -> float:
     """By how much power speaks for a fin's miss or gain in a cycle."""
     wanted = (code, fin, number, 1)
-    found = [c for c in weighed if (c.code, c.name, c.cycle, c.cycles) == wanted]
-    return found[0].weight / math.exp(found[0].log_prior) if found else 1.0
+    matching = [c for c in weighed if (c.code, c.name, c.cycle, c.cycles) == wanted]
+    return matching[0].weight / math.exp(matching[0].log_prior) if matching else 1.0
 
 
 def _normal(value: float, spread: float) -> float:
@@ -318,7 +320,7 @@ def _normal(value: float, spread: float) -> float:
 
 
 def _length(
-    history: History, seen: CycleSeen, weighed: Sequence[Candidate]
+    history: History, cycle_seen: CycleSeen, weighed: Sequence[Candidate]
 ) -> tuple[History, Finding | None]:
     """L0 if all cycles since the beginning speak for another one, and against misses."""
     lengths = [c for c in weighed if c.code == LENGTH]
@@ -327,12 +329,13 @@ def _length(
     if share < 1.0 - SOUND_AT_MOST or settled < LENGTHS:
         return history, None
     best = max(lengths, key=lambda c: c.weight)
-    before = seen.parameters.initial_length
+    before = cycle_seen.parameters.initial_length
     text = (
-        f"cycle {seen.number}: L0 is taken as {1e3 * (before + best.error):.1f} mm instead of {1e3 * before:.1f} mm, "
+        f"cycle {cycle_seen.number}: L0 is taken as {1e3 * (before + best.error):.1f} mm instead of "
+        f"{1e3 * before:.1f} mm, "
         "as positions and power have it since the run began"
     )
-    finding = Finding(LENGTH, text, seen.number, share, initial_length=before + best.error)
+    finding = Finding(LENGTH, text, cycle_seen.number, share, initial_length=before + best.error)
     anew = History(
         unplaced=True,
         missed=history.missed,
@@ -352,7 +355,7 @@ def judge_causes(
     total = 1.0 + sum(c.weight for c in weighed)
     if 1.0 / total > SOUND_AT_MOST:
         return replace(history, doubt=False), []
-    found = []
+    findings = []
     for cycle in history.cycles:
         if cycle.watched:
             continue  # the tracker settles that
@@ -365,34 +368,36 @@ def judge_causes(
         best = max(shares, key=lambda code: shares[code])
         if max(missed, shares[GAINED]) >= SURE:
             best, share = (best, shares[best]) if shares[best] >= SURE else (MISSED, missed)
-            found.append(Finding(best, _by_power(best, cycle.number, share), cycle.number, share))
-    told = [Told("gained" if f.code == GAINED else "missed", f.cycle) for f in found]
+            findings.append(
+                Finding(best, _by_power(best, cycle.number, share), cycle.number, share)
+            )
+    reported = [Told("gained" if f.code == GAINED else "missed", f.cycle) for f in findings]
     lasting = _by_code([c for c in weighed if not c.cycles and c.code != LENGTH])
     for group in lasting.values():
         share, best_one = _share(group, total), max(group, key=lambda c: c.weight)
         lasted = best_one.cycle < number or best_one.phase < LASTED
         if share >= SURE and lasted:
             if not _known(history.told, best_one, {c.name for c in group}):
-                found.append(_lasts(best_one, _code(best_one), share))
-            told += [Told(c, best_one.cycle, best_one.phase) for c in {c.name for c in group}]
-    if told:
-        missed = sum(f.code in (MISSED, MISSED_REAR, MISSED_FRONT) for f in found)
+                findings.append(_lasts(best_one, _code(best_one), share))
+            reported += [Told(c, best_one.cycle, best_one.phase) for c in {c.name for c in group}]
+    if reported:
+        missed = sum(f.code in (MISSED, MISSED_REAR, MISSED_FRONT) for f in findings)
         history = replace(
             history,
-            told=(*history.told, *told)[-REMEMBERED:],
+            told=(*history.told, *reported)[-REMEMBERED:],
             missed_by_power=history.missed_by_power + missed,
             doubt=False,
             doubted=False,
         )
-        return history, found
+        return history, findings
     if not history.doubt or history.doubted:
         return replace(history, doubt=True), []
     return replace(history, doubted=True), _doubt(number, weighed, total)
 
 
-def _known(told: Iterable[Told], found: Candidate, names: set[str]) -> bool:
+def _known(reported: Iterable[Told], candidate: Candidate, names: set[str]) -> bool:
     """Whether the same was told already; its beginning may now be known better."""
-    return any(t.name in names and abs(t.cycle - found.cycle) <= 1 for t in told)
+    return any(t.name in names and abs(t.cycle - candidate.cycle) <= 1 for t in reported)
 
 
 def _by_code(candidates: Iterable[Candidate]) -> Mapping[str, list[Candidate]]:

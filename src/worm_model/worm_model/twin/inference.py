@@ -37,13 +37,15 @@ class Sound:
         offsets: (b,), standard deviations of what is added to a bin in all cycles.
     """
 
-    def __init__(self, seen: Array, weight: Array, nuisances: Array, offsets: Array) -> None:
-        self._seen, self._weight, self._nuisances, self._offsets = seen, weight, nuisances, offsets
+    def __init__(self, measured: Array, weight: Array, nuisances: Array, offsets: Array) -> None:
+        self._measured, self._weight = measured, weight
+        self._nuisances, self._offsets = nuisances, offsets
         self._shared = offsets**2 / (1.0 + offsets**2 * weight.sum(axis=0))  # (b,)
-        directions = nuisances.reshape(seen.size, -1)
-        self._weighted = self._weigh(np.moveaxis(nuisances, -1, 0)).reshape(-1, seen.size)  # (m, n)
+        directions = nuisances.reshape(measured.size, -1)
+        weighted = self._weigh(np.moveaxis(nuisances, -1, 0))
+        self._weighted = weighted.reshape(-1, measured.size)  # (m, n)
         self._inner = np.eye(len(self._weighted)) + self._weighted @ directions
-        self._match = self._weighted @ seen.ravel()
+        self._match = self._weighted @ measured.ravel()
 
     def _weigh(self, vectors: Array) -> Array:
         """Vectors (..., k, b), multiplied by the inverse covariance of noise and offsets."""
@@ -56,7 +58,7 @@ class Sound:
         flat = causes.reshape(len(causes), -1)
         cross = flat @ self._weighted.T  # (h, m)
         solved = np.linalg.solve(self._inner, np.column_stack([self._match, cross.T]))
-        match = flat @ self._weigh(self._seen).ravel() - cross @ solved[:, 0]
+        match = flat @ self._weigh(self._measured).ravel() - cross @ solved[:, 0]
         weighted = self._weight * causes
         alone = np.einsum("hkb,hkb->h", weighted, causes)
         alone -= weighted.sum(axis=1) ** 2 @ self._shared
@@ -74,7 +76,7 @@ class Sound:
         own = self._log_density()
         return np.array(
             [
-                Sound(self._seen, other, self._nuisances, self._offsets)._log_density() - own
+                Sound(self._measured, other, self._nuisances, self._offsets)._log_density() - own
                 for other in others
             ]
         )
@@ -82,7 +84,7 @@ class Sound:
     def _log_density(self) -> float:
         """Of what was seen, but for a constant."""
         explained = self._match @ np.linalg.solve(self._inner, self._match)
-        distance = np.sum(self._seen * self._weigh(self._seen)) - explained
+        distance = np.sum(self._measured * self._weigh(self._measured)) - explained
         spread = np.linalg.slogdet(self._inner)[1]
         spread += np.sum(np.log1p(self._offsets**2 * self._weight.sum(axis=0)))
         spread -= np.sum(np.log(self._weight[self._weight > 0.0]))

@@ -153,10 +153,10 @@ COMPLAINTS = {
 
 def residual_message(row: Any, warnings: Mapping[int, str]) -> str:
     """What is wrong according to a row of RESIDUAL_ROW; ``warnings`` are the texts that it refers to by number."""
-    found = [warnings[row["warning"]]] if row["warning"] in warnings else []
-    found += [
+    warning = [warnings[row["warning"]]] if row["warning"] in warnings else []
+    warning += [
         f"{text} ({row[f'{name}_size']:.1f} times the usual residual)"
         for name, text in COMPLAINTS.items()
         if row[f"{name}_level"] >= Health.SUSPECT
     ]
-    return "; ".join(found)
+    return "; ".join(warning)

@@ -63,8 +63,8 @@ def word_of(row: Any) -> Word:
     except GaitError:
         gait = None
     activity = Activity(int(row["state"]))
-    told = int(row["onset"]), int(row["run"]), int(row["cycle"])
-    return Word(int(row["heard"]), activity, gait, *told)
+    identity = int(row["onset"]), int(row["run"]), int(row["cycle"])
+    return Word(int(row["heard"]), activity, gait, *identity)
 
 
 def is_new_run(m: Any, word: Word) -> bool:
@@ -136,13 +136,13 @@ def _stand(
         length = math.nan  # that is not L0
     if abs(length - parameters.initial_length) <= PLAUSIBLE_M:  # False for NaN
         initial_length, source = length, "as measured at rest"
-        seen, fitted = True, False
+        tracked, fitted = True, False
     elif m["length_seen"] or m["length_fitted"]:
         initial_length, source = before.initial_length, "as in the run before"
-        seen, fitted = bool(m["length_seen"]), bool(m["length_fitted"])
+        tracked, fitted = bool(m["length_seen"]), bool(m["length_fitted"])
     else:
         initial_length, source = parameters.initial_length, "from the parameters"
-        seen, fitted = False, False
+        tracked, fitted = False, False
     text = f"a run begins, L0 = {1e3 * initial_length:.2f} mm ({source})"
     if taken_up:
         text += (
@@ -158,7 +158,7 @@ def _stand(
     if place is None:
         anchor = float(m["origin"]) if math.isnan(position) else position
         place = Place(0.0, front_groove(parameters.replace(initial_length=initial_length)), anchor)
-    m["initial_length"], m["length_seen"], m["length_fitted"] = initial_length, seen, fitted
+    m["initial_length"], m["length_seen"], m["length_fitted"] = initial_length, tracked, fitted
     m["direction"], m["origin"] = direction, place.anchor
     m["origin_known"] = m["origin_known"] or math.isfinite(position)
     m["pose_x1"], m["pose_front"] = place.x1, place.front_groove

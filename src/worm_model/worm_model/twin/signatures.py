@@ -147,12 +147,12 @@ class _Model:
     def change(self, parameters: Parameters, commands: Array | None = None) -> tuple[Array, int]:
         """(what another robot shows minus this one, grooves that it gains more)."""
         try:
-            seen, grooves = self._cycle(
+            shown, grooves = self._cycle(
                 parameters, self.commands if commands is None else commands, 0.0
             )
         except SimulationError:
             return np.zeros((CHANNELS, BINS)), 0
-        return seen - self.seen, grooves - self.grooves
+        return shown - self.seen, grooves - self.grooves
 
     def relative(self, key: str, size: float) -> Array:
         """The change with a parameter at a relative size, by a small step that leaves the number of grooves."""
@@ -168,17 +168,17 @@ class _Model:
 
 def _lasting(model: _Model) -> dict[str, Array]:
     """By name, at the size that is usual for it."""
-    found = {key: model.relative(key, size) for key, size in FAULTS.items()}
-    found["slip"] = np.zeros((CHANNELS, BINS))
+    changes = {key: model.relative(key, size) for key, size in FAULTS.items()}
+    changes["slip"] = np.zeros((CHANNELS, BINS))
     for step in (SMALL, 0.2 * SMALL):
         slipped = np.minimum(model.commands + step * SLIP_M, 0.0)
         change, grooves = model.change(model.parameters, slipped)
         if grooves == 0:
-            found["slip"] = change / step
+            changes["slip"] = change / step
             break
     scale, offset = np.zeros((2, CHANNELS, BINS))
     scale[POWER], offset[POWER] = SCALE * model.seen[POWER], OFFSET_W
-    return found | {"scale": scale, "offset": offset}
+    return changes | {"scale": scale, "offset": offset}
 
 
 def _sound(model: _Model) -> dict[str, Array]:
@@ -189,12 +189,12 @@ def _sound(model: _Model) -> dict[str, Array]:
 def _lengths(model: _Model) -> list[AnotherLength]:
     p = model.parameters
     count = int(L0_REACH * p.pitch / L0_STEP_M)
-    found = []
+    lengths = []
     for k in (k for k in range(-count, count + 1) if k):
         error = k * L0_STEP_M
         change, gained = model.change(p.replace(initial_length=p.initial_length + error))
-        found.append(AnotherLength(error, gained, change))
-    return found
+        lengths.append(AnotherLength(error, gained, change))
+    return lengths
 
 
 # --- a switch that comes never, or once too often ----------------------------------------------------
@@ -202,12 +202,12 @@ def _lengths(model: _Model) -> list[AnotherLength]:
 
 def _switches(model: _Model, margins: Mapping[str, float], grooves: int) -> dict[str, Array]:
     """What a fin's last switch of a cycle looks like at another threshold, by fin, where that gains so many grooves."""
-    found = {
+    changes = {
         f"{name}{how}": _switched(model, fin, margin, grooves)
         for name, fin in (("rear", 1), ("front", 2))
         for how, margin in margins.items()
     }
-    return {name: change for name, change in found.items() if change is not None}
+    return {name: change for name, change in changes.items() if change is not None}
 
 
 def _switched(model: _Model, fin: int, margin: float, grooves: int) -> Array | None:

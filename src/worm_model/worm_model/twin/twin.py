@@ -249,7 +249,7 @@ class _Call:
         assert gait is not None
         number = int(m["cycle"])
         parameters = self.twin.effective_parameters(state)
-        seen = CycleSeen(
+        cycle = CycleSeen(
             number,
             state.memory.sums,
             gait,
@@ -259,7 +259,7 @@ class _Call:
             float(m["blind_s"]),
             number == state.joined_cycle,
         )
-        state.history, findings = judge_cycle(state.history, seen)
+        state.history, findings = judge_cycle(state.history, cycle)
         for finding in findings:
             self._follow(finding, stamp, gait)
         state.memory.sums[:] = 0.0

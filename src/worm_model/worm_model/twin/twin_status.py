@@ -53,8 +53,8 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
         level, message = Severity.WARNING, f"no input for {silent_s:.0f} s: is the driver running?"
     elif not message:
         healthy = health is Health.HEALTHY
-        seen = "the robot does as expected" if healthy else "nothing to compare with"
-        message = seen if m["moving"] else "no length yet"
+        text = "the robot does as expected" if healthy else "nothing to compare with"
+        message = text if m["moving"] else "no length yet"
     values = [
         ("length source", LengthSource(int(m["source"])).name.lower() if m["moving"] else "none"),
         ("run", "running" if state.is_running else "none"),

@@ -216,13 +216,13 @@ def look_for_grip(
     for at_front in (False, True):
         watched, low, high = _watched(at_front, mode, grip, motion, wave, c)
         followed = follow(watched, mode.roots, wave)
-        seen = read(followed, b, s, left, mode.roots, wave, coarse)
+        reading = read(followed, b, s, left, mode.roots, wave, coarse)
         if high < NEVER:
             stop = FRONT_GRIP_HIGH if at_front else REAR_GRIP_HIGH
-            ahead = narrow(ahead, below(seen, high), stop)
+            ahead = narrow(ahead, below(reading, high), stop)
         if low > -NEVER:
             stop = FRONT_GRIP_LOW if at_front else REAR_GRIP_LOW
-            ahead = narrow(ahead, above(seen, low), stop)
+            ahead = narrow(ahead, above(reading, low), stop)
     return ahead
 
 

@@ -7,7 +7,8 @@ which the forcing keeps its form) and s the time in the mode (within which the f
 
     1, σ, σ², σ³          a piecewise polynomial length
     cos ωσ, sin ωσ, e^qσ  a gait's length; q = −1/τ
-    h1, h2                the free response over s, by the kind of its roots (`Roots`)
+    h1, h2                the free response over s: e^(r1·s), e^(r2·s), or of joined roots (double or nearly, or
+                          complex) e^(−γs)·C(s), e^(−γs)·S(s)
     R                     the response to e^qs from rest, used only where q nearly is a root
 """
 
@@ -17,9 +18,6 @@ import math
 from typing import NamedTuple
 
 from worm_model.simulation.kernel.compiled import compiled, inlined
-
-SEPARATED = 0  # real roots apart: h1 = e^(r1·s), h2 = e^(r2·s)
-JOINED = 1  # double or nearly, or complex: h1 = e^(−γs)·C(s), h2 = e^(−γs)·S(s)
 
 _JOINED_BELOW = 1e-3  # |r1 − r2| / (|r1| + |r2|) below which the separated form loses digits
 _RESONANT_BELOW = 1e-5  # relative distance of q from a root below which R is used

@@ -103,10 +103,10 @@ def _implicit_step(
     rear_drag = _drag(v1, worm.rear_dry, worm)
     front_drag = _drag(v1 + piece.slope, worm.front_dry, worm)
     drag = rear_drag + front_drag
-    seen = piece.start + at * piece.slope
-    rear_k, rear_rest = _spring(y_seen - mu * seen - piece.rear_anchor, piece.rear_factor, worm)
+    change = piece.start + at * piece.slope
+    rear_k, rear_rest = _spring(y_seen - mu * change - piece.rear_anchor, piece.rear_factor, worm)
     front_offset = worm.initial_length - piece.front_anchor
-    front_seen = y_seen + (1.0 - mu) * seen + front_offset
+    front_seen = y_seen + (1.0 - mu) * change + front_offset
     front_k, front_rest = _spring(front_seen, piece.front_factor, worm)
     weight = max(0.5, 1.0 - mass / (drag * h))
     along = piece.start + weight * h * piece.slope

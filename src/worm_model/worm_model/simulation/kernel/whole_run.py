@@ -53,7 +53,6 @@ from worm_model.simulation.kernel.mode import Constants, Motion, nearest_groove_
     FRONT_DRY_FRICTION,
     ONE_SIDED_CABLE,
 ) = range(20)
-PARAMETER_COLUMNS = 20
 # Columns of a result row
 MEAN_ADVANCE, MEAN_POWER, LEAST_ADVANCE, RUN_SWITCHES, RUN_CHATTER = range(5)
 RESULT_COLUMNS = 5
@@ -265,7 +264,7 @@ def evaluate_many(
 ) -> None:
     """`evaluate` of rows (stroke, frequency, direction, margin), without the interpreter's lock.
 
-    ``gaits`` (n, 4); ``parameters`` (n, PARAMETER_COLUMNS) or one row, shared; ``results`` (n, RESULT_COLUMNS).
+    ``gaits`` (n, 4); ``parameters`` (n, 20) or one row, shared; ``results`` (n, RESULT_COLUMNS).
     """
     shared = parameters.shape[0] == 1
     for k in range(gaits.shape[0]):

@@ -195,16 +195,16 @@ def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Cons
 
 
 @entry
-def _move_along(memory: Memory, stamp: int, knot: int, target: float, c: Constants) -> None:
+def _move_along(memory: Memory, stamp: int, corner: int, target: float, c: Constants) -> None:
     """The motion at a stamp, ΔL moving in a straight line to a knot at its own stamp."""
     m = memory.record[0]
     duration = (stamp - m.motion_ns) * SECOND
     if duration <= 0.0:
         return
-    slope = (target - m.length_change) / ((knot - m.motion_ns) * SECOND)
+    slope = (target - m.length_change) / ((corner - m.motion_ns) * SECOND)
     form = Coefficients(m.length_change, slope, 0, 0, 0, 0, 0, 0, 0, 0)
     _move(memory, form, duration, 0.0, c)
-    m.length_change = target if stamp == knot else m.length_change + slope * duration
+    m.length_change = target if stamp == corner else m.length_change + slope * duration
     m.motion_ns, m.on_estimate = stamp, 0
 
 

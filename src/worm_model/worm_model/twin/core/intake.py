@@ -58,8 +58,8 @@ def _is_number(s: np.ndarray) -> bool:
         return 0.0 < row.a <= LONGEST_M
     if row.kind == POSITION:
         rear, front = row.a, row.b
-        seen = not math.isnan(rear) or not math.isnan(front)
-        return seen and not abs(rear) > FARTHEST_M and not abs(front) > FARTHEST_M
+        known = not math.isnan(rear) or not math.isnan(front)
+        return known and not abs(rear) > FARTHEST_M and not abs(front) > FARTHEST_M
     return abs(row.a) <= MOST_W
 
 
