@@ -10,7 +10,7 @@ from worm_model.twin import scene
 
 pytest.importorskip("worm_msgs.msg", reason="no ROS is installed")
 
-from worm_driver.nodes import tracker_node, virtual_camera_node
+from worm_driver.nodes import position_publisher, virtual_camera_node
 from worm_model.nodes import twin_messages
 
 URDF = Path(__file__).resolve().parents[3] / "src" / "worm_model" / "urdf" / "worm.urdf"
@@ -50,6 +50,6 @@ def test_the_modules_look_as_in_the_scene(robot):
 
 def test_what_is_published_has_a_place_in_the_tree():
     """Positions in the pipe, images in the optical frame that the launch file hangs below the camera's."""
-    assert tracker_node.FRAME == scene.FRAME
+    assert position_publisher.FRAME == scene.FRAME
     launch = (URDF.parents[1] / "launch" / "view.launch.py").read_text()
     assert f'"camera", "{virtual_camera_node.FRAME}"' in launch

@@ -9,7 +9,7 @@ from std_msgs.msg import Header
 
 from worm_msgs.msg import BodyLength, Tracker
 
-_FRAME = "pipe"  # x forward along the axis, z up (REP 103)
+FRAME = "pipe"  # x forward along the axis, z up (REP 103)
 _SAMPLES = 30  # at the start, at rest, whose mean length is the one that changes count from
 
 
@@ -23,7 +23,7 @@ class PositionPublisher:
 
     def publish(self, stamp: Time, rear: float, front: float) -> None:
         """Positions (m) of the modules, NaN while one is hidden: then there is no length."""
-        header = Header(stamp=stamp, frame_id=_FRAME)
+        header = Header(stamp=stamp, frame_id=FRAME)
         self._positions.publish(Tracker(header=header, rear_position=rear, front_position=front))
         length = front - rear
         if math.isnan(length):
