@@ -58,7 +58,7 @@ CONFINED = {
     "rosbags": ["worm_model/bags/*.py"],
     "pandas": ["worm_model/analysis/run_table.py"],
     "dask": ["worm_optimizer/study/store.py"],
-    "distributed": ["worm_optimizer/study/engine.py", "worm_optimizer/study/study_run.py"],
+    "distributed": ["worm_optimizer/study/*.py"],
     "nicegui": ["worm_optimizer/console/*page*.py", "worm_optimizer/console/server.py"],
     "fastapi": ["worm_optimizer/console/pages.py"],
     "starlette": ["worm_optimizer/console/pages.py", "worm_optimizer/console/entrance.py"],
@@ -86,7 +86,7 @@ SEAMS = {
         "search": {"robustness"},
         "robustness": {"search"},
         "report": {"search", "robustness"},
-        "nodes": {"search", "robustness"},
+        "nodes": {"search", "robustness", "study"},  # study: only for a node that has a cluster
         "operation": {"search", "robustness", "report", "nodes"},
         "console": {"search", "robustness", "report", "nodes", "operation"},
     },

@@ -8,6 +8,7 @@ import time
 import pytest
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from distributed import LocalCluster
 from harness import NAMESPACE, TIMEOUT_S, Probe, Processes
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -132,6 +133,19 @@ def test_cold_start_requests_and_refusals(start, user):
         answer = user.ask(**wrong)
         assert not answer.success
         assert answer.message
+
+
+def test_the_long_work_of_a_promise_is_the_clusters(start, user):
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", memory_limit=0
+    ) as cluster:
+        start(robustness="any_phase", scheduler=cluster.scheduler_address)
+        assert user.served().success_probability_any_phase > 0.8
+    goal = OptimizeGaits.Goal(margin=math.nan, direction=1, robustness="any_phase", generations=6)
+    done = user.outcome(user.send("optimize_gaits", goal))
+    assert done.status == GoalStatus.STATUS_ABORTED
+    assert f"the cluster at {cluster.scheduler_address}: no Dask scheduler" in done.result.message
+    assert user.ask().success  # from the front that there is
 
 
 def test_an_optimisation_reports_its_generations_and_is_served_after_a_restart(start, user):

@@ -41,6 +41,7 @@ from worm_optimizer.search.gait_request import (
 from worm_optimizer.search.margin import PriceOfRobustness
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.resting_phase import SAME_LENGTH, resting_answer
+from worm_optimizer.search.search_settings import Robustness, Settings
 from worm_optimizer.search.worker import FrontJob, Job, Outcome, ScanJob, Ticket, WorkQueue
 
 _POLL_PERIOD = 0.02  # s, how late feedback may be; a request waits for no poll
@@ -54,6 +55,26 @@ def _computing(fraction: float, doing: str) -> GaitAnswer:
     return GaitAnswer(RequestStatus.COMPUTING, message)
 
 
+def _front_jobs(scheduler: str) -> Callable[[ParameterFile, Settings, int, Cache], FrontJob]:
+    """What makes jobs of fronts: of this computer or, for what takes long, of a cluster. Raises `OptimizerError`."""
+    if not scheduler:
+        return FrontJob
+    try:
+        from worm_optimizer.study.cluster_front import ClusterFrontJob
+    except ModuleNotFoundError as error:  # the optional set, which a robot goes without
+        raise OptimizerError(
+            f"scheduler: {error.name} is not installed: "
+            "pip install -r requirements-study.txt -c constraints.txt, or leave the scheduler out"
+        ) from None
+
+    def job(content: ParameterFile, settings: Settings, direction: int, cache: Cache) -> FrontJob:
+        long = settings.robustness is not Robustness.MARGIN
+        own = content, settings, direction, cache
+        return ClusterFrontJob(*own, scheduler) if long else FrontJob(*own)
+
+    return job
+
+
 class OptimizerNode(Node):
     """Answers request_gait, optimize_gaits and scan_margin; the work is a worker process's.
 
@@ -65,6 +86,7 @@ class OptimizerNode(Node):
         declare(self, optimizer_parameters.rows)
         self._settings = optimizer_parameters.node_settings(self)
         self._cache = Cache.at(optimizer_parameters.cache_directory(self))
+        self._front_job = _front_jobs(self.get_parameter(optimizer_parameters.SCHEDULER).value)
         self._queue = WorkQueue()
         self._preparing: list[Ticket] = []
         self._goals: dict[bytes, Ticket] = {}
@@ -104,7 +126,7 @@ class OptimizerNode(Node):
         if is_symmetric(content.parameters):
             missing &= {FORWARD}  # the reverse front comes with it
         for direction in sorted(missing, reverse=True):
-            job = FrontJob(content, self._settings, direction, self._cache)
+            job = self._front_job(content, self._settings, direction, self._cache)
             progressed = partial(self._note_progress, direction)
             ticket = Ticket(job, progressed, partial(self._note_end, direction))
             self._preparing.append(ticket)
@@ -184,7 +206,7 @@ class OptimizerNode(Node):
         except OptimizerError as error:
             goal.abort()
             return OptimizeGaits.Result(message=str(error))
-        job = FrontJob(content, settings, direction, self._cache)
+        job = self._front_job(content, settings, direction, self._cache)
         outcome = await self._run(goal, job, optimizer_messages.optimize_feedback)
         front = outcome.result
         if not isinstance(front, RobustFront):

@@ -14,6 +14,7 @@ from worm_optimizer.search.cache import default_directory
 from worm_optimizer.search.search_settings import SETTINGS, SettingRow, Settings, settings_of
 
 PARAMETER_FILE = "parameter_file"
+SCHEDULER = "scheduler"
 _CACHE = SettingRow(
     "cache_directory", "cache", "", "directory of cached fronts; empty: ~/.cache/worm_optimizer"
 )
@@ -22,8 +23,10 @@ _CACHE = SettingRow(
 def rows() -> list[tuple[str, Any, ParameterDescriptor]]:
     """Name, default and descriptor of all. Only the parameter file can be changed while the node runs."""
     about = ParameterDescriptor(description="Parameter file; empty: the paper's values.")
+    meaning = "Address of a Dask scheduler whose workers judge the gaits of chance and any_phase; empty: this computer."
+    scheduler = descriptor(meaning, "", None, read_only=True)
     settings = [(row.parameter, row.default, _descriptor(row)) for row in (_CACHE, *SETTINGS)]
-    return [(PARAMETER_FILE, "", about), *settings]
+    return [(PARAMETER_FILE, "", about), (SCHEDULER, "", scheduler), *settings]
 
 
 def cache_directory(node: Node) -> Path:

@@ -8,7 +8,7 @@ gaits: they need no knowledge of φ.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,12 +66,22 @@ class PromiseTask:
         return np.maximum(ascending[:, min(spared, gained.shape[1] - 1)], 0)
 
 
+# How parts of many gaits, each (stroke in m, frequency in Hz), are evaluated; the results in the order of the parts.
+Evaluate = Callable[[Task, Sequence[tuple[Array, Array]]], Iterable[Points]]
+
+
+def in_turn(task: Task, parts: Sequence[tuple[Array, Array]]) -> Iterable[Points]:
+    """One part after the other, here."""
+    return (task.points(*part) for part in parts)
+
+
 @dataclass(frozen=True)
 class WatchedTask:
     """A slow task in small parts: ``judged`` gets the number of gaits after each, and may raise to cancel."""
 
     task: Task
     judged: Callable[[int], None]
+    evaluate: Evaluate = in_turn
 
     @property
     def bounds(self) -> Bounds:
@@ -81,12 +91,12 @@ class WatchedTask:
     def points(self, stroke: ArrayLike, frequency: ArrayLike) -> Points:
         """As the task evaluates them; ``stroke`` in m and ``frequency`` in Hz of shape (n,)."""
         strokes, frequencies = np.asarray(stroke, dtype=float), np.asarray(frequency, dtype=float)
-        parts = [self.task.points(strokes[:0], frequencies[:0])]
-        for start in range(0, strokes.size, _PART):
-            part = slice(start, start + _PART)
-            parts.append(self.task.points(strokes[part], frequencies[part]))
-            self.judged(len(parts[-1]))
-        return Points.join(*parts)
+        parts = [slice(start, start + _PART) for start in range(0, strokes.size, _PART)]
+        judged = [self.task.points(strokes[:0], frequencies[:0])]
+        for points in self.evaluate(self.task, [(strokes[p], frequencies[p]) for p in parts]):
+            judged.append(points)
+            self.judged(len(points))
+        return Points.join(*judged)
 
 
 def margins_stood(task: MarginTask, front: Points) -> Array:

@@ -13,7 +13,13 @@ import numpy as np
 from worm_model.gait import FORWARD
 from worm_model.parameters import ParameterFile, Parameters
 from worm_model.simulation.simulator import cost_of_transport
-from worm_optimizer.robustness.chance import PromiseTask, WatchedTask, margins_stood
+from worm_optimizer.robustness.chance import (
+    Evaluate,
+    PromiseTask,
+    WatchedTask,
+    in_turn,
+    margins_stood,
+)
 from worm_optimizer.robustness.prediction import Prediction, predict
 from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phase_known
 from worm_optimizer.search.cache import Cache, key_of, scan_key_of
@@ -159,14 +165,20 @@ def _front_name(content: ParameterFile, settings: Settings, direction: int) -> s
 
 
 def make_front(
-    content: ParameterFile, settings: Settings, direction: int, cache: Cache, report: Report
+    content: ParameterFile,
+    settings: Settings,
+    direction: int,
+    cache: Cache,
+    report: Report,
+    evaluate: Evaluate = in_turn,
 ) -> RobustFront:
     """Computes the front of these settings and stores it in the cache, with its mirror image if it has one.
 
-    Raises `OptimizerError` if no gait moves, OSError if the cache cannot be written.
+    ``evaluate`` judges the gaits of a promise, which is the long work of such a front. Raises `OptimizerError` if no
+    gait moves, OSError if the cache cannot be written.
     """
     canonical = _canonical(direction, content.parameters)
-    computed = _computed_front(content, settings, canonical, cache, report)
+    computed = _computed_front(content, settings, canonical, cache, report, evaluate)
     fronts = both_ways(computed, content.parameters)
     for front in fronts:
         cache.store(_front_name(content, settings, front.direction), front.as_dict())
@@ -174,13 +186,18 @@ def make_front(
 
 
 def _computed_front(
-    content: ParameterFile, settings: Settings, direction: int, cache: Cache, report: Report
+    content: ParameterFile,
+    settings: Settings,
+    direction: int,
+    cache: Cache,
+    report: Report,
+    evaluate: Evaluate,
 ) -> RobustFront:
     report = _rising(report)
     task, margin, reason = _robust_task(content, settings, direction, cache, report)
     start = _SCANNED if _scans(settings) else 0.0
     if settings.robustness is not Robustness.MARGIN:
-        task, start = _watched(task, settings, report)
+        task, start = _watched(task, settings, report, evaluate)
 
     def searched(generation: Generation) -> None:
         done = start + (_SEARCHED - start) * generation.number / generation.of
@@ -236,7 +253,9 @@ def _robust_task(
     return task.with_margin(price.margin), price.margin, reason_for(price)
 
 
-def _watched(task: Task, settings: Settings, report: Report) -> tuple[Task, float]:
+def _watched(
+    task: Task, settings: Settings, report: Report, evaluate: Evaluate
+) -> tuple[Task, float]:
     """A task that reports while its map is built, and the fraction at which its search begins."""
     mapped = _MAPPED_PER_CELL * settings.map.strokes * settings.map.frequencies
     searched = settings.search.population * settings.search.generations
@@ -248,7 +267,7 @@ def _watched(task: Task, settings: Settings, report: Report) -> tuple[Task, floa
         count += gaits
         report(Progress(min(start * count / mapped, start), f"{count} gaits judged"))
 
-    return WatchedTask(task, judged), start
+    return WatchedTask(task, judged, evaluate), start
 
 
 def _rising(report: Report) -> Report:

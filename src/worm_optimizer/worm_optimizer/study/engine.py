@@ -13,6 +13,7 @@ import itertools
 import logging
 import os
 import time
+import uuid
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
@@ -124,6 +125,9 @@ class _Dispatcher:
     kept: dict[int, tuple[Any, ...]] = field(default_factory=dict)
     out: dict[Future, tuple[int, frozenset[str]]] = field(default_factory=dict)
     attempts: int = 0
+    name: str = field(
+        default_factory=lambda: uuid.uuid4().hex
+    )  # a key of before may still be known
 
     def fill(self) -> None:
         """Hands out what those who are there have room for; what nobody is left for first."""
@@ -142,7 +146,7 @@ class _Dispatcher:
         """Hands out a piece, maybe again."""
         self.attempts += 1
         able = sorted(self.crew.able)
-        key = f"worm-study-{os.getpid()}-{place}-{self.attempts}"
+        key = f"worm-study-{self.name}-{place}-{self.attempts}"
         future = self.client.submit(
             self.function, *self.kept[place], key=key, workers=able, pure=False
         )
