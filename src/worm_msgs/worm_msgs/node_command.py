@@ -66,9 +66,9 @@ def declare(node: Node, rows: Rows) -> None:
     overrides: dict[str, Parameter] = node._parameter_overrides
     for name in floats & set(overrides):
         overrides[name] = _as_float(overrides[name])
-    for name, default, descriptor in table:
+    for name, default, about in table:
         try:
-            node.declare_parameter(name, default, descriptor)
+            node.declare_parameter(name, default, about)
         except ParameterException as error:
             raise ParameterRefusedError(f"parameter {name}: {_one_line(error)}") from error
     _refuse_unknown(node, overrides)

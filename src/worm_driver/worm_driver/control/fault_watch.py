@@ -20,7 +20,7 @@ _REMEMBERED = 0.5
 class FaultWatch:
     """Looks once in each cycle whether the robot may go on; a turn count that is lost takes its actuators' home.
 
-    ``load`` is the computer's load average.
+    ``clock`` tells s, monotonic; ``load`` the computer's load average.
     """
 
     def __init__(

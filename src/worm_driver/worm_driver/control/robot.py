@@ -33,6 +33,7 @@ class Robot:
         bus: open; the robot owns it from now on.
         valid_power_samples: counts the valid power samples since the start.
         tracker_ready: whether the tracker sees the robot stand, or there is none to wait for.
+        clock: s, monotonic.
         why_not_start: why neither torque nor a run may begin, in words; empty when they may.
 
     Attributes:

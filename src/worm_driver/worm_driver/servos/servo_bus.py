@@ -225,6 +225,7 @@ class ServoBus:
         """Opens a serial port exclusively.
 
         Args:
+            baud_rate: bit/s.
             latency: s, how long the adapter may hold an answer back; None: as long as its latency timer says
                 once the port is open, for opening asks the adapter to be quick.
 

@@ -20,11 +20,6 @@ class TrackerSample:
     front_position: float
     available: float
 
-    @property
-    def length(self) -> float:
-        """Distance (m) between the modules; NaN where a marker is hidden."""
-        return self.front_position - self.rear_position
-
 
 class Tracker:
     """Exposes at a fixed rate. Zero is where the rear module starts."""

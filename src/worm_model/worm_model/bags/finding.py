@@ -57,10 +57,12 @@ def _with_copies(bags: Sequence[Path]) -> dict[Path, list[Path]]:
         match = _COPY.fullmatch(bag.name)
         if match and (source := sources.get((bag.parent, match["source"]))):
             copies.append((int(match["number"] or 1), source, bag))
-    made = {copy for _, _, copy in copies}
-    copies_of: dict[Path, list[Path]] = {bag: [] for bag in bags if bag not in made}
+    source_of = {copy: source for _, source, copy in copies}
+    copies_of: dict[Path, list[Path]] = {bag: [] for bag in bags if bag not in source_of}
     for _, source, copy in sorted(copies):
-        copies_of.setdefault(source, []).append(copy)
+        while source in source_of:  # a copy that was recovered in its turn
+            source = source_of[source]
+        copies_of[source].append(copy)
     return copies_of
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 from modulefinder import ModuleFinder
 from pathlib import Path
+from typing import Any
 
 PACKAGE = Path(__file__).resolve().parents[1]
 ENTRY = "commands/identify.py"
@@ -20,9 +21,22 @@ def code_version() -> str:
     return f"worm_model {VERSION}, sources {digest.hexdigest()[:12]}"
 
 
+class _OwnModules(ModuleFinder):
+    """Follows the imports of one package alone: what lies beside it, as in site-packages, is not its code."""
+
+    def __init__(self, package: Path) -> None:
+        super().__init__([str(package.parent)])
+        self._name = package.name
+
+    def find_module(self, name: str, path: Any, parent: Any = None) -> Any:
+        if path is None and name != self._name:
+            raise ImportError(name)
+        return super().find_module(name, path, parent)
+
+
 def imported_files(package: Path, entry: str) -> list[Path]:
     """The source files of a package that one of them imports, itself included, directly or not, sorted."""
-    finder = ModuleFinder([str(package.parent)])
+    finder = _OwnModules(package)
     finder.run_script(str(package / entry))
     files = (getattr(module, "__file__", None) for module in finder.modules.values())
     return sorted({Path(file) for file in files if file})

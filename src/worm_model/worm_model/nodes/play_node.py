@@ -233,13 +233,13 @@ class PlayNode(Node):
     # --- pause and step ---------------------------------------------------------------------------
 
     def pause(self) -> str:
-        """The bag's time stands."""
+        """The bag's time stands; says so."""
         self._wanted = False
         self._timeline = self._timeline.pause(time.monotonic())
         return "paused"
 
     def resume(self) -> str:
-        """The bag's time goes on as soon as all subscribers are connected."""
+        """The bag's time goes on as soon as all subscribers are connected; says so."""
         self._wanted = True
         return "playing"
 

@@ -63,7 +63,7 @@ def cost_of_transport(speed: ArrayLike, power: ArrayLike, mass: ArrayLike) -> Ar
 
 
 def parameter_row(parameters: Parameters) -> Array:
-    """The values in the order of `Parameters`, shape (20,), as the kernel takes them."""
+    """The values in the order of `Parameters`, one entry each, as the kernel takes them."""
     return np.array(list(parameters.as_dict().values()), dtype=float)
 
 

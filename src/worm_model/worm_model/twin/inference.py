@@ -31,7 +31,7 @@ class Sound:
     """What none of the causes explains: normal noise and the nuisances.
 
     Args:
-        seen: (k, b).
+        measured: (k, b).
         weight: (k, b), one over the variance of its noise.
         nuisances: (k, b, m).
         offsets: (b,), standard deviations of what is added to a bin in all cycles.

@@ -14,7 +14,7 @@ LOCAL = ("localhost", "127.0.0.1", "::1")
 _FAILURES, _FAILURES_S = (
     10,
     60.0,
-)  # wrong secrets in s, after which nobody new is let in for as long
+)  # wrong secrets in so many s; then nobody new is let in for as long
 
 
 def is_local(address: str) -> bool:

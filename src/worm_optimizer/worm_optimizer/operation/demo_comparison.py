@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -54,6 +55,8 @@ def compare(gait: RecordedGait, prediction: Prediction) -> Comparison:
     for problem in (gait.early_end, *gait.missing):
         if problem:
             raise RecordingError(problem)
+    if math.isnan(gait.twin.speed.value) or math.isnan(gait.twin.power.value):
+        raise RecordingError("the twin did not follow the recording over the averaged cycles")
     nominal = ("nominal_speed", "nominal_power", "nominal_cost_of_transport")
     return Comparison(
         window=gait.window,

@@ -21,7 +21,6 @@ from worm_model.analysis.run_metrics import (
     mean_rate,
     single_cycles,
 )
-from worm_model.errors import InputError
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
 from worm_model.run import Run
@@ -81,13 +80,13 @@ def recorded_gait(
 ) -> RecordedGait:
     """Judges one gait by its part of a recording and of the twin's replay, and predicts it.
 
-    ``parameters`` are the file's content and where it comes from. Raises InputError if the part holds no gait.
+    ``parameters`` are the file's content and where it comes from. Raises `RecordingError` if the part holds no gait.
     """
     content, source = parameters
     try:
         played = last_played_gait(run.gait_state)
     except RecordingError as error:
-        raise InputError(f"{name}: {error}") from None
+        raise RecordingError(f"{name}: {error}") from None
     averaged = averaged_cycles(run, played)
     window = played.cycle_window(*averaged)
     spans = [window, *single_cycles(window, averaged[1] - averaged[0] + 1)]

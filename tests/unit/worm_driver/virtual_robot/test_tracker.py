@@ -35,10 +35,6 @@ def test_an_occlusion_hides_one_marker_for_its_time():
         math.isnan(sample.rear_position) and math.isnan(sample.front_position) for sample in samples
     )
     assert both < 0.5 * sum(hidden)
-    assert all(
-        math.isnan(sample.length) == (math.isnan(sample.rear_position + sample.front_position))
-        for sample in samples
-    )
 
 
 def test_samples_come_after_their_latency_and_carry_the_exposures_time(settings):

@@ -38,11 +38,11 @@ def test_what_was_recovered_belongs_to_its_source_the_last_one_last(tmp_path: Pa
     source = tmp_path / bag.removesuffix("/metadata.yaml")
     for number in (1, 10, 2):
         made(recovered_path(source, number), "metadata.yaml")
-    assert below(tmp_path) == {
-        "gone_recovered": [],
-        "other": [],
-        source.name: ["run_recovered", "run_recovered_2", "run_recovered_10"],
-    }
+    copies = ["run_recovered", "run_recovered_2", "run_recovered_10"]
+    assert below(tmp_path) == {"gone_recovered": [], "other": [], source.name: copies}
+    made(tmp_path, "run_recovered_recovered/metadata.yaml")  # a copy that was spoilt in its turn
+    assert below(tmp_path)[source.name] == [copies[0], "run_recovered_recovered", *copies[1:]]
+    assert len(below(tmp_path)) == 3
 
 
 def test_nothing_is_no_folder_of_bags(tmp_path: Path):

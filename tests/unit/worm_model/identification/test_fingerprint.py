@@ -21,7 +21,7 @@ def test_imports_are_followed_in_every_form(tmp_path):
     package.mkdir()
     sources = {
         "__init__.py": "",
-        "start.py": "import json\nfrom thing import one\nimport thing.two\n",
+        "start.py": "import json\nimport beside\nfrom thing import one\nimport thing.two\n",
         "one.py": "def f():\n    from thing.three import name\n",
         "two.py": "import thing.start\n",
         "three.py": "name = 1\n",
@@ -29,6 +29,7 @@ def test_imports_are_followed_in_every_form(tmp_path):
     }
     for name, text in sources.items():
         (package / name).write_text(text, encoding="utf-8")
+    (tmp_path / "beside.py").touch()  # as other packages are where pip installs
     found = [file.name for file in imported_files(package, "start.py")]
     assert found == ["__init__.py", "one.py", "start.py", "three.py", "two.py"]
 

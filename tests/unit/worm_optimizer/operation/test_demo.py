@@ -2,14 +2,18 @@
 """The table that the demo shows of its run."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
+from worm_model.analysis.run_metrics import RecordingError
 from worm_optimizer.operation.demo_comparison import (
     Performance,
+    compare,
     comparison_table,
     relative_difference,
 )
+from worm_optimizer.report.expectation import Band, Bands
 
 
 def test_the_table_shows_differences_to_the_measurement():
@@ -23,6 +27,13 @@ def test_the_table_shows_differences_to_the_measurement():
     for head, value in (("speed", "5.50 mm/s"), ("power", "1.90 W"), ("transport", "45.0")):
         end = lines[0].index(head) + len(head)
         assert lines[2].index(value) + len(value) == end
+
+
+def test_a_number_that_is_missing_is_refused_of_the_twin_too():
+    seen, nothing = Band(1.0, 1.0, 1.0), Band(math.nan, math.nan, math.nan)
+    gait = SimpleNamespace(early_end="", missing=(), twin=Bands(seen, nothing, nothing))
+    with pytest.raises(RecordingError, match="the twin did not follow"):
+        compare(gait, None)
 
 
 def test_differences_of_nothing_are_not_numbers():

@@ -166,10 +166,10 @@ class Endpoints:
         except DirectoryError:
             self._give_back()
             raise
+        self._opened = True
         self._plug_in()
         self._selector.register(self._wake_reader, selectors.EVENT_READ, self._on_wake)
         self.time.begin(self._clock())
-        self._opened = True
 
     def run(self) -> None:
         """Serves until stop()."""

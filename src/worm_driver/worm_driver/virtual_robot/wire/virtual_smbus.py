@@ -13,7 +13,7 @@ from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.smbus_frames import Request
 
 _TIMEOUT = 60.0  # s; a bus that hangs is the robot's to tell, in its own time: here only a robot that hangs ends it
-_LONGEST = 256  # bytes of an answer
+_LONGEST = 512  # bytes of an answer, of which 255 may be data
 
 
 class SocketSMBus:

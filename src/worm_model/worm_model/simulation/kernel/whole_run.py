@@ -264,7 +264,7 @@ def evaluate_many(
 ) -> None:
     """`evaluate` of rows (stroke, frequency, direction, margin), without the interpreter's lock.
 
-    ``gaits`` (n, 4); ``parameters`` (n, 20) or one row, shared; ``results`` (n, RESULT_COLUMNS).
+    ``gaits`` (n, 4); ``parameters`` (n, columns as above) or one row, shared; ``results`` (n, RESULT_COLUMNS).
     """
     shared = parameters.shape[0] == 1
     for k in range(gaits.shape[0]):
