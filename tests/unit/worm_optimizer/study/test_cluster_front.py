@@ -11,7 +11,7 @@ from distributed import LocalCluster
 
 from worm_model.parameters import ParameterFile
 from worm_optimizer.search.cache import Cache
-from worm_optimizer.search.front import Progress
+from worm_optimizer.search.front import Progress, RobustFront
 from worm_optimizer.search.gait_map import MapSettings
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.search_settings import Robustness, Settings, settings_of
@@ -37,13 +37,20 @@ def asked(folder: Path, robustness: Robustness) -> tuple[ParameterFile, Settings
     return ParameterFile(), settings, 1, Cache.at(folder)
 
 
+def numbers(front: RobustFront) -> list[float]:
+    rows = [dataclasses.astuple(gait) for gait in front.predictions]
+    return [front.margin, front.hypervolume_share, *(value for row in rows for value in row)]
+
+
 @pytest.mark.parametrize("robustness", [Robustness.CHANCE, Robustness.ANY_PHASE])
 def test_the_workers_front_is_the_one_computed_here(address, tmp_path, robustness):
     told: list[Progress] = []
     job = ClusterFrontJob(*asked(tmp_path / "cluster", robustness), address)
     theirs = pickle.loads(pickle.dumps(job)).run(told.append)  # as the node hands it to its worker
     mine = FrontJob(*asked(tmp_path / "here", robustness)).run(lambda _: None)
-    assert theirs == mine
+    # the simulator is compiled anew where a worker has it from another folder: last digits may differ
+    assert numbers(theirs) == pytest.approx(numbers(mine), rel=1e-9, nan_ok=True)
+    assert (theirs.reason, theirs.source) == (mine.reason, mine.source)
     fractions = [progress.fraction for progress in told]
     assert fractions == sorted(fractions)
     assert sum("gaits judged" in progress.doing for progress in told) >= 2
