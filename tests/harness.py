@@ -22,6 +22,7 @@ from worm_optimizer.operation.system import SystemFile, load_system_file
 
 NAMESPACE = "/worm"
 TIMEOUT_S = 30.0  # generous: only a failure waits for so long
+ASK_AGAIN_S = 10.0  # longer than any service takes
 SERVOS = (1, 11, 12)  # of the virtual robot: one cable servo, two fin servos
 BAUD_RATE = 1_000_000
 TORQUE_ENABLE = 64  # address, e-manual
@@ -93,11 +94,22 @@ class Probe:
         return future.result()
 
     def call(self, kind: type, name: str, request: Any, timeout_s: float = TIMEOUT_S) -> Any:
-        """Call a service once it is there and return its response."""
+        """Call a service once it is there and return its response.
+
+        A response gets lost where the server has not found this client yet (the middleware warns of it); it is asked for again.
+        """
         client = self.node.create_client(kind, name)
+        futures: list[Future] = []
+
+        def answered() -> Future | None:
+            if time.monotonic() > started + ASK_AGAIN_S * len(futures):
+                futures.append(client.call_async(request))
+            return next((future for future in futures if future.done()), None)
+
         try:
             self.wait_for(client.service_is_ready, f"service {name}", timeout_s)
-            return self.result(client.call_async(request), f"response of {name}", timeout_s)
+            started = time.monotonic()
+            return self.wait_for(answered, f"response of {name}", timeout_s).result()
         finally:
             self.node.destroy_client(client)
 
