@@ -96,7 +96,8 @@ class Probe:
     def call(self, kind: type, name: str, request: Any, timeout_s: float = TIMEOUT_S) -> Any:
         """Call a service once it is there and return its response.
 
-        A response gets lost where the server has not found this client yet (the middleware warns of it); it is asked for again.
+        A response gets lost where the server has not found this client yet (the middleware warns of it); it is asked
+        for again.
         """
         client = self.node.create_client(kind, name)
         futures: list[Future] = []
