@@ -36,6 +36,11 @@ def bags_below(folder: Path) -> dict[Path, list[Path]]:
     return _with_copies(bags)
 
 
+def name_below(folder: Path, bag: Path) -> str:
+    """What a bag is called in a table of a folder's bags, or of the one bag that the folder is."""
+    return str(bag.relative_to(folder)) if bag != folder else bag.name
+
+
 def _walked(folder: Path) -> list[Path]:
     bags: list[Path] = []
     for place, inner, names in os.walk(folder):

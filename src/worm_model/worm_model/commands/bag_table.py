@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from worm_model.bags.finding import bags_below
+from worm_model.bags.finding import bags_below, name_below
 from worm_model.errors import InputError
 
 Row = dict[str, Any]
@@ -103,7 +103,7 @@ def describe(rows: Sequence[Row], folder: Path) -> str:
     notes = []
     for row in rows:
         bag = Path(row["bag"])
-        name = str(bag.relative_to(folder)) if bag != folder else bag.name
+        name = name_below(folder, bag)
         gait = row["gait"]
         way = "" if gait is None or gait["direction"] > 0 else " reverse"
         shown = (

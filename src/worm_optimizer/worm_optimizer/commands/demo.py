@@ -61,9 +61,7 @@ def _parser() -> Parser:
 
 
 def _demo(options: argparse.Namespace) -> int:
-    load_parameter_file(
-        options.parameters
-    )  # raises on one that cannot be used, before anything moves
+    load_parameter_file(options.parameters)  # raises on what is none, before anything moves
     bag = new_bag(options.bags, "demo")
     say = ProgressLog("demo")
     try:

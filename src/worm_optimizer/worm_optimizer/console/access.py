@@ -11,10 +11,8 @@ from urllib.parse import urlsplit
 
 SESSION_S = 12 * 3600.0  # after which one signs in again
 LOCAL = ("localhost", "127.0.0.1", "::1")
-_FAILURES, _FAILURES_S = (
-    10,
-    60.0,
-)  # wrong secrets in so many s; then nobody new is let in for as long
+# Wrong secrets in so many s, after which nobody new is let in for as long.
+_FAILURES, _FAILURES_S = 10, 60.0
 
 
 def is_local(address: str) -> bool:

@@ -10,12 +10,11 @@ from functools import partial
 
 from distributed import Client
 
-from worm_model.errors import InputError
 from worm_optimizer.search.front import Report, RobustFront, make_front
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.task import Array, Points, Task
 from worm_optimizer.search.worker import FrontJob
-from worm_optimizer.study.engine import LostError, connected, spread
+from worm_optimizer.study.engine import ClusterError, LostError, connected, spread
 
 _log = logging.getLogger("worm_optimizer.study")
 
@@ -34,9 +33,7 @@ class ClusterFrontJob(FrontJob):
                 return make_front(
                     self.content, self.settings, self.direction, self.cache, report, evaluate
                 )
-        except OptimizerError:
-            raise
-        except (InputError, LostError) as error:
+        except (ClusterError, LostError) as error:
             raise OptimizerError(f"the cluster at {self.scheduler}: {error}") from None
 
 

@@ -125,9 +125,8 @@ class _Dispatcher:
     kept: dict[int, tuple[Any, ...]] = field(default_factory=dict)
     out: dict[Future, tuple[int, frozenset[str]]] = field(default_factory=dict)
     attempts: int = 0
-    name: str = field(
-        default_factory=lambda: uuid.uuid4().hex
-    )  # a key of before may still be known
+    # Of the keys: the scheduler may still know one that it was given before.
+    name: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     def fill(self) -> None:
         """Hands out what those who are there have room for; what nobody is left for first."""

@@ -20,7 +20,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as parquet
 
-from worm_model.bags.finding import bags_below
+from worm_model.bags.finding import bags_below, name_below
 from worm_model.errors import InputError
 from worm_model.identification.drift import ADVICE
 from worm_model.identification.drift_estimates import estimate_bags
@@ -143,7 +143,7 @@ def read_fleet(
     with _parts(output) as parts:
         todo = [k for k, mark in enumerate(marks) if not (parts / f"{mark}.json").exists()]
         progress(1.0 - len(todo) / len(bags))
-        names = [str(bag.relative_to(folder)) if bag != folder else bag.name for bag in bags]
+        names = [name_below(folder, bag) for bag in bags]
         source = str(Path(parameters).resolve()) if parameters else ""
         if todo:
             with connected(scheduler, min(workers or cores(), len(todo))) as client:

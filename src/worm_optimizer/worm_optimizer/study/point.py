@@ -72,9 +72,8 @@ _OF_GAIT = {
     "cost_of_transport": ("1", "cost of transport, with the margin"),
     "grooves_per_cycle": ("1", "grooves gained in the poorest averaged cycle, with the margin"),
 }
-_UNPREDICTED = (
-    math.nan,
-) * 9  # of a `Prediction`, what no choice among the gaits of a front looks at
+# Of a `Prediction`, what no choice among the gaits of a front looks at.
+_UNPREDICTED = (math.nan,) * 9
 _NOMINAL = {
     "nominal_speed": ("m/s", "speed along the direction, without a margin"),
     "nominal_power": ("W", "mean source power, without a margin"),
