@@ -46,6 +46,8 @@ class Robot:
 
     def __init__(self, probe: Probe) -> None:
         node = probe.node
+        self.probe = probe
+        self.diagnostics = probe.collect(DiagnosticArray, "/diagnostics")
         self.sent: list[tuple[str, object]] = []
         self.publishers = {
             topic: node.create_publisher(kind, topic, LATCHED if topic == "gait_state" else 1000)
@@ -59,6 +61,12 @@ class Robot:
         message.header.stamp = ros_twin.time_message(ONSET + round(time * 1e9))
         self.sent.append((topic, message))
         self.publishers[topic].publish(message)
+
+    def wait_until_heard(self) -> None:
+        """Until the twin has counted all that was sent."""
+        self.probe.wait_for(
+            lambda: samples_counted(self.diagnostics) >= len(self.sent), "word of all samples"
+        )
 
     def announce(self, time: float, state: int) -> None:
         onset = ONSET if state == GaitState.RUNNING else 0
@@ -74,13 +82,23 @@ class Robot:
         self.send("tracker", time, Tracker(rear_position=0.25, front_position=math.nan))
 
 
+def samples_counted(diagnostics: list) -> int:
+    values = [v for m in diagnostics[-1:] for s in m.status for v in s.values]
+    return sum(int(v.value) for v in values if v.key.startswith("samples "))
+
+
 def play(robot: Robot, probe: Probe, states: list, end: float = 2.0) -> None:
-    """A rest and part of a cycle at 100 Hz, as fast as the twin follows."""
+    """A rest and part of a cycle at 100 Hz, as fast as the twin follows.
+
+    Never further ahead than the twin's delay: a topic that arrives after another would be late.
+    """
     robot.announce(-1.0, GaitState.RESTING)
     for k in range(-100, round(100 * end) + 1):
         if k == 0:
             robot.announce(0.0, GaitState.RUNNING)
         robot.move(k / 100)
+        if k % 20 == 0 and k < -50:
+            robot.wait_until_heard()  # no state comes yet
         if k % 10 == 0 and k > -50:
             stamp = ONSET + round((k - BEHIND) * 1e7)
             probe.wait_for(lambda s=stamp: reached(states, s), f"state at {k / 100} s")

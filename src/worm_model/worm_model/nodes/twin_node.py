@@ -108,7 +108,10 @@ class TwinNode(Node):
 
     def poll(self) -> None:
         """Takes all that has come and publishes what it yields."""
-        taken = [row for take in self._inputs for row in take()]
+        taken: list[twin_messages.Row] = []
+        # Until nothing is left: where the machine stalls between two topics, the first would come late otherwise.
+        while fresh := [row for take in self._inputs for row in take()]:
+            taken += fresh
         if not taken:
             return
         self._heard = time.monotonic()
