@@ -14,7 +14,7 @@ from worm_model.parameters import PAPER, ParameterFile
 from worm_optimizer.search.cache import Cache
 from worm_optimizer.search.certificate import CertifiedFront, certified_front
 from worm_optimizer.search.front import make_front
-from worm_optimizer.search.margin import find_cliff, price_of_robustness, scan
+from worm_optimizer.search.price_of_robustness import find_cliff, price_of_robustness, scan
 from worm_optimizer.search.search_settings import Settings
 from worm_optimizer.search.servo_limits import limits_of, load_driver_file, servo_model
 from worm_optimizer.search.task import MarginTask

@@ -17,7 +17,7 @@ from worm_optimizer.commands.search_options import (
 )
 from worm_optimizer.report.front_plots import price_figure
 from worm_optimizer.search.front import scanned_price
-from worm_optimizer.search.margin import CLIFF_RULE, PriceOfRobustness
+from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
 
 
 def _parser() -> Parser:

@@ -13,9 +13,9 @@ from worm_msgs.srv import RequestGait
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import Progress, RobustFront
 from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus, three_gaits
-from worm_optimizer.search.margin import CLIFF_RULE, PriceOfRobustness
 from worm_optimizer.search.nsga2 import SearchSettings
 from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
 from worm_optimizer.search.search_settings import ScanSettings, Settings, robustness_of
 
 _GAIT_FIELDS = frozenset({"stroke", "frequency", "direction", "margin"})

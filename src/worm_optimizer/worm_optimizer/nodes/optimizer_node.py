@@ -38,8 +38,8 @@ from worm_optimizer.search.gait_request import (
     answer,
     request_of,
 )
-from worm_optimizer.search.margin import PriceOfRobustness
 from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 from worm_optimizer.search.resting_phase import SAME_LENGTH, resting_answer
 from worm_optimizer.search.search_settings import Robustness, Settings
 from worm_optimizer.search.worker import FrontJob, Job, Outcome, ScanJob, Ticket, WorkQueue

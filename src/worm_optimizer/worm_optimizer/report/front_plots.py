@@ -28,7 +28,7 @@ from worm_optimizer.report.expectation import Band, Bands
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import RobustFront
-from worm_optimizer.search.margin import PriceOfRobustness
+from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 from worm_optimizer.search.task import Array, MarginTask
 
 _MAP_STROKES, _MAP_FREQUENCIES = 241, 161

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.search.cache import Cache
 from worm_optimizer.search.front import Report, RobustFront, load_front, make_front, scanned_price
-from worm_optimizer.search.margin import PriceOfRobustness
+from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 from worm_optimizer.search.search_settings import Settings
 
 _SAME_MARGIN = 1e-7  # m

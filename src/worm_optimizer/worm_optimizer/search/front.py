@@ -25,8 +25,13 @@ from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phas
 from worm_optimizer.search.cache import Cache, key_of, scan_key_of
 from worm_optimizer.search.certificate import certified_front
 from worm_optimizer.search.gait_map import build_map
-from worm_optimizer.search.margin import MarginPoint, PriceOfRobustness, price_of_robustness, scan
 from worm_optimizer.search.nsga2 import Generation
+from worm_optimizer.search.price_of_robustness import (
+    MarginPoint,
+    PriceOfRobustness,
+    price_of_robustness,
+    scan,
+)
 from worm_optimizer.search.search_settings import Robustness, Settings
 from worm_optimizer.search.task import Index, MarginTask, Points, Task
 

@@ -27,8 +27,8 @@ from worm_optimizer.search.front import (
     make_front,
     scanned_price,
 )
-from worm_optimizer.search.margin import PriceOfRobustness
 from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 from worm_optimizer.search.search_settings import Settings
 
 _NICENESS = 5  # enough to let an answer go first, without starving on a busy computer

@@ -29,7 +29,7 @@ from worm_optimizer.search.actuator_limits import ActuatorLimits
 from worm_optimizer.search.front import thinned
 from worm_optimizer.search.gait_map import build_map
 from worm_optimizer.search.gait_request import GaitRequest, Objective, RequestStatus, select
-from worm_optimizer.search.margin import PriceOfRobustness, price_of_robustness, scan
+from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness, scan
 from worm_optimizer.search.servo_limits import DrivenBy, limits_of, servo_model
 from worm_optimizer.search.task import Bounds, MarginTask, Points, Task
 from worm_optimizer.study.plan import LIMITS, PARAMETER_FILE, Array, Study

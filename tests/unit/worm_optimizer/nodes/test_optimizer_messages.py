@@ -25,8 +25,8 @@ from worm_optimizer.nodes.optimizer_messages import (
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.front import Progress
 from worm_optimizer.search.gait_request import GaitAnswer, Objective, RequestStatus
-from worm_optimizer.search.margin import Cliff, MarginPoint, PriceOfRobustness
 from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.price_of_robustness import Cliff, MarginPoint, PriceOfRobustness
 from worm_optimizer.search.search_settings import Robustness
 
 GAIT_FIELDS = set(Gait.get_fields_and_field_types())

@@ -34,6 +34,11 @@ def test_power_is_idle_power_and_a_factor_times_work():
     assert power.deviation == pytest.approx(np.sqrt(variances.sum()) / 1.96, rel=0.1)
 
 
+def test_the_same_seed_gives_the_same_bounds():
+    first, again = of(pitch=5e-5), of(pitch=5e-5)
+    assert np.array_equal(first.indices["speed"].total_bounds, again.indices["speed"].total_bounds)
+
+
 def test_what_does_not_vary_has_no_indices():
     found = of(idle_power=0.05)
     assert np.all(np.isnan(found.indices["speed"].total))

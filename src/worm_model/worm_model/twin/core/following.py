@@ -46,9 +46,9 @@ from worm_model.simulation.kernel.mode import Constants, Motion, nearest_groove_
 from worm_model.simulation.kernel.whole_run import IDLE_POWER, POWER_FACTOR, step
 from worm_model.simulation.kernel.work import cable_power_of
 from worm_model.twin.core.intake import COMMAND, GAIT, JUMPED_BACK, LENGTH, POSITION, QUIET, admit
-from worm_model.twin.core.judging import judge
 from worm_model.twin.core.memory import LENGTH as LENGTH_CHANNEL
 from worm_model.twin.core.memory import NANOSECONDS, Memory, Rows, Rules
+from worm_model.twin.core.residuals import judge
 
 SECOND = 1e-9  # of a nanosecond
 MOVED_M = 1e-6  # beyond which a command has left 0

@@ -8,8 +8,13 @@ from gaits_for_tests import COARSE_MAP
 
 from worm_model.parameters import PAPER
 from worm_model.simulation.closed_form import cliff_margin
-from worm_optimizer.search.margin import MarginPoint, find_cliff, price_of_robustness, scan
 from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.price_of_robustness import (
+    MarginPoint,
+    find_cliff,
+    price_of_robustness,
+    scan,
+)
 from worm_optimizer.search.search_settings import ScanSettings
 from worm_optimizer.search.task import MarginTask
 
