@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What integration tests use to start, watch and call real nodes."""
 
+import contextlib
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,8 +12,10 @@ from ament_index_python.packages import get_package_share_directory
 from dynamixel_sdk import PacketHandler, PortHandler
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import ListParameters
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
@@ -22,7 +25,7 @@ from worm_optimizer.operation.system import SystemFile, load_system_file
 
 NAMESPACE = "/worm"
 TIMEOUT_S = 30.0  # generous: only a failure waits for so long
-ASK_AGAIN_S = 10.0  # longer than any service takes
+ASK_AGAIN_S = 1.0
 SERVOS = (1, 11, 12)  # of the virtual robot: one cable servo, two fin servos
 BAUD_RATE = 1_000_000
 TORQUE_ENABLE = 64  # address, e-manual
@@ -94,25 +97,59 @@ class Probe:
         return future.result()
 
     def call(self, kind: type, name: str, request: Any, timeout_s: float = TIMEOUT_S) -> Any:
-        """Call a service once it is there and return its response.
-
-        A response gets lost where the server has not found this client yet (the middleware warns of it); it is asked
-        for again.
-        """
+        """Call a service once it is there and return its response."""
         client = self.node.create_client(kind, name)
-        futures: list[Future] = []
-
-        def answered() -> Future | None:
-            if time.monotonic() > started + ASK_AGAIN_S * len(futures):
-                futures.append(client.call_async(request))
-            return next((future for future in futures if future.done()), None)
-
         try:
+            self.meet(name, timeout_s)
             self.wait_for(client.service_is_ready, f"service {name}", timeout_s)
-            started = time.monotonic()
-            return self.wait_for(answered, f"response of {name}", timeout_s).result()
+            return self.result(client.call_async(request), f"response of {name}", timeout_s)
         finally:
             self.node.destroy_client(client)
+
+    def meet(self, service: str, timeout_s: float = TIMEOUT_S) -> None:
+        """Wait until the process that serves this has found the clients that there are.
+
+        Before, its responses get lost (the middleware warns of it). It finds clients in the order in which they were
+        created: one that asks for parameters, as often as it takes, is the last to be found.
+        """
+        full_name = self.node.resolve_service_name(service)
+        server = self.wait_for(lambda: self._server_of(full_name), f"service {service}", timeout_s)
+        client = self.node.create_client(ListParameters, f"{server}/list_parameters")
+        futures: list[Future] = []
+
+        def answered() -> bool:
+            if time.monotonic() > started + ASK_AGAIN_S * len(futures):
+                futures.append(client.call_async(ListParameters.Request()))
+            return any(future.done() for future in futures)
+
+        try:
+            self.wait_for(client.service_is_ready, f"parameters of {server}", timeout_s)
+            started = time.monotonic()
+            self.wait_for(answered, f"word of {server}", timeout_s)
+        finally:
+            self.node.destroy_client(client)
+
+    def _server_of(self, service: str) -> str:
+        """The node with parameters in the process that serves this, or nothing yet.
+
+        A node beside it (`worm_driver.nodes.side_node`) has none, and its name begins with that of the node.
+        """
+        services = {}
+        for name, namespace in self.node.get_node_names_and_namespaces():
+            with contextlib.suppress(NodeNameNonExistentError):  # it has just ended
+                offered = self.node.get_service_names_and_types_by_node(name, namespace)
+                services[f"{namespace.rstrip('/')}/{name}"] = {known for known, _ in offered}
+        servers = [node for node, offered in services.items() if service in offered]
+        return max(
+            (
+                node
+                for node, offered in services.items()
+                if f"{node}/list_parameters" in offered
+                and any(server.startswith(node) for server in servers)
+            ),
+            key=len,
+            default="",
+        )
 
     def send_goal(
         self,
@@ -124,6 +161,7 @@ class Probe:
     ) -> Any:
         """Send a goal once the action server is there and return the goal handle."""
         client = ActionClient(self.node, kind, name)
+        self.meet(f"{name}/_action/send_goal", timeout_s)
         self.wait_for(client.server_is_ready, f"action {name}", timeout_s)
         sent = client.send_goal_async(goal, feedback_callback=feedback)
         return self.result(sent, f"answer of {name}", timeout_s)

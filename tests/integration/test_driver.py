@@ -286,15 +286,16 @@ def test_stop_is_served_while_a_deactivation_returns_to_rest(
     processes.start_node("worm_driver", "driver_node", **given)
     commanded = probe.collect(BodyLength, "body_length/commanded")
     cable = run_into_a_gait(commander, probe)
+    stop = probe.node.create_client(Trigger, "stop")
     client = probe.node.create_client(ChangeState, "driver/change_state")
-    probe.wait_for(client.service_is_ready, "service")
+    probe.meet("driver/change_state")
     deactivate = Transition(id=Transition.TRANSITION_DEACTIVATE)
     changed = client.call_async(ChangeState.Request(transition=deactivate))
     probe.wait_for(
         lambda: commander.states[-1].message == "the driver is deactivated", "way back to rest"
     )
     assert not changed.done()
-    assert commander.trigger("stop").success
+    assert probe.result(stop.call_async(Trigger.Request()), "answer to stop").success
     stopped = probe.node.get_clock().now().nanoseconds * 1e-9
 
     def lengths(messages, since: float) -> list[float]:
@@ -672,7 +673,7 @@ def test_stop_answers_every_call_of_a_flood(driver, commander, probe):
         history=HistoryPolicy.KEEP_ALL
     )  # by default a client keeps the last ten
     client = probe.node.create_client(Trigger, "stop", qos_profile=every_answer)
-    probe.wait_for(client.service_is_ready, "service stop")
+    probe.meet("stop")
     calls = [client.call_async(Trigger.Request()) for _ in range(1000)]
     probe.wait_for(lambda: all(call.done() for call in calls), "answer to every stop")
     assert all(call.result().success for call in calls)

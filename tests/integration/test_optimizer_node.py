@@ -3,7 +3,6 @@
 
 import copy
 import math
-import time
 
 import pytest
 from action_msgs.msg import GoalStatus
@@ -12,7 +11,6 @@ from distributed import LocalCluster
 from harness import NAMESPACE, TIMEOUT_S, Probe, Processes
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.action import ActionClient
 
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
@@ -26,8 +24,6 @@ SMALL = {
     "samples": 20,
     "kept_gaits": 12,
 }
-
-RESEND_S = 3.0
 
 
 @pytest.fixture
@@ -43,34 +39,15 @@ def start(processes: Processes, tmp_path):
 
 
 class User:
-    """Asks the node as its users do, with clients that live as long as the test.
-
-    A response can get lost while the two sides are still discovering each other; a request changes
-    nothing, so it is sent again.
-    """
+    """Asks the node as its users do."""
 
     def __init__(self, probe: Probe) -> None:
         self._probe = probe
-        self._requests = probe.node.create_client(RequestGait, "request_gait")
-        self._actions = {
-            name: ActionClient(probe.node, kind, name)
-            for name, kind in (("optimize_gaits", OptimizeGaits), ("scan_margin", ScanMargin))
-        }
 
     def ask(self, objective: int = RequestGait.Request.CRUISE, direction: int = 1, **values):
         """The answer to a request."""
         request = RequestGait.Request(objective=objective, direction=direction, **values)
-        self._probe.wait_for(self._requests.service_is_ready, "service")
-        futures, sent = [], -math.inf
-
-        def answered():
-            nonlocal sent
-            if time.monotonic() > sent + RESEND_S:
-                sent = time.monotonic()
-                futures.append(self._requests.call_async(request))
-            return next((future for future in futures if future.done()), None)
-
-        return self._probe.wait_for(answered, "answer").result()
+        return self._probe.call(RequestGait, "request_gait", request)
 
     def served(self, direction: int = 1):
         """The cruising gait, once there is a front."""
@@ -85,10 +62,9 @@ class User:
 
     def send(self, name: str, goal, feedback=None):
         """The handle of a goal."""
-        client = self._actions[name]
-        self._probe.wait_for(client.server_is_ready, name)
         told = None if feedback is None else lambda message: feedback.append(message.feedback)
-        handle = self._probe.result(client.send_goal_async(goal, told), f"answer of {name}")
+        kind = {"optimize_gaits": OptimizeGaits, "scan_margin": ScanMargin}[name]
+        handle = self._probe.send_goal(kind, name, goal, told)
         assert handle.accepted
         return handle
 
