@@ -110,11 +110,19 @@ class Probe:
         """Wait until the process that serves this has found the clients that there are.
 
         Before, its responses get lost (the middleware warns of it). It finds clients in the order in which they were
-        created: one that asks for parameters, as often as it takes, is the last to be found.
+        created: one that asks for parameters, as often as it takes, is the last to be found. The recorder alone has
+        no parameters to ask for.
         """
-        full_name = self.node.resolve_service_name(service)
-        server = self.wait_for(lambda: self._server_of(full_name), f"service {service}", timeout_s)
-        client = self.node.create_client(ListParameters, f"{server}/list_parameters")
+        name = self.node.resolve_service_name(service)
+        services = self.wait_for(lambda: self._services_with(name), f"service {name}", timeout_s)
+        server = next(node for node, offered in services.items() if name in offered)
+        # A node beside the driver (`worm_driver.nodes.side_node`) has a name that begins with the driver's.
+        known = [
+            n for n in services if server.startswith(n) and f"{n}/list_parameters" in services[n]
+        ]
+        if not known:
+            return
+        client = self.node.create_client(ListParameters, f"{max(known, key=len)}/list_parameters")
         futures: list[Future] = []
 
         def answered() -> bool:
@@ -129,27 +137,14 @@ class Probe:
         finally:
             self.node.destroy_client(client)
 
-    def _server_of(self, service: str) -> str:
-        """The node with parameters in the process that serves this, or nothing yet.
-
-        A node beside it (`worm_driver.nodes.side_node`) has none, and its name begins with that of the node.
-        """
+    def _services_with(self, service: str) -> dict[str, set[str]]:
+        """The services of each node, empty before one of them offers this."""
         services = {}
         for name, namespace in self.node.get_node_names_and_namespaces():
             with contextlib.suppress(NodeNameNonExistentError):  # it has just ended
                 offered = self.node.get_service_names_and_types_by_node(name, namespace)
                 services[f"{namespace.rstrip('/')}/{name}"] = {known for known, _ in offered}
-        servers = [node for node, offered in services.items() if service in offered]
-        return max(
-            (
-                node
-                for node, offered in services.items()
-                if f"{node}/list_parameters" in offered
-                and any(server.startswith(node) for server in servers)
-            ),
-            key=len,
-            default="",
-        )
+        return services if any(service in offered for offered in services.values()) else {}
 
     def send_goal(
         self,

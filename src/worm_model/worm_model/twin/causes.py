@@ -11,6 +11,7 @@ something odd in one cycle alone. Each explains all instruments at once, or is w
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -197,7 +198,7 @@ class Data:
 
     def _bins_before(self, number: int, phase: float) -> int:
         """Bins of all cycles before a phase of one."""
-        before = sum(own < number for own in self.numbers) * BINS
+        before = bisect_left(self.numbers, number) * BINS
         return before + round(phase * BINS) if number in self.numbers else before
 
     def _grooves(self, fin: str, gained: bool, numbers: Iterable[int]) -> Array:  # noqa: FBT001
