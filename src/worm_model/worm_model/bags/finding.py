@@ -41,6 +41,13 @@ def name_below(folder: Path, bag: Path) -> str:
     return str(bag.relative_to(folder)) if bag != folder else bag.name
 
 
+def mark_of(bag: Path) -> str:
+    """What tells that a bag is the one of before: names, sizes and times of its files."""
+    files = [bag] if bag.is_file() else sorted(file for file in bag.iterdir() if file.is_file())
+    stats = [(file.name, file.stat()) for file in files]
+    return " ".join(f"{name}:{stat.st_size}:{stat.st_mtime_ns}" for name, stat in stats)
+
+
 def _walked(folder: Path) -> list[Path]:
     bags: list[Path] = []
     for place, inner, names in os.walk(folder):

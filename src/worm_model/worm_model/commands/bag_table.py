@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from worm_model.bags.finding import bags_below, name_below
+from worm_model.bags.finding import bags_below, mark_of, name_below
 from worm_model.errors import InputError
 
 Row = dict[str, Any]
@@ -37,7 +37,7 @@ def bag_rows(
     bags = sorted(copies[-1] if copies else bag for bag, copies in bags_below(folder).items())
     index = _index_file(folder, parameters)
     known = _known(index)
-    marks = {str(bag): _mark(bag) for bag in bags}
+    marks = {str(bag): mark_of(bag) for bag in bags}
     todo = [bag for bag in bags if known.get(str(bag), [""])[0] != marks[str(bag)]]
     for done, bag in enumerate(todo, 1):
         known[str(bag)] = [marks[str(bag)], _read(bag, parameters)]
@@ -46,13 +46,6 @@ def bag_rows(
         _keep(index, {name: known[name] for name in marks})
     rows = [{"bag": str(bag), **row} for bag in bags for row in known[str(bag)][1]]
     return rows, len(todo)
-
-
-def _mark(bag: Path) -> str:
-    """What a bag's rows follow from: sizes and times of its files."""
-    files = [bag] if bag.is_file() else sorted(file for file in bag.iterdir() if file.is_file())
-    stats = [(file.name, file.stat()) for file in files]
-    return " ".join(f"{name}:{stat.st_size}:{stat.st_mtime_ns}" for name, stat in stats)
 
 
 def _index_file(folder: Path, parameters: str) -> Path:
@@ -96,6 +89,15 @@ def _read(bag: Path, parameters: str) -> list[Row]:
         return [{**empty, "state": state, "notes": " ".join(str(error).split())}]
 
 
+def gait_text(row: Row) -> str:
+    """The gait of a row in words, empty where it has none."""
+    gait = row["gait"]
+    if gait is None:
+        return ""
+    way = "" if gait["direction"] > 0 else " reverse"
+    return f"{1e3 * gait['stroke']:.1f} mm {gait['frequency']:.3f} Hz{way}"
+
+
 def describe(rows: Sequence[Row], folder: Path) -> str:
     """The table for people."""
     head = ("bag", "start", "s", "gait", "cycles", "φ mm", "grooves", "mm/s", "W", "COT", "health")
@@ -104,19 +106,12 @@ def describe(rows: Sequence[Row], folder: Path) -> str:
     for row in rows:
         bag = Path(row["bag"])
         name = name_below(folder, bag)
-        gait = row["gait"]
-        way = "" if gait is None or gait["direction"] > 0 else " reverse"
-        shown = (
-            "–"
-            if gait is None
-            else f"{1e3 * gait['stroke']:.1f} mm {gait['frequency']:.3f} Hz{way}"
-        )
         lines.append(
             (
                 name,
                 (row["start"] or "–")[:19],
                 _number(row["duration_s"], 1.0, 1),
-                shown,
+                gait_text(row) or "–",
                 _number(row["cycles"], 1.0, 0),
                 _number(row["groove_phase"], 1e3, 2),
                 _number(row["grooves_per_cycle"], 1.0, 2),

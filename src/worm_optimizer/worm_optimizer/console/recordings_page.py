@@ -8,6 +8,7 @@ from urllib.parse import quote
 
 from nicegui import ui
 
+from worm_model.commands.bag_table import gait_text
 from worm_model.errors import InputError
 from worm_optimizer.console.hub import Hub
 from worm_optimizer.console.shelf import Row, found
@@ -101,14 +102,11 @@ def report_frame(report: str) -> None:
 
 def _shown(row: Row, key: int) -> dict[str, Any]:
     """A row of the table."""
-    gait = row["gait"]
-    way = "" if gait is None or gait["direction"] > 0 else " reverse"
-    text = "" if gait is None else f"{1e3 * gait['stroke']:.1f} mm {gait['frequency']:.3f} Hz{way}"
     return {
         "key": key,
         "name": row["name"],
         "start": (row["start"] or "")[:19].replace("T", " "),
-        "gait": text,
+        "gait": gait_text(row),
         "cycles": row["cycles"],
         "speed": _number(row["speed"], 1e3),
         "power": _number(row["power"], 1.0),

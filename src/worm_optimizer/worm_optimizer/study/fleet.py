@@ -20,7 +20,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as parquet
 
-from worm_model.bags.finding import bags_below, name_below
+from worm_model.bags.finding import bags_below, mark_of, name_below
 from worm_model.errors import InputError
 from worm_model.identification.drift import ADVICE
 from worm_model.identification.drift_estimates import estimate_bags
@@ -188,10 +188,9 @@ def _read(
 
 
 def _mark(bag: Path, parameters: str) -> str:
-    """Name of what a bag's rows follow from: its files' sizes and times, the parameter file, the code."""
-    files = [bag] if bag.is_file() else sorted(path for path in bag.iterdir() if path.is_file())
-    text = [str(bag.resolve()), identity(), Path(parameters).read_text() if parameters else ""]
-    text += [f"{path.name} {path.stat().st_size} {path.stat().st_mtime_ns}" for path in files]
+    """Name of what a bag's rows follow from: its files, the parameter file, the code."""
+    content = Path(parameters).read_text() if parameters else ""
+    text = [str(bag.resolve()), identity(), content, mark_of(bag)]
     return hashlib.sha256("\n".join(text).encode()).hexdigest()[:24]
 
 
