@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a fault to a cable that stands still, on the virtual clock: the same figures on every machine."""
+"""From a fault to a cable that stands still, and what bad data move, on the virtual clock.
+
+The same figures on every machine.
+"""
 
 from __future__ import annotations
 
+import math
 import random
 import statistics
 from collections.abc import Callable, Mapping
 
 from benchmarks.report import Row
-from tests.driver_rig import Rig
+from tests.driver_rig import CABLE, Rig, settings
 from worm_driver.gait.gait_player import Phase
 
-TITLE = "from a fault to a cable that stands still"
+TITLE = "from a fault to a cable that stands still, and what bad data move"
 
 #: s after the onset of a gait of 70 mm at 0.4 Hz at which the fault strikes: the cable runs in, out, fast and slowly
 MOMENTS = (0.30, 0.62, 0.90, 1.60, 2.10)
@@ -82,9 +86,182 @@ def _stopping_time(deed: Deed | None, moment: float, dice: random.Random | None)
     return max((time for time, speed in rig.speeds if speed > STILL), default=begin) - begin
 
 
+#: ticks by which a sample is wrong
+JUMPS = (-12288, -4096, -1000, -600, -300, 300, 600, 1000, 4096, 12288)
+#: ticks per cycle by which samples drift from the truth
+DRIFTS = (2, 5, 20, 60, 110)
+#: s after the begin of a shutdown at which the stop comes
+STOPS = (0.0, 0.1, 0.3, 0.6, 1.0, 1.5)
+#: s after the begin of a flip of the fins
+FLIPS = (0.05, 0.15, 0.3, 0.45)
+
+
+def _idle() -> Rig:
+    rig = Rig()
+    rig.activate()
+    rig.run(0.2)
+    return rig
+
+
+def _running(moment: float) -> Rig:
+    rig = Rig()
+    rig.activate()
+    rig.start()
+    rig.run(5.0, until=lambda snapshot: snapshot.player.phase is Phase.RUNNING)
+    rig.run(moment)
+    return rig
+
+
+def _metres(ticks: float) -> float:
+    return abs(settings().spools[0].length_change(ticks))
+
+
+def _moved(rig: Rig, deed: Deed, duration: float = LOOKED) -> float:
+    """M that the cable was away from where it stood."""
+    rig.positions.clear()
+    here = rig.cable.motor.position
+    deed(rig)
+    rig.run(duration)
+    return max(_metres(position - here) for _, position in rig.positions)
+
+
+def _wrong(jump: int, **length: float) -> Deed:
+    return _injected("wrong_position", target=CABLE, value=jump, **length)
+
+
+def _drift(per_cycle: int) -> Deed:
+    """Samples that drift until there is a fault, or three turns away."""
+
+    def deed(rig: Rig) -> None:
+        for step in range(12288 // per_cycle):
+            rig.virtual.board.clear()
+            _wrong(step * per_cycle, duration=1e6)(rig)
+            if rig.run(rig.settings.period).player.phase is Phase.FAULT:
+                break
+
+    return deed
+
+
+def _off_command(jump: int) -> float:
+    """M by which the cable is off its command within a second after one wrong sample in a gait, but for its lag."""
+    off = []
+    for moment in MOMENTS:
+        rig, healthy = _running(moment), _running(moment)
+        _wrong(jump, count=1)(rig)
+        rig.positions.clear()
+        healthy.positions.clear()
+        rig.run(LOOKED)
+        healthy.run(LOOKED)
+        pairs = zip(rig.positions, healthy.positions, strict=False)
+        off.append(max(_metres(a[1] - b[1]) for a, b in pairs))
+    return max(off)
+
+
+def _largest_unnoticed() -> int:
+    """Ticks of the largest lasting offset, begun in one sample while idle, that is no fault."""
+    low, high = 0, 4096
+    while high - low > 1:
+        middle = (low + high) // 2
+        rig = _idle()
+        _wrong(middle, duration=1e6)(rig)
+        noticed = rig.run(LOOKED).player.phase is Phase.FAULT
+        low, high = (low, middle) if noticed else (middle, high)
+    return low
+
+
+def _stopped_while_closing(moment: float) -> tuple[float, float, int]:
+    """S until the cable stands after a stop during a shutdown, m contracted, and torque at the end."""
+    rig = _running(1.0)
+    rig.loop.leave("the driver ends")
+    if moment:
+        rig.run(moment)
+    begin = rig.clock.now
+    rig.speeds.clear()
+    rig.loop.submit(lambda now: rig.robot.stop(now, "stop"), patience=math.inf)
+    while not rig.ended:
+        rig.run(rig.settings.period)
+    rig.end()
+    rig.advance(rig.clock.now + 1.0)
+    stood = max((time for time, speed in rig.speeds if speed > STILL), default=begin) - begin
+    contracted = _metres(rig.cable.motor.position - rig.home_ticks)
+    return stood, contracted, rig.cable.memory["torque_enable"]
+
+
+def _flip_stopped(moment: float) -> tuple[float, float]:
+    """S and rad that the fins move on after an emergency stop during a flip."""
+    rig = Rig()
+    rig.activate()
+    rig.start(0.05, 0.4, cycles=1, direction=-1)
+    rig.run(1.0, until=lambda snapshot: snapshot.player.phase is Phase.FLIPPING)
+    rig.run(moment)
+    fins, begin = rig.virtual.servos[1:], rig.clock.now
+    before = [fin.shaft_angle for fin in fins]
+    rig.robot.stop(begin, "the emergency stop is on")
+    last, farthest = begin, 0.0
+    while rig.clock.now < begin + LOOKED:
+        rig.run(rig.settings.period)
+        if any(abs(fin.motor.velocity) > 10.0 for fin in fins):
+            last = rig.clock.now
+        farthest = max(
+            farthest, *(abs(f.shaft_angle - b) for f, b in zip(fins, before, strict=True))
+        )
+    return last - begin, farthest
+
+
+def _bad_data() -> list[Row]:
+    once = max(_moved(_idle(), _wrong(jump, count=1)) for jump in JUMPS)
+    confirmed = max(_moved(_idle(), _wrong(jump, duration=1e6)) for jump in JUMPS)
+    running = max(_off_command(jump) for jump in JUMPS)
+    stops = [_stopping_time(_wrong(jump, duration=1e6), 0.62, None) for jump in JUMPS]
+    drift = max(_moved(_idle(), _drift(ticks)) for ticks in DRIFTS)
+    offset = _largest_unnoticed()
+    sizes = f"worst of {len(JUMPS)} sizes, {JUMPS[0]} to {JUMPS[-1]} ticks"
+    return [
+        Row("one wrong sample, idle: the cable moves", f"{once * 1e3:.2f} mm", "", sizes),
+        Row(
+            "wrong samples that last, idle: the cable moves", f"{confirmed * 1e3:.2f} mm", "", sizes
+        ),
+        Row("one wrong sample, running: off the gait", f"{running * 1e3:.2f} mm", "", sizes),
+        Row("wrong samples that last, running", f"{max(stops) * 1e3:.0f} ms", "", sizes),
+        Row(
+            "samples that drift, idle: the cable moves",
+            f"{drift * 1e3:.2f} mm",
+            "",
+            f"{DRIFTS} ticks per cycle",
+        ),
+        Row(
+            "largest lasting offset that is not noticed",
+            f"{offset} ticks",
+            "",
+            f"{_metres(offset) * 1e3:.1f} mm of cable",
+        ),
+    ]
+
+
+def _stops() -> list[Row]:
+    closing = [_stopped_while_closing(moment) for moment in STOPS]
+    flips = [_flip_stopped(moment) for moment in FLIPS]
+    torques = sum(torque for *_, torque in closing)
+    contracted = ", ".join(f"{length * 1e3:.0f}" for _, length, _ in closing)
+    return [
+        Row(
+            "stop during shutdown",
+            f"{max(time for time, *_ in closing) * 1e3:.0f} ms",
+            "",
+            f"torque on afterwards in {torques} of {len(closing)}, contracted by {contracted} mm",
+        ),
+        Row(
+            "emergency stop during a flip of the fins",
+            f"{max(time for time, _ in flips) * 1e3:.0f} ms",
+            "",
+            f"they move on by {max(angle for _, angle in flips):.2f} rad at most",
+        ),
+    ]
+
+
 def run() -> list[Row]:
-    """Each fault at several moments of a gait, without and with a loop that is late."""
-    rows = []
+    """Each fault at several moments of a gait, without and with a loop that is late; then bad data and stops."""
+    rows = _bad_data() + _stops()
     for name, deed in FAULTS.items():
         for load in ("idle", "busy"):
             dice = random.Random(1) if load == "busy" else None

@@ -1,81 +1,108 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NSGA-II against the exhaustive map, the margin scan, and what a new parameter file costs."""
+"""Processor time of exact fronts, requests, margin scans and promises; NSGA-II compared with the exact front."""
 
 from __future__ import annotations
 
-import tempfile
-import time
+import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.report import Row
+from benchmarks.report import Row, cpu_time
 from worm_model.parameters import PAPER, ParameterFile
-from worm_optimizer.search.cache import Cache
-from worm_optimizer.search.certificate import CertifiedFront, certified_front
-from worm_optimizer.search.front import make_front
-from worm_optimizer.search.price_of_robustness import find_cliff, price_of_robustness, scan
-from worm_optimizer.search.search_settings import Settings
+from worm_optimizer.search import nsga2
+from worm_optimizer.search.exact import Resolution, Zoom, exact_front
+from worm_optimizer.search.front import RobustFront, make_front, scanned_price
+from worm_optimizer.search.gait_request import GaitRequest, Objective, select
+from worm_optimizer.search.search_settings import Robustness, Settings
 from worm_optimizer.search.servo_limits import limits_of, load_driver_file, servo_model
 from worm_optimizer.search.task import MarginTask
 
-TITLE = "certified fronts, the margin scan, a cold start"
-SEEDS = range(1, 11)
+TITLE = "processor time of exact fronts, requests and scans; NSGA-II compared with the exact front"
+SEEDS = range(1, 6)
 MARGINS = (0.0, 2e-3, 3.4e-3, 5e-3)
 DEFAULTS = Settings()
+REPEATS = 3
 
 
-def certify(margin: float, seed: int) -> CertifiedFront:
-    """A front with the default settings but for the seed."""
-    search = type(DEFAULTS.search)(seed=seed)
-    return certified_front(MarginTask(margin=margin), search, DEFAULTS.map, lambda _: None)
+def _row(what: str, call: Callable[[], object], goal: str, how: str) -> Row:
+    return Row(what, f"{cpu_time(call, REPEATS):.2f} s", goal, how)
 
 
-def _share_row() -> Row:
-    fronts = [certify(margin, seed) for margin in MARGINS for seed in SEEDS]
-    shares = np.array([front.hypervolume_share for front in fronts])
-    missed = sum(bool(front.missed_branches) for front in fronts)
-    told = f"{100 * shares.min():.2f} % least, {100 * np.median(shares):.2f} % median"
+def _nsga2_row() -> Row:
+    found = []
+    for margin in MARGINS:
+        exact = exact_front(MarginTask(margin=margin), Resolution(), Zoom())
+        for seed in SEEDS:
+            search = nsga2.SearchSettings(seed=seed)
+            *_, last = nsga2.generations(exact.task, search, nsga2.reference_power_of(exact))
+            found.append(nsga2.compared(exact, last.front))
+    shares = 100.0 * np.array([each.hypervolume_share for each in found])
+    excess = 100.0 * max(each.largest_excess_power for each in found)
+    missed = sum(bool(each.missed_branches) for each in found)
+    value = f"{shares.min():.2f} to {shares.max():.2f} %, up to {excess:.2f} % more power"
     how = f"{len(SEEDS)} seeds at each of {len(MARGINS)} margins; {missed} of them missed a branch"
-    return Row("hypervolume share of NSGA-II", told, "99.5 %", how)
+    return Row("NSGA-II's share of the exact hypervolume", value, "at most 100 %", how)
 
 
 def _scan_row(initial_length: float) -> Row:
-    parameters = PAPER.replace(initial_length=initial_length)
-    start = time.perf_counter()
-    margins = DEFAULTS.scan.margins()
-    points = list(scan(MarginTask(parameters), DEFAULTS.map, margins))
-    price = price_of_robustness(points, parameters)
-    seconds = time.perf_counter() - start
-    cliff = (
-        f"{1e3 * price.margin:.1f} mm ({1e3 * price.closed_form_cliff_margin:.2f} in closed form)"
+    content = ParameterFile(PAPER.replace(initial_length=initial_length))
+    price = scanned_price(content, DEFAULTS, 1)
+    cliff = "none" if price.cliff is None else f"{1e3 * price.cliff.margin:.3f} mm"
+    how = (
+        f"81 margins, cliff at {cliff} ({1e3 * price.closed_form_cliff_margin:.3f} in closed form)"
     )
-    how = f"{margins.size} margins at L0 = {initial_length} m; cliff at {cliff}"
-    return Row("margin scan", f"{seconds:.1f} s", "60 s", how)
+    return _row("margin scan", lambda: scanned_price(content, DEFAULTS, 1), "2 s", how)
 
 
-def _limited_scan_row() -> Row:
+def _limited_rows() -> list[Row]:
     driver = load_driver_file(Path(__file__).parents[1] / "src/worm_driver/config/driver.yaml")
     limits = limits_of(driver, servo_model("XM430-W350"), None)
-    start = time.perf_counter()
-    points = list(scan(MarginTask(limits=limits), DEFAULTS.map, DEFAULTS.scan.margins()))
-    seconds = time.perf_counter() - start
-    cliff = find_cliff(points)
-    told = f"cliff at {1e3 * cliff.margin:.1f} mm" if cliff else "no cliff"
-    how = f"{len(points)} margins, every moving gait's force and power looked at; {told}"
-    return Row("margin scan under a servo's limits", f"{seconds:.1f} s", "60 s", how)
+    task, limited = MarginTask(limits=limits), dataclasses.replace(DEFAULTS, limits=limits)
+    return [
+        _row(
+            "front under a servo's limits",
+            lambda: exact_front(task, Resolution(), Zoom()),
+            "1 s",
+            "margin 0, peak force, power and motor load of every moving gait",
+        ),
+        _row(
+            "margin scan under a servo's limits",
+            lambda: scanned_price(ParameterFile(), limited, 1),
+            "4 s",
+            "the same at 81 margins",
+        ),
+    ]
 
 
-def _cold_row() -> Row:
-    with tempfile.TemporaryDirectory() as folder:
-        start = time.perf_counter()
-        front = make_front(ParameterFile(), DEFAULTS, 1, Cache.at(Path(folder)), lambda _: None)
-        seconds = time.perf_counter() - start
-    how = f"scan, front, success of {len(front.predictions)} gaits over {DEFAULTS.samples} draws"
-    return Row("from parameters to a served front", f"{seconds:.1f} s", "60 s", how)
+def _promise_row(kind: Robustness, goal: str, how: str) -> Row:
+    settings = dataclasses.replace(DEFAULTS, robustness=kind)
+    return _row(f"front, {kind.value}", lambda: make_front(ParameterFile(), settings, 1), goal, how)
+
+
+def _request_row(front: RobustFront) -> Row:
+    request = GaitRequest(Objective.MIN_POWER_AT_SPEED, 0.004)
+    how = "4 mm/s, with the predictions of its gait"
+    return _row("request at a speed", lambda: select(front, request), "", how)
 
 
 def run() -> list[Row]:
-    """Measures."""
-    certify(0.0, 1)  # compiles the kernel, if it is not in its cache
-    return [_share_row(), _scan_row(0.2952), _scan_row(0.2941), _limited_scan_row(), _cold_row()]
+    """Measures, with the kernel loaded."""
+    front = make_front(ParameterFile(), dataclasses.replace(DEFAULTS, margin=3.4e-3), 1)
+    task = MarginTask(margin=3.4e-3)
+    return [
+        _row(
+            "front",
+            lambda: exact_front(task, Resolution(), Zoom()),
+            "0.5 s",
+            f"margin 3.4 mm, {len(front.gaits)} gaits, all edges and the three minima",
+        ),
+        _request_row(front),
+        _scan_row(0.2952),
+        _scan_row(0.2941),
+        *_limited_rows(),
+        _promise_row(Robustness.CHANCE, "10 s", "200 draws, success of three gaits over 500"),
+        _promise_row(Robustness.ANY_PHASE, "10 s", "64 phases, success of three gaits over 500"),
+        _nsga2_row(),
+    ]

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.report import Row, wall_time
 from worm_model.analysis.replay_metrics import report_replay
-from worm_model.bags.bag_writer import new_bag
+from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_run

@@ -69,7 +69,7 @@ def crawling(time: float) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class Film:
+class VideoSource:
     """True places (m), shape (images, 2), and what was seen."""
 
     truth: Array
@@ -81,13 +81,13 @@ class Film:
         return np.array([[s.rear, s.front] for s in self.samples]) - self.truth
 
 
-def film(
+def video(
     settings: CameraSettings,
     times: Array,
     motion: Callable[[float], tuple[float, float]] = crawling,
     setup: TrackerSetup | None = None,
     seed: int = 1,
-) -> Film:
+) -> VideoSource:
     """Images of a motion, each blurred over its exposure, and what the tracker says."""
     camera = VirtualCamera(settings, seed)
     tracker = Tracker(setup or setup_of(settings))
@@ -102,7 +102,7 @@ def film(
         image = camera.image(path)
         samples.append(tracker.see(detector.detect(image), float(time)))
         truth.append(places)
-    return Film(np.array(truth), samples)
+    return VideoSource(np.array(truth), samples)
 
 
 class PaperCamera:

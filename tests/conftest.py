@@ -5,6 +5,7 @@ import contextlib
 import itertools
 import os
 import signal
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -45,8 +46,12 @@ DOMAINS = itertools.cycle(sorted(range(1, 101), key=lambda domain: (domain - 33 
 
 def _free_domain(environment: pytest.MonkeyPatch) -> Iterator[int]:
     domain_coordinator = pytest.importorskip("domain_coordinator", reason="no ROS is installed")
-    with domain_coordinator.domain_id(lambda: next(DOMAINS)) as domain:
+    with (
+        domain_coordinator.domain_id(lambda: next(DOMAINS)) as domain,
+        tempfile.TemporaryDirectory() as state,
+    ):
         environment.setenv("ROS_DOMAIN_ID", str(domain))
+        environment.setenv("WORM_STATE_DIRECTORY", state)  # a test's emergency stop is its own
         yield domain
 
 

@@ -7,12 +7,13 @@ every run, however loaded the machine is.
 
 import errno
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
 import serial
 
 from worm_driver.clock import Traffic
+from worm_driver.control.control_loop import ControlLoop
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.robot import Robot
 from worm_driver.control.telemetry import Snapshot
@@ -21,12 +22,14 @@ from worm_driver.gait.gait_limits import Gait
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.i2c import I2CDevice
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
+from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import BusPort, ServoBus
 from worm_driver.servos.transmission import Fin, Spool
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
 from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.faults import make_fault
+from worm_driver.virtual_robot.wire.packet import Instruction, InstructionReader
 
 BAUD_RATE = 1_000_000
 BYTE_TIME = 10 / BAUD_RATE
@@ -34,7 +37,10 @@ CABLE = 1
 
 
 class Clock:
-    """Seconds that pass when somebody says so."""
+    """Seconds that pass when a test sets them."""
+
+    epoch_ns = None
+    patience = 0.0
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -42,6 +48,9 @@ class Clock:
 
     def __call__(self) -> float:
         return self.now
+
+    def close(self) -> None:
+        return None
 
 
 class Wire:
@@ -159,6 +168,34 @@ def settings(**changes: object) -> DriverSettings:
     return replace(given, **changes)
 
 
+@dataclass(frozen=True)
+class WrittenGoal:
+    """A goal position on the wire: ticks as the servo counts, and where its shaft truly was then."""
+
+    time: float
+    servo: int
+    ticks: int
+    shaft: int
+
+    @property
+    def distance(self) -> float:
+        """m of cable from the shaft's true position to the goal."""
+        return abs(self.ticks - self.shaft) * 2 * math.pi / 4096 * 0.025
+
+
+def goals_in(packet) -> Iterator[tuple[int, int]]:
+    """Servo and ticks of each goal position in an instruction packet, written alone or in a sync write."""
+    row = COMMON["goal_position"]
+    data = packet.parameters
+    if int.from_bytes(data[:2], "little") != row.address:
+        return
+    if packet.instruction == Instruction.WRITE:
+        yield packet.servo_id, int.from_bytes(data[2:6], "little", signed=True)
+    elif packet.instruction == Instruction.SYNC_WRITE:
+        for at in range(4, len(data), 1 + row.size):
+            yield data[at], int.from_bytes(data[at + 1 : at + 5], "little", signed=True)
+
+
 class Rig:
     """A driver's robot, a virtual robot, and the clock between them."""
 
@@ -172,6 +209,8 @@ class Rig:
         self.virtual = virtual or VirtualRobot(load_settings(None))
         self.wire = Wire(self.clock, self._answer)
         self.bus = ServoBus(SimulatedPort(self.wire, self.clock))
+        self.goals: list[WrittenGoal] = []
+        self._reader = InstructionReader(1.0)
         self.speeds: list[tuple[float, float]] = []
         self.positions: list[tuple[float, float]] = []
         self.samples: list[PowerSample] = []
@@ -184,6 +223,8 @@ class Rig:
         )
         self.sensor.start()
         self.robot = Robot(self.settings, self.bus, self._valid_samples, clock=self.clock)
+        self.loop = ControlLoop(self.robot, self.snapshots.append, self.clock)
+        self.ended = False
 
     def advance(self, time: float) -> None:
         """Lets the virtual robot move, and notes how fast its cable servo turns."""
@@ -195,6 +236,11 @@ class Rig:
 
     def _answer(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
         self.advance(now)
+        servos = {servo.servo_id: servo for servo in self.virtual.servos}
+        for packet in self._reader.feed(data, now):
+            for number, ticks in goals_in(packet):
+                shaft = servos[number]._encoder.raw(servos[number].motor.position)
+                self.goals.append(WrittenGoal(now, number, ticks, shaft))
         return [(t.time, t.data) for t in self.virtual.receive(data, now)]
 
     def _valid_samples(self) -> int:
@@ -227,11 +273,16 @@ class Rig:
             self.clock.now = (int(self.clock.now / period + 1e-6) + 1) * period
             self.advance(self.clock.now)
             self.samples.append(self.sensor.sample(self.clock.now))
-            self.snapshots.append(self.robot.cycle(self.clock.now))
+            self.ended = not self.loop._step(self.clock.now)
             if until is not None and until(self.snapshots[-1]):
                 return self.snapshots[-1]
         assert until is None, f"it did not happen within {duration} s: {self.robot.player}"
         return self.snapshots[-1]
+
+    def end(self) -> list[str]:
+        """The end of the driver's thread; what it reports of the release."""
+        self.loop._at_end()
+        return self.loop.release_problems
 
     def activate(self) -> None:
         """Torque on."""

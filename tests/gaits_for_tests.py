@@ -1,44 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values that the optimizer's tests share: coarse settings, made-up fronts."""
+"""Values that the optimizer's tests share: coarse settings, made-up gaits, a front of the paper's robot."""
 
 import dataclasses
-from pathlib import Path
+from functools import cache
 
+import numpy as np
+
+from worm_model.parameters import PAPER, ParameterFile, Parameters
 from worm_optimizer.robustness.prediction import Prediction
-from worm_optimizer.search.cache import Cache
-from worm_optimizer.search.front import RobustFront
-from worm_optimizer.search.gait_map import MapSettings
-from worm_optimizer.search.nsga2 import SearchSettings
+from worm_optimizer.search.exact import ExactFront, Resolution, Zoom, exact_front
+from worm_optimizer.search.front import RobustFront, make_front
 from worm_optimizer.search.search_settings import ScanSettings, Settings
+from worm_optimizer.search.task import Task
 
-COARSE_MAP = MapSettings(strokes=25, frequencies=9, tolerance=2e-5, followed=1)
+COARSE = Resolution(strokes=21, frequencies=17)
 
-# A front in a second: few margins, few generations, few draws.
+# A front in a tenth of a second: few frequencies, few margins, few draws.
 QUICK = Settings(
-    search=SearchSettings(population=20, generations=6),
-    map=COARSE_MAP,
-    scan=ScanSettings(lowest=0.0, highest=4e-3, step=1e-3),
-    samples=20,
-    kept_gaits=12,
+    resolution=COARSE, scan=ScanSettings(lowest=0.0, highest=4e-3, step=1e-3), samples=20
 )
 
 
 def made_up(speed: float, power: float, **changes: float) -> Prediction:
     """A prediction whose figures other than speed in m/s and power in W are of no interest."""
     plain = Prediction(
-        *(0.07, speed / 0.0346, 1, 0.0034, speed, power, power / speed, 2.0, 0.0011),
-        *(speed, power, power / speed, 2.0, 0.005, 0.01, 1.0, 0.5),
+        *(0.07, speed / 0.0346, 1, 0.0034),
+        **{f"{kind}speed": speed for kind in ("", "nominal_")},
+        **{f"{kind}power": power for kind in ("", "nominal_")},
+        **{f"{kind}cost_of_transport": power / speed for kind in ("", "nominal_")},
+        **{f"{kind}grooves_per_cycle": 2.0 for kind in ("", "nominal_")},
+        groove_phase=0.0011,
+        stroke_to_lower_edge=0.005,
+        stroke_to_upper_edge=0.01,
+        success_probability=1.0,
+        success_probability_any_phase=0.5,
     )
     return dataclasses.replace(plain, **changes)
 
 
-def made_up_front(direction: int = 1) -> RobustFront:
-    """Three gaits of which the second has the lowest cost of transport."""
-    gaits = [made_up(0.002, 1.4), made_up(0.005, 2.6), made_up(0.008, 4.5)]
-    gaits = [dataclasses.replace(gait, direction=direction) for gait in gaits]
-    return RobustFront(direction, 0.0034, "given", "nsga2", 0.999, (), tuple(gaits))
+@cache
+def small_front(margin: float = 3.4e-3, direction: int = 1) -> RobustFront:
+    """The front of the paper's robot at a margin in m, on few frequencies."""
+    return make_front(ParameterFile(), dataclasses.replace(QUICK, margin=margin), direction)
 
 
-def cache_in(folder: Path) -> Cache:
-    """A cache in a new folder of a test's own."""
-    return Cache.at(folder / "cache")
+def coarse_front(task: Task, frequencies: int = COARSE.frequencies) -> ExactFront:
+    """The exact front of a task, on few frequencies."""
+    resolution = dataclasses.replace(COARSE, frequencies=frequencies)
+    return exact_front(task, resolution, Zoom(points=9, rounds=5))
+
+
+def random_robot(seed: int) -> Parameters:
+    """A robot whose parameters lie up to a factor of two from the paper's, with any groove phase."""
+    random = np.random.default_rng(seed)
+    plain = PAPER.as_dict()
+    varied = ("rear_mass", "front_mass", "viscous_friction", "engaged_stiffness", "clearance")
+    varied += ("disengaged_stiffness", "time_constant", "slack", "bellows_stiffness")
+    drawn = {key: plain[key] * random.uniform(0.5, 1.8) for key in varied}
+    drawn["pitch"] = plain["pitch"] * random.uniform(0.6, 1.2)
+    drawn["gain"] = random.uniform(0.75, 1.0)
+    threshold = max(random.uniform(0.7, 1.1) * drawn["pitch"], 0.75 * drawn["clearance"])
+    length = (round(0.295 / drawn["pitch"]) + random.uniform(-0.49, 0.49)) * drawn["pitch"]
+    return PAPER.replace(**drawn, switching_threshold=threshold, initial_length=length)

@@ -19,6 +19,8 @@ from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
+from worm_msgs.goal_rejections import REJECTIONS_QOS, rejections_topic
+from worm_msgs.msg import GoalRejection
 from worm_optimizer.operation.bring_up import start_nodes
 from worm_optimizer.operation.processes import Process, ProcessGroup, executable_command
 from worm_optimizer.operation.system import SystemFile, load_system_file
@@ -85,6 +87,10 @@ class Probe:
             assert time.monotonic() < deadline, f"no {what} within {timeout_s:g} s"
             self._executor.spin_once(timeout_sec=0.05)
 
+    def spin_once(self, timeout_s: float) -> None:
+        """Serve what comes within a time."""
+        self._executor.spin_once(timeout_sec=timeout_s)
+
     def collect(self, kind: type, topic: str, qos: QoSProfile | int = 1000) -> list[Any]:
         """Subscribe; the returned list grows with the messages."""
         messages: list[Any] = []
@@ -110,19 +116,12 @@ class Probe:
         """Wait until the process that serves this has found the clients that there are.
 
         Before, its responses get lost (the middleware warns of it). It finds clients in the order in which they were
-        created: one that asks for parameters, as often as it takes, is the last to be found. The recorder alone has
-        no parameters to ask for.
+        created: one that asks for parameters, as often as it takes, is the last to be found.
         """
         name = self.node.resolve_service_name(service)
         services = self.wait_for(lambda: self._services_with(name), f"service {name}", timeout_s)
         server = next(node for node, offered in services.items() if name in offered)
-        # A node beside the driver (`worm_driver.nodes.side_node`) has a name that begins with the driver's.
-        known = [
-            n for n in services if server.startswith(n) and f"{n}/list_parameters" in services[n]
-        ]
-        if not known:
-            return
-        client = self.node.create_client(ListParameters, f"{max(known, key=len)}/list_parameters")
+        client = self.node.create_client(ListParameters, f"{server}/list_parameters")
         futures: list[Future] = []
 
         def answered() -> bool:
@@ -160,6 +159,17 @@ class Probe:
         self.wait_for(client.server_is_ready, f"action {name}", timeout_s)
         sent = client.send_goal_async(goal, feedback_callback=feedback)
         return self.result(sent, f"answer of {name}", timeout_s)
+
+    def rejection(self, goal: Any, action: str = "run_gait") -> str:
+        """Return why a goal of an action was rejected; fail if it was accepted."""
+        assert not goal.accepted
+        rejections = self.collect(GoalRejection, rejections_topic(action), REJECTIONS_QOS)
+        own = bytes(goal.goal_id.uuid)
+
+        def reason() -> str | None:
+            return next((r.reason for r in rejections if bytes(r.goal) == own), None)
+
+        return str(self.wait_for(reason, "reason of the rejection"))
 
 
 class VirtualWorm:

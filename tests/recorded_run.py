@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from worm_model.bags.bag_writer import new_bag
+from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.run_writer import write_run
 from worm_model.gait import Gait
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples

@@ -7,10 +7,11 @@ import itertools
 import numpy as np
 from recorded_run import EPOCH, GAIT, IDLE, INITIAL_LENGTH, RESTING, RUNNING
 
-from worm_driver.virtual_robot.plant import BodyParameters, Plant, PlantEffects, make_grooves
+from worm_driver.virtual_robot.plant import Plant, PlantEffects, make_grooves
 from worm_model.gait import FORWARD
 from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
+from worm_msgs.robot_parameters import RobotParameters
 
 STEP_S, REST_S, PAUSE_S = 1e-3, 2.0, 6.0
 POWER_W = 1.5  # whatever it does: this robot's sensor is a dummy
@@ -36,9 +37,9 @@ def recorded_session(cycles: tuple[int, int] = (4, 5)) -> tuple[Run, Run]:
 
 def _positions(command: np.ndarray) -> np.ndarray:
     """x1 and x2 (n, 2) m of a robot with the paper's parameters and alike grooves."""
-    names = (field.name for field in dataclasses.fields(BodyParameters))
-    body = BodyParameters(**{name: getattr(PAPER, name) for name in names})
-    effects = PlantEffects(0.0, 0.0, 0.0, 1e-4, 0.5)
+    names = (field.name for field in dataclasses.fields(RobotParameters))
+    body = RobotParameters(**{name: getattr(PAPER, name) for name in names})
+    effects = PlantEffects(0.0, 0.0, 1e-4, 0.5)
     grooves = make_grooves(body, effects, 0)
     plant = Plant(body, effects, grooves, grooves, STEP_S)
     states = itertools.accumulate(

@@ -13,7 +13,7 @@ vary:
   switching_threshold: [0.008, 0.0175]     # 8 mm is less than half the pitch: not admissible
 fixed: {margin_m: 0.002, at_power_W: 2.6}
 compute: [front, gaits]
-resolution: {strokes: 7, frequencies: 5, followed: 0, tolerance_m: 1.0e-4, front_gaits: 4, samples: 10}
+resolution: {strokes: 9, frequencies: 5, front_gaits: 4, samples: 10}
 block_points: 1
 """
 

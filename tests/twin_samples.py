@@ -10,6 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.gait import Gait
+from worm_model.parameters import PAPER
+from worm_model.run import (
+    GaitStates,
+    LengthSamples,
+    MemorySamples,
+    PowerSamples,
+    Run,
+    TrackerSamples,
+)
 from worm_model.twin.records import Activity, Event, residual_message
 from worm_model.twin.samples import SAMPLE, Kind
 from worm_model.twin.twin import Twin, TwinState
@@ -144,3 +153,39 @@ class _Record:
 def finite(values: Sequence[float]) -> list[float]:
     """Those that are numbers."""
     return [value for value in values if math.isfinite(value)]
+
+
+def run_of_rows(rows: np.ndarray, memories: Sequence[tuple[int, str]] = ()) -> Run:
+    """Rows of SAMPLE in the order of their reception as a recorded run, with stored memories (stamp in ns, text)."""
+
+    def of(kind: Kind) -> np.ndarray:
+        return rows[rows["kind"] == kind]
+
+    gait, command, power = of(Kind.GAIT), of(Kind.COMMAND), of(Kind.POWER)
+    length, tracker = of(Kind.LENGTH), of(Kind.POSITION)
+    usual = PAPER.initial_length
+    return Run(
+        origin=int(rows["stamp"].min()),
+        commanded=LengthSamples(command["stamp"], command["a"] + usual, command["a"]),
+        measured=LengthSamples(length["stamp"], length["a"], length["a"] - usual),
+        tracker=TrackerSamples(tracker["stamp"], tracker["a"], tracker["b"]),
+        power=PowerSamples(
+            power["stamp"], 0 * power["stamp"], 0 * power["a"], 0 * power["a"], power["a"]
+        ),
+        gait_state=GaitStates(
+            stamp=gait["stamp"],
+            state=gait["state"],
+            stroke=gait["a"],
+            frequency=gait["b"],
+            direction=gait["c"].astype(np.int64),
+            margin=gait["d"],
+            onset=gait["onset"],
+            cycle=gait["cycle"],
+            cycles=0 * gait["cycle"],
+            run=gait["run"],
+        ),
+        memory=MemorySamples(
+            np.array([stamp for stamp, _ in memories], np.int64),
+            np.array([text for _, text in memories], object),
+        ),
+    )

@@ -60,10 +60,7 @@ def virtual_campaign(
             sinusoid(gait.stroke, gait.frequency),
             duration,
         )
-        dry = settings.effects.dry_friction
-        truth = Parameters(
-            **dataclasses.asdict(run.truth), rear_dry_friction=dry, front_dry_friction=dry
-        )
+        truth = Parameters(**dataclasses.asdict(run.truth))
         recordings.append(recording_of(run_of(run, gait, settings), f"run_{index + 1}"))
     bellows, fin = bench_tests(truth, np.random.default_rng(seed))
     given = ReferenceValues(read_off(truth, np.random.default_rng([seed, 1])), {}, "the maker")

@@ -23,7 +23,7 @@ setup(
     description="Driver, recorder and virtual robot of the worm: servos, power sensor, bags.",
     license="Apache-2.0",
     maintainer="The worm robot maintainers",
-    maintainer_email="maintainers@worm.invalid",
+    maintainer_email="maintainers@worm.example",
     packages=find_packages(),
     package_data={NAME: ["config/*"]},
     data_files=[

@@ -23,7 +23,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "watch = worm_model.nodes.executables:watch",
 ]
 # What pip brings where there is no rosdep, as for a worker of a study; requirements*.txt pin the versions.
-NEEDED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "mcap", "rosbags", "pyarrow"]
+NEEDED = ["numpy", "scipy", "numba", "PyYAML", "matplotlib", "pillow", "mcap", "rosbags", "pyarrow"]
 
 setup(
     name=NAME,
@@ -31,7 +31,7 @@ setup(
     description="Exact simulator, digital twin and identification of the worm.",
     license="Apache-2.0",
     maintainer="The worm robot maintainers",
-    maintainer_email="maintainers@worm.invalid",
+    maintainer_email="maintainers@worm.example",
     packages=find_packages(),
     package_data={NAME: ["config/*"]},
     install_requires=NEEDED,

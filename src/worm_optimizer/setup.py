@@ -31,9 +31,9 @@ setup(
     description="Robust gaits for the worm, and the bring-up of its node graph.",
     license="Apache-2.0",
     maintainer="The worm robot maintainers",
-    maintainer_email="maintainers@worm.invalid",
+    maintainer_email="maintainers@worm.example",
     packages=find_packages(),
-    package_data={NAME: ["config/*", "config/fronts/*", "report/*.jinja", "study/*.jinja"]},
+    package_data={NAME: ["config/*", "report/*.jinja", "study/*.jinja"]},
     install_requires=NEEDED,
     extras_require={
         "study": STUDY,

@@ -5,6 +5,7 @@ import itertools
 import math
 import signal
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -12,10 +13,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness import LATCHED, TIMEOUT_S
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from worm_driver.servos.registers import COMMON
@@ -26,6 +30,12 @@ from worm_msgs.srv import InjectFault
 
 SERVOS = (1, 11, 12)
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/GoalStatus
+
+
+@pytest.fixture(autouse=True)
+def state_directory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """An emergency stop of one test is none of the next; set before any process is started."""
+    monkeypatch.setenv("WORM_STATE_DIRECTORY", str(tmp_path / "state"))
 
 
 @pytest.fixture
@@ -217,24 +227,17 @@ def test_diagnostics_name_every_part(driver, commander, probe):
 # --- what is refused --------------------------------------------------------------------------------
 
 
-def test_goals_that_cannot_be_played_are_refused_with_the_reason(driver, commander):
-    early = commander.result(commander.send())
-    assert early.status == ABORTED
-    assert "not configured" in early.result.message
+def test_goals_that_cannot_be_played_are_rejected_with_the_reason(driver, commander, probe):
+    assert "not configured" in probe.rejection(commander.send())
     commander.activate()
     for stroke, frequency, words in (
         (math.nan, 0.2, "stroke is nan"),
         (0.07, -0.2, "frequency -0.2"),
         (0.5, 0.2, "limits.max_stroke_m"),
     ):
-        refused = commander.result(commander.send(stroke, frequency))
-        assert refused.status == ABORTED
-        assert not refused.result.success
-        assert words in refused.result.message
+        assert words in probe.rejection(commander.send(stroke, frequency))
     first = commander.send(cycles=1)
-    second = commander.result(commander.send(cycles=1))
-    assert second.status == ABORTED
-    assert "running already" in second.result.message
+    assert "running already" in probe.rejection(commander.send(cycles=1))
     assert commander.result(first).status == SUCCEEDED
 
 
@@ -282,7 +285,7 @@ def test_stop_holds_at_once_and_the_next_gait_returns_to_rest_first(driver, comm
 def test_stop_is_served_while_a_deactivation_returns_to_rest(
     processes, directory, commander, probe
 ):
-    given = parameters(directory, return_speed_m_s=0.005)
+    given = parameters(directory, return_speed_m_per_s=0.005)
     processes.start_node("worm_driver", "driver_node", **given)
     commanded = probe.collect(BodyLength, "body_length/commanded")
     cable = run_into_a_gait(commander, probe)
@@ -350,6 +353,120 @@ def test_shutdown_while_active_releases(driver, commander, probe, directory):
     assert torques(directory) == [0, 0, 0]
 
 
+def stop_by(way: str, probe, client) -> None:
+    """The service, or the topic."""
+    if way == "service":
+        assert probe.result(client.call_async(Trigger.Request()), "answer to stop").success
+    else:
+        publisher = probe.node.create_publisher(Bool, "emergency_stop", LATCHED)
+        publisher.publish(Bool(data=True))
+
+
+@pytest.mark.parametrize("way", ["service", "topic"])
+@pytest.mark.parametrize("end", ["signal", "shutdown"])
+def test_a_stop_while_the_driver_shuts_down_leaves_the_robot_holding(
+    processes, directory, commander, probe, end, way
+):
+    given = parameters(directory, return_speed_m_per_s=0.005)
+    driver = processes.start_node("worm_driver", "driver_node", **given)
+    cable = run_into_a_gait(commander, probe)
+    stop = probe.node.create_client(Trigger, "stop")
+    probe.meet("stop")
+    if end == "signal":
+        driver.signal(signal.SIGTERM)
+        reason = "the driver ends"
+    else:
+        client = probe.node.create_client(ChangeState, "driver/change_state")
+        shutdown = Transition(id=Transition.TRANSITION_ACTIVE_SHUTDOWN)
+        changed = client.call_async(ChangeState.Request(transition=shutdown))
+        reason = "the driver shuts down"
+    probe.wait_for(lambda: commander.states[-1].message == reason, "way back to rest")
+    stop_by(way, probe, stop)
+    if end == "shutdown":
+        assert not probe.result(changed, "answer to the shutdown").success
+        driver.signal(signal.SIGTERM)
+    probe.wait_for(lambda: driver.exit_code is not None, "end of the driver")
+    assert driver.exit_code == 1
+    driver.wait_for_line(r"ERROR.*torque stays on.*contracted by \d", TIMEOUT_S)
+    assert cable[-1].length_change < -0.01
+    assert torques(directory) == [1, 1, 1]
+
+
+def test_a_second_ctrl_c_after_a_stop_releases_the_torque(processes, directory, commander, probe):
+    """A person switches it off, as documented."""
+    given = parameters(directory, return_speed_m_per_s=0.005)
+    driver = processes.start_node("worm_driver", "driver_node", **given)
+    run_into_a_gait(commander, probe)
+    driver.signal(signal.SIGINT)
+    probe.wait_for(lambda: commander.states[-1].message == "the driver ends", "way back to rest")
+    states = len(commander.states)
+    since = time.monotonic()
+    probe.wait_for(lambda: time.monotonic() > since + 1.6, "time between two presses")
+    driver.signal(signal.SIGINT)
+    probe.wait_for(lambda: driver.exit_code is not None, "end of the driver")
+    assert len(commander.states) >= states
+    assert torques(directory) == [0, 0, 0]
+
+
+# --- floods ---------------------------------------------------------------------------------------
+
+EVERY_ANSWER = QoSProfile(history=HistoryPolicy.KEEP_ALL)  # by default a client keeps the last ten
+
+
+def goal_client(probe) -> ActionClient:
+    client = ActionClient(
+        probe.node,
+        RunGait,
+        "run_gait",
+        goal_service_qos_profile=EVERY_ANSWER,
+        result_service_qos_profile=EVERY_ANSWER,
+    )
+    probe.meet("run_gait/_action/send_goal")
+    probe.wait_for(client.server_is_ready, "action run_gait")
+    return client
+
+
+def test_no_goal_that_was_received_before_a_stop_is_played_after_it(driver, commander, probe):
+    run_into_a_gait(commander, probe)
+    client = goal_client(probe)
+    stop = probe.node.create_client(Trigger, "stop")
+    probe.meet("stop")
+    goal = RunGait.Goal(gait=Gait(stroke=0.05, frequency=0.4, direction=1), cycles=1)
+    sent = [client.send_goal_async(goal) for _ in range(50)]
+    stopped = stop.call_async(Trigger.Request())
+    assert probe.result(stopped, "answer to stop").success
+    probe.wait_for(lambda: all(future.done() for future in sent), "answer to every goal")
+    accepted = [future.result() for future in sent if future.result().accepted]
+    results = [probe.result(handle.get_result_async(), "result") for handle in accepted]
+    assert all(result.status == ABORTED for result in results)
+    assert {state.run for state in commander.states} == {0, 1}
+    assert commander.states[-1].message == "the service stop was called"
+    # what is sent after it is played
+    assert commander.result(commander.send(cycles=1)).status == SUCCEEDED
+
+
+def test_every_goal_and_every_lifecycle_request_of_a_flood_is_answered(driver, commander, probe):
+    commander.activate()
+    goals = goal_client(probe)
+    changes = probe.node.create_client(ChangeState, "driver/change_state", qos_profile=EVERY_ANSWER)
+    states = probe.node.create_client(GetState, "driver/get_state", qos_profile=EVERY_ANSWER)
+    probe.meet("driver/change_state")
+    goal = RunGait.Goal(gait=Gait(stroke=0.05, frequency=0.4, direction=1), cycles=0)
+    flip = itertools.cycle([Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE])
+    calls = []
+    for _ in range(150):
+        calls.append(goals.send_goal_async(goal))
+        change = ChangeState.Request(transition=Transition(id=next(flip)))
+        calls.append(changes.call_async(change))
+        calls.append(states.call_async(GetState.Request()))
+        due = time.monotonic() + 0.005  # 200 a second of each
+        while time.monotonic() < due:
+            probe.spin_once(0.001)
+    probe.wait_for(lambda: all(call.done() for call in calls), "answer to every request")
+    assert driver.exit_code is None
+    assert len(driver.output().splitlines()) < 100
+
+
 _SLOW = """
 import sys
 import time
@@ -388,8 +505,7 @@ def test_an_activation_that_takes_too_long_ends_inactive_and_released(
     assert commander.change(Transition.TRANSITION_CONFIGURE)
     assert not commander.change(Transition.TRANSITION_ACTIVATE)
     assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
-    refused = commander.result(commander.send())
-    assert "the torque is off" in refused.result.message
+    assert "the torque is off" in commander.probe.rejection(commander.send())
 
 
 def test_a_deactivation_that_fails_closes_and_releases_all_the_same(
@@ -469,15 +585,45 @@ def test_after_a_kill_a_new_driver_takes_over(processes, commander, probe, direc
 def test_limits_take_effect_at_once_and_all_else_is_refused_while_configured(driver, commander):
     commander.activate()
     assert commander.set_parameter("limits.max_stroke_m", 0.02).successful
-    answer = commander.result(commander.send(stroke=0.03))
-    assert answer.status == ABORTED
-    assert "limits.max_stroke_m" in answer.result.message
+    assert "limits.max_stroke_m" in commander.probe.rejection(commander.send(stroke=0.03))
+    for name, lower, higher in (
+        ("limits.max_stroke_m", 0.02, 0.2),
+        ("limits.max_servo_current_a", 1.0, 1.1),
+        ("return_speed_m_per_s", 0.04, 0.05),
+    ):
+        assert commander.set_parameter(name, lower).successful
+        raised = commander.set_parameter(name, higher)
+        assert not raised.successful
+        assert f"{lower:g}" in raised.reason
+        assert "lowered" in raised.reason
+    assert not commander.set_parameter("use_sim_time", True).successful
     refused = commander.set_parameter("port", "/dev/other")
     assert not refused.successful
     assert "takes effect at configure" in refused.reason
     assert commander.change(Transition.TRANSITION_DEACTIVATE)
     assert commander.change(Transition.TRANSITION_CLEANUP)
     assert commander.set_parameter("port", "/dev/other").successful
+    assert commander.set_parameter("limits.max_stroke_m", 0.05).successful
+
+
+def test_a_driver_accepts_its_own_parameters_as_ros2_param_load_sets_them(driver, commander, probe):
+    """All but one alone that is other; also read-only ones, and those that only a cleanup would permit."""
+    commander.activate()
+    names = probe.call(ListParameters, "driver/list_parameters", ListParameters.Request())
+    get = GetParameters.Request(names=names.result.names)
+    values = probe.call(GetParameters, "driver/get_parameters", get).values
+    assert len(values) == len(get.names) > 30
+    own = [ParameterMessage(name=n, value=v) for n, v in zip(get.names, values, strict=True)]
+    request = SetParameters.Request(parameters=own)
+    results = probe.call(SetParameters, "driver/set_parameters", request).results
+    assert [n for n, r in zip(get.names, results, strict=True) if not r.successful] == []
+
+
+def test_simulated_time_is_rejected_at_the_start(processes, directory):
+    given = parameters(directory, use_sim_time=True)
+    driver = processes.start_node("worm_driver", "driver_node", **given)
+    assert driver.wait(TIMEOUT_S) == 2
+    assert "use_sim_time" in driver.last_line()
 
 
 def test_a_run_that_a_new_limit_does_not_allow_ends_at_rest(driver, commander):
@@ -520,8 +666,7 @@ def test_a_silent_servo_is_a_fault_that_is_named_and_mended(driver, commander):
     assert "Mend the cause, then deactivate and activate" in line
     commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "servo 1 gives no state")
     commander.wait_for_report("worm/driver: servo bus", DiagnosticStatus.WARN, "timeouts")
-    refused = commander.result(commander.send())
-    assert "in fault" in refused.result.message
+    assert "in fault" in commander.probe.rejection(commander.send())
     commander.inject(name="clear")
     assert commander.change(Transition.TRANSITION_DEACTIVATE)
     assert commander.change(Transition.TRANSITION_ACTIVATE)
@@ -534,7 +679,7 @@ def test_an_unplugged_port_is_a_fault_and_a_new_configuration_mends_it(
     run_into_a_gait(commander, probe)
     commander.inject(name="unplugged", duration=1.0)
     assert "is gone" in commander.wait_for_state(GaitState.FAULT, "fault").message
-    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "plug it in again")
+    commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "is gone")
     assert not commander.change(Transition.TRANSITION_DEACTIVATE)
     commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "torque may still be on")
     assert commander.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
@@ -622,6 +767,22 @@ def test_a_failed_configuration_leaves_the_node_unconfigured_and_can_be_repeated
     commander.wait_for_report("worm/driver: gait", DiagnosticStatus.ERROR, "does not acknowledge")
     commander.inject(name="clear")
     commander.activate()
+
+
+def test_a_second_driver_in_the_namespace_ends_before_it_serves_anything(
+    driver, processes, commander, directory
+):
+    """At once, whatever it has discovered: it does not hear of any other process."""
+    commander.activate()
+    given = {**parameters(directory), "autostart": "true", "port": "/dev/none"}
+    processes._env["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
+    words = ["--ros-args", "-r", "__ns:=/worm"]
+    for key, value in given.items():
+        words += ["-p", f"{key}:={value}"]
+    second = processes.start_executable("worm_driver", "driver_node", *words, name="second")
+    assert second.wait(TIMEOUT_S) == 2
+    second.wait_for_line(f"/worm has a driver already, process {driver.pid} ", TIMEOUT_S)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
 
 
 def test_a_second_driver_on_the_same_port_is_refused(driver, processes, commander, directory):

@@ -6,6 +6,7 @@ import re
 import runpy
 import shutil
 import signal
+import time
 from collections import defaultdict
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import LATCHED
-from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.msg import State, Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
@@ -22,7 +23,7 @@ from worm_driver.nodes.virtual_camera_node import FRAME
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_msgs.action import RunGait
-from worm_msgs.msg import BodyLength, Gait, GaitState, Tracker, TwinState
+from worm_msgs.msg import BodyLength, Gait, GaitState, Power, Tracker, TwinState
 
 pytest.importorskip("launch_ros", reason="no launch system is installed")
 ROS2 = shutil.which("ros2")
@@ -59,8 +60,12 @@ def launched(processes, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONUNBUFFERED", "1")
     processes._env = dict(os.environ)
 
-    def start(*words: str, file: tuple[str, ...] = ("worm_optimizer", "worm.launch.py")):
-        return processes.start("launch", [ROS2, "launch", *file, *words])
+    def start(
+        *words: str,
+        file: tuple[str, ...] = ("worm_optimizer", "worm.launch.py"),
+        name: str = "launch",
+    ):
+        return processes.start(name, [ROS2, "launch", *file, *words])
 
     return start
 
@@ -85,6 +90,10 @@ def pids(output: str) -> dict[str, int]:
     return {name: int(number) for name, number in found}
 
 
+def stamp(message) -> int:
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
 def runs(pid: int) -> bool:
     try:
         return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
@@ -98,7 +107,8 @@ def test_after_one_failure_a_robot_is_its_operators(launched, probe, processes, 
     )
     robot.wait_for_line("ready:", START_S)
     launch = launched("mode:=robot", "port:=/nope", "i2c_bus:=none")
-    launch.wait_for_line("launch does not try again", START_S)
+    launch.wait_for_line("cannot configure: .*/nope", START_S)
+    launch.wait_for_line("waiting for configure: ", START_S)
     assert state_of(probe) == State.PRIMARY_STATE_UNCONFIGURED
 
     text = ParameterValue(
@@ -119,7 +129,7 @@ def test_after_one_failure_a_robot_is_its_operators(launched, probe, processes, 
 def test_launch_is_as_patient_as_a_slow_return(launched, probe, tmp_path):
     """The return from ΔL = -60 mm at 12 mm/s takes 8 s, more than launch waits by itself, and is recorded."""
     file = tmp_path / "driver.yaml"
-    file.write_text("/worm/driver: {ros__parameters: {return_speed_m_s: 0.012}}\n")
+    file.write_text("/worm/driver: {ros__parameters: {return_speed_m_per_s: 0.012}}\n")
     launch = launched(*virtual(tmp_path, driver_file=file, bag=tmp_path / "bag"))
     wait_for_active(probe)
     states = probe.collect(GaitState, "gait_state", LATCHED)
@@ -132,7 +142,7 @@ def test_launch_is_as_patient_as_a_slow_return(launched, probe, tmp_path):
     probe.wait_for(lambda: launch.exit_code is not None, "end of launch", START_S)
     assert launch.exit_code == 0
     assert "escalating" not in launch.output()
-    assert "plug it in again" not in launch.output()
+    assert "is gone" not in launch.output()
     assert abs(lengths[-1].length_change) < 0.002
     assert states[-1].state == GaitState.INACTIVE
     told: list[str] = []
@@ -206,7 +216,123 @@ def test_the_twin_is_missed_and_starts_again_but_the_driver_ends_all(launched, p
     assert state_of(probe) == State.PRIMARY_STATE_ACTIVE
     os.kill(before["driver"], signal.SIGKILL)
     assert launch.wait(START_S) == 1
-    assert "driver has ended with exit status -9" in launch.output()
+    assert launch.last_line().endswith("the driver ended (exit status -9); torque may be on")
+    assert not any(map(runs, pids(launch.output()).values()))
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 1.0])
+def test_ctrl_c_during_the_shutdown_after_a_crash_leaves_nothing_behind(
+    launched, probe, tmp_path, delay_s
+):
+    launch = launched(*virtual(tmp_path))
+    wait_for_active(probe)
+    os.kill(pids(launch.output())["driver"], signal.SIGKILL)
+    end = time.monotonic() + delay_s
+    probe.wait_for(lambda: time.monotonic() >= end, "the delay")
+    launch.interrupt()
+    assert launch.wait(START_S) in (
+        1,
+        -signal.SIGINT,
+    )  # the latter where it was about to end already
+    assert launch.last_line().endswith("torque may be on")
+    assert not any(map(runs, pids(launch.output()).values()))
+
+
+def test_a_recorder_that_crashes_goes_on_in_the_next_bag(launched, probe, tmp_path):
+    bag = tmp_path / "bag"
+    launch = launched(*virtual(tmp_path, bag=bag))
+    wait_for_active(probe)
+    before = pids(launch.output())
+    states = probe.collect(GaitState, "gait_state", LATCHED)
+    assert probe.send_goal(RunGait, "run_gait", GAIT).accepted
+    probe.wait_for(lambda: states and states[-1].cycle >= 1, "running gait", START_S)
+    os.kill(before["recorder"], signal.SIGKILL)
+    launch.wait_for_line("recorder has ended with exit status -9: it starts again", START_S)
+    launch.wait_for_line(f"{bag} was not closed by its recorder, and goes on in {bag}_2", START_S)
+    cycle = states[-1].cycle
+    probe.wait_for(lambda: states[-1].cycle > cycle + 1, "the gait that goes on", START_S)
+    launch.interrupt()
+    assert launch.wait(START_S) == 0
+    for name in ("bag", "bag_2"):
+        with open_bag(tmp_path / name, lambda _: None) as content:
+            assert read_run(content).gait_state.state.size
+
+
+def test_an_argument_makes_the_recorder_end_all(launched, probe, tmp_path):
+    launch = launched(*virtual(tmp_path, bag=tmp_path / "bag", also_required="recorder"))
+    wait_for_active(probe)
+    os.kill(pids(launch.output())["recorder"], signal.SIGKILL)
+    assert launch.wait(START_S) == 1
+    assert "recorder has ended with exit status -9" in launch.last_line()
+
+
+# --- one graph in a namespace -------------------------------------------------------------------------
+
+STATES = {
+    "unconfigured": (),
+    "inactive": (Transition.TRANSITION_CONFIGURE,),
+    "active": (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE),
+}
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("discovery", ["SYSTEM_DEFAULT", "OFF"])
+def test_a_second_graph_never_commands_the_first_robot(
+    launched, probe, processes, tmp_path, state, discovery
+):
+    """Whatever it has discovered by then; with discovery off, that is nothing."""
+    folder = tmp_path / "first"
+    robot = processes.start_node("worm_driver", "virtual_robot", "--directory", str(folder))
+    robot.wait_for_line("ready:", START_S)
+    driver = processes.start_node(
+        *("worm_driver", "driver_node"),
+        port=folder / "servo_bus",
+        i2c_bus=folder / "i2c.sock",
+        home_at_start=True,
+    )
+    driver.wait_for_line("waiting for configure", START_S)
+    for transition in STATES[state]:
+        change = ChangeState.Request(transition=Transition(id=transition))
+        assert probe.call(ChangeState, "/worm/driver/change_state", change).success
+    before = state_of(probe)
+    seen = probe.collect(TransitionEvent, "/worm/driver/transition_event")
+    processes._env["ROS_AUTOMATIC_DISCOVERY_RANGE"] = discovery
+    launch = launched(*virtual(tmp_path))
+    assert launch.wait(START_S) == 1
+    assert f"/worm has a driver already, process {driver.pid} " in launch.output()
+    assert pids(launch.output()) == {}
+    assert state_of(probe) == before
+    assert seen == []
+
+
+def test_of_two_graphs_that_start_at_once_one_starts_nothing(launched, probe, tmp_path):
+    both = first, second = [
+        launched(*virtual(tmp_path / name), name=name) for name in ("first", "second")
+    ]
+    probe.wait_for(lambda: any(p.exit_code is not None for p in both), "end of one", START_S)
+    ended, lives = both if first.exit_code is not None else (second, first)
+    assert ended.exit_code == 1
+    assert pids(ended.output()) == {}
+    assert "/worm has a node graph already, process" in ended.output()
+    wait_for_active(probe)
+    lives.interrupt()
+    assert lives.wait(START_S) == 0
+
+
+def test_a_replay_waits_for_a_twin_that_takes_its_time(launched, probe, tmp_path):
+    """As one that has yet to compile; here it is halted at its start."""
+    powers = probe.collect(Power, "/worm/power")
+    states = probe.collect(TwinState, "/worm/twin/state")
+    launch = launched("mode:=replay", f"bag:={Path(__file__).parents[2] / 'bags/forward'}")
+    launch.wait_for_line(r"\[twin-1\]: process started", START_S)
+    os.kill(pids(launch.output())["twin"], signal.SIGSTOP)
+    launch.wait_for_line("waiting for twin to subscribe", START_S)
+    assert powers == []
+    os.kill(pids(launch.output())["twin"], signal.SIGCONT)
+    probe.wait_for(lambda: powers and states, "replay with a twin", START_S)
+    assert stamp(states[0]) - stamp(powers[0]) < 2 * 10**9
+    launch.interrupt()
+    assert launch.wait(START_S) == 0
 
 
 @pytest.mark.parametrize(
@@ -215,6 +341,9 @@ def test_the_twin_is_missed_and_starts_again_but_the_driver_ends_all(launched, p
         (["mode:=robot", "driver_file:=/nonexistent"], "/nonexistent"),
         (["mode:=robot", "use_sim_time:=true"], "a robot runs in real time"),
         (["mode:=simulation"], "simulation"),
+        (["nmaespace:=a"], "no launch argument 'nmaespace': did you mean namespace?"),
+        (["colour:=red"], "no launch argument 'colour': there are mode, namespace"),
+        (["also_required:=recoder"], "no node 'recoder': did you mean recorder?"),
     ],
 )
 def test_what_cannot_work_is_said_without_a_traceback(launched, words, said):

@@ -46,6 +46,11 @@ class Host:
         private = 'mount -t tmpfs none /dev/shm && exec "$@"'
         return ["ip", "netns", "exec", self.name, "sh", "-c", private, "sh", *words]
 
+    def tc(self, action: str, *words: str) -> str:
+        """Add or delete a queueing discipline of the cable; returns what failed."""
+        command = ["ip", "netns", "exec", self.name, "tc", "qdisc", action, "dev", "cable", "root"]
+        return subprocess.run([*command, *words], capture_output=True, text=True).stderr
+
     def udp_ports(self) -> list[str]:
         """The addresses that programs of this host are bound to."""
         given = subprocess.run(
@@ -106,9 +111,9 @@ def look(host: Host, peer: Host, seconds: float) -> str:
     return given.stdout
 
 
-def start_driver(processes, host: Host, *environment: str) -> Process:
+def start_driver(processes, host: Host, *environment: str, name: str = "driver") -> Process:
     command = executable_command("worm_driver", "driver_node")
-    return processes.start("driver", host.command("env", *environment, *command))
+    return processes.start(name, host.command("env", *environment, *command))
 
 
 def test_a_neighbour_with_static_peers_finds_nothing(processes, probe, hosts):
@@ -125,6 +130,28 @@ def test_the_same_neighbour_finds_a_driver_that_was_let_onto_the_network(process
     driver.wait_for_line(r"network: heard on the network \(WORM_NETWORK=1\)", TIMEOUT_S)
     probe.wait_for(robot.udp_ports, "driver with its ports")
     assert "driver" in look(neighbour, robot, LOOKING_S)
+
+
+def test_a_second_driver_on_the_network_ends_before_it_serves_anything(processes, hosts):
+    first, second = hosts
+    start_driver(processes, first, "WORM_NETWORK=1").wait_for_line("waiting for conf", TIMEOUT_S)
+    other = start_driver(processes, second, "WORM_NETWORK=1", name="second")
+    assert other.wait(2 * TIMEOUT_S) == 2
+    other.wait_for_line("/ has 2 drivers on the network: nothing starts", TIMEOUT_S)
+    assert "waiting for conf" not in other.output()
+
+
+def test_two_drivers_that_discover_each_other_late_do_not_start(processes, hosts):
+    """The cable between their computers carries nothing before both are ready."""
+    cut = [host.tc("add", "pfifo", "limit", "0") for host in hosts]
+    if any(cut):
+        pytest.skip(f"a cable that drops all packets needs tc (iproute2): {cut}")
+    drivers = [start_driver(processes, host, "WORM_NETWORK=1", name=host.name) for host in hosts]
+    for driver in drivers:
+        driver.wait_for_line("waiting for configure", TIMEOUT_S)
+    assert not any(host.tc("delete") for host in hosts)
+    for driver in drivers:
+        driver.wait_for_line("/ has 2 drivers on the network: nothing starts", 2 * TIMEOUT_S)
 
 
 def virtual_nodes() -> list:

@@ -22,7 +22,7 @@ LONG = ("--stroke", "0.03", "--frequency", "0.4", "--cycles", "200")
 
 @pytest.fixture(autouse=True)
 def _state_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("WORM_STATE_DIRECTORY", str(tmp_path / "state"))
 
 
 class Lab:
@@ -36,9 +36,9 @@ class Lab:
         self.states = probe.collect(GaitState, "gait_state", LATCHED)
         self._commands = 0
 
-    def start_driver(self, name: str) -> Process:
+    def start_driver(self, name: str, port: str = "servo_bus") -> Process:
         ros = ["--ros-args", "-r", f"__ns:={NAMESPACE}", "-p", "home_at_start:=true"]
-        ros += ["-p", f"port:={self.folder / 'servo_bus'}"]
+        ros += ["-p", f"port:={self.folder / port}"]
         ros += ["-p", f"i2c_bus:={self.folder / 'i2c.sock'}"]
         return self.processes.start_executable("worm_driver", "driver_node", *ros, name=name)
 
@@ -119,19 +119,21 @@ def test_the_emergency_stop_holds_and_refuses_every_start_also_of_the_next_drive
     button = lab.probe.node.create_publisher(Bool, "emergency_stop", 1)
     lab.probe.wait_for(button.get_subscription_count, "driver that listens")
     button.publish(Bool(data=True))
+    assert "/worm/probe" in lab.operate("emergency_stop", "off", status=1)
     held = lab.wait_for(GaitState.IDLE, "the emergency stop is on")
     assert held.emergency_stop
     assert run.wait(TIMEOUT_S) == 1
     goal = RunGait.Goal(gait=Gait(stroke=0.03, frequency=0.4, direction=1), cycles=1)
     sent = lab.probe.send_goal(RunGait, "run_gait", goal)
-    refused = lab.probe.result(sent.get_result_async(), "refusal").result
-    assert "the emergency stop is on" in refused.message
+    assert "the emergency stop is on" in lab.probe.rejection(sent)
 
     lab.processes.processes["driver"].kill()
-    lab.start_driver("second_driver")
+    lab.probe.node.destroy_publisher(button)  # a publisher that is gone can take nothing back
+    (lab.folder / "ttyUSB0").symlink_to("servo_bus")
+    lab.start_driver("second_driver", "ttyUSB0")  # the same device under another name
     assert "the emergency stop is on" in lab.operate("activate", status=1)
     assert json.loads(lab.operate("state", "--json"))["emergency_stop"]
-    lab.operate("emergency_stop", "off")
+    assert "permitted" in lab.operate("emergency_stop", "off")
     lab.operate("activate")
     assert lab.operate("run", *LONG[:4], "--cycles", "1", "--json")
     request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))

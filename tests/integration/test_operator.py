@@ -7,11 +7,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from harness import LATCHED
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
+from rclpy.action import ActionServer
 from rclpy.task import Future
 
 from worm_driver.control.diagnostics import Level, Report
 from worm_driver.nodes import driver_messages
 from worm_model.gait import Gait
+from worm_msgs.action import RunGait
 from worm_msgs.msg import GaitState
 from worm_optimizer.nodes import operator_node
 from worm_optimizer.nodes.operator_node import OperatorError, operator
@@ -148,20 +150,30 @@ def test_runs_that_somebody_else_asked_for_are_counted(node, probe, monkeypatch)
     assert node.runs_of_others == 1
 
 
-def test_a_robot_that_has_a_driver_gets_no_second_one(node, probe, monkeypatch):
+@pytest.mark.parametrize(
+    ("command", "state"),
+    [
+        (lambda node: node.configure(), State.PRIMARY_STATE_UNCONFIGURED),
+        (lambda node: node.activate(), State.PRIMARY_STATE_INACTIVE),
+        (lambda node: node.deactivate(), State.PRIMARY_STATE_ACTIVE),
+        (lambda node: node.home(), State.PRIMARY_STATE_INACTIVE),
+        (lambda node: node.reboot(), State.PRIMARY_STATE_INACTIVE),
+        (lambda node: node.begin(Order(Gait(0.05, 0.2), cycles=1)), State.PRIMARY_STATE_ACTIVE),
+    ],
+    ids=["configure", "activate", "deactivate", "home", "reboot", "run"],
+)
+def test_nothing_is_sent_that_two_drivers_would_execute(
+    node, probe, services, monkeypatch, command, state
+):
     monkeypatch.setattr(operator_node, "LEASE_S", 0.1)
-    probe.node.create_publisher(GaitState, "gait_state", 1)
-    with pytest.raises(OperatorError, match="/worm has a driver already"):
-        node.refuse_second_driver()
-
-
-def test_who_only_looks_on_is_no_driver(node, probe):
-    probe.node.create_subscription(GaitState, "gait_state", lambda _: None, 1)
-    node.refuse_second_driver()
-
-
-def test_two_nodes_of_one_name_are_two_worms(node, monkeypatch):
-    monkeypatch.setattr(operator_node, "LEASE_S", 0.1)
-    monkeypatch.setattr(node, "_names", lambda: ["driver", "driver", "watch"])
-    with pytest.raises(OperatorError, match="another worm runs"):
-        node.wait_for_nodes(["driver"])
+    monkeypatch.setattr(node, "_state", lambda _: State(id=state))
+    made = services(lost=0)
+    for _ in range(2):
+        ActionServer(probe.node, RunGait, "run_gait", lambda _: None)
+    service = "/worm/run_gait/_action/send_goal"
+    probe.wait_for(lambda: node.count_services(service) == 2, "two drivers")
+    with pytest.raises(OperatorError, match="/worm has 2 drivers"):
+        command(node)
+    assert made == {}
+    node.stop()  # which is meant for both
+    assert made["stop"][0].calls == 1

@@ -14,10 +14,10 @@ from recorded_run import AFTER_S, EPOCH, GAIT, REST_S, simulated_run, write_bag
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from worm_model.bags.bag_writer import new_bag
-from worm_model.bags.cdr import encode
-from worm_model.bags.message_block import Topic
-from worm_model.bags.message_types import topic_of
+from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.cdr import encode
+from worm_model.bags.formats.message_block import Topic
+from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.parameters import PAPER
@@ -213,11 +213,11 @@ def test_the_live_twin_yields_what_the_offline_replay_yields(
     processes: Processes, probe: Probe, bag: Path
 ):
     states = probe.collect(TwinState, "twin/state", 10_000)
-    twin = processes.start_node("worm_model", "twin_node", use_sim_time=True)
-    probe.wait_for(lambda: probe.node.count_subscribers("/worm/power") > 0, "the twin", TIMEOUT_S)
-    player = processes.start_executable(
-        "worm_model", "play", str(bag), "--rate", "2", "--delay", "4"
+    player = processes.start_node(
+        "worm_model", "play", str(bag), "--rate", "2", "--wait-for", "twin"
     )
+    player.wait_for_line("waiting for twin to subscribe", TIMEOUT_S)
+    twin = processes.start_node("worm_model", "twin_node", use_sim_time=True)
     probe.wait_for(lambda: player.exit_code is not None, "end of the bag", TIMEOUT_S)
     offline = replay_run(RUN, PAPER).states
     last = int(offline["stamp_ns"][-1])

@@ -114,7 +114,7 @@ def test_every_node_of_a_virtual_robot_has_what_its_policy_allows_and_no_more(
         found += lacking(probe, "driver", "driver_stop")
         found += lacking(probe, "twin", "twin", "/clock")
         found += lacking(probe, "optimizer", "optimizer", "/clock")
-        found += lacking(probe, "recorder", "recorder", "/rosout")
+        found += lacking(probe, "recorder", "recorder", "/rosout|/worm/emergency_stop")
         found += lacking(probe, "recorder", "watch")
         found += [
             f"operator may not {kind} {access} {name}"

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from harness import LATCHED, Probe, Processes
 from mcap.reader import make_reader
+from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -275,6 +276,11 @@ def test_it_pauses_splits_stops_and_starts_when_asked(
         assert answer.success, answer.message
         return str(answer.message)
 
+    names = probe.call(ListParameters, "recorder/list_parameters", ListParameters.Request())
+    assert "use_sim_time" in names.result.names  # as of every node
+    values = GetParameters.Request(names=names.result.names)
+    read = probe.call(GetParameters, "recorder/get_parameters", values).values
+    assert len(read) == len(values.names) > 0
     publish(positions, range(10))
     assert ask("pause") == "paused"
     publish(positions, range(10, 20))

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command start: the graph comes up, is operated, is the only one, and ends without a trace."""
 
+import json
+import os
 import signal
 from pathlib import Path
 
@@ -25,9 +27,8 @@ def test_start_keeps_the_graph_for_operate_refuses_a_second_one_and_ends_in_orde
         "worm_optimizer", "start", "--virtual", *place, name="second"
     )
     assert second.wait(2 * TIMEOUT_S) == 1
-    # The second is what the virtual robot says where a busy computer has not told of the driver in time.
-    refusals = "/worm has a driver already", "is in use by another virtual robot"
-    assert any(refusal in second.output() for refusal in refusals), second.output()
+    assert f"/worm has a node graph already, process {start.pid} " in second.last_line()
+    assert "starting" not in second.output()
     run = processes.start_executable(
         *("worm_optimizer", "operate", "run", "--stroke", "0.03", "--frequency", "0.4"),
         *("--cycles", "1", "--record", str(tmp_path / "bags"), "--json"),
@@ -38,6 +39,29 @@ def test_start_keeps_the_graph_for_operate_refuses_a_second_one_and_ends_in_orde
     assert (bag / "metadata.yaml").exists()
     start.signal(signal.SIGINT)
     assert start.wait(2 * TIMEOUT_S) == 0, start.output()
+
+
+def test_after_a_crash_of_the_driver_the_last_line_warns_of_torque(
+    processes: Processes, tmp_path: Path
+):
+    place = ("--set", f"directory={tmp_path / 'robot'}")
+    start = processes.start_executable("worm_optimizer", "start", "--virtual", *place)
+    start.wait_for_line("ready: ", READY_S)
+    driver = next(
+        int(file.parent.name)
+        for file in Path("/proc").glob("[0-9]*/cmdline")
+        if f"port:={json.dumps(str(tmp_path / 'robot' / 'servo_bus'))}" in command_line(file)
+    )
+    os.kill(driver, signal.SIGKILL)
+    assert start.wait(2 * TIMEOUT_S) == 1
+    assert start.last_line() == "start: the driver ended (exit status -9); torque may be on"
+
+
+def command_line(file: Path) -> str:
+    try:
+        return file.read_text()
+    except OSError:  # it has ended
+        return ""
 
 
 def test_a_setting_that_is_not_there_is_bad_input(processes: Processes):

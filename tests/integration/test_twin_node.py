@@ -84,7 +84,7 @@ class Robot:
 
 def samples_counted(diagnostics: list) -> int:
     values = [v for m in diagnostics[-1:] for s in m.status for v in s.values]
-    return sum(int(v.value) for v in values if v.key.startswith("samples "))
+    return sum(int(v.value) for v in values if v.key.startswith("samples_"))
 
 
 def play(robot: Robot, probe: Probe, states: list, end: float = 2.0) -> None:
@@ -140,7 +140,7 @@ def test_live_equals_offline_and_ctrl_c_is_clean(processes: Processes, probe: Pr
         lambda: [s for m in diagnostics for s in m.status if s.name == "worm/twin: model"],
         "diagnostics",
     )
-    assert {v.key: v.value for v in status[-1].values}["samples late"] == "0"
+    assert {v.key: v.value for v in status[-1].values}["samples_late"] == "0"
     process.interrupt()
     assert process.wait(10.0) == 0
     assert "Traceback" not in process.output()

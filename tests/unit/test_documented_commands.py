@@ -22,7 +22,7 @@ from recorded_run import simulated_run, write_bag
 COMMANDS = commands()
 ENTRY_POINTS = entry_points()
 EXECUTABLE_COMMANDS = [command for command in COMMANDS if command.executable]
-SMALL_FRONT = tuple("--margin 0.0034 --population 20 --generations 5 --samples 20".split())
+SMALL_FRONT = tuple("--margin 0.0034 --samples 20".split())
 # What reads and writes files alone and is done in seconds, with what makes it so where the whole takes longer.
 CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
     **{
@@ -67,9 +67,11 @@ LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 
 
 def subcommands() -> set[str]:
-    """What the script worm knows."""
+    """The commands of the script worm, as it names them where a command is unknown."""
     script = (ROOT / "worm").read_text(encoding="utf-8")
-    return set(re.findall(r"^  ([a-z]+)\) ", script, re.MULTILINE))
+    named = re.search(r"^commands=\((.*)\)$", script, re.MULTILINE)
+    assert named
+    return set(named[1].split())
 
 
 @pytest.fixture(autouse=True)
@@ -102,9 +104,58 @@ def test_there_are_commands():
 @pytest.mark.parametrize("command", COMMANDS, ids=str)
 def test_the_command_exists(command: Command):
     if command.words[0] == "./worm":
-        assert command.words[1] in subcommands()
+        assert command.words[1] in {*subcommands(), "--version"}
     if command.executable:
         assert command.executable in ENTRY_POINTS
+
+
+def test_each_named_command_of_the_script_is_carried_out_and_explained():
+    script = (ROOT / "worm").read_text(encoding="utf-8")
+    cases = set(re.findall(r"^  ([a-z]+)(?: \|.*?)?\) ", script, re.MULTILINE))
+    usage = script.split("USAGE")[1]
+    assert subcommands() == cases - {"wheels", "jazzy"}
+    assert {name for name in subcommands() if f"\n  {name} " not in usage} == set()
+
+
+def worm(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["./worm", *words], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("dmeo",), ("dmeo", "demo")),
+        (("help", "campain"), ("campain", "campaign")),
+        (("xyzzy",), ("xyzzy",)),
+    ],
+)
+def test_an_unknown_command_is_one_line_with_the_nearest(words: tuple[str, ...], named):
+    done = worm(*words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    assert all(name in done.stderr for name in named)
+    assert ("did you mean" in done.stderr) == (len(named) == 2)
+
+
+def test_the_script_has_a_version_and_help():
+    manifest = (ROOT / "src/worm_model/package.xml").read_text(encoding="utf-8")
+    number = re.search("<version>(.*)</version>", manifest)
+    assert number
+    assert worm("--version").stdout.split()[:2] == ["worm", number[1]]
+    assert worm("help").stdout == worm("--help").stdout
+    assert "PYTEST" in worm("help", "test").stdout
+
+
+def test_run_lists_the_executables_of_a_package():
+    if not (ROOT / "install" / ".worm_sources").exists():
+        pytest.skip("the workspace is not built")
+    executables = [name for package, name in ENTRY_POINTS if package == "worm_model"]
+    assert worm("run", "worm_model").stdout.split() == sorted(executables)
+    wrong = worm("run", "worm_model", "simulat")
+    assert (wrong.returncode, wrong.stdout) == (2, "")
+    assert "simulate" in wrong.stderr
 
 
 class Parsed(BaseException):

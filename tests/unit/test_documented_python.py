@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Python examples of docs/api.md and the notebooks are run, in their order, and the modules it names exist."""
+"""The Python examples of docs/api.md and the notebooks run; modules that this page and the glossary name exist."""
 
 import importlib.util
 import json
 import re
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from recorded_run import simulated_run, write_bag
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+GLOSSARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
 
@@ -19,6 +21,7 @@ def test_the_examples_run(
 ):
     pytest.importorskip("pandas", reason="pandas is optional")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     write_bag(tmp_path / "bags" / "forward", simulated_run(5))
     examples = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     assert len(examples) == 3
@@ -28,7 +31,9 @@ def test_the_examples_run(
     told = capsys.readouterr().out
     assert "3.46 mm/s and 3.20 W at φ = +1.10 mm" in told
     assert "the twin ends" in told
-    assert (tmp_path / "forward.png").exists()
+    assert list(tmp_path.glob("*/forward.png"))
+    assert list(tmp_path.glob("*/robot.yaml"))
+    assert sorted(path.name for path in tmp_path.iterdir() if path.is_file()) == []
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.name)
@@ -48,6 +53,6 @@ def test_there_is_a_notebook():
     assert NOTEBOOKS
 
 
-@pytest.mark.parametrize("name", sorted(set(re.findall(r"`(worm_\w+\.[\w.]+)`", PAGE))))
+@pytest.mark.parametrize("name", sorted(set(re.findall(r"`(worm_\w+\.[\w.]+)`", PAGE + GLOSSARY))))
 def test_its_modules_exist(name: str):
     assert importlib.util.find_spec(name) is not None

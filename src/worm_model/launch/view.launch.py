@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shows a robot and its twin in RViz: ros2 launch worm_model view.launch.py namespace:=worm.
 
-robot_state_publisher makes the frames pipe, rear_module and front_module of urdf/worm.urdf from the twin's
-joint states; camera:= adds camera and, for its images, camera_optical_frame. Frames are on the topics tf and
-tf_static of the robot's namespace: each robot has its own pipe.
+robot_state_publisher makes the frames of urdf/worm.urdf: those of the modules from the twin's joint states, those of
+spool and fins from the driver's; camera:= adds camera and, for its images, camera_optical_frame. Frames are on the
+topics tf and tf_static of the robot's namespace: each robot has its own pipe.
 """
 
 from __future__ import annotations
@@ -52,13 +52,8 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     namespace = value("namespace").strip("/")
     robot = (SHARE / "urdf" / "worm.urdf").read_text(encoding="utf-8")
     nodes = [
-        Node(
-            package="robot_state_publisher",
-            executable="robot_state_publisher",
-            namespace=namespace,
-            parameters=[{"robot_description": ParameterValue(robot, value_type=str)}],  # not YAML
-            remappings=[*_TF, ("joint_states", "twin/joint_states")],
-        )
+        _frames(namespace, robot, "twin_state_publisher", "twin/joint_states"),
+        _frames(namespace, robot, "servo_state_publisher", "joint_states"),
     ]
     if value("camera"):
         nodes += _camera(namespace, value("camera"))
@@ -73,6 +68,18 @@ def _start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             )
         )
     return nodes
+
+
+def _frames(namespace: str, robot: str, name: str, topic: str) -> Node:
+    """Publisher of the frames of the joints on a topic."""
+    return Node(
+        package="robot_state_publisher",
+        executable="robot_state_publisher",
+        name=name,
+        namespace=namespace,
+        parameters=[{"robot_description": ParameterValue(robot, value_type=str)}],  # not YAML
+        remappings=[*_TF, ("joint_states", topic)],
+    )
 
 
 def _camera(namespace: str, pose: str) -> list[Node]:

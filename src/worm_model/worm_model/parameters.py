@@ -20,6 +20,7 @@ from typing import Any
 import yaml
 
 from worm_model.errors import InputError
+from worm_msgs.robot_parameters import RobotParameters, rows_of
 
 STANDARD_GRAVITY = 9.80665  # m/s², exact by definition (CGPM 1901)
 
@@ -28,14 +29,8 @@ class ParameterError(InputError):
     """A parameter or a parameter file is not admissible; the message says which and why."""
 
 
-def _row(default: float, unit: str, low: float, high: float, paper: str) -> float:
-    """One row of the table: its default and, as metadata, its unit, admissible range and symbol."""
-    metadata = {"unit": unit, "low": low, "high": high, "paper": paper}
-    return field(default=default, metadata=metadata)
-
-
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(RobotParameters):
     """The worm in its pipe, SI units. The defaults are the values of the paper's table ``tab1``.
 
     ``initial_length`` (L0) is missing from the paper; 0.2952 m is this project's calibration: with it
@@ -52,29 +47,10 @@ class Parameters:
     orders of magnitude, there to catch wrong units), or if values exclude each other.
     """
 
-    rear_mass: float = _row(0.429, "kg", 1e-3, 1e2, "M1")
-    front_mass: float = _row(0.429, "kg", 1e-3, 1e2, "M2")
-    unstressed_length: float = _row(0.300, "m", 1e-2, 1e1, "L_free")
-    initial_length: float = _row(0.2952, "m", 1e-2, 1e1, "L0")
-    bellows_stiffness: float = _row(968.8, "N/m", 1.0, 1e6, "k_b")
-    bellows_damping: float = _row(862.4, "N·s/m", 0.0, 1e6, "c_b")
-    viscous_friction: float = _row(86.97, "N·s/m", 1e-2, 1e5, "η")
-    pitch: float = _row(0.0173, "m", 1e-3, 0.2, "d")
-    engaged_stiffness: float = _row(1833.1, "N/m", 1.0, 1e6, "k_eng")
-    disengaged_stiffness: float = _row(442.0, "N/m", 1.0, 1e6, "k_dis")
-    switching_threshold: float = _row(0.0175, "m", 5e-4, 0.2, "p_sw")
-    clearance: float = _row(0.00753, "m", 0.0, 0.1, "δ_c")
-    time_constant: float = _row(0.155, "s", 1e-3, 1e1, "τ")
-    gain: float = _row(0.860, "1", 1e-2, 1e1, "K")
-    slack: float = _row(0.008, "m", 0.0, 0.1, "δ_s")
-    idle_power: float = _row(0.82, "W", 0.0, 1e3, "P_idle")
-    power_factor: float = _row(3.22, "1", 1e-2, 1e3, "α_P")
-    rear_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D1")
-    front_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D2")
     one_sided_cable: bool = False
 
     def __post_init__(self) -> None:
-        for row in _rows(type(self)):
+        for row in rows_of(type(self)):
             object.__setattr__(self, row.name, _checked(row, getattr(self, row.name)))
         if not isinstance(self.one_sided_cable, bool):
             raise ParameterError(f"{FORM}: {self.one_sided_cable!r}: write true or false")
@@ -89,6 +65,14 @@ class Parameters:
                 f"clearance: {self.clearance:g} m is not below twice the switching_threshold "
                 f"({self.switching_threshold:g} m): the fins would never touch the grooves"
             )
+
+    def __repr__(self) -> str:
+        """Return the expression with the values that differ from the paper's, as in ``Parameters(gain=0.85)``."""
+        values = (
+            (row.name, getattr(self, row.name), row.default) for row in dataclasses.fields(self)
+        )
+        own = ", ".join(f"{name}={value!r}" for name, value, default in values if value != default)
+        return f"Parameters({own})"
 
     @property
     def mass(self) -> float:
@@ -107,11 +91,6 @@ class Parameters:
         return dataclasses.asdict(self)
 
 
-def _rows(table: type[Parameters]) -> list[dataclasses.Field[float]]:
-    """The rows that are numbers."""
-    return [row for row in dataclasses.fields(table) if row.metadata]
-
-
 def _checked(row: dataclasses.Field[float], value: Any) -> float:
     unit, low, high = (row.metadata[key] for key in ("unit", "low", "high"))
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
@@ -126,10 +105,12 @@ def _checked(row: dataclasses.Field[float], value: Any) -> float:
     return float(value)
 
 
-KEYS: tuple[str, ...] = tuple(row.name for row in _rows(Parameters))  # of numbers
-UNITS: Mapping[str, str] = {row.name: row.metadata["unit"] for row in _rows(Parameters)}
-SYMBOLS: Mapping[str, str] = {row.name: row.metadata["paper"] for row in _rows(Parameters)}
+KEYS: tuple[str, ...] = tuple(row.name for row in rows_of(Parameters))  # of numbers
+UNITS: Mapping[str, str] = {row.name: row.metadata["unit"] for row in rows_of(Parameters)}
+SYMBOLS: Mapping[str, str] = {row.name: row.metadata["paper"] for row in rows_of(Parameters)}
 FORM = "one_sided_cable"  # key of the form of the power, also in a file's provenance
+POWER_ONLY = frozenset(row.name for row in rows_of(Parameters) if row.metadata["power_only"])
+NOT_OF_PAPER = tuple(row.name for row in rows_of(Parameters) if not row.default)  # ours, default 0
 FITTED_WITH_FORM = ("bellows_damping", "power_factor")
 MADE_BY = "worm_model identify"  # begins provenance's made_by in what `identify` wrote
 PAPER = Parameters()

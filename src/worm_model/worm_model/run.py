@@ -7,7 +7,7 @@ are SI units, float64 of shape (n,) unless said otherwise. A topic that was not 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, make_dataclass
 from datetime import datetime, timezone
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.arrays import Array, Stamps
-from worm_model.gait import Gait
+from worm_model.gait import GAIT_DEFAULTS, GAIT_TYPES, GAIT_UNITS, Gait, gait_of
 
 Codes = NDArray[np.int64]
 
@@ -104,34 +104,48 @@ class PowerSamples:
         return np.where(self.status == POWER_VALID, self.power, np.nan)
 
 
-@dataclass(frozen=True)
-class GaitStates:
+#: the fields of a gait, each as an array (n,)
+_GaitColumns: Any = make_dataclass(
+    "_GaitColumns",
+    [
+        (name, Any, field(default_factory=_stamps if GAIT_TYPES[name] is int else _array))
+        for name in GAIT_UNITS
+    ],
+    frozen=True,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaitStates(_GaitColumns):
     """What the driver did: `state` as GaitState has it, the gait, and its `onset` (ns since the epoch, 0: unknown).
 
+    The fields of `Gait` are arrays of the same names; those that a recording lacks have the gait's defaults.
     `run` numbers the runs since the driver started; 0 in recordings from before it did.
     """
 
     stamp: Stamps = field(default_factory=_stamps)
     state: Codes = field(default_factory=_stamps)
-    stroke: Array = field(default_factory=_array)
-    frequency: Array = field(default_factory=_array)
-    direction: Codes = field(default_factory=_stamps)
-    margin: Array = field(default_factory=_array)
     onset: Stamps = field(default_factory=_stamps)
     cycle: Codes = field(default_factory=_stamps)
     cycles: Codes = field(default_factory=_stamps)
     run: Codes = field(default_factory=_stamps)
 
     def __post_init__(self) -> None:
-        for name in ("cycle", "cycles", "run"):  # 0 where a recording does not tell
+        unknown = dict.fromkeys(("cycle", "cycles", "run"), 0)  # where a recording does not tell
+        for name, default in {**GAIT_DEFAULTS, **unknown}.items():
             if getattr(self, name).size != self.stamp.size:
-                object.__setattr__(self, name, np.zeros(self.stamp.size, np.int64))
+                kind = getattr(self, name).dtype
+                object.__setattr__(self, name, np.full(self.stamp.size, default, kind))
 
     @classmethod
     def of(cls, gait: Gait, stamp: Stamps, **told: Any) -> GaitStates:
         """States of one gait at stamps (n,) in ns; what is ``told`` beside it are the other fields."""
         values = {name: np.full(stamp.size, value) for name, value in asdict(gait).items()}
         return cls(stamp=stamp, **values, **told)
+
+    def gait(self, row: int) -> Gait:
+        """Return the gait of a row; raises `GaitError` if it is not admissible."""
+        return gait_of({name: getattr(self, name)[row] for name in GAIT_UNITS})
 
     @property
     def played(self) -> NDArray[np.bool_]:
@@ -156,22 +170,39 @@ class GaitStates:
         rows = self._played_rows
         if not rows.size:
             return []
+        over = np.sort(self.stamp[~np.isin(self.state, (RUNNING, STOPPING))])
         before, after = (
             (self.run[part], self.cycle[part], self.onset[part]) for part in (rows[:-1], rows[1:])
         )
-        another = is_another_run(before, after)
+        # A driver that was restarted counts from 1: its first run is another one than the first of the one before.
+        ended = np.searchsorted(over, self.stamp[rows[1:]]) > np.searchsorted(
+            over, self.stamp[rows[:-1]]
+        )
+        moved = np.abs(after[2] - before[2]) > SAME_ONSET_NS
+        another = is_another_run(before, after) | (ended & moved)
         return np.split(rows, np.flatnonzero(another) + 1)
 
 
 @dataclass(frozen=True)
 class JointSamples:
-    """Servo states: `position` rad, `velocity` rad/s, `effort` A or ratio, each of shape (n, len(names)) or (n, 0)."""
+    """Servo states: `position` rad, `velocity` rad/s, `effort` N*m, each of shape (n, len(names)) or (n, 0).
+
+    In older bags, `effort` is a current in A, or a ratio of the load.
+    """
 
     names: tuple[str, ...] = ()
     stamp: Stamps = field(default_factory=_stamps)
     position: Array = field(default_factory=_array)
     velocity: Array = field(default_factory=_array)
     effort: Array = field(default_factory=_array)
+
+
+@dataclass(frozen=True)
+class MemorySamples:
+    """Memories that the live twin stored: `content` is text, see `worm_model.twin.stored_memory`."""
+
+    stamp: Stamps = field(default_factory=_stamps)
+    content: NDArray[np.object_] = field(default_factory=lambda: np.empty(0, object))
 
 
 @dataclass(frozen=True)
@@ -187,3 +218,4 @@ class Run:
     power: PowerSamples = field(default_factory=PowerSamples)
     gait_state: GaitStates = field(default_factory=GaitStates)
     joint_states: JointSamples = field(default_factory=JointSamples)
+    memory: MemorySamples = field(default_factory=MemorySamples)

@@ -11,17 +11,19 @@ import argparse
 import difflib
 import re
 import sys
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn
 
 import yaml
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from worm_msgs.parameter_rows import ParameterRow, present_names
 from worm_msgs.ros_process import Ending, own_arguments, ros_process
 
 BAD_INPUT = 2
@@ -30,51 +32,82 @@ _ALLOWED = ("qos_overrides.",)
 _FILE_OPTION = "--params-file"
 _CONTENT = "ros__parameters"  # in such a file
 
-#: name, default, descriptor of each parameter; made anew for each use, as declaring changes a descriptor
-Rows = Callable[[], Sequence[tuple[str, Any, ParameterDescriptor]]]
+Rows = Callable[[], Sequence[ParameterRow]]
 
 
 class ParameterRefusedError(ValueError):
     """A parameter that was given cannot be used; the message is one line that says why."""
 
 
-def descriptor(
-    text: str, default: Any, span: tuple[float, float] | None, **more: Any
-) -> ParameterDescriptor:
-    """Of a parameter: what it is for, and from where to where its value may be; None: anywhere."""
-    made = ParameterDescriptor(description=text, **more)
-    if span is not None and isinstance(default, int):
-        whole = IntegerRange(from_value=int(span[0]), to_value=int(span[1]), step=1)
-        made.integer_range = [whole]
-    elif span is not None:
-        real = FloatingPointRange(from_value=float(span[0]), to_value=float(span[1]))
-        made.floating_point_range = [real]
-    return made
-
-
 def declare(node: Node, rows: Rows) -> None:
-    """Declares parameters; a whole number is a float's value too, also when it is set later.
+    """Declare the parameters of a node.
+
+    A whole number is a value of a float, too. A former name is accepted with a warning. All of that holds for
+    parameters that are set later, too; setting one to the value that it has succeeds.
 
     Raises:
-        ParameterRefusedError: a value has a wrong type or is out of its range, no row has its name, or a file is for
-            a node whose name is not this one's, but nearly.
+        ParameterRefusedError: a value has a wrong type or is out of its range, no row has its name, a parameter is
+            given by both its names, or a file is for a node whose name is not this one's, but nearly.
     """
     _check_files(node)
     table = rows()
-    floats = {name for name, default, _ in table if _is_float(default)}
+    floats = frozenset(row.name for row in table if _is_float(row.default))
     # rclpy keeps what the command line gave in this mapping alone
     overrides: dict[str, Parameter] = node._parameter_overrides
-    for name in floats & set(overrides):
-        overrides[name] = _as_float(overrides[name])
-    for name, default, about in table:
+    given = list(overrides.values())
+    overrides.clear()
+    overrides.update({p.name: p for p in _translated(node, floats, given)})
+    for row in table:
         try:
-            node.declare_parameter(name, default, about)
+            node.declare_parameter(row.name, row.default, row.descriptor())
         except ParameterException as error:
-            raise ParameterRefusedError(f"parameter {name}: {_one_line(error)}") from error
+            raise ParameterRefusedError(f"parameter {row.name}: {_one_line(error)}") from error
     _refuse_unknown(node, overrides)
-    node.add_pre_set_parameters_callback(
-        lambda parameters: [_as_float(p) if p.name in floats else p for p in parameters]
-    )
+    _set_changes_alone(node, floats)
+
+
+def _translated(
+    node: Node, floats: frozenset[str], parameters: Sequence[Parameter]
+) -> list[Parameter]:
+    """Return parameters by their present names, whole numbers of ``floats`` as floats."""
+    try:
+        named = present_names({p.name: p for p in parameters}, node.get_logger().warning)
+    except ValueError as error:
+        raise ParameterRefusedError(str(error)) from error
+    renamed = [p if p.name == name else _named(name, p) for name, p in named.items()]
+    return [_as_float(p) if p.name in floats else p for p in renamed]
+
+
+def _set_changes_alone(node: Node, floats: frozenset[str]) -> None:
+    """Let requests to set parameters pass without those that change nothing.
+
+    rclpy rejects a read-only parameter even where its value stays, so `ros2 param load` of a node's own dump would
+    fail. Its callbacks cannot leave such a parameter out, hence the method below all its setters is wrapped.
+    """
+    set_all = node._set_parameters_atomically
+
+    def set_changes(parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            translated = _translated(node, floats, parameters)
+        except ParameterRefusedError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        changes = [p for p in translated if not _is_set(node, p)]
+        return set_all(changes) if changes else SetParametersResult(successful=True)
+
+    node._set_parameters_atomically = set_changes
+
+
+def _is_set(node: Node, parameter: Parameter) -> bool:
+    """Return whether a parameter has this value already; NaN equals NaN."""
+    if not node.has_parameter(parameter.name):
+        return False
+    present = node.get_parameter_or(parameter.name, Parameter(parameter.name))
+    return present.type_ == parameter.type_ and _text(present) == _text(parameter)
+
+
+def _text(parameter: Parameter) -> str:
+    value = parameter.value
+    return repr(value.tolist() if isinstance(value, array) else value)
 
 
 def _refuse_unknown(node: Node, overrides: dict[str, Parameter]) -> None:
@@ -139,6 +172,10 @@ def _is_float(default: Any) -> bool:
     return isinstance(default[0] if isinstance(default, list) and default else default, float)
 
 
+def _named(name: str, parameter: Parameter) -> Parameter:
+    return Parameter(name, parameter.type_, parameter.value)
+
+
 def _as_float(parameter: Parameter) -> Parameter:
     value = parameter.value
     if parameter.type_ is Parameter.Type.INTEGER:
@@ -182,7 +219,7 @@ class _Parser(argparse.ArgumentParser):
 
     def __init__(self, name: str, description: str, rows: Rows) -> None:
         table = "\n".join(
-            f"  {row}  (default {default!r})\n      {d.description}" for row, default, d in rows()
+            f"  {row.name}  (default {row.default!r})\n      {row.description}" for row in rows()
         )
         super().__init__(
             prog=name,

@@ -34,11 +34,13 @@ class Ending:
     """Whether a process was asked to end: call it.
 
     Attributes:
+        first: called by the first signal, in its handler: what ends then is ordered before all that comes later.
         again: called by every later SIGINT, in its handler: an impatient person's. SIGTERM is how launch and
             systemd escalate by themselves.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.first: Callable[[], None] = lambda: None
         self.again: Callable[[], None] = lambda: None
         self._clock = clock
         self._first: float | None = None
@@ -52,6 +54,7 @@ class Ending:
         now = self._clock()
         if self._first is None:
             self._first = now
+            self.first()
         elif number == signal.SIGINT and now - self._first > _SAME_PRESS_S:
             self.again()
 

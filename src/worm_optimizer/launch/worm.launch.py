@@ -3,37 +3,40 @@
 
 Every setting of system.yaml is a launch argument. Can be included in another launch file, also under
 a PushRosNamespace, which then stands before ``namespace``.
+
+Launch calls no service and publishes nothing. It starts nothing in a namespace in which a node graph or a driver runs;
+the driver configures and activates itself, once it has made sure that it is the only one.
 """
 
 from __future__ import annotations
 
-import re
+import os
 import shutil
-from collections.abc import Callable
+import sys
+from collections.abc import Iterable
 from pathlib import Path
+from socket import socket
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from launch import Event, LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from launch.actions import (
     DeclareLaunchArgument,
-    EmitEvent,
     LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
     Shutdown,
 )
-from launch.event_handlers import OnProcessIO
-from launch.events import matches_action
-from launch.events.process import ProcessExited, ProcessIO
+from launch.event_handler import EventHandler
+from launch.event_handlers import OnProcessStart
+from launch.events.process import ProcessExited
 from launch.substitution import Substitution
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import LifecycleNode, Node
-from launch_ros.event_handlers import OnStateTransition
-from launch_ros.events.lifecycle import ChangeState, StateTransition
+from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.utilities import prefix_namespace
-from lifecycle_msgs.msg import Transition
 
+from worm_msgs.claim import ClaimedError, claim_graph, domain_of
+from worm_msgs.readiness import Readiness
 from worm_optimizer.operation.system import (
     MODES,
     RESTARTS,
@@ -41,24 +44,16 @@ from worm_optimizer.operation.system import (
     SystemFile,
     SystemFileError,
     load_system_file,
+    unknown_name,
 )
 
-# A virtual robot's time waits for whoever works with it: on a busy computer its seconds are longer.
-VIRTUAL_SLOWNESS = 8.0
 RESTART_DELAY_S = 2.0
-GRACE_S = 5.0  # beyond the time in which a node says it is at rest; launch's own default
 OWN_TIME = ("virtual_robot", "driver", "player")  # they make the time that the others go by
 LEVELS = ("debug", "info", "warn", "error", "fatal")
-
-# How a transition of launch's own ends when it succeeds, and what follows.
-_SUCCESSES = {
-    Transition.TRANSITION_CONFIGURE: ("inactive", Transition.TRANSITION_ACTIVATE),
-    Transition.TRANSITION_ACTIVATE: ("active", None),
-}
-_UNDER_WAY = {
-    Transition.TRANSITION_CONFIGURE: "configuring",
-    Transition.TRANSITION_ACTIVATE: "activating",
-}
+LAUNCH_ARGUMENTS = (  # of launch itself, which every launch file accepts
+    *("launch-prefix", "launch-prefix-filter", "emulate_tty"),
+    *("sigterm_timeout", "sigkill_timeout", "ros_params", "ros_remaps", "ros_namespace"),
+)
 
 SYSTEM_FILE = Path(get_package_share_directory("worm_optimizer"), "config", "system.yaml")
 
@@ -85,7 +80,23 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=row.default, description=row.description)
         for name, row in content.settings.items()
     ]
-    return LaunchDescription([*arguments, OpaqueFunction(function=_start, args=[content])])
+    check = OpaqueFunction(
+        function=_reject_unknown, args=[[argument.name for argument in arguments]]
+    )
+    return LaunchDescription([check, *arguments, OpaqueFunction(function=_start, args=[content])])
+
+
+def _reject_unknown(context: LaunchContext, known: list[str]) -> None:
+    """Raise SystemFileError on an argument of the command line that is none of this file's.
+
+    Included in another launch file, this one cannot tell what is for which file: they share all arguments.
+    """
+    if not any(Path(word).name == Path(__file__).name for word in sys.argv):
+        return
+    for word in context.argv:
+        name = word.partition(":=")[0]
+        if name not in (*known, *LAUNCH_ARGUMENTS):
+            raise SystemFileError(unknown_name("launch argument", name, known))
 
 
 def _start(context: LaunchContext, content: SystemFile) -> list[LaunchDescriptionEntity]:
@@ -98,10 +109,12 @@ def _start(context: LaunchContext, content: SystemFile) -> list[LaunchDescriptio
         name: value(name) for name, row in content.settings.items() if value(name) != row.default
     }
     system = content.system(mode, namespace, **settings)
-    slowness = VIRTUAL_SLOWNESS if mode == "virtual" else 1.0
     sim_time = _sim_time(mode, value("use_sim_time"))
-    common = _Common(namespace, slowness, value("log_level"), sim_time)
-    return common.start_in_order(system.nodes)
+    try:
+        claim = claim_graph(namespace, domain_of(os.environ))
+    except ClaimedError as error:
+        raise SystemFileError(str(error)) from None
+    return _Graph(claim, namespace, value("log_level"), sim_time).start(system.nodes)
 
 
 def _full_namespace(context: LaunchContext, namespace: str) -> str:
@@ -119,40 +132,84 @@ def _sim_time(mode: str, asked: str) -> dict[str, bool]:
     return {"use_sim_time": asked == "true"} if asked else {}
 
 
-class _Common:
-    """What all nodes of one launch share."""
+class _Ready(Event):
+    """A node has reported that it is ready."""
+
+    name = "worm.Ready"
+
+
+class _Graph:
+    """The nodes of one robot.
+
+    The claim of the namespace is held as long as this exists, which is as long as launch runs.
+    """
 
     def __init__(
-        self, namespace: str, slowness: float, log_level: str, sim_time: dict[str, bool]
+        self, claim: socket, namespace: str, log_level: str, sim_time: dict[str, bool]
     ) -> None:
-        self._namespace, self._log_level, self._sim_time = namespace, log_level, sim_time
-        self._patience = _Patience(slowness)
+        self._claim, self._namespace = claim, namespace
+        self._log_level, self._sim_time = log_level, sim_time
+        self._running: set[str] = set()
+        self._ready: set[str] = set()
+        self._restarts: dict[str, int] = {}
+        self._failure = ""
 
-    def start_in_order(self, nodes: tuple[NodeDescription, ...]) -> list[LaunchDescriptionEntity]:
-        """Start nodes up to the first that others wait for, and the others once it is ready."""
-        actions: list[LaunchDescriptionEntity] = []
-        for index, description in enumerate(nodes):
-            node = self._node(description)
-            if description.at_rest_within:
-                actions.append(_on_line(node, self._patience.reader(description.at_rest_within)))
-            if description.lifecycle:
-                actions += _Activation(node).entities()
-            else:
-                actions.append(node)
-            if description.ready:
-                rest = _Waiting(description.ready, self, nodes[index + 1 :])
-                return [_on_line(node, rest), *actions]
-        return actions
+    def start(self, nodes: Iterable[NodeDescription]) -> list[LaunchDescriptionEntity]:
+        """Start nodes up to the first awaited one, and the others once it is ready."""
+        entities: list[LaunchDescriptionEntity] = []
+        waiting = list(nodes)
+        while waiting:
+            description = waiting.pop(0)
+            if description.awaited:
+                return entities + self._awaited(description, waiting)
+            entities += self._node(description, {})
+        return entities
 
-    def _node(self, description: NodeDescription) -> Node:
-        kind = LifecycleNode if description.lifecycle else Node
+    def _awaited(
+        self, description: NodeDescription, following: list[NodeDescription]
+    ) -> list[LaunchDescriptionEntity]:
+        readiness, event = Readiness(), _Ready()
+
+        def listen(context: LaunchContext) -> None:
+            loop = context.asyncio_loop
+            assert loop is not None  # while launch runs
+
+            def on_report() -> None:
+                if readiness():
+                    loop.remove_reader(readiness.fileno())
+                    readiness.close()
+                    context.emit_event_sync(event)
+
+            loop.add_reader(readiness.fileno(), on_report)
+
+        def go_on(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+            self._ready.add(description.name)
+            return [] if context.is_shutdown else self.start(following)
+
+        handler = EventHandler(
+            matcher=lambda other: other is event, entities=OpaqueFunction(function=go_on)
+        )
+        return [
+            OpaqueFunction(function=listen),
+            RegisterEventHandler(handler),
+            *self._node(description, readiness.environment),
+        ]
+
+    def _node(
+        self, description: NodeDescription, environment: dict[str, str]
+    ) -> list[LaunchDescriptionEntity]:
         sim_time = {} if description.name in OWN_TIME else self._sim_time
+        own = {"autostart": True, "stay_on_failure": True} if description.lifecycle else {}
         # a typed value, or launch would take the text "1" for a number
         parameters = {
             name: ParameterValue(value, value_type=type(value)) if isinstance(value, str) else value
-            for name, value in {**description.parameters, **sim_time}.items()
+            for name, value in {**description.parameters, **sim_time, **own}.items()
         }
-        return kind(
+
+        def on_exit(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity]:
+            return self._on_exit(description, event, context)
+
+        node = Node(
             package=description.package,
             executable=description.executable,
             exec_name=description.name,
@@ -162,14 +219,51 @@ class _Common:
             ros_arguments=["--log-level", self._log_level],
             parameters=[parameters],
             remappings=list(description.remappings.items()),
+            additional_env=environment,
             output="screen",
             prefix=_end_with_launch(),
-            sigterm_timeout=[self._patience],
-            on_exit=_AtEnd(description),
+            sigterm_timeout=str(description.end_timeout_s),
+            on_exit=on_exit,
             respawn=not description.required,
             respawn_delay=RESTART_DELAY_S,
             respawn_max_retries=RESTARTS,
         )
+
+        def on_start(_: object, __: LaunchContext) -> None:
+            self._running.add(description.name)
+
+        return [
+            RegisterEventHandler(OnProcessStart(target_action=node, on_start=on_start)),
+            node,
+        ]
+
+    def _on_exit(
+        self, description: NodeDescription, event: ProcessExited, context: LaunchContext
+    ) -> list[LaunchDescriptionEntity]:
+        """A required node ends all, and any other starts again.
+
+        What failed is raised when all nodes have ended: it is then launch's last line, and its exit status is 1.
+        """
+        name, status = description.name, event.returncode
+        self._running.discard(name)
+        was_ready = name in self._ready
+        report = description.end_report(status, was_ready=was_ready)
+        ends_all = description.required and not context.is_shutdown
+        if status and (ends_all or (description.lifecycle and was_ready)):
+            self._failure = self._failure or report
+        if self._failure and not self._running:
+            raise RuntimeError(self._failure)
+        if context.is_shutdown:
+            return []
+        if description.required:
+            return [Shutdown(reason=report)]
+        return [LogInfo(msg=f"{report}: {self._what_follows(name)}")]
+
+    def _what_follows(self, name: str) -> str:
+        left = self._restarts[name] = self._restarts.get(name, RESTARTS) - 1
+        if left < 0:
+            return "the others run on without it"
+        return f"it starts again in {RESTART_DELAY_S:g} s"
 
 
 def _end_with_launch() -> list[Substitution | str]:
@@ -180,156 +274,3 @@ def _end_with_launch() -> list[Substitution | str]:
     tool = shutil.which("setpriv")  # util-linux
     own = [f"{tool} --pdeathsig TERM "] if tool else []
     return [*own, LaunchConfiguration("launch-prefix", default="")]
-
-
-class _Patience(Substitution):
-    """The time (s) after which launch gets impatient with nodes that were asked to end.
-
-    One for all: the virtual robot and the recorder stay for as long as the driver needs them.
-    """
-
-    def __init__(self, slowness: float) -> None:
-        super().__init__()
-        self._slowness = slowness
-        self._rest_s = 0.0
-
-    def reader(self, words: str) -> _LineReader:
-        """Takes the time from the lines in which it stands behind some words, the last one holds."""
-        pattern = re.compile(re.escape(words) + r" ([0-9.]+) s")
-
-        def read(line: str) -> None:
-            match = pattern.search(line)
-            if match:
-                self._rest_s = self._slowness * float(match[1])
-
-        return _LineReader(read)
-
-    def describe(self) -> str:
-        """For launch's introspection."""
-        return "Patience()"
-
-    def perform(self, _: LaunchContext) -> str:
-        """Launch asks when everything is to end."""
-        return f"{self._rest_s + GRACE_S:g}"
-
-
-class _AtEnd:
-    """What follows when a node has ended: a required one ends all, another one is started again."""
-
-    def __init__(self, description: NodeDescription) -> None:
-        self._name = description.name
-        self._required = description.required
-        self._restarts = RESTARTS
-
-    def __call__(
-        self, event: ProcessExited, context: LaunchContext
-    ) -> list[LaunchDescriptionEntity]:
-        if context.is_shutdown:
-            return []
-        what = f"{self._name} has ended with exit status {event.returncode}"
-        if not self._required:
-            return [LogInfo(msg=f"{what}: {self._what_follows()}")]
-        if event.returncode:
-            raise RuntimeError(what)  # launch ends everything, and has exit status 1
-        return [Shutdown(reason=f"{self._name} has ended")]
-
-    def _what_follows(self) -> str:
-        self._restarts -= 1
-        if self._restarts < 0:
-            return "the others run on without it"
-        return f"it starts again in {RESTART_DELAY_S:g} s"
-
-
-class _Activation:
-    """Configures and activates a node after its start, once.
-
-    A failure, and the first transition that somebody else asks for, hand the node over to its operator:
-    torque comes only to who asks for it.
-    """
-
-    def __init__(self, node: LifecycleNode) -> None:
-        self._node = node
-        self._asked: int | None = None  # for the transition whose end is awaited
-        self._ours = True
-
-    def entities(self) -> list[LaunchDescriptionEntity]:
-        """The node and all that it takes."""
-        watch = OnStateTransition(
-            target_lifecycle_node=self._node,
-            entities=[OpaqueFunction(function=self._on_transition)],
-        )
-        start = OpaqueFunction(function=self._ask, args=[Transition.TRANSITION_CONFIGURE])
-        return [RegisterEventHandler(watch), self._node, start]
-
-    def _ask(self, context: LaunchContext, transition: int) -> list[LaunchDescriptionEntity]:
-        if context.is_shutdown or not self._ours:
-            return []
-        self._asked = transition
-        change = ChangeState(
-            lifecycle_node_matcher=matches_action(self._node), transition_id=transition
-        )
-        return [EmitEvent(event=change)]
-
-    def _on_transition(self, context: LaunchContext) -> list[LaunchDescriptionEntity]:
-        event = context.locals.event
-        if not self._ours or not isinstance(event, StateTransition):
-            return []
-        asked = self._asked
-        if asked is None:  # by somebody else
-            self._ours = False
-            return []
-        if event.goal_state == _UNDER_WAY[asked]:
-            return []
-        self._asked = None
-        goal, following = _SUCCESSES[asked]
-        if event.goal_state != goal:
-            return self._failed(context)
-        self._ours = following is not None
-        return self._ask(context, following) if following is not None else []
-
-    def _failed(self, context: LaunchContext) -> list[LaunchDescriptionEntity]:
-        self._ours = False
-        if context.is_shutdown:
-            return []
-        name = self._node.node_name
-        return [
-            LogInfo(
-                msg=f"{name} is yours now: launch does not try again. Mend what it says above, then: "
-                f"ros2 lifecycle set {name} configure, and ros2 lifecycle set {name} activate"
-            )
-        ]
-
-
-class _LineReader:
-    """Calls a function for each whole line of a node's output, in whichever pieces it comes."""
-
-    def __init__(self, read: Callable[[str], list[LaunchDescriptionEntity] | None]) -> None:
-        self._read = read
-        self._rests: dict[bool, str] = {}  # by stream
-
-    def __call__(self, event: ProcessIO) -> list[LaunchDescriptionEntity]:
-        text = self._rests.get(event.from_stdout, "") + event.text.decode(errors="replace")
-        *lines, self._rests[event.from_stdout] = text.split("\n")
-        for line in lines:
-            entities = self._read(line)
-            if entities:
-                return entities
-        return []
-
-
-class _Waiting(_LineReader):
-    """Starts nodes at the first line with some words."""
-
-    def __init__(self, words: str, common: _Common, nodes: tuple[NodeDescription, ...]) -> None:
-        super().__init__(self._start)
-        self._words, self._common, self._nodes = words, common, nodes
-
-    def _start(self, line: str) -> list[LaunchDescriptionEntity]:
-        if self._words not in line:
-            return []
-        nodes, self._nodes = self._nodes, ()
-        return self._common.start_in_order(nodes)
-
-
-def _on_line(node: Node, reader: _LineReader) -> RegisterEventHandler:
-    return RegisterEventHandler(OnProcessIO(target_action=node, on_stdout=reader, on_stderr=reader))

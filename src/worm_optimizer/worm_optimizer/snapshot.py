@@ -13,7 +13,10 @@ from worm_model.twin.scene import Sighting
 
 @dataclass(frozen=True)
 class DriverWord:
-    """The driver's last GaitState; ``stroke`` in m, 0: no gait; ``frequency`` in Hz; ``run`` 0 before the first."""
+    """The driver's last GaitState; ``stroke`` in m, 0: no gait; ``frequency`` in Hz; ``run`` 0 before the first.
+
+    ``stamp_ns`` is that of the message, ``onset_ns`` that of the gait, 0 while there is none.
+    """
 
     state: Activity
     homed: bool
@@ -25,6 +28,8 @@ class DriverWord:
     frequency: float
     direction: int
     message: str
+    stamp_ns: int = 0
+    onset_ns: int = 0
 
 
 @dataclass(frozen=True)
@@ -34,7 +39,7 @@ class Snapshot:
     A residual is NaN where nothing measures it. ``lengths`` in m by their source, ``power`` in W as measured.
     ``heard`` says when each topic was heard last (s, on the clock that the reader uses, too); topics that never were
     are missing in it. ``twin_age`` is how much older the twin's state is than the driver's command, in s of the
-    robot's time.
+    robot's time. ``grooves`` are the twin's rear grooves of the last seconds: stamp in ns, groove since the onset.
     """
 
     driver: DriverWord | None = None
@@ -45,3 +50,4 @@ class Snapshot:
     power: float = math.nan
     twin_age: float = math.nan
     heard: Mapping[str, float] = field(default_factory=dict)
+    grooves: tuple[tuple[int, int], ...] = ()

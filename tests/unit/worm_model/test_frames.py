@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The frames: urdf/worm.urdf against the twin's messages and its scene."""
 
+import math
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+import yaml
 
+from worm_model.parameters import PAPER
 from worm_model.twin import scene
 
 pytest.importorskip("worm_msgs.msg", reason="no ROS is installed")
@@ -13,7 +16,9 @@ pytest.importorskip("worm_msgs.msg", reason="no ROS is installed")
 from worm_driver.nodes import position_publisher, virtual_camera_node
 from worm_model.nodes import twin_messages
 
-URDF = Path(__file__).resolve().parents[3] / "src" / "worm_model" / "urdf" / "worm.urdf"
+SOURCES = Path(__file__).resolve().parents[3] / "src"
+URDF = SOURCES / "worm_model" / "urdf" / "worm.urdf"
+DRIVER_FILE = SOURCES / "worm_driver" / "config" / "driver.yaml"
 
 
 @pytest.fixture
@@ -21,31 +26,106 @@ def robot() -> ElementTree.Element:
     return ElementTree.parse(URDF).getroot()
 
 
+PLACES = ["rear_position", "body_length"]
+SERVOS = ["cable_1", "fin_11", "fin_12"]
+
+
+def joints(robot: ElementTree.Element) -> dict[str, ElementTree.Element]:
+    return {joint.get("name"): joint for joint in robot.iter("joint")}
+
+
+def numbers(text: str) -> list[float]:
+    return [float(word) for word in text.split()]
+
+
 def test_the_tree_goes_from_the_pipe_over_the_rear_to_the_front_module(robot):
-    links = {
-        joint.find("parent").get("link"): joint.find("child").get("link")
-        for joint in robot.iter("joint")
+    tree = {
+        name: (joint.find("parent").get("link"), joint.find("child").get("link"))
+        for name, joint in joints(robot).items()
     }
-    assert links == {scene.FRAME: "rear_module", "rear_module": "front_module"}
-    assert [link.get("name") for link in robot.iter("link")] == [
-        scene.FRAME,
-        "rear_module",
-        "front_module",
-    ]
+    assert tree["rear_position"] == (scene.FRAME, "rear_module")
+    assert tree["body_length"] == ("rear_module", "front_module")
+    children = [child for _, child in tree.values()]
+    assert sorted([scene.FRAME, *children]) == sorted(
+        link.get("name") for link in robot.iter("link")
+    )
+    assert len(set(children)) == len(children)
 
 
-def test_both_joints_run_forward_along_the_pipe_and_are_those_that_the_twin_publishes(robot):
-    joints = list(robot.iter("joint"))
-    assert tuple(joint.get("name") for joint in joints) == twin_messages.JOINTS
-    assert {joint.get("type") for joint in joints} == {"prismatic"}
-    assert {joint.find("axis").get("xyz") for joint in joints} == {"1 0 0"}
+def test_the_joints_are_those_that_are_published(robot):
+    """By the twin, and by a driver with the servos of driver.yaml."""
+    driver = yaml.safe_load(DRIVER_FILE.read_text())["/**/driver"]["ros__parameters"]
+    cables = [f"cable_{number}" for number in driver["cable_servos"]["ids"]]
+    fins = [f"fin_{number}" for number in driver["fin_servos"]["ids"]]
+    assert list(twin_messages.JOINTS) == PLACES
+    assert [*cables, *fins] == SERVOS
+    assert sorted(joints(robot)) == sorted([*PLACES, *SERVOS])
+
+
+def test_the_modules_move_forward_along_the_pipe(robot):
+    for name in PLACES:
+        assert joints(robot)[name].get("type") == "prismatic"
+        assert joints(robot)[name].find("axis").get("xyz") == "1 0 0"
+
+
+def test_the_fins_trail_in_the_direction_of_the_gait(robot):
+    """A fin points along z of its link; turned by the driver's angle, its tip is behind its root and at the wall."""
+    driver = yaml.safe_load(DRIVER_FILE.read_text())["/**/driver"]["ros__parameters"]
+    for name in ("fin_11", "fin_12"):
+        (_, y, _) = numbers(joints(robot)[name].find("axis").get("xyz"))
+        for key, forward in (("forward_angle_rad", 1), ("reverse_angle_rad", -1)):
+            for angle in driver["fin_servos"][key]:
+                tip_x, tip_z = math.sin(y * angle), math.cos(y * angle)
+                assert tip_x * forward < -0.5
+                assert tip_z < -0.5
+
+
+def test_every_link_that_moves_has_mass_inertia_and_a_collision(robot):
+    moving = {joint.find("child").get("link") for joint in robot.iter("joint")}
+    for link in robot.iter("link"):
+        if link.get("name") not in moving:
+            continue
+        assert float(link.find("inertial/mass").get("value")) > 0.0
+        tensor = link.find("inertial/inertia").attrib
+        a, b, c = sorted(float(tensor[key]) for key in ("ixx", "iyy", "izz"))
+        assert 0.0 < a <= b <= c <= (a + b) * (1.0 + 1e-3)  # rounded; no body has more
+        geometries = [link.find(f"{kind}/geometry")[0].attrib for kind in ("visual", "collision")]
+        assert geometries[0] == geometries[1]
+
+
+def test_the_inertia_of_the_modules_is_that_of_a_solid_box(robot):
+    for link in robot.iter("link"):
+        box = link.find("collision/geometry/box")
+        if box is None:
+            continue
+        mass = float(link.find("inertial/mass").get("value"))
+        x, y, z = numbers(box.get("size"))
+        tensor = link.find("inertial/inertia").attrib
+        expected = (y * y + z * z, x * x + z * z, x * x + y * y)
+        for key, square in zip(("ixx", "iyy", "izz"), expected, strict=True):
+            assert float(tensor[key]) == pytest.approx(mass / 12.0 * square, rel=1e-3)
+
+
+def test_each_module_has_the_mass_of_the_paper(robot):
+    parts = {
+        "rear_module": ("rear_module", "cable_1_spool", "fin_11_fins"),
+        "front_module": ("front_module", "fin_12_fins"),
+    }
+    mass = {
+        link.get("name"): float(link.find("inertial/mass").get("value"))
+        for link in robot.iter("link")
+        if link.find("inertial") is not None
+    }
+    assert sum(mass[name] for name in parts["rear_module"]) == pytest.approx(PAPER.rear_mass)
+    assert sum(mass[name] for name in parts["front_module"]) == pytest.approx(PAPER.front_mass)
 
 
 def test_the_modules_look_as_in_the_scene(robot):
-    boxes = [box.get("size") for box in robot.iter("box")]
-    assert [tuple(map(float, size.split())) for size in boxes] == [scene.MODULE] * 2
+    for name in ("rear_module", "front_module"):
+        box = robot.find(f"link[@name='{name}']/visual/geometry/box")
+        assert tuple(numbers(box.get("size"))) == scene.MODULE
     colour = next(robot.iter("color")).get("rgba")
-    assert tuple(map(float, colour.split())) == scene.ROBOT_COLOUR
+    assert tuple(numbers(colour)) == scene.ROBOT_COLOUR
 
 
 def test_what_is_published_has_a_place_in_the_tree():

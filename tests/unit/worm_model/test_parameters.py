@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameter file: what is accepted, what is refused, and with which words."""
 
+import inspect
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,8 @@ from worm_model.gait import Gait, GaitError
 from worm_model.parameters import (
     KEYS,
     PAPER,
+    SYMBOLS,
+    UNITS,
     ParameterError,
     ParameterFile,
     Parameters,
@@ -17,13 +21,23 @@ from worm_model.parameters import (
     load_parameters,
     write_parameter_file,
 )
+from worm_model.simulation.simulator import evaluate_gait
 
-INSTALLED = Path(__file__).parents[3] / "src/worm_model/config/paper.yaml"
+ROOT = Path(__file__).parents[3]
+INSTALLED = ROOT / "src/worm_model/config/paper.yaml"
 
 
 def test_installed_file_holds_the_defaults() -> None:
     assert load_parameters(INSTALLED) == PAPER
     assert load_parameters("") == PAPER
+
+
+def test_the_representation_holds_what_differs_from_the_paper():
+    assert repr(PAPER) == "Parameters()"
+    own = PAPER.replace(gain=0.85, one_sided_cable=True)
+    assert repr(own) == "Parameters(gain=0.85, one_sided_cable=True)"
+    assert eval(repr(own), {"Parameters": Parameters}) == own
+    assert len(str(inspect.signature(evaluate_gait))) < 200
 
 
 def test_missing_key_means_the_papers_value(tmp_path: Path) -> None:
@@ -125,7 +139,16 @@ def test_unreadable_files_are_refused(tmp_path: Path) -> None:
 def test_numpy_numbers_are_numbers() -> None:
     assert Parameters(rear_mass=np.float64(0.5)).rear_mass == 0.5
     assert type(Parameters(rear_mass=np.float64(0.5)).rear_mass) is float
-    assert len(KEYS) == 19
+
+
+def test_the_table_of_the_docs_is_that_of_the_code() -> None:
+    """Each parameter has a cell with its symbol, key, default and unit."""
+    text = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
+    for key in KEYS:
+        unit = "" if UNITS[key] == "1" else f" {UNITS[key]}"
+        row = rf"\| {re.escape(SYMBOLS[key])} \| `{key}` \| ([0-9.]+){unit}(?:, \*\*ours\*\*)? \|"
+        found = re.findall(row, text)
+        assert [float(value) for value in found] == [getattr(PAPER, key)], key
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a node does with a command line and with parameters that it cannot use."""
 
+import math
 from collections.abc import Iterator
 
 import pytest
@@ -8,20 +9,24 @@ import pytest
 pytest.importorskip("worm_msgs", reason="worm_msgs is not built")
 rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
 from worm_msgs.node_command import declare, declare_none, run_node  # noqa: E402
+from worm_msgs.parameter_rows import RENAMED, ParameterRow, present_names  # noqa: E402
 
 
 def rows():
-    span = FloatingPointRange(from_value=0.0, to_value=1.0)
     return [
-        ("speed_m_s", 0.5, ParameterDescriptor(description="Of it.", floating_point_range=[span])),
-        ("radii_m", [0.1], ParameterDescriptor(description="Of them.")),
-        ("count", 3, ParameterDescriptor(description="How many.")),
+        ParameterRow("speed_m_per_s", 0.5, "Of it.", 0.0, 1.0),
+        ParameterRow("radii_m", [0.1], "Of them."),
+        ParameterRow("count", 3, "How many."),
+        ParameterRow("rate_hz", 10.0, "How often.", read_only=True),
+        ParameterRow("margin_m", math.nan, "NaN: chosen."),
     ]
+
+
+NAMES = [row.name for row in rows()]
 
 
 @pytest.fixture(autouse=True)
@@ -38,9 +43,9 @@ def started(*words: str) -> tuple[int, dict[str, object], list[object]]:
         node = Node("machine")
         try:
             declare(node, rows)
-            values.update({name: node.get_parameter(name).value for name, _, _ in rows()})
-            answers.extend(node.set_parameters([Parameter("speed_m_s", value=1)]))
-            answers.append(node.get_parameter("speed_m_s").value)
+            values.update({name: node.get_parameter(name).value for name in NAMES})
+            answers.extend(node.set_parameters([Parameter("speed_m_per_s", value=1)]))
+            answers.append(node.get_parameter("speed_m_per_s").value)
         finally:
             node.destroy_node()
 
@@ -60,11 +65,11 @@ def refused(capsys, *words: str) -> str:
 
 
 def test_whole_numbers_are_values_of_floats_at_the_start_and_later():
-    given = ("--ros-args", "-p", "speed_m_s:=1", "-p", "radii_m:=[1, 2]", "-p", "count:=4")
+    given = ("--ros-args", "-p", "speed_m_per_s:=1", "-p", "radii_m:=[1, 2]", "-p", "count:=4")
     status, values, (answer, value) = started(*given)
     assert status == 0
-    assert values == {"speed_m_s": 1.0, "radii_m": values["radii_m"], "count": 4}
-    assert isinstance(values["speed_m_s"], float)
+    assert (values["speed_m_per_s"], values["count"]) == (1.0, 4)
+    assert isinstance(values["speed_m_per_s"], float)
     assert list(values["radii_m"]) == [1.0, 2.0]
     assert answer.successful
     assert value == 1.0
@@ -73,10 +78,16 @@ def test_whole_numbers_are_values_of_floats_at_the_start_and_later():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (["-p", "sped_m_s:=1.0"], "machine: no parameter sped_m_s: did you mean speed_m_s?"),
-        (["-p", "zzz:=1"], "machine: no parameter zzz: there are count, radii_m, speed_m_s"),
-        (["-p", "speed_m_s:=-1"], "out of range"),
-        (["-p", "speed_m_s:=fast"], "expecting type 'DOUBLE'"),
+        (
+            ["-p", "sped_m_per_s:=1.0"],
+            "machine: no parameter sped_m_per_s: did you mean speed_m_per_s?",
+        ),
+        (
+            ["-p", "zzz:=1"],
+            "machine: no parameter zzz: there are count, margin_m, radii_m, rate_hz, speed_m_per_s",
+        ),
+        (["-p", "speed_m_per_s:=-1"], "out of range"),
+        (["-p", "speed_m_per_s:=fast"], "expecting type 'DOUBLE'"),
         (["-p", "count:=1.5"], "expecting type 'INTEGER'"),
         (["--params-file", "/nope"], "/nope"),
     ],
@@ -101,13 +112,13 @@ def test_what_cannot_be_used_is_one_line_and_status_2(capsys, given, words):
 def test_a_file_for_another_name_of_the_node_is_refused(capsys, monkeypatch, tmp_path, name, said):
     """rcl itself passes over it, and the node runs with the values of another robot."""
     file = tmp_path / "robot.yaml"
-    content = "{ros__parameters: {speed_m_s: 0.25}}"
+    content = "{ros__parameters: {speed_m_per_s: 0.25}}"
     file.write_text(f"'{name}': {content}\nelsewhere: {{deep: {content}}}\n")
     words = ["--ros-args", "--params-file", str(file)]
     monkeypatch.setattr("sys.argv", ["machine", *words])
     status, values, _ = started(*words)
     assert status == (2 if said else 0)
-    assert values.get("speed_m_s") == (None if said else 0.25)
+    assert values.get("speed_m_per_s") == (None if said else 0.25)
     assert said in capsys.readouterr().err
 
 
@@ -123,11 +134,11 @@ def test_a_node_without_parameters_refuses_them_all(capsys):
     def run(_) -> None:
         declare_none(Node("machine"))
 
-    words = ["machine", "--ros-args", "-p", "speed_m_s:=1.0"]
+    words = ["machine", "--ros-args", "-p", "speed_m_per_s:=1.0"]
     with pytest.raises(SystemExit) as error:
         run_node("machine", "", list, run, (), words)
     assert error.value.code == 2
-    assert "machine: no parameter speed_m_s: " in capsys.readouterr().err
+    assert "machine: no parameter speed_m_per_s: " in capsys.readouterr().err
 
 
 def test_a_stray_argument_is_refused(capsys):
@@ -139,7 +150,7 @@ def test_help_names_every_parameter_and_starts_nothing(capsys):
         started("--help")
     assert error.value.code == 0
     text = capsys.readouterr().out
-    assert all(f"{name}  (default" in text for name, _, _ in rows())
+    assert all(f"{name}  (default" in text for name in NAMES)
 
 
 def test_what_the_node_itself_refuses_is_one_line_too(capsys):
@@ -148,3 +159,59 @@ def test_what_the_node_itself_refuses_is_one_line_too(capsys):
 
     assert run_node("machine", "", rows, run, (ZeroDivisionError,), ["machine"]) == 2
     assert capsys.readouterr().err == "machine: no way\n"
+
+
+def node_with(*words: str) -> Node:
+    rclpy.init(args=["machine", *words])
+    node = Node("machine")
+    declare(node, rows)
+    return node
+
+
+def test_a_former_name_is_accepted_with_a_warning_at_the_start_and_later(capfd):
+    node = node_with("--ros-args", "-p", "rate_Hz:=25")
+    assert node.get_parameter("rate_hz").value == 25.0
+    assert not node.has_parameter("rate_Hz")
+    (later,) = node.set_parameters([Parameter("rate_Hz", value=25.0)])
+    assert later.successful
+    (changed,) = node.set_parameters([Parameter("rate_Hz", value=26.0)])
+    assert not changed.successful  # read-only, under whichever name
+    assert capfd.readouterr().err.count("parameter rate_Hz is named rate_hz now") == 3
+
+
+def test_a_parameter_by_both_its_names_is_rejected(capsys):
+    words = ("--ros-args", "-p", "rate_Hz:=25.0", "-p", "rate_hz:=25.0")
+    line = refused(capsys, *words)
+    assert "rate_hz" in line
+    assert "remove rate_Hz" in line
+
+
+def test_a_former_name_in_a_file_and_the_present_one_on_the_command_line_are_rejected(
+    capsys, tmp_path
+):
+    file = tmp_path / "robot.yaml"
+    file.write_text("machine: {ros__parameters: {rate_Hz: 25.0}}\n")
+    line = refused(capsys, "--ros-args", "--params-file", str(file), "-p", "rate_hz:=20.0")
+    assert "remove rate_Hz" in line
+
+
+def test_a_former_name_that_this_node_does_not_have_is_unknown(capsys):
+    words = ("--ros-args", "-p", "power_scale_w:=1.0")
+    assert "no parameter power_scale_w" in refused(capsys, *words).splitlines()[-1]
+
+
+def test_a_node_takes_its_own_values_and_no_other_for_what_is_read_only():
+    node = node_with()
+    own = [node.get_parameter(name) for name in node.get_parameters_by_prefix("")]
+    assert {p.name for p in own} >= {"start_type_description_service", "use_sim_time", *NAMES}
+    assert all(answer.successful for answer in node.set_parameters(own))
+    assert node.set_parameters_atomically(own).successful
+    other = Parameter("rate_hz", value=11.0)
+    assert not node.set_parameters_atomically([*own, other]).successful
+    assert node.get_parameter("rate_hz").value == 10.0
+
+
+def test_no_name_is_both_former_and_present_and_a_present_one_needs_no_warning():
+    assert not set(RENAMED) & set(RENAMED.values())
+    present = dict.fromkeys(RENAMED.values(), 1)
+    assert present_names(present, pytest.fail) == present

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``bench_tests``: bellows and fin of the virtual robot on a test bench, as CSV files for ``identify``."""
+"""Command ``bench_tests``: simulate the bellows and fin tests of the virtual robot, as CSV files for ``identify``."""
 
 import argparse
 import csv
@@ -8,27 +8,27 @@ from pathlib import Path
 from random import Random
 
 from worm_driver.commands.driver_command import Parser, run_command
-from worm_driver.virtual_robot.plant import BodyParameters
 from worm_driver.virtual_robot.virtual_robot import body_of
 from worm_driver.virtual_robot.virtual_settings import load_settings
+from worm_msgs.robot_parameters import RobotParameters
 
-#: N, of the force sensor in the bellows and in the fin test
+#: Noise of the force sensor in the bellows and in the fin test, N.
 _NOISE = 0.35, 0.12
-#: m, points of the two tests
+#: Points of the two tests, m.
 _COMPRESSION = [0.002 * k for k in range(36)]
 _DISPLACEMENT = [0.00025 * (k - 48) for k in range(97)]
 
 Rows = Iterable[tuple[float, float]]
 
 
-def bellows_test(body: BodyParameters, random: Random) -> Rows:
-    """Compression (m) and force (N), with the sensor's noise."""
+def bellows_test(body: RobotParameters, random: Random) -> Rows:
+    """Yield compression (m) and force (N) with sensor noise."""
     for x in _COMPRESSION:
         yield x, body.bellows_stiffness * x + random.gauss(0.0, _NOISE[0])
 
 
-def fin_test(body: BodyParameters, random: Random) -> Rows:
-    """Displacement (m) of a fin from its anchor and force (N); it engages towards negative displacements."""
+def fin_test(body: RobotParameters, random: Random) -> Rows:
+    """Yield fin displacement (m) from the anchor and force (N) with sensor noise; negative displacements engage."""
     half = 0.5 * body.clearance
     for x in _DISPLACEMENT:
         force = body.engaged_stiffness * min(x + half, 0.0)
@@ -55,12 +55,14 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Entry point of the executable bench_tests."""
+    """Run the command and return the exit status."""
     parser = Parser(
         prog="bench_tests",
-        description="Puts bellows and fin of the virtual robot on a test bench: bellows.csv and fin.csv for identify.",
+        description="Simulate the bellows and the fin test of the virtual robot: bellows.csv and fin.csv for identify.",
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="gets the two files")
-    parser.add_argument("--parameters", type=Path, metavar="FILE", help="as virtual_robot has it")
-    parser.add_argument("--seed", type=int, metavar="N", help="as virtual_robot has it")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the two files")
+    parser.add_argument(
+        "--parameters", type=Path, metavar="FILE", help="parameters of the virtual robot"
+    )
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of the virtual robot")
     return run_command(parser, _run, arguments)

@@ -28,6 +28,8 @@ from worm_driver.errors import (
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.calibration import Reading, parameter_text, spool_from
 from worm_driver.servos.encoding import from_raw
+from worm_driver.servos.goal_gate import Bound, GoalGate
+from worm_driver.servos.position_track import PositionTrack
 from worm_driver.servos.registers import MODELS, POSITION_MODE, TICKS_PER_TURN, WATCHDOG_EXPIRED
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
@@ -68,6 +70,8 @@ class Calibration:
         self._meanwhile: Callable[[], object] = lambda: None
         self._say = say
         self._wait = wait
+        self._track = PositionTrack({})
+        self._goals = GoalGate(bus, self._track)
 
     def find_servos(self) -> list[Servo]:
         """Every servo with a control table that answers; one that has none is named and left out."""
@@ -107,6 +111,8 @@ class Calibration:
         with self._bus.patient():
             servos.prepare_cable(self._bus, servo, servos.own_limit(servo, Limits()))
             start = servos.registers(self._bus, servo, "present_position")["present_position"]
+        span = round(turns * TICKS_PER_TURN) + _PROBE
+        self._goals.bounds = {servo.number: Bound(start - span, start + span)}
         self._torque_on(servo)
         self._reach(servo, start + _PROBE)
         shorter = self._choice(
@@ -148,7 +154,10 @@ class Calibration:
         """Holds the servo where it is, with its bus watchdog armed before and fed from now on."""
         with self._bus.patient():
             servos.limit_motion(self._bus, servo, _SPEED, _WATCHDOG)
-            servos.enable(self._bus, servo)
+            position = servos.standing_position(self._bus, servo)
+            self._track.accepts(servo.number, position, self._bus.now())
+            self._goals.write(servo.number, position)
+            servos.switch_on(self._bus, servo)
         self._meanwhile = functools.partial(self._feed, servo)
 
     def _feed(self, servo: Servo) -> None:
@@ -190,7 +199,7 @@ class Calibration:
 
     def _move(self, servo: Servo, ticks: int) -> None:
         """Goes there, and waits until it is there. Raises DriverError when it does not arrive."""
-        self._bus.write(servo.number, servo["goal_position"], ticks)
+        self._goals.write(servo.number, ticks)
         for _ in range(round(_PATIENCE / 0.05)):
             position = self._bus.read(servo.number, servo["present_position"])
             if abs(position - ticks) <= _ARRIVED:

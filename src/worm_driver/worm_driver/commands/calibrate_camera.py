@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``calibrate_camera``: a camera's intrinsics from images of the printed board, as a camera_info file."""
+"""Command ``calibrate_camera``: write camera_info from images of the printed board."""
 
 import argparse
 import sys
@@ -13,12 +13,12 @@ from worm_driver.commands.markers import BOARD
 from worm_driver.tracking.camera_model import Array, camera_info_text
 from worm_driver.tracking.image_sources import frames_of_folder
 from worm_driver.tracking.tracking_errors import ImageError
-from worm_driver.tracking.vision import Board, Calibration, Film, Image, calibrate
+from worm_driver.tracking.vision import Board, Calibration, Image, VideoSource, calibrate
 
 FEWEST_VIEWS = 8
 _MOST_VIEWS = 60
 _FEWEST_CORNERS = 12
-_MOVED = 25.0  # pixels; a film's images in which the board has moved less tell nothing new
+_MOVED = 25.0  # pixels; images in which the board has moved less add no information
 _GOOD = 0.6  # pixels rms; a flat board and sharp images stay well below
 _BAD = 2.0  # pixels rms
 _COVERED = 0.5  # of the image's width and height that the corners should reach over
@@ -27,9 +27,10 @@ View = tuple[Array, Array]
 
 
 def find_views(images: Iterator[Image], board: Board) -> tuple[list[View], tuple[int, int]]:
-    """Views of the board that differ, and the images' size (width, height).
+    """Return views of the board that differ, and the image size (width, height).
 
-    Raises ImageError: the images differ in size.
+    Raises:
+        ImageError: The images differ in size.
     """
     views: list[View] = []
     size: tuple[int, int] | None = None
@@ -50,7 +51,7 @@ def find_views(images: Iterator[Image], board: Board) -> tuple[list[View], tuple
 
 
 def _is_new(view: View, views: list[View]) -> bool:
-    """Whether the board has moved since the last view."""
+    """Return True if the board has moved since the last view."""
     if not views:
         return True
     before = {tuple(place): corner for place, corner in zip(*views[-1], strict=True)}
@@ -60,41 +61,41 @@ def _is_new(view: View, views: list[View]) -> bool:
     return not moves or float(np.mean(moves)) > _MOVED
 
 
-def judged(calibration: Calibration, views: list[View], size: tuple[int, int]) -> list[str]:
-    """What is doubtful about a calibration, in sentences; empty if nothing is."""
-    doubts = []
+def warnings_of(calibration: Calibration, views: list[View], size: tuple[int, int]) -> list[str]:
+    """Return warnings about a calibration; empty if there are none."""
+    warnings = []
     if calibration.error > _GOOD:
         worst = int(np.argmax(calibration.view_errors)) + 1
-        doubts.append(
-            f"the corners fit within {calibration.error:.2f} px only (view {worst} worst): is the board flat, "
-            "are the images sharp, is --square-m what you measure on the print?"
+        warnings.append(
+            f"the reprojection error is {calibration.error:.2f} px (view {worst} is worst). Check that the board is "
+            "flat, the images are sharp and --square-m is the size measured on the print"
         )
     corners = np.concatenate([view_corners for _, view_corners in views])
     reach = np.ptp(corners, axis=0) / np.array(size)
     if reach.min() < _COVERED:
-        doubts.append(
-            f"the board was seen over {reach[0]:.0%} of the width and {reach[1]:.0%} of the height only: the lens is "
-            "not known beyond; hold it into the corners, too"
+        warnings.append(
+            f"the board covers only {reach[0]:.0%} of the width and {reach[1]:.0%} of the height. Outside, the lens "
+            "model is extrapolated: add views with the board in the corners"
         )
     deviation = calibration.focal_deviation / calibration.camera.focal[0]
     if deviation > 0.005:
-        doubts.append(
-            f"the focal length is known to {deviation:.1%} only: tilt the board by 30 degrees in all directions"
+        warnings.append(
+            f"the focal length has an uncertainty of {deviation:.1%}: add views with the board tilted by 30 degrees"
         )
-    return doubts
+    return warnings
 
 
 def _images(options: argparse.Namespace) -> Iterator[Image]:
     if options.images is not None:
-        # A board's images need no times: any rate will do.
+        # The times of the images are not used, so that any rate serves.
         yield from (frame.image for frame in frames_of_folder(options.images, 1.0))
         return
-    film = Film(options.video)
+    video = VideoSource(options.video)
     try:
-        while (taken := film.read()) is not None:
-            yield taken[0]
+        while (image_and_time := video.read()) is not None:
+            yield image_and_time[0]
     finally:
-        film.close()
+        video.close()
 
 
 def _parser() -> Parser:
@@ -104,7 +105,7 @@ def _parser() -> Parser:
     source.add_argument(
         "--video",
         metavar="FILE",
-        help=f"a film of the board, or a camera such as /dev/video0, until {_MOST_VIEWS} views differ",
+        help=f"a video of the board, or a camera such as /dev/video0, until {_MOST_VIEWS} views differ",
     )
     parser.add_argument("--output", type=new_file, required=True, metavar="FILE.yaml")
     parser.add_argument(
@@ -120,7 +121,7 @@ def _parser() -> Parser:
         default="plumb_bob",
         help="rational_polynomial for wide lenses",
     )
-    parser.add_argument("--name", default="camera", help="of the camera, in the file")
+    parser.add_argument("--name", default="camera", help="name of the camera in the file")
     return parser
 
 
@@ -129,25 +130,26 @@ def _run(options: argparse.Namespace) -> None:
     views, size = find_views(_images(options), Board(columns, rows, options.square_m, dictionary))
     if len(views) < FEWEST_VIEWS:
         raise ImageError(
-            f"the board was found in {len(views)} images that differ, {FEWEST_VIEWS} are needed: hold it still, near "
-            "and far, tilted, and into all corners of the image (markers --board prints it)"
+            f"the board was found in {len(views)} different images; at least {FEWEST_VIEWS} are needed. Hold it still, "
+            "near and far, tilted, and in all corners of the image (markers --board prints it)"
         )
     calibration = calibrate(views, size, options.model)
     if not calibration.error < _BAD:
         raise ImageError(
-            f"no camera fits: the corners lie {calibration.error:.1f} px beside: is the board flat and printed whole?"
+            f"no camera model fits: the reprojection error is {calibration.error:.1f} px. Check that the board is flat "
+            "and printed completely"
         )
     with options.output.open("x", encoding="utf-8") as stream:
         stream.write(camera_info_text(options.name, calibration.camera))
-    for doubt in judged(calibration, views, size):
-        say(f"calibrate_camera: {doubt}")
+    for warning in warnings_of(calibration, views, size):
+        say(f"calibrate_camera: {warning}")
     fx, fy = calibration.camera.focal
     sys.stdout.write(
         f"{options.output}: {len(views)} views, reprojection error {calibration.error:.3f} px, "
-        f"focal length {fx:.1f} and {fy:.1f} px, known to {calibration.focal_deviation:.1f} px\n"
+        f"focal length {fx:.1f} and {fy:.1f} px, uncertainty {calibration.focal_deviation:.1f} px\n"
     )
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command; returns the exit status."""
+    """Run the command and return the exit status."""
     return run_command(_parser(), _run, arguments)

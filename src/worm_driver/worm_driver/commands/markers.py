@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``markers``: a PDF with the markers of a rig, or the calibration board, to print at true scale."""
+"""Command ``markers``: create a PDF with the markers of a rig or the calibration board, to print at true scale."""
 
 import argparse
 import sys
@@ -13,30 +13,30 @@ from worm_driver.tracking.tracker_setup import DICTIONARIES, load_setup
 from worm_driver.tracking.tracking_errors import SetupError
 from worm_driver.tracking.vision import Board, marker_cells
 
-#: m, width and height
+#: Paper sizes: width and height, m.
 PAPERS = {"a4": (0.210, 0.297), "letter": (0.2159, 0.2794)}
-#: Of the calibration board: columns and rows of squares, their side in m, dictionary. Fits both papers.
+#: Calibration board: columns and rows of squares, side of a square (m), dictionary. Fits both papers.
 BOARD = (7, 9, 0.025, "DICT_5X5_100")
 
 _INCH = 0.0254
-_MARGIN = 0.015  # m, that printers leave white
-_HEAD = 0.035  # m, of the ruler and the text above it
+_MARGIN = 0.015  # m; unprintable margin
+_HEAD = 0.035  # m; height of the ruler and its text
 _RULER = 0.1  # m
-_BOARD_PIXELS = 200  # a square of the board; its markers' cells fall on whole pixels to 0.01 mm
+_BOARD_PIXELS = 200  # pixels per square of the board, for an error of the cells below 0.01 mm
 _TEXT = 8  # points
-_MARKER_REMEDY = "put its true side into marker_size_m of the setup file"
+_MARKER_REMEDY = "set marker_size_m of the setup file to its side"
 
 
 @dataclass(frozen=True)
 class Print:
-    """A marker to be printed: its number, and what it is for."""
+    """Marker to print: number and label."""
 
     number: int
     text: str
 
 
 def _prints(options: argparse.Namespace) -> tuple[str, float, list[Print]]:
-    """Dictionary, side (m) and markers that were asked for."""
+    """Return dictionary, side (m) and markers for the options."""
     if options.setup is None:
         count = DICTIONARIES[options.dictionary]
         wrong = [number for number in options.ids if not 0 <= number < count]
@@ -53,7 +53,7 @@ def _prints(options: argparse.Namespace) -> tuple[str, float, list[Print]]:
 def _pages(
     prints: Sequence[Print], size: float, paper: tuple[float, float]
 ) -> Iterator[list[tuple[Print, float, float]]]:
-    """The prints of each page with the lower left corners of their black squares, m from the page's."""
+    """Yield the prints of each page with the lower left corners of their black squares, m from the page's corner."""
     pitch_x, pitch_y = max(1.6 * size, 0.045), 1.5 * size + 0.012
     width, height = paper[0] - 2.0 * _MARGIN, paper[1] - 2.0 * _MARGIN - _HEAD
     columns, rows = int(width / pitch_x), int(height / pitch_y)
@@ -70,7 +70,7 @@ def _pages(
 
 
 class _Sheet:
-    """A page in m from its lower left corner."""
+    """Page with coordinates in m from its lower left corner."""
 
     def __init__(self, paper: tuple[float, float], title: str, remedy: str) -> None:
         from matplotlib.figure import Figure
@@ -104,12 +104,12 @@ class _Sheet:
                 self.text(x + 0.01 * index, y + 0.006, f"{index} cm", ha="center", fontsize=6)
 
     def marker(self, dictionary: str, size: float, item: Print, x: float, y: float) -> None:
-        """A marker with its margin, marks in the middle of its sides, and its text below."""
+        """Draw a marker with its margin, alignment marks and label."""
         from matplotlib.patches import Rectangle
 
         cells = marker_cells(dictionary, item.number)
         side = size / len(cells)
-        # One black square, with white cells in runs: no seams between neighbours.
+        # White runs on one black square leave no seams between neighbouring cells.
         self._axes.add_patch(Rectangle((x, y), size, size, facecolor="black", linewidth=0))
         for row, line in enumerate(cells):
             for start, end in _runs(line):
@@ -126,7 +126,7 @@ class _Sheet:
         )
 
     def _marks(self, x: float, y: float, size: float) -> None:
-        """The cutting line, one and a half cells away, and where the lines through the centre meet it."""
+        """Draw the cutting line, one and a half cells from the square, and the alignment marks."""
         low, high, middle, tick = -0.25 * size, 1.25 * size, 0.5 * size, 0.08 * size
         self._axes.plot(
             [x + low, x + high, x + high, x + low, x + low],
@@ -147,7 +147,7 @@ class _Sheet:
 
 
 def _runs(line: Sequence[bool]) -> Iterator[tuple[int, int]]:
-    """Start and end of each run of white cells."""
+    """Yield start and end of each run of white cells."""
     start = None
     for index, white in enumerate([*line, False]):
         if white and start is None:
@@ -172,8 +172,8 @@ def _marker_sheets(options: argparse.Namespace) -> list[_Sheet]:
 def _board_sheet(options: argparse.Namespace) -> _Sheet:
     columns, rows, square, dictionary = BOARD
     paper = PAPERS[options.paper]
-    title = f"calibration board, squares of {square * 1e3:g} mm; glue it on something flat"
-    sheet = _Sheet(paper, title, "give its true side to calibrate_camera --square-m")
+    title = f"calibration board, squares of {square * 1e3:g} mm; glue it to a flat plate"
+    sheet = _Sheet(paper, title, "pass its side to calibrate_camera --square-m")
     image = Board(columns, rows, square, dictionary).draw(_BOARD_PIXELS)
     width, height = columns * square, rows * square
     sheet.board(image, (paper[0] - width) / 2.0, _MARGIN - 0.003, width, height)
@@ -217,5 +217,5 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command; returns the exit status."""
+    """Run the command and return the exit status."""
     return run_command(_parser(), _run, arguments)

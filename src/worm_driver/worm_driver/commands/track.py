@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``track``: positions of the modules from a film or a folder of images, without ROS.
+"""Command ``track``: measure module positions in a video or a folder of images, without ROS.
 
-The table has a row an image: time_s, rear_position_m, front_position_m, length_m and the reason where one is NaN.
+The table has one row per image: time_s, rear_position_m, front_position_m, length_m and the reason for NaN.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from worm_driver.commands.driver_command import Parser, new_file, run_command, say
-from worm_driver.tracking.image_sources import Frame, check_size, frames_of_film, frames_of_folder
+from worm_driver.tracking.image_sources import Frame, check_size, frames_of_folder, frames_of_video
 from worm_driver.tracking.preview import preview, summary
 from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.tracker_setup import load_setup
@@ -27,27 +27,28 @@ from worm_driver.tracking.vision import MarkerDetector, write_image
 COLUMNS = ("time_s", "rear_position_m", "front_position_m", "length_m", "reason")
 LAB_COLUMNS = ("time_s", "x1_m", "x2_m")  # of import_lab's camera.csv
 PICTURES = (".png", ".jpg", ".jpeg")
-_TELL_EVERY = 300  # images
+_PROGRESS_INTERVAL = 300  # images
 
 
 def follow(tracker: Tracker, frames: Iterable[Frame]) -> Iterator[TrackedPositions]:
-    """The sample of each image; tells on standard error what is to be told, and how far it is.
+    """Yield the positions of each image; log events and progress to standard error.
 
-    Raises TrackingError: an image cannot be read, or has not the camera's size.
+    Raises:
+        TrackingError: An image cannot be read or does not have the size of the calibration.
     """
     detector = MarkerDetector(tracker.setup.dictionary)
     for index, frame in enumerate(frames, 1):
         check_size(frame.image, (tracker.camera.width, tracker.camera.height), frame.name)
         sample = tracker.see(detector.detect(frame.image), frame.time)
-        if sample.news:
-            say(f"track: {frame.time:.3f} s: {sample.news}")
-        if index % _TELL_EVERY == 0:
+        if sample.event:
+            say(f"track: {frame.time:.3f} s: {sample.event}")
+        if index % _PROGRESS_INTERVAL == 0:
             say(f"track: {index} images, {frame.time:.1f} s")
         yield sample
 
 
 def write_table(path: Path, samples: Iterable[TrackedPositions]) -> list[TrackedPositions]:
-    """Writes the table while the images come, so that a cancelled run keeps its rows; returns the samples."""
+    """Write the table row by row, so that a cancelled run keeps its rows, and return the samples."""
     kept = []
     with path.open("x", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)
@@ -60,10 +61,12 @@ def write_table(path: Path, samples: Iterable[TrackedPositions]) -> list[Tracked
 
 
 def write_bag(path: Path, samples: Iterable[TrackedPositions]) -> list[TrackedPositions]:
-    """Makes a bag of the topics tracker and body_length/measured; returns the samples.
+    """Write a bag with the topics tracker and body_length/measured, and return the samples.
 
-    Bags are worm_model's: its command import_lab makes this one, from a table of the lab's form. Raises TrackingError:
-    import_lab is not installed, or refuses.
+    worm_model's command import_lab creates the bag from a table in the format of lab logs.
+
+    Raises:
+        TrackingError: import_lab is not installed or fails.
     """
     command = _import_lab()
     kept = list(samples)
@@ -78,7 +81,7 @@ def write_bag(path: Path, samples: Iterable[TrackedPositions]) -> list[TrackedPo
             [*command, name, "--output", str(path)], capture_output=True, text=True, check=False
         )
     if done.returncode:
-        raise TrackingError(f"no bag was made: {done.stderr.strip()}")
+        raise TrackingError(f"no bag was written: {done.stderr.strip()}")
     return kept
 
 
@@ -90,7 +93,7 @@ def _import_lab() -> list[str]:
         if executable.is_file():
             return [str(executable)]
     raise TrackingError(
-        "a bag needs worm_model's import_lab, which is not installed here: give --output a name that ends in .csv"
+        "a bag needs worm_model's import_lab, which is not installed: use a name ending in .csv for --output"
     )
 
 
@@ -101,21 +104,21 @@ def _parser() -> Parser:
         "--images",
         type=Path,
         metavar="FOLDER",
-        help="in the order of its times.csv or of their names",
+        help="images in the order of times.csv, or by name",
     )
-    source.add_argument("--video", type=Path, metavar="FILE", help="a film")
+    source.add_argument("--video", type=Path, metavar="FILE", help="a video")
     parser.add_argument("--setup", type=Path, required=True, metavar="FILE", help="the rig (YAML)")
     parser.add_argument(
         "--output",
         type=new_file,
         metavar="FILE.csv|BAG",
-        help="a table, or a bag by any other name",
+        help="a CSV table, or a bag for any other name",
     )
     parser.add_argument(
         "--preview",
         type=new_file,
         metavar="FILE.png",
-        help="the first image with what was found in it",
+        help="the first image with the detected markers",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     return parser
@@ -141,7 +144,7 @@ def _run(options: argparse.Namespace) -> None:
 def _frames(options: argparse.Namespace, tracker: Tracker) -> Iterator[Frame]:
     if options.images is not None:
         return frames_of_folder(options.images, tracker.setup.rate)
-    return frames_of_film(options.video, tracker.setup.rate)
+    return frames_of_video(options.video, tracker.setup.rate)
 
 
 def _preview(tracker: Tracker, frame: Frame, path: Path) -> None:
@@ -162,7 +165,7 @@ def _report(samples: list[TrackedPositions], options: argparse.Namespace) -> Non
             "output": str(options.output),
             "images": len(samples),
             "seen": complete,
-            "news": [{"time_s": s.time, "message": s.news} for s in samples if s.news],
+            "news": [{"time_s": s.time, "message": s.event} for s in samples if s.event],
             "reprojection_error_px": error if poses else None,
         }
         sys.stdout.write(json.dumps(content) + "\n")
@@ -177,5 +180,5 @@ def _report(samples: list[TrackedPositions], options: argparse.Namespace) -> Non
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command; returns the exit status."""
+    """Run the command and return the exit status."""
     return run_command(_parser(), _run, arguments)

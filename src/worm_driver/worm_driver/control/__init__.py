@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot in its loop: supervision, timing, and what a configured driver holds. Pure but for its threads."""
+"""Control of the robot at a fixed rate: supervision, timing and the resources of a configured driver. Free of ROS."""

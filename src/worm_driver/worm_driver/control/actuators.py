@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servos of a robot with their spools and fins: checked, set up and moved, and what their states mean."""
+"""Actuators of a robot: checks, setup and motion of the servos with their spools and fins."""
 
 import math
 from collections.abc import Sequence
@@ -8,34 +8,40 @@ from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.telemetry import SILENT, ServoState
 from worm_driver.errors import HomingError
 from worm_driver.servos import servo_setup as servos
-from worm_driver.servos.registers import COMMON
+from worm_driver.servos.goal_gate import Bound, GoalGate
+from worm_driver.servos.position_track import PositionTrack, Sighting
+from worm_driver.servos.registers import COMMON, TICKS_PER_TURN
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
 
-#: ticks, how near a fin must come to where it was sent
+#: Largest distance of a fin from its goal, ticks.
 _FIN_TOLERANCE = 40
-#: rad/s, below which a fin stands still
+#: Speed below which a fin counts as still, rad/s.
 _FIN_STILL = 0.1
-#: m, closer to its initial length a robot that is let go does not spring back to speak of
+#: Contraction below which a robot without torque does not noticeably spring back, m.
 _SPRINGS_BACK = 2e-3
+#: Slack beyond the range of the stroke within which the robot may still be activated and held, m.
+PAYOUT_TOLERANCE = 0.01
 
 
 class Actuators:
-    """Servos that have answered and are set up, with the torque off.
+    """All servos of a robot, identified and set up, with the torque off.
 
-    A contracted robot that an earlier driver left with its torque on keeps it, as it would spring back: see left_on.
+    If an earlier driver left the torque of a contracted robot on, it stays on, as the robot would spring back. See
+    left_on.
 
     Attributes:
-        settings: of this robot, until others are set.
-        cables: the servos of the spools, in the order of the settings.
-        fins: those of the fins.
-        homed: whether the cable servos count their turns from the initial length.
-        unreleased: what failed at the last release, in words: a servo may still have its torque.
-        left_on: what there is to say of a torque that an earlier driver left on; empty: there is none.
+        settings: settings of this robot. `take` replaces them.
+        cables: servos of the spools, in the order of the settings.
+        fins: servos of the fins, in the order of the settings.
+        homed: True if the cable servos count their turns from the initial length.
+        unreleased: failures of the last release, one sentence each. If not empty, a servo may still have torque.
+        left_on: message about a torque that was left on; empty if there is none.
+        track: plausible positions of the servos.
 
     Raises:
-        BusError: a servo does not answer.
-        ConfigurationError: a servo is not what the settings say.
+        BusError: A servo does not answer.
+        ConfigurationError: A servo does not match the settings.
     """
 
     def __init__(self, settings: DriverSettings, bus: ServoBus):
@@ -43,10 +49,13 @@ class Actuators:
         self.unreleased: list[str] = []
         self.left_on = ""
         self._bus = bus
-        self._hold_ticks: dict[int, int] = {}
+        self._held: dict[int, int] = {}
+        self._longest_stroke = settings.max_stroke
         with bus.patient():
             self.cables = tuple(servos.identify(bus, spool.servo) for spool in settings.spools)
             self.fins = tuple(servos.identify(bus, fin.servo) for fin in settings.fins)
+            self.track = PositionTrack({s.number: s.velocity_limit for s in self.servos})
+            self._goals = GoalGate(bus, self.track)
             self._set_up()
 
     def _set_up(self) -> None:
@@ -70,7 +79,7 @@ class Actuators:
             self.home()
 
     def _held_contraction(self) -> float | None:
-        """By how much (m) servos that were left with their torque on hold the robot contracted; None if they do not."""
+        """Return the contraction (m) that servos with torque from an earlier driver hold, None without torque."""
         longest = 0.0
         for spool, servo in zip(self.settings.spools, self.cables, strict=True):
             limit = servos.own_limit(servo, self.settings.limits)
@@ -87,7 +96,7 @@ class Actuators:
 
     @property
     def fastest_cable(self) -> float:
-        """Speed of the cable that every cable servo can play, m/s."""
+        """Highest cable speed that every cable servo can reach, m/s."""
         return min(
             spool.speed(servo.velocity_limit)
             for spool, servo in zip(self.settings.spools, self.cables, strict=True)
@@ -96,7 +105,12 @@ class Actuators:
     # --- torque off ----------------------------------------------------------------------------
 
     def home(self) -> None:
-        """Takes the cable's present length as the initial one. Raises HomingError, BusError."""
+        """Define the present cable length as the initial one.
+
+        Raises:
+            HomingError: A torque was left on, or a servo did not accept its new zero.
+            BusError: A servo does not answer.
+        """
         if self.left_on:
             raise HomingError(f"homing needs the torque off, and {self.left_on}")
         self.homed = False
@@ -105,7 +119,11 @@ class Actuators:
         self.homed = True
 
     def reboot(self) -> tuple[int, ...]:
-        """Restarts the servos that report a hardware error; returns their ids. Raises DriverError."""
+        """Restart the servos that report a hardware error and return their ids.
+
+        Raises:
+            DriverError: An exchange failed.
+        """
         register = COMMON["hardware_error_status"]
         with self._bus.patient():
             failed = tuple(s for s in self.servos if self._bus.read(s.number, register))
@@ -115,7 +133,13 @@ class Actuators:
         return tuple(servo.number for servo in failed)
 
     def check(self) -> None:
-        """Raises HomingError, BusError or ConfigurationError where a servo is not fit to have its torque."""
+        """Check that every servo is fit to be enabled.
+
+        Raises:
+            HomingError: The turn count of a cable servo is unknown.
+            BusError: A servo does not answer.
+            ConfigurationError: A servo reports a fault, or its supply is out of range.
+        """
         with self._bus.patient():
             self.homed = all(servos.is_homed(self._bus, servo) for servo in self.cables)
             if not self.homed:
@@ -129,11 +153,17 @@ class Actuators:
     # --- torque --------------------------------------------------------------------------------
 
     def enable(self) -> float:
-        """Gives every servo its torque where it stands, with its bus watchdog armed. Raises DriverError.
+        """Enable the torque of every servo at its present position, with its bus watchdog armed.
 
-        Returns where the cable is held then (ΔL, m): a body that springs back has moved on meanwhile.
+        Returns:
+            Length change at which the cable is held, m. A body that springs back has moved since an earlier reading.
+
+        Raises:
+            DriverError: A servo failed to be enabled.
         """
         settings = self.settings
+        self._longest_stroke = settings.max_stroke
+        self._bound_goals()
         with self._bus.patient():
             for spool, servo in zip(settings.spools, self.cables, strict=True):
                 limit = servos.own_limit(servo, settings.limits)
@@ -141,54 +171,127 @@ class Actuators:
                 servos.limit_motion(self._bus, servo, speed, settings.watchdog, limit)
             for servo in self.fins:
                 servos.limit_motion(self._bus, servo, settings.fin_speed, settings.watchdog)
-            return self._mean_change([servos.enable(self._bus, servo) for servo in self.servos])
+            positions = {servo.number: self._enable(servo) for servo in self.servos}
+        self.track.begin(positions)
+        self._held = {number: position.ticks for number, position in positions.items()}
+        return self._mean_change([position.ticks for position in positions.values()])
+
+    def _enable(self, servo: Servo) -> Sighting:
+        position = Sighting(servos.standing_position(self._bus, servo), self._bus.now())
+        self.track.accepts(servo.number, position.ticks, position.time)
+        self._goals.write(servo.number, position.ticks)
+        servos.switch_on(self._bus, servo)
+        return position
+
+    def take(self, settings: DriverSettings) -> None:
+        """Apply other limits. The range of the goals does not shrink before the next activation."""
+        self.settings = settings
+        self._longest_stroke = max(self._longest_stroke, settings.max_stroke)
+        self._bound_goals()
+
+    def _bound_goals(self) -> None:
+        """Set the bounds of the goals.
+
+        A cable goal lies within the range of the stroke. Its distance from the last plausible position is limited to
+        the following error plus the possible motion since then. A fin goal lies within one turn.
+        """
+        limits = self.settings.limits
+        bounds = {fin.servo: Bound(0, TICKS_PER_TURN - 1) for fin in self.settings.fins}
+        for spool in self.settings.spools:
+            ends = (PAYOUT_TOLERANCE, -self._longest_stroke - PAYOUT_TOLERANCE)
+            low, high = sorted(spool.ticks(end) for end in ends)
+            lead, speed = limits.following_error, self.settings.max_cable_speed
+            bounds[spool.servo] = Bound(low, high, abs(spool.ticks(lead)), abs(spool.ticks(speed)))
+        self._goals.bounds = bounds
 
     def release(self) -> list[str]:
-        """Takes the torque off, by all means; returns what failed on the way, in words.
+        """Release the torque of every servo and return the failures, one sentence each.
 
-        But for a robot that was never taken over and would spring back.
+        An error of one servo does not keep the others from being released. A robot with a torque that was left on is
+        not released, as it was never activated and would spring back.
         """
         if self.left_on:
             return [self.left_on]
         self.unreleased = servos.release_all(self._bus, self.servos)
+        self.track.end()
         return self.unreleased
 
+    def leave_on(self) -> list[str]:
+        """Leave the torque of a contracted robot on, as it would spring back, and return the message about it."""
+        self.left_on = (
+            f"the torque stays on, as the robot is contracted by {self.contraction * 1e3:.1f} mm and would spring "
+            "back: start the driver, activate it to take the robot over, then deactivate it to bring it to rest; or "
+            "secure the body and switch the supply off"
+        )
+        return [self.left_on]
+
+    @property
+    def contraction(self) -> float:
+        """Contraction of the robot (m) at the last plausible positions; infinite if one is missing."""
+        positions = [self.track.last(servo.number) for servo in self.cables]
+        if any(position is None for position in positions):
+            return math.inf
+        return -self._mean_change([position.ticks for position in positions if position])
+
+    @property
+    def springs_back(self) -> bool:
+        """True if the robot would spring back without torque."""
+        return self.contraction > _SPRINGS_BACK
+
     def send(self, length_change: float, direction: int) -> None:
-        """Sends the goals: ΔL in m, and the fins' direction, 0 for none. Raises BusError.
+        """Send the goals of all servos in one packet.
 
-        Without a home a length means nothing: cable servos are left at the ticks of the last `hold`.
+        Before homing, a length has no meaning, and the cable servos keep the goals that `hold` stored.
+
+        Args:
+            length_change: ΔL, m.
+            direction: direction of the fins, 0 to hold them.
+
+        Raises:
+            BusError: The packet cannot be sent.
         """
-        goals = self._hold_ticks
+        goals = dict(self._held)
         if self.homed:
-            goals = {s.servo: s.ticks(length_change) for s in self.settings.spools}
+            goals |= {s.servo: s.ticks(length_change) for s in self.settings.spools}
         if direction:
-            goals = goals | {fin.servo: fin.ticks(direction) for fin in self.settings.fins}
-        self._bus.sync_write(COMMON["goal_position"], goals)
+            goals |= {fin.servo: fin.ticks(direction) for fin in self.settings.fins}
+        self._goals.send(goals)
 
-    def hold(self, states: tuple[ServoState, ...]) -> None:
-        """Keeps in mind where the cable servos are, for a cable whose home is lost."""
-        self._hold_ticks = {
-            servo.number: state.ticks
-            for servo, state in zip(self.cables, states, strict=False)
-            if state is not SILENT
-        }
+    def hold(self) -> None:
+        """Keep the last goals of the cable servos, and keep the fins at their last plausible positions."""
+        for servo in self.cables:
+            goal = self._goals.last_sent(servo.number)
+            if goal is not None:
+                self._held[servo.number] = goal
+        for servo in self.fins:
+            position = self.track.last(servo.number)
+            if position is not None:
+                self._held[servo.number] = position.ticks
 
     # --- what states mean ----------------------------------------------------------------------
 
     def length_change(self, states: tuple[ServoState, ...]) -> float:
-        """Mean change of length by the encoders (m); NaN without every one of them, or without a home."""
+        """Return the mean length change by the encoders (m); NaN if a cable servo is silent or before homing."""
         cables = states[: len(self.cables)]
         if not self.homed or any(state is SILENT for state in cables):
             return math.nan
         return self._mean_change([state.ticks for state in cables])
 
     def _mean_change(self, ticks: Sequence[int]) -> float:
-        """Mean change of length (m) of cables whose servos stand at these ticks; those of the fins may follow."""
+        """Return the mean length change (m) for positions of the cable servos (ticks). Further elements are ignored."""
         changes = [s.length_change(at) for s, at in zip(self.settings.spools, ticks, strict=False)]
         return math.fsum(changes) / len(changes)
 
+    def pulls(self, states: tuple[ServoState, ...]) -> bool:
+        """Return True if a cable servo pulls with at least half of the effort that counts as a fault."""
+        limits = self.settings.limits
+        return any(
+            abs(state.effort) >= servos.fault_level(servo, limits) / 2
+            for servo, state in zip(self.cables, states, strict=False)
+        )
+
     def fins_set(self, states: tuple[ServoState, ...], direction: int) -> bool:
-        """Whether every fin stands where a direction asks for it."""
+        """Return True if every fin stands still at its position for a direction."""
         if direction == 0:
             return False
         return all(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thread that owns the robot, and the one that owns the power sensor.
+"""Threads that own the robot and the power sensor.
 
-Whoever wants something of the robot submits a command, which runs between two cycles. Snapshots go out through a
-callback. However the thread ends, the robot is released first, over serial, with nothing of ROS.
+Other threads submit commands, which run between two cycles. A callback receives the snapshots. Whenever the thread
+ends, it first releases the robot over the serial bus, without ROS. A robot that would spring back keeps its torque.
 """
 
 import contextlib
@@ -25,20 +25,20 @@ from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus
 
 T = TypeVar("T")
 
-#: bus errors in a row after which the power sensor's bus is opened anew
+#: Consecutive bus errors after which the power sensor's bus is opened again.
 _ERRORS_TO_REOPEN = 100
 
 
 class PeriodicThread:
-    """Calls a step on a grid of deadlines, in a thread of its own, until it is told to end or the step says so.
+    """Thread that calls a step at every deadline of a grid, until `ask_to_end` or until the step returns False.
 
     Args:
-        name: of the thread.
-        period: s.
-        clock: which it goes by; None: the machine's.
+        name: name of the thread.
+        period: period of the grid, s.
+        clock: clock of the thread; None: the machine's.
 
     Attributes:
-        failure: the exception that ended the thread.
+        failure: exception that ended the thread.
     """
 
     def __init__(self, name: str, period: float, clock: Clock | None = None):
@@ -48,46 +48,46 @@ class PeriodicThread:
         self._meter = PeriodMeter(period)
         self._report = self._meter.report()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._excused = False  # set in a step: that it takes time is meant to be, and counts as no missed deadline
+        self._excused = False  # Set in a step that takes long on purpose: no missed deadline.
 
     def _step(self, now: float) -> bool:
-        """What is done at a time (s, monotonic); False ends the thread."""
+        """Do the work of one cycle at a time (s, monotonic). Return False to end the thread."""
         raise NotImplementedError
 
     def _at_start(self) -> None:
-        """Called in the thread before its first step."""
+        """Prepare the thread. Called in the thread before its first step."""
 
     def _at_end(self) -> None:
-        """Called in the thread when it ends, also by an exception."""
+        """Clean up. Called in the thread when it ends, also after an exception."""
 
     def start(self) -> None:
-        """Starts the thread."""
+        """Start the thread."""
         self._thread.start()
 
     def ask_to_end(self) -> None:
-        """Lets the thread end after its step. Safe in a signal handler."""
+        """Request the end of the thread after its present step. Safe in a signal handler."""
         self._ending.set()
 
     def end(self, timeout: float) -> bool:
-        """Lets the thread end after its step; whether it has within the time (s)."""
+        """End the thread after its present step. Return True if it ended within the timeout (s)."""
         self.ask_to_end()
         self._thread.join(timeout)
         return not self._thread.is_alive()
 
     @property
     def alive(self) -> bool:
-        """Whether the thread runs."""
+        """True while the thread runs."""
         return self._thread.is_alive()
 
     def report(self) -> TimingReport:
-        """How well the deadlines were kept; made once a second by the thread itself."""
+        """Return the timing report, which the thread itself updates once a second."""
         return self._report
 
     def _run(self) -> None:
         try:
             self._at_start()
             self._cycles()
-        except Exception as error:  # noqa: BLE001 (whatever it was, the robot must be released, and the node told)
+        except Exception as error:  # noqa: BLE001 (after any error: release the robot)
             self.failure = error
         finally:
             self._at_end()
@@ -120,14 +120,16 @@ class _Command:
 
 
 class ControlLoop(PeriodicThread):
-    """Runs a robot's cycle at its rate.
+    """Thread that runs the cycle of a robot at its rate.
 
     Args:
-        robot: which the loop owns from now on.
-        on_snapshot: called in the thread after each cycle; must be quick and must not raise.
+        robot: the robot, owned by the loop from now on.
+        on_snapshot: called in the thread after each cycle. It must return quickly and must not raise.
+        clock: clock of the thread; None: the machine's.
 
     Attributes:
-        urgency: what the thread has of the real-time priority in the robot's settings.
+        urgency: real-time scheduling that Linux granted to the thread.
+        release_problems: failures of the release at the end of the thread, one sentence each.
     """
 
     def __init__(
@@ -139,17 +141,27 @@ class ControlLoop(PeriodicThread):
         self._on_snapshot = on_snapshot
         self._commands: deque[_Command] = deque()
         self._leaving: str | None = None
+        self._at_once = False
         self.release_problems: list[str] = []
 
     def check(self) -> None:
-        """Raises DriverError when the thread has ended, with what ended it."""
-        if not self.alive:
+        """Check that the thread did not end by itself.
+
+        Raises:
+            DriverError: The thread has ended. The message and the cause name the exception that ended it.
+        """
+        if not self.alive and not self._robot.closing:
             raise self._ended() from self.failure
 
     def submit(self, action: Callable[[float], T], patience: float = 0.5) -> "Future[T]":
-        """Has an action called with the time (s, monotonic) between two cycles.
+        """Queue an action for the gap between two cycles.
 
-        A command that could not be carried out for ``patience`` s is stale, and is refused with LimitError.
+        Args:
+            action: called with the time (s, monotonic).
+            patience: time after which the command is stale, s. The loop then rejects it with LimitError.
+
+        Returns:
+            Future of the action's result.
         """
         command = _Command(action, self._clock() + patience, Future())
         self._commands.append(command)
@@ -161,9 +173,17 @@ class ControlLoop(PeriodicThread):
         timeout: float = 2.0,
         undo: Callable[[float], object] | None = None,
     ) -> T:
-        """As submit, and waits for the result. Raises DriverError, also when none came in time (s).
+        """Submit an action and wait for its result.
 
-        What had not begun by then never will; what had is followed at once by ``undo``.
+        If the timeout expires before the action begins, the action never runs. If it has begun, ``undo`` follows it.
+
+        Args:
+            action: called with the time (s, monotonic).
+            timeout: longest wait for the result, s.
+            undo: action that reverts this one.
+
+        Raises:
+            DriverError: The action failed, or its result did not arrive in time.
         """
         answer = self.submit(action)
         timeout = max(timeout, self._clock.patience)
@@ -175,7 +195,11 @@ class ControlLoop(PeriodicThread):
             raise self._silent(timeout) from None
 
     def insist(self, action: Callable[[float], T], timeout: float = 2.0) -> T:
-        """As ask, but the action is carried out however late. Raises DriverError."""
+        """Like `ask`, but without a deadline for the action, and without ``undo``.
+
+        Raises:
+            DriverError: The action failed, or its result did not arrive within the timeout (s).
+        """
         timeout = max(timeout, self._clock.patience)
         try:
             return self.submit(action, patience=math.inf).result(timeout)
@@ -191,13 +215,33 @@ class ControlLoop(PeriodicThread):
         return DriverError(f"the servo bus thread has ended: {self.failure!r}")
 
     def leave(self, reason: str) -> None:
-        """Has the robot brought to rest and released, and the thread end after it. Safe in a signal handler."""
-        self._leaving = reason
+        """Bring the robot to rest, release it and end the thread.
+
+        Later calls have no effect. Safe in a signal handler.
+
+        A stop ends the return to rest. The thread then ends while the robot holds its position.
+        """
+        if self._leaving is None:
+            self._robot.closing = True
+            self._leaving = reason
+
+    def release_at_once(self) -> None:
+        """Release the robot at its present position and end the thread, at an operator's request.
+
+        Safe in a signal handler.
+        """
+        self._at_once = True
+        self.ask_to_end()
 
     def join(self, timeout: float, meanwhile: Callable[[], None] = lambda: None) -> bool:
-        """Waits for the thread to end; when the time (s) is up it ends after its step, releasing the robot.
+        """Wait for the thread to end. After the timeout it ends with its present step, wherever the robot is.
 
-        ``meanwhile`` is called every few milliseconds.
+        Args:
+            timeout: longest wait, s.
+            meanwhile: called every few milliseconds.
+
+        Returns:
+            True if the thread has ended.
         """
         end = time.monotonic() + max(timeout, self._clock.patience)
         while self.alive and time.monotonic() < end:
@@ -208,16 +252,16 @@ class ControlLoop(PeriodicThread):
     def _step(self, now: float) -> bool:
         leaving = self._leaving is not None
         if self._leaving:
-            self._robot.begin_release(now, self._leaving)
+            self._robot.close(now, self._leaving)
             self._leaving = ""
         before = self._robot.active
         if self._serve(now) and not (before and self._robot.active):
-            self._excused = True  # setting servos up, or letting go of them, takes many cycles
+            self._excused = True  # setup and release of the servos take many cycles
         self._on_snapshot(self._robot.cycle(now))
-        return not (leaving and self._robot.released)
+        return not (leaving and self._robot.is_closed(now))
 
     def _serve(self, now: float) -> bool:
-        """Carries the commands out; whether there was one."""
+        """Run the waiting commands. Return True if there was one."""
         served = bool(self._commands)
         while self._commands:
             command = self._commands.popleft()
@@ -230,7 +274,7 @@ class ControlLoop(PeriodicThread):
                 continue
             try:
                 command.answer.set_result(command.action(now))
-            except Exception as error:  # noqa: BLE001 (the one who asked gets it)
+            except Exception as error:  # noqa: BLE001 (the future passes it to the caller)
                 command.answer.set_exception(error)
         return served
 
@@ -241,7 +285,7 @@ class ControlLoop(PeriodicThread):
         self.urgency = ask_for_urgency(self._robot.settings.real_time_priority)
 
     def _at_end(self) -> None:
-        self.release_problems = self._robot.release()
+        self.release_problems = self._robot.release() if self._at_once else self._robot.leave()
         if self.urgency not in (NOT_ASKED, VIRTUAL):
             return_to_normal()
         self._clock.close()  # a thread that has ended must not keep a virtual robot's time
@@ -249,9 +293,16 @@ class ControlLoop(PeriodicThread):
 
 
 class PowerLoop(PeriodicThread):
-    """Samples the power sensor at a rate, on a bus that no other thread uses.
+    """Thread that samples the power sensor at a fixed rate, on a bus that no other thread uses.
 
-    The sensor is set up, the period is in s. ``on_sample`` is called in the thread; it must be quick and not raise.
+    Args:
+        sensor: the sensor, set up.
+        period: sampling period, s.
+        on_sample: called in the thread with each sample. It must return quickly and must not raise.
+        clock: clock of the thread; None: the machine's.
+
+    Attributes:
+        valid_samples: number of valid samples since the start.
     """
 
     def __init__(
@@ -268,7 +319,7 @@ class PowerLoop(PeriodicThread):
         self._on_sample = on_sample
 
     def close(self) -> None:
-        """Ends the thread and gives the bus back."""
+        """End the thread and close the bus."""
         self.end(timeout=max(2.0, self._clock.patience))
         self._sensor.device.close()
         self._clock.close()
@@ -281,7 +332,7 @@ class PowerLoop(PeriodicThread):
         return True
 
     def _revive(self, status: SampleStatus) -> None:
-        """Opens the bus anew now and then while nothing but errors comes from it."""
+        """Open the bus again at intervals while it returns nothing but errors."""
         self._errors = self._errors + 1 if status is SampleStatus.BUS_ERROR else 0
         if self._errors and self._errors % _ERRORS_TO_REOPEN == 0:
             with contextlib.suppress(PowerSensorError):

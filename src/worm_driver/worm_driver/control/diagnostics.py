@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the driver says about itself once a second (REP 107), without ROS."""
+"""Diagnostic reports (REP 107) that the driver publishes once a second, without ROS."""
 
 import enum
 import math
@@ -14,14 +14,14 @@ from worm_driver.power.ina219 import SampleStatus
 from worm_driver.servos.bus_types import BusCounters
 from worm_driver.servos.servo_setup import Servo
 
-#: degC below the servo's own limit from where a warning is given
+#: Distance from the servo's own temperature limit below which a report warns, degC.
 _WARM = 10.0
-#: s, p99 of the period error from where a warning is given
+#: 99th percentile of the period error above which a report warns, s.
 _LATE = 0.002
 
 
 class Level(enum.Enum):
-    """How bad it is."""
+    """Severity of a report."""
 
     OK = 0
     WARN = 1
@@ -30,7 +30,7 @@ class Level(enum.Enum):
 
 @dataclass(frozen=True)
 class Report:
-    """On one part of the driver."""
+    """Diagnostic report on one part of the driver."""
 
     name: str
     level: Level
@@ -39,11 +39,20 @@ class Report:
     values: tuple[tuple[str, str], ...] = ()
 
 
-def servo_report(servo: Servo, state: ServoState, *, alert: bool) -> Report:
-    """On one servo."""
+def servo_report(
+    servo: Servo, state: ServoState, *, alert: bool, problem: str = "does not answer"
+) -> Report:
+    """Return the report on one servo.
+
+    Args:
+        servo: the servo.
+        state: its latest state, SILENT if it is missing.
+        alert: True if the servo reports a hardware error.
+        problem: why the state is missing.
+    """
     low, high = servo.voltage_range
     if state is SILENT:
-        level, message = Level.ERROR, "does not answer"
+        level, message = Level.ERROR, problem
     elif alert:
         level, message = Level.ERROR, "reports a hardware error"
     elif not low <= state.voltage <= high:
@@ -61,9 +70,9 @@ def servo_report(servo: Servo, state: ServoState, *, alert: bool) -> Report:
         f"{servo.model.name} id {servo.number} firmware {servo.firmware}",
         (
             ("position_rad", f"{state.position:.4f}"),
-            ("effort", f"{state.effort:.4f}"),
-            ("voltage_V", f"{state.voltage:.1f}"),
-            ("temperature_degC", f"{state.temperature:.0f}"),
+            ("current_a" if servo.model.measures_current else "load_ratio", f"{state.effort:.4f}"),
+            ("voltage_v", f"{state.voltage:.1f}"),
+            ("temperature_deg_c", f"{state.temperature:.0f}"),
         ),
     )
 
@@ -71,7 +80,14 @@ def servo_report(servo: Servo, state: ServoState, *, alert: bool) -> Report:
 def bus_report(
     port: str, now: BusCounters, before: BusCounters, latency_timer: int | None
 ) -> Report:
-    """On the servo bus: what went wrong since the report before."""
+    """Return the report on the servo bus, with the failures since the previous report.
+
+    Args:
+        port: path of the serial port.
+        now: present counters.
+        before: counters at the previous report.
+        latency_timer: latency timer of the adapter, ms; None if it has none.
+    """
     new = {name: count - getattr(before, name) for name, count in asdict(now).items()}
     failures = {name: count for name, count in new.items() if count and name != "exchanges"}
     if latency_timer is not None and latency_timer > 1:
@@ -89,7 +105,7 @@ def bus_report(
 
 
 def timing_report(timing: TimingReport, period: float, urgency: Urgency) -> Report:
-    """On the 100 Hz loop, and what its thread has of a real-time priority."""
+    """Return the report on the timing of the control loop and on the scheduling of its thread. The period is in s."""
     if math.isnan(timing.p99_error):
         level, message = Level.OK, "starting"
     elif timing.p99_error > _LATE:
@@ -118,7 +134,7 @@ def timing_report(timing: TimingReport, period: float, urgency: Urgency) -> Repo
 
 
 def _what_was_late(timing: TimingReport, period: float, urgency: Urgency) -> str:
-    """Whether the thread was woken late or its cycles take too long, and what to do."""
+    """Return whether the thread wakes late or its cycles take too long, and what to do about it."""
     if timing.p99_cycle < period:
         remedy = "free the machine" if urgency.granted else f"free the machine; {urgency.words}"
         return f"the computer wakes the thread {timing.p99_wake * 1e3:.2f} ms late (p99): {remedy}"
@@ -129,7 +145,7 @@ def _what_was_late(timing: TimingReport, period: float, urgency: Urgency) -> str
 
 
 def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
-    """On the power sensor: the samples of the last second, by status."""
+    """Return the report on the power sensor, from the number of samples in the last second by status."""
     total = sum(counts.values())
     bad = {
         status: count
@@ -158,13 +174,20 @@ def power_report(counts: dict[SampleStatus, int], where: str) -> Report:
 
 
 def release_report(problems: Sequence[str]) -> Report:
-    """On a release that was not acknowledged by every servo."""
+    """Return the report on a release that some servos did not acknowledge."""
     message = f"the torque may still be on: {'; '.join(problems)}: switch the supply off before you reach in"
     return Report("driver: release", Level.ERROR, message)
 
 
 def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str = "") -> Report:
-    """On what is being played; left_on: what is said of a torque that an earlier driver left on."""
+    """Return the report on the gait player.
+
+    Args:
+        player: state of the gait player.
+        active: True if the torque is on.
+        homed: True if the length of the cable is known.
+        left_on: message about a torque that an earlier driver left on.
+    """
     if left_on and not active:
         level, message = Level.WARN, left_on
     elif active and player.phase is Phase.FAULT:
@@ -184,11 +207,11 @@ def gait_report(player: PlayerState, *, active: bool, homed: bool, left_on: str 
 
 
 def network_report(words: str, *, is_local: bool) -> Report:
-    """On who can hear the driver."""
+    """Return the report on which computers can receive the driver's topics."""
     return Report("driver: network", Level.OK if is_local else Level.WARN, words)
 
 
 def offline_report(failure: Exception | None) -> Report:
-    """While nothing is open: why, if opening it failed."""
+    """Return the report while nothing is open, with the error if opening failed."""
     level = Level.OK if failure is None else Level.ERROR
     return Report("driver: gait", level, "not configured" if failure is None else str(failure))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything the driver is told about its robot, checked."""
+"""Validated driver configuration."""
 
 import math
 from dataclasses import dataclass, field
@@ -15,7 +15,13 @@ from worm_driver.servos.transmission import Fin, Spool
 
 @dataclass(frozen=True)
 class Body:
-    """The parameters of the model that the driver needs, by the keys of the parameter file; the paper's values."""
+    """Parameters of the model that the driver needs, by the keys of the parameter file. The paper's values by default.
+
+    Attributes:
+        rear_mass, front_mass: masses of the modules, kg.
+        initial_length: initial length L0, m.
+        pitch: distance between two grooves, m.
+    """
 
     rear_mass: float = 0.429
     front_mass: float = 0.429
@@ -24,13 +30,13 @@ class Body:
 
     @property
     def mass(self) -> float:
-        """Of the whole robot, kg."""
+        """Mass of the whole robot, kg."""
         return self.rear_mass + self.front_mass
 
 
 @dataclass(frozen=True)
 class PowerSettings:
-    """Where the INA219 is, and its shunt; SI. An empty bus means that there is no sensor."""
+    """Location of the INA219 and its shunt, in SI units. An empty bus means that there is no sensor."""
 
     i2c_bus: str = "1"
     i2c_address: int = 0x40
@@ -40,13 +46,13 @@ class PowerSettings:
 
 @dataclass(frozen=True)
 class DriverSettings:
-    """Of one robot; SI.
+    """Settings of one robot, in SI units.
 
     Attributes:
-        watchdog: s without packets after which the servos stop by themselves.
-        home_at_start: the robot stands at its initial length when the driver is configured.
-        rate: Hz, of commands and telemetry.
-        real_time_priority: of the servo thread (SCHED_FIFO), half for the others; 0 for none.
+        watchdog: time without packets after which the servos stop by themselves, s.
+        home_at_start: True if the robot stands at its initial length when the driver is configured.
+        rate: rate of commands and telemetry, Hz.
+        real_time_priority: priority of the servo thread (SCHED_FIFO), half of it for the others; 0 for none.
     """
 
     port: str
@@ -78,14 +84,17 @@ class DriverSettings:
 
     @property
     def period(self) -> float:
-        """Of a cycle, s."""
+        """Period of a cycle, s."""
         return 1.0 / self.rate
 
 
 def load_body(path: str) -> Body:
-    """The body's parameters from a parameter file; the paper's values for an empty path and for missing keys.
+    """Return the body's parameters from a parameter file.
 
-    Raises ConfigurationError: the file cannot be read, or a value is no positive number.
+    An empty path and missing keys stand for the paper's values.
+
+    Raises:
+        ConfigurationError: The file cannot be read, or a value is not a positive number.
     """
     if not path:
         return Body()

@@ -1,60 +1,194 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emergency stop, which outlasts the driver: while it is on, nothing starts."""
+"""Emergency stop of a robot. It persists when the driver ends, and only a deliberate reset clears it."""
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
+#: Folder shared by the service and every login shell: the state directory of worm-driver.service.
+SHARED_FOLDER = Path("/var/lib/worm")
+
 _REASON = (
-    "the emergency stop is on: see to the robot, then say false on the topic emergency_stop "
+    "the emergency stop is on: see to the robot, then reset it with the service reset_emergency_stop "
     "(./worm operate emergency_stop off)"
 )
+_VIRTUAL = "emergency_stop_virtual"
+#: Number of stored publishers from which absent ones are dropped.
+_MANY = 1000
 
 
-def state_folder(environment: Mapping[str, str]) -> Path:
-    """Where a program keeps what outlasts it: as systemd says, else as the XDG base directories do."""
-    if "STATE_DIRECTORY" in environment:
-        return Path(environment["STATE_DIRECTORY"].split(os.pathsep)[0])
+def state_folder(environment: Mapping[str, str], shared: Path = SHARED_FOLDER) -> Path:
+    """Return the folder in which an emergency stop is stored.
+
+    It is ``shared`` where that exists, and the folder of the user (XDG base directories) on a machine without it.
+    WORM_STATE_DIRECTORY names another one, and so does systemd's STATE_DIRECTORY.
+    """
+    for variable in ("WORM_STATE_DIRECTORY", "STATE_DIRECTORY"):
+        if environment.get(variable):
+            return Path(environment[variable].split(os.pathsep)[0])
+    if shared.is_dir():
+        return shared
     base = environment.get("XDG_STATE_HOME") or Path(
         environment.get("HOME", "/tmp"), ".local/state"
     )
     return Path(base, "worm_driver")
 
 
+def latch_names(namespace: str, servos: Iterable[int], port: str) -> tuple[str, ...]:
+    """Return the file names of a robot's emergency stop: one for the robot, one for its device.
+
+    A stop holds if either file exists, so neither another name of the port nor another namespace evades it. A virtual
+    robot is identified by the link in its own directory, whatever other links lead there. The number of its
+    pseudo-terminal is reused later, and several robots of one namespace may run in different ROS domains.
+
+    Args:
+        namespace: namespace of the driver.
+        servos: ids of all servos.
+        port: path of the serial port.
+    """
+    device = os.path.realpath(port)
+    if device.startswith("/dev/pts/"):
+        return (f"{_VIRTUAL}{_plain(_last_link(port))}",)
+    robot = _plain(" ".join((namespace.strip("/"), *map(str, sorted(servos)))))
+    return f"emergency_stop_robot_{robot}", f"emergency_stop_device{_plain(device)}"
+
+
+def _last_link(port: str) -> str:
+    """Return the last link in a chain of links to a device. A device that is not a link is returned unchanged."""
+    path = Path(port)
+    while path.is_symlink() and (target := path.parent / path.readlink()).is_symlink():
+        path = target
+    return str(path.parent.resolve() / path.name)
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[^\w.]+", "_", text)
+
+
 class EmergencyLatch:
-    """Whether the emergency stop of a robot is on; a file in a folder tells the next driver. One thread sets it."""
+    """Emergency stop of a robot, stored in files of a folder for the next driver. Only one thread may set it.
+
+    Attributes:
+        folder: folder of the files.
+        on: True while the emergency stop is on.
+    """
 
     def __init__(self, folder: Path):
-        self._folder = folder
-        self._path: Path | None = None
+        self.folder = folder
+        self._paths: list[Path] = []
+        self._latched_here = False
         self.on = False
 
-    def adopt(self, port: str) -> str:
-        """Goes on with the robot at a port, as it was left; returns what failed on the way, in words."""
-        name = re.sub(r"[^\w.]+", "_", port)
-        self._path = self._folder / f"emergency_stop{name}"
-        self.on = self.on or self._path.exists()
-        return self.set(self.on)
+    def restriction(self, environment: Mapping[str, str]) -> str:
+        """Return a message if only drivers of the same user find a stop of this robot, else an empty string."""
+        virtual = all(path.name.startswith(_VIRTUAL) for path in self._paths)
+        home = environment.get("HOME", "/tmp")
+        if virtual or self.folder == SHARED_FOLDER or not self.folder.is_relative_to(home):
+            return ""
+        return (
+            f"an emergency stop is stored in {self.folder}, where a driver of another user does not find it: "
+            f"sudo install -d -m 2775 -g dialout {SHARED_FOLDER}"
+        )
 
-    def set(self, on: bool) -> str:  # noqa: FBT001 (the topic's own value)
-        """Turns it on or off; returns what failed on the way, in words: it is set all the same."""
-        self.on = on
+    def adopt(self, names: Iterable[str]) -> str:
+        """Load the stored state of the robot with these file names.
+
+        Return a message if that failed, else an empty string.
+        """
+        self._paths = [self.folder / name for name in names]
         try:
-            self._keep()
+            self.on = self._latched_here or any(path.exists() for path in self._paths)
+        except OSError as error:  # a folder that this user may not read may hold a stop
+            self.on = True
+            return f"the emergency stop is on, as its files cannot be read: {error}"
+        return self._store() if self.on else ""
+
+    def latch(self) -> str:
+        """Turn the stop on. Return a message if it could not be stored; it is on nevertheless."""
+        self.on = self._latched_here = True
+        return self._store()
+
+    def _store(self) -> str:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            for path in self._paths:
+                if not path.exists():  # the file may belong to another user
+                    path.touch()
         except OSError as error:
-            return f"the emergency stop is {'on' if on else 'off'}, but the next driver will not know: {error}"
+            return f"the emergency stop is on, but the next driver will not know: {error}"
+        return ""
+
+    def reset(self) -> str:
+        """Turn the stop off. Return a message if that failed; the stop then stays on."""
+        try:
+            for path in self._paths:
+                path.unlink(missing_ok=True)
+        except OSError as error:
+            return f"the emergency stop stays on, as its file cannot be removed: {error}"
+        self.on = self._latched_here = False
         return ""
 
     def why_not_start(self) -> str:
-        """Why nothing may start; empty when it may."""
+        """Return why no torque and no run may start, or an empty string."""
         return _REASON if self.on else ""
 
-    def _keep(self) -> None:
-        if self._path is None:
-            return
-        if self.on:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            self._path.touch()
-        else:
-            self._path.unlink(missing_ok=True)
+
+@dataclass(frozen=True)
+class _Last:
+    """Last message of one publisher."""
+
+    sent_ns: int
+    stops: bool
+
+
+class StopPublishers:
+    """Last message of each publisher of the emergency stop, by the publisher's identifier in the middleware."""
+
+    def __init__(self) -> None:
+        self._last: dict[bytes, _Last] = {}
+        self._identified = False
+
+    def note(
+        self,
+        publisher: bytes,
+        sent_ns: int,
+        stops: bool,  # noqa: FBT001 (the topic's own value)
+        present: Collection[bytes],
+    ) -> bool:
+        """Store a message and return True if it is new.
+
+        A message that arrives through several subscriptions is new only once.
+
+        Args:
+            publisher: identifier of the publisher.
+            sent_ns: time of sending, ns; 0 if unknown.
+            stops: value of the message.
+            present: publishers that the ROS graph shows now.
+        """
+        last = self._last.get(publisher)
+        if last is not None and 0 < sent_ns <= last.sent_ns:
+            return False
+        if len(self._last) >= _MANY:
+            self.forget_absent(present)
+        self._identified = self._identified or publisher in present
+        self._last[publisher] = _Last(sent_ns, stops)
+        return True
+
+    def stopping(self, present: Collection[bytes]) -> set[bytes]:
+        """Return the present publishers whose last message is true.
+
+        The stop of an absent publisher is latched, and no client could revoke it, so it does not count. Some
+        middleware identifies publishers differently in messages and in the graph. Then all of them count while any
+        publisher is present.
+        """
+        stopping = {publisher for publisher, last in self._last.items() if last.stops}
+        if self._identified:
+            return stopping & set(present)
+        return stopping if present else set()
+
+    def forget_absent(self, present: Collection[bytes]) -> int:
+        """Forget the absent publishers and return how many of them sent true last."""
+        absent = set(self._last) - set(present) if self._identified or not present else set()
+        return sum(self._last.pop(publisher).stops for publisher in absent)

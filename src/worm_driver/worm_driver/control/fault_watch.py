@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps what `supervision` judges by: how long servos are silent or overloaded, and how late the loop itself was."""
+"""State that `supervision` judges by: how long servos are silent or overloaded, and how late the loop was."""
 
 import math
 import os
@@ -13,14 +13,18 @@ from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.registers import WATCHDOG_EXPIRED
 from worm_driver.servos.state_reader import StateReader
 
-#: s, for which the loop's own lateness explains a bus watchdog that has expired: health is read in turn
+#: Time for which the loop's own lateness explains an expired bus watchdog, as health is read in turn, s.
 _REMEMBERED = 0.5
 
 
 class FaultWatch:
-    """Looks once in each cycle whether the robot may go on; a turn count that is lost takes its actuators' home.
+    """Fault detection, evaluated once per cycle. A lost turn count clears the home of the actuators.
 
-    ``clock`` tells s, monotonic; ``load`` the computer's load average.
+    Args:
+        actuators: the servos.
+        reader: reader of their states.
+        clock: returns the time, s, monotonic.
+        load: returns the computer's load average.
     """
 
     def __init__(
@@ -38,13 +42,16 @@ class FaultWatch:
         self.begin()
 
     def begin(self) -> None:
-        """Nothing has been odd so far: the torque was enabled just now."""
+        """Reset all counts, because the torque was just enabled."""
         self._counts = Counts()
         self._away, self._away_at = 0.0, -math.inf
         self._last_step = self._clock()
 
     def step(self, now: float) -> str:
-        """Takes the start of a cycle (s); what to say of a loop later than the watchdog, else nothing."""
+        """Record the start of a cycle (s).
+
+        Return a message if the loop was later than the watchdog, else an empty string.
+        """
         gap = now - self._last_step
         self._last_step = max(now, self._last_step)
         watchdog = self._actuators.settings.watchdog
@@ -53,7 +60,7 @@ class FaultWatch:
         return self._lateness() if gap > watchdog else ""
 
     def look(self, states: tuple[ServoState, ...]) -> None:
-        """Takes what was read, whether the torque is on or not."""
+        """Update the silence of the servos from their states, whether the torque is on or off."""
         silent = (
             servo.number
             for servo, state in zip(self._actuators.servos, states, strict=True)
@@ -64,13 +71,16 @@ class FaultWatch:
         self._counts = supervision.silence(self._counts, silent, watched)
         self._last_look = ended
 
-    def fault(
-        self, before: tuple[ServoState, ...], states: tuple[ServoState, ...], length_change: float
-    ) -> str | None:
-        """The fault, in words, that there is after `look`; the torque is on, and ΔL (m) is commanded."""
+    def fault(self, states: tuple[ServoState, ...], length_change: float) -> str | None:
+        """Return the fault after `look`, as a message, or None.
+
+        Args:
+            states: states of the servos while the torque is on.
+            length_change: commanded ΔL, m.
+        """
         return (
             self._fault_of_suspect()
-            or self._fold(before, states)
+            or self._fault_of_position()
             or self._fault_in_counts(states, length_change)
         )
 
@@ -78,7 +88,10 @@ class FaultWatch:
         return supervision.lateness(self._away, self._actuators.settings.watchdog, self._load())
 
     def _fault_of_suspect(self) -> str | None:
-        """Looks again at a servo whose answers were odd, on a quiet line; at one per cycle, to keep it short."""
+        """Return a fault in the health registers of a suspect servo, read again on a quiet line.
+
+        Only one servo per cycle is read, to keep the cycle short.
+        """
         robot = self._actuators
         suspect = self._reader.take_suspect()
         servo = next((servo for servo in robot.servos if servo.number == suspect), None)
@@ -87,7 +100,7 @@ class FaultWatch:
         names = ("torque_enable", "led", "hardware_error_status", "bus_watchdog")
         registers = self._reader.look(servo, names)
         if registers is None:
-            return None  # a servo that does not answer is counted as such
+            return None  # `supervision.silence` counts a servo that does not answer
         health = Health(*(registers[name] for name in names))
         is_cable = servo in robot.cables
         robot.homed = robot.homed and not (is_cable and not health.led)
@@ -95,15 +108,15 @@ class FaultWatch:
             return self._lateness()
         return supervision.fault_in_health(servo.number, health, is_cable=is_cable)
 
-    def _fold(self, before: tuple[ServoState, ...], states: tuple[ServoState, ...]) -> str | None:
-        for servo, old, new in zip(self._actuators.cables, before, states, strict=False):
-            if old is SILENT or new is SILENT:
-                continue
-            elapsed = (new.tick - old.tick) % 32.768
-            if supervision.turn_count_jumped(old.ticks, new.ticks, elapsed, servo.velocity_limit):
-                self._actuators.homed = False
-                return f"the turn count of servo {servo.number} jumped by {new.ticks - old.ticks} ticks"
-        return None
+    def _fault_of_position(self) -> str | None:
+        """Return the fault of a servo whose position jumped.
+
+        Its turn count or its encoder is wrong, so the home of a cable servo is lost.
+        """
+        robot = self._actuators
+        lost = robot.track.lost
+        robot.homed = robot.homed and not any(servo.number in lost for servo in robot.cables)
+        return next((supervision.position_jumped(*jump) for jump in lost.items()), None)
 
     def _fault_in_counts(self, states: tuple[ServoState, ...], length_change: float) -> str | None:
         robot, limits = self._actuators, self._actuators.settings.limits
@@ -118,6 +131,6 @@ class FaultWatch:
         self._counts = supervision.following(counts, error, limits)
         problems = self._reader.problems
         if supervision.fault_in_counts(self._counts, limits, problems) is None:
-            return None  # the load is read for a fault alone, not a hundred times a second
+            return None  # the load is read only for a fault, not in every cycle
         crowding = supervision.crowding(self._load(), os.cpu_count() or 1)
         return supervision.fault_in_counts(self._counts, limits, problems, crowding)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything that a configured driver holds: the robot in its loop, the power sensor in its own. ROS is unknown."""
+"""Resources of a configured driver: the robot in its loop and the power sensor in its own. Free of ROS."""
 
 import contextlib
 import math
@@ -19,40 +19,47 @@ from worm_driver.power import i2c
 from worm_driver.power.ina219 import INA219, PowerSample, SampleStatus, calibration_for
 from worm_driver.servos import serial_port
 from worm_driver.servos.bus_types import BusCounters
+from worm_driver.servos.registers import ServoModel
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, clock_of
 
-#: per cycle, that an adapter may hold back: the state's and the health register's
+#: Answers per cycle that an adapter may delay: those of the state and of the health register.
 _ANSWERS = 2
-#: s, for which snapshots may pile up before the robot is held
+#: Factor by which late cycles may prolong a return to rest, as it does not catch up.
+_LATENESS = 2.0
+#: Age of the oldest unread snapshot beyond which the robot is held, s.
 _UNHEARD = 3.0
-#: snapshots that may pile up before a virtual robot's time waits for whoever takes them, and for how long at most (s)
+#: Number of unread snapshots beyond which a virtual robot's time waits for their reader, and the longest wait (s).
 _BACKLOG = 250
 _BACKLOG_PATIENCE = 10.0
 
 
 @dataclass
 class _Seen:
-    """What the last report covered."""
+    """Counters at the previous report."""
 
     counters: BusCounters
     power: Counter[SampleStatus]
 
 
 class Hardware:
-    """Opens and checks everything, and starts the threads.
+    """Open devices of a robot and the threads that use them.
 
     Args:
-        settings: of the robot.
-        tracker_ready: whether the tracker sees the robot stand, or there is none to wait for.
-        why_not_start: why neither torque nor a run may begin, in words; empty when they may.
+        settings: settings of the robot.
+        tracker_ready: returns True if the tracker sees the robot at rest, or if there is no tracker.
+        why_not_start: returns why neither torque nor a run may begin; empty if they may.
 
     Attributes:
-        snapshots: of the cycles, oldest first; whoever takes them out owns them. None is ever dropped.
-        samples: of the power sensor, likewise.
+        settings: present settings, see `take`.
+        clock: clock of the robot.
+        robot: the robot, owned by the loop.
+        loop: control loop.
+        snapshots: queue of the snapshots of all cycles, oldest first. The reader removes them; none is ever dropped.
+        samples: queue of the power sensor's samples, likewise.
 
     Raises:
-        DriverError: a device is missing or not what the settings say; everything is closed again.
+        DriverError: A device is missing or does not match the settings. Everything is closed again.
     """
 
     def __init__(
@@ -68,10 +75,10 @@ class Hardware:
         self._power_counts: Counter[SampleStatus] = Counter(dict.fromkeys(SampleStatus, 0))
         self._power: PowerLoop | None = None
         with contextlib.ExitStack() as opened:
-            # First, as its lock keeps a second driver from the sensor, too, which has none and would be reset.
+            # First, as its lock also protects the sensor, which has no lock, from being reset by a second driver.
             self._bus = ServoBus.open(settings.port, settings.baud_rate)
             opened.callback(self._bus.close)
-            # Before the clock: whoever takes part in a virtual robot's time may wait by that alone.
+            # Before the clock: a thread that shares a virtual robot's time may wait only by that clock.
             sensor = _open_sensor(settings.power)
             if sensor is not None:
                 opened.callback(sensor.device.close)
@@ -98,29 +105,34 @@ class Hardware:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """In the order of a snapshot's servos."""
+        """Names of the joints, in the order of a snapshot's servos."""
         return tuple(f"cable_{servo.number}" for servo in self.robot.actuators.cables) + tuple(
             f"fin_{servo.number}" for servo in self.robot.actuators.fins
         )
 
     @property
+    def joint_models(self) -> tuple[ServoModel, ...]:
+        """Models of the servos, in the order of a snapshot's servos."""
+        return tuple(servo.model for servo in self.robot.actuators.servos)
+
+    @property
     def release_time(self) -> float:
-        """s, which a release takes at most."""
+        """Longest duration of a return to rest with its release, s."""
         travel = self._longest_stroke + 0.02
-        return math.pi / 2 * travel / self.settings.player.return_speed + 1.0
+        return _LATENESS * math.pi / 2 * travel / self.settings.player.return_speed + 1.0
 
     def take(self, settings: DriverSettings) -> str:
-        """Goes on with other limits; returns what follows for the run that is being played, in words."""
+        """Apply other limits. Return a message if the present run ends because of them, else an empty string."""
         self._longest_stroke = max(self._longest_stroke, settings.max_stroke)
         self.settings = settings
         return self.loop.ask(lambda now: self.robot.take(now, settings))
 
     def rest_line(self) -> str:
-        """How long it may take to end; the launch file reads it, to be patient for as long."""
+        """Return the sentence about how long the return to rest takes."""
         return f"asked to end, it is at rest within {self.release_time:.1f} s"
 
     def description(self) -> list[str]:
-        """What was found, one line each."""
+        """Return the sentences that describe the devices found."""
         lines = [
             f"servo {servo.number}: {servo.model.name}, firmware {servo.firmware}"
             for servo in self.robot.actuators.servos
@@ -143,9 +155,14 @@ class Hardware:
         return lines
 
     def close(self, reason: str, meanwhile: Callable[[], None] = lambda: None) -> list[str]:
-        """Brings the robot to rest, releases it and closes everything; returns what failed, in words.
+        """Bring the robot to rest, release it and close all devices.
 
-        ``meanwhile`` is called every few milliseconds until the robot is released.
+        Args:
+            reason: reason for the end, shown to the operator.
+            meanwhile: called every few milliseconds until the robot is released.
+
+        Returns:
+            Failures, one sentence each.
         """
         self.loop.leave(reason)
         ended = self.loop.join(self.release_time, meanwhile)
@@ -158,7 +175,7 @@ class Hardware:
         return problems
 
     def report(self, latest: Snapshot) -> list[Report]:
-        """On every part; to be called once a second."""
+        """Return the diagnostic reports on every part. Call it once a second."""
         robot, sensor = self.robot, self._seen
         counters, power = self._bus.counters, self._power_counts.copy()
         self._seen = _Seen(counters, power)
@@ -177,7 +194,8 @@ class Hardware:
             reports.append(diagnostics.release_report(robot.actuators.unreleased))
         for servo, state in zip(robot.actuators.servos, latest.servos, strict=True):
             alert = servo.number in latest.alerts
-            reports.append(diagnostics.servo_report(servo, state, alert=alert))
+            problem = robot.problems.get(servo.number, "does not answer")
+            reports.append(diagnostics.servo_report(servo, state, alert=alert, problem=problem))
         if self._power is not None:
             where = (
                 f"INA219 0x{self.settings.power.i2c_address:02X} on {self.settings.power.i2c_bus}"
@@ -186,7 +204,11 @@ class Hardware:
         return reports
 
     def _check_latency(self, latency: float) -> None:
-        """Raises ConfigurationError where answers may be held back for so long (s) that no cycle can be kept."""
+        """Check that the latency of the adapter (s) leaves time for the answers of a cycle.
+
+        Raises:
+            ConfigurationError: The latency is too long for the rate.
+        """
         if _ANSWERS * latency >= self.settings.period:
             raise ConfigurationError(
                 f"the latency timer of {self.settings.port} is {latency * 1e3:.0f} ms, too long for "
@@ -198,7 +220,7 @@ class Hardware:
         return 0 if self._power is None else self._power.valid_samples
 
     def _on_snapshot(self, snapshot: Snapshot) -> None:
-        """In the loop's thread: hands a snapshot over; a robot that nobody listens to any more is held."""
+        """Queue a snapshot, in the loop's thread. Hold the robot if the node no longer reads the queue."""
         self.snapshots.append(snapshot)
         unheard = snapshot.command_time - self._oldest(snapshot).command_time
         if snapshot.active and unheard > _UNHEARD:
@@ -210,13 +232,13 @@ class Hardware:
             self._wait_for_listener()
 
     def _wait_for_listener(self) -> None:
-        """A virtual robot's time does not run away from whoever takes the snapshots."""
+        """Wait for the reader of the snapshots, so that a virtual robot's time does not run ahead of it."""
         end = time.monotonic() + _BACKLOG_PATIENCE
         while len(self.snapshots) > _BACKLOG and time.monotonic() < end:
             time.sleep(0.002)
 
     def _oldest(self, newest: Snapshot) -> Snapshot:
-        """The one that waits for longest; the newest where another thread has just taken them all."""
+        """Return the oldest unread snapshot, or the newest if another thread has just emptied the queue."""
         try:
             return self.snapshots[0]
         except IndexError:

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the owner of a run is still heard."""
+"""Supervision of the heartbeats that a run's owner sends."""
 
 import math
 
-#: s between two looks
+#: Period of the checks, s.
 PERIOD = 0.1
 
 
 class Owner:
-    """Of one run. One thread hears, another one looks.
+    """Heartbeat monitor of one run. One thread records heartbeats, another one checks them.
 
-    What the driver itself was late between two looks is not its owner's silence: those beats wait in its queues.
+    Time in which the driver itself was late does not count as silence, as the heartbeats wait in its queues.
 
     Args:
-        patience: s of silence that the run puts up with; infinite where its owner need not be heard.
-        now: s, monotonic.
+        patience: heartbeat timeout, s; infinite if no heartbeats are required.
+        now: present time, s, monotonic.
     """
 
     def __init__(self, patience: float, now: float):
@@ -24,11 +24,11 @@ class Owner:
         self._heard = False
 
     def hear(self) -> None:
-        """A beat has come."""
+        """Record a heartbeat."""
         self._heard = True
 
     def is_silent(self, now: float) -> bool:
-        """Whether it has been silent for too long; to be asked every PERIOD, with the time (s, monotonic)."""
+        """Return True if the heartbeat timeout has expired. Call it every PERIOD with the time (s, monotonic)."""
         watched = min(now - self._looked, 2.0 * PERIOD)
         self._looked = now
         self._silence = 0.0 if self._heard else self._silence + watched
@@ -37,5 +37,8 @@ class Owner:
 
 
 def patience_of(asked: float, demanded: float) -> float:
-    """The shorter of what a goal asks for and what the driver demands (s); 0 of either means nothing."""
+    """Return the shorter of the goal's and the driver's heartbeat timeout, s.
+
+    An argument of 0 stands for no timeout. Without any timeout the result is infinity.
+    """
     return min((value for value in (asked, demanded) if value > 0.0), default=math.inf)

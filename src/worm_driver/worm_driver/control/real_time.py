@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Asks Linux for what the servo thread needs to keep its deadlines beside other work: sched(7), mlockall(2)."""
+"""Real-time scheduling and locked memory, so that the servo thread keeps its deadlines: sched(7), mlockall(2)."""
 
 import contextlib
 import ctypes
@@ -18,11 +18,11 @@ _REMEDY = (
 
 @dataclass(frozen=True)
 class Urgency:
-    """What a thread has got, in words.
+    """Real-time scheduling that a thread has.
 
     Attributes:
-        granted: whether it has all that was asked for.
-        words: what it has, or what is missing and what to do.
+        granted: True if Linux granted all that was requested.
+        words: description of the scheduling, or what is missing and what to do.
     """
 
     granted: bool
@@ -34,31 +34,42 @@ VIRTUAL = Urgency(granted=True, words="not needed: the virtual robot's time wait
 
 
 def _set_priority(priority: int) -> None:
-    """Of the calling thread; half of it for the others, which share its interpreter. Raises OSError.
+    """Set the priority of the calling thread, and half of it for the other threads of the interpreter.
 
-    A thread of normal priority that has the interpreter and waits for a processor keeps the first one waiting, too.
+    A thread of normal priority that holds the interpreter and waits for a processor would also block the first one.
+
+    Raises:
+        OSError: Linux does not permit it.
     """
     _schedule(os.SCHED_FIFO, priority, max(priority // 2, 1))
 
 
 def return_to_normal() -> None:
-    """Gives the priority of the process's threads back."""
+    """Return all threads of the process to normal scheduling."""
     with contextlib.suppress(OSError):
         _schedule(os.SCHED_OTHER, 0, 0)
 
 
 def _schedule(policy: int, own: int, others: int) -> None:
-    """A policy for the process's threads, with the priorities of the calling one and of the others. Raises OSError."""
+    """Set the scheduling policy of the process's threads, with priorities for the calling thread and for the others.
+
+    Raises:
+        OSError: Linux does not permit it.
+    """
     caller = threading.get_native_id()
     for thread in [int(entry.name) for entry in Path("/proc/self/task").iterdir()]:
-        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+        with contextlib.suppress(ProcessLookupError):  # the thread has ended meanwhile
             os.sched_setscheduler(
                 thread, policy, os.sched_param(own if thread == caller else others)
             )
 
 
 def _lock_memory() -> None:
-    """Of the process, each page from its first use on: none is fetched from a disk in a cycle. Raises OSError."""
+    """Lock each page of the process in memory from its first use, so that no cycle waits for a disk.
+
+    Raises:
+        OSError: Linux does not permit it.
+    """
     if ctypes.CDLL(None, use_errno=True).mlockall(_CURRENT | _FUTURE | _ON_FAULT):
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
@@ -69,14 +80,17 @@ def ask_for_urgency(
     set_priority: Callable[[int], None] = _set_priority,
     lock_memory: Callable[[], None] = _lock_memory,
 ) -> Urgency:
-    """SCHED_FIFO for the calling thread, half of it and locked memory for its process, as far as Linux grants them.
+    """Request SCHED_FIFO for the calling thread, half the priority for the other threads, and locked memory.
 
-    The threads must sleep wherever they wait: one that spins would starve a core.
+    Threads must sleep while they wait, as a spinning thread would starve a core.
 
     Args:
-        priority: 1 to 99; 0 asks for nothing.
-        set_priority: raises OSError if it may not.
+        priority: priority, 1 to 99; 0 requests nothing.
+        set_priority: function that raises OSError if it is not permitted.
         lock_memory: likewise.
+
+    Returns:
+        The scheduling as far as Linux grants it.
     """
     if priority == 0:
         return NOT_ASKED

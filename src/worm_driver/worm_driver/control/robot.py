@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot: actuators, watch and gait player, put together. One thread at a time may use it; ROS is unknown.
+"""Robot: the actuators, the fault watch and the gait player together. Free of ROS, for one thread at a time.
 
-``cycle`` is what runs at 100 Hz: step the player, send the goals, read the state, look for faults.
+``cycle`` runs at 100 Hz. It steps the player, sends the goals, reads the state and looks for faults.
 """
 
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
-from worm_driver.control.actuators import Actuators
+from worm_driver.control.actuators import PAYOUT_TOLERANCE, Actuators
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.fault_watch import FaultWatch
 from worm_driver.control.telemetry import SILENT, ServoState, Snapshot
@@ -20,29 +21,38 @@ from worm_driver.gait.gait_player import Observation, Phase, PlayerState
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.state_reader import StateReader
 
-#: readings of the state before an activation, of which one must succeed
+#: Readings of the state before an activation, of which two in a row must agree.
 _ATTEMPTS = 5
-#: m, slack beyond the initial length with which the robot may still be activated
-_PAYOUT_TOLERANCE = 0.01
+#: Phases in which nothing moves before a new command.
+_HOLDS = (Phase.HOLDING, Phase.FAULT)
+#: Largest lag of a freely moving cable behind its command, s.
+_LAG = 0.05
+#: Time after which a stopped robot stands still, s.
+_STANDS = 0.5
+#: Largest difference between two consecutive readings of the cable length, as a body that springs back moves, m.
+_AGREE = 3e-3
 
 
 class Robot:
-    """A robot whose servos have answered and are set up, with the torque off.
+    """Robot whose servos have answered and are set up, with the torque off.
 
     Args:
-        bus: open; the robot owns it from now on.
-        valid_power_samples: counts the valid power samples since the start.
-        tracker_ready: whether the tracker sees the robot stand, or there is none to wait for.
-        clock: s, monotonic.
-        why_not_start: why neither torque nor a run may begin, in words; empty when they may.
+        settings: settings of the robot.
+        bus: open servo bus, owned by the robot from now on.
+        valid_power_samples: returns the number of valid power samples since the start.
+        tracker_ready: returns True if the tracker sees the robot at rest, or if there is no tracker.
+        clock: returns the time, s, monotonic.
+        load: returns the computer's load average.
+        why_not_start: returns why neither torque nor a run may begin; empty if they may.
 
     Attributes:
-        player: what is played.
-        active: whether the torque is on.
+        player: state of the gait player.
+        active: True while the torque is on.
+        closing: True while the driver shuts down. No run begins any more.
 
     Raises:
-        BusError: a servo does not answer.
-        ConfigurationError: a servo is not what the settings say.
+        BusError: A servo does not answer.
+        ConfigurationError: A servo does not match the settings.
     """
 
     def __init__(
@@ -57,24 +67,30 @@ class Robot:
     ):
         self.bus = bus
         self.active = False
+        self.closing = False
         self._why_not_start = why_not_start
         self._tracker_ready = tracker_ready
         self._valid_power_samples = valid_power_samples
         self._idle_from = 0
         self.actuators = Actuators(settings, bus)
         self.player = PlayerState(message=self.actuators.left_on)
-        self._reader = StateReader(bus, self.actuators.servos)
+        self._reader = StateReader(bus, self.actuators.servos, self.actuators.track)
         self._watch = FaultWatch(self.actuators, self._reader, clock, load)
         self._states: tuple[ServoState, ...] = (SILENT,) * len(self.actuators.servos)
 
     @property
     def settings(self) -> DriverSettings:
-        """Those that it goes by now, see `take`."""
+        """Present settings, see `take`."""
         return self.actuators.settings
 
     @property
+    def problems(self) -> Mapping[int, str]:
+        """Reasons why the state of a servo is missing, by servo id."""
+        return self._reader.problems
+
+    @property
     def limits(self) -> GaitLimits:
-        """What may be asked of this robot: the settings, and what its servos can do."""
+        """Limits of the gaits, from the settings and from the abilities of the servos."""
         settings = self.settings
         fastest = min(settings.max_cable_speed, self.actuators.fastest_cable)
         return GaitLimits(settings.max_stroke, settings.max_frequency, fastest)
@@ -82,28 +98,42 @@ class Robot:
     # --- commands: each between two cycles -----------------------------------------------------
 
     def home(self) -> None:
-        """Takes the cable's present length as the initial one. Raises HomingError, BusError."""
+        """Define the present cable length as the initial one.
+
+        Raises:
+            HomingError: The torque is on, or a servo did not accept its new zero.
+            BusError: A servo does not answer.
+        """
         if self.active:
             raise HomingError("homing needs the torque off: deactivate the driver first")
         self.actuators.home()
 
     def reboot(self) -> tuple[int, ...]:
-        """Restarts the servos that report a hardware error; returns their ids. Raises DriverError."""
+        """Restart the servos that report a hardware error and return their ids.
+
+        Raises:
+            DriverError: The torque is on, or an exchange failed.
+        """
         if self.active:
             raise ConfigurationError("a reboot needs the torque off: deactivate the driver first")
         return self.actuators.reboot()
 
     def activate(self, now: float) -> None:
-        """Enables the torque of every servo where it stands, with its bus watchdog armed.
+        """Enable the torque of every servo at its present position, with its bus watchdog armed.
 
-        Raises LimitError while nothing may start, HomingError where the length of the cable is not known, BusError or
-        ConfigurationError where a servo is not fit: the torque is off again then.
+        After an error the torque is off again.
+
+        Raises:
+            LimitError: An emergency stop or another driver forbids a start.
+            HomingError: The length of the cable is unknown or out of its range.
+            BusError: A servo does not answer.
+            ConfigurationError: A servo is not fit to be enabled.
         """
         self._refuse_start()
         self.actuators.check()
         self._reader.learn_clocks()
         cable = self._measured_cable()
-        if not -self.settings.max_stroke - _PAYOUT_TOLERANCE <= cable <= _PAYOUT_TOLERANCE:
+        if not -self.settings.max_stroke - PAYOUT_TOLERANCE <= cable <= PAYOUT_TOLERANCE:
             raise HomingError(
                 f"the cable is {cable * 1e3:.1f} mm from its initial length, out of its range: bring the "
                 "robot to its initial length by hand, then call the service home"
@@ -126,18 +156,32 @@ class Robot:
             raise LimitError(reason)
 
     def _measured_cable(self) -> float:
-        """Change of length of the cable, read now (m). Raises NoReplyError."""
+        """Return the length change of the cable (m) on which two consecutive new readings agree.
+
+        Raises:
+            NoReplyError: No two readings agree.
+        """
+        before = math.nan
         for _ in range(_ATTEMPTS):
             cable = self.actuators.length_change(self._reader.read()[1])
-            if not math.isnan(cable):
+            if abs(cable - before) <= _AGREE:
                 return cable
+            before = cable
         problems = "; ".join(f"servo {servo} {why}" for servo, why in self._reader.problems.items())
-        raise NoReplyError(f"no length of the cable: {problems or 'its servo gives no position'}")
+        raise NoReplyError(
+            f"no length of the cable: {problems or 'its servo gives another position each time'}"
+        )
 
     def start(self, now: float, gait: Gait, cycles: int) -> int:
-        """Begins a run and returns its number. Raises LimitError."""
+        """Begin a run and return its number.
+
+        Raises:
+            LimitError: The gait is out of its limits, or no run may begin now.
+        """
         if not self.active:
             raise LimitError("the torque is off: activate the driver first")
+        if self.closing:
+            raise LimitError("the driver shuts down: start it again first")
         self._refuse_start()
         self.limits.check(gait, cycles)
         self.player = gait_player.start(self.player, now, gait, cycles)
@@ -145,8 +189,12 @@ class Robot:
         return self.player.run.number
 
     def take(self, now: float, settings: DriverSettings) -> str:
-        """Goes on with other limits. A run that they do not allow ends at its next point of rest; says so."""
-        self.actuators.settings = settings
+        """Apply other limits.
+
+        A run that violates them ends at its next point of rest. The returned message reports that; otherwise it is
+        empty.
+        """
+        self.actuators.take(settings)
         run = self.player.active_run
         if run is None:
             return ""
@@ -158,63 +206,91 @@ class Robot:
         return ""
 
     def finish(self, now: float) -> None:
-        """Lets the run end as completed with the present cycle."""
+        """End the run as completed after its present cycle."""
         self.player = gait_player.finish(self.player, now)
 
     def cancel(self, now: float, reason: str = "cancelled") -> None:
-        """Lets the run end at its next point of rest."""
+        """End the run at its next point of rest."""
         self.player = gait_player.cancel(self.player, now, reason)
 
     def stop(self, now: float, reason: str) -> None:
-        """Holds the cable where it is, at once."""
+        """Hold the cable and the fins at their present positions immediately."""
         if self.active:
-            self.player = gait_player.stop(self.player, now, self._here(), reason)
+            self._adopt(gait_player.stop(self.player, now, self._here(), reason))
             self._send_goals()
 
     def fail(self, now: float, reason: str) -> None:
-        """Holds the cable where it is, until the next activation."""
-        self.player = gait_player.fault(self.player, now, self._here(), reason)
+        """Hold the cable and the fins at their present positions until the next activation."""
+        self._adopt(gait_player.fault(self.player, now, self._here(), reason))
+
+    def _adopt(self, player: PlayerState) -> None:
+        """Store a new state of the player. If it begins to hold, keep the present positions of the servos."""
+        if player.phase in _HOLDS and self.player.phase is not player.phase:
+            self.actuators.hold()
+        self.player = player
 
     def begin_release(self, now: float, reason: str) -> None:
-        """Brings the gait to rest; ``released`` tells when the torque may go.
+        """Begin the return to rest. ``released`` is True once the torque may be switched off.
 
-        After a fault there is no way back to rest that could be trusted: the torque goes at once.
+        After a fault no return to rest can be trusted, and the torque may be switched off immediately.
         """
         if self.active and self.player.phase is not Phase.FAULT:
             self.player = gait_player.return_to_rest(self.player, now, reason)
 
     @property
     def released(self) -> bool:
-        """Whether nothing moves any more that the torque should hold."""
+        """True if no motion is left that requires torque."""
         return (
             not self.active or self.player.phase is Phase.FAULT or gait_player.at_rest(self.player)
         )
 
     @property
     def holding(self) -> bool:
-        """Whether a stop holds the cable where it is, with the torque on."""
+        """True if a stop holds the cable at its position, with the torque on."""
         return self.active and self.player.phase is Phase.HOLDING
 
-    def release(self) -> list[str]:
-        """Takes the torque off, by all means; returns what failed on the way, in words.
+    def close(self, now: float, reason: str) -> None:
+        """Begin the end of the driver: return to rest, or hold while nothing may start, as in an emergency stop."""
+        why_not = self._why_not_start()
+        if why_not and not gait_player.at_rest(self.player):
+            self.stop(now, why_not)
+        else:
+            self.begin_release(now, reason)
 
-        See `Actuators.release`.
+    def is_closed(self, now: float) -> bool:
+        """Return True if the driver may end at a time (s).
+
+        The robot is then at rest, or was stopped on the way and stands still.
         """
+        stands = self.player.phase in _HOLDS and now - self.player.since >= _STANDS
+        return not self.active or gait_player.at_rest(self.player) or stands
+
+    def leave(self) -> list[str]:
+        """Release the robot at the end of the driver, unless it would spring back. Return the sentences to report.
+
+        Only an operator may let a contracted robot spring back, through `release`.
+        """
+        if self.active and not gait_player.at_rest(self.player) and self.actuators.springs_back:
+            self.active = False
+            return self.actuators.leave_on()
+        return self.release()
+
+    def release(self) -> list[str]:
+        """Release the torque whatever fails, and return the failures, one sentence each. See `Actuators.release`."""
         self.active = False
         return self.actuators.release()
 
     # --- the cycle -----------------------------------------------------------------------------
 
     def cycle(self, now: float) -> Snapshot:
-        """Plays one step and reads the robot, from a time (s) on. Never raises for what a servo or the port does."""
+        """Play one step and read the robot at a time (s). Never raises an error of a servo or of the port."""
         self._step(now)
         read_time = now
         try:
             if self.active:
                 self._send_goals()
-            before = self._states
             read_time, self._states = self._reader.read()
-            self._supervise(now, before)
+            self._supervise(now)
         except BusError as error:
             self._states = (SILENT,) * len(self.actuators.servos)
             if self.active:
@@ -241,24 +317,33 @@ class Robot:
         samples = self._valid_power_samples()
         fins_set = self.actuators.fins_set(self._states, self.player.direction)
         observation = Observation(fins_set, samples - self._idle_from, self._tracker_ready())
-        self.player = gait_player.step(self.player, now, observation, self.settings.player)
+        settings = replace(self.settings.player, longest_step=self.settings.period)
+        self._adopt(gait_player.step(self.player, now, observation, settings))
         if self.player.phase is Phase.RESTING and before is not Phase.RESTING:
             self._idle_from = samples
 
     def _send_goals(self) -> None:
         self.actuators.send(self.player.length_change, self.player.direction)
 
-    def _supervise(self, now: float, before: tuple[ServoState, ...]) -> None:
+    def _supervise(self, now: float) -> None:
         self._watch.look(self._states)
         if not self.active or self.player.phase is Phase.FAULT:
             return
-        reason = self._watch.fault(before, self._states, self.player.length_change)
+        reason = self._watch.fault(self._states, self.player.length_change)
         if reason is not None:
             self.fail(now, reason)
-            self.actuators.hold(self._states)
             self._send_goals()
 
     def _here(self) -> float:
-        """Where the cable is, or was asked to be when that is not known (m)."""
+        """Return the length change at which a hold begins, m.
+
+        It is the measured one if that is supported, else the last command.
+
+        A measurement is supported if it lies within the cable's lag of the command, or if a cable servo pulls. A
+        missing or implausible sample is not supported.
+        """
+        commanded = self.player.length_change
         cable = self.actuators.length_change(self._states)
-        return cable if math.isfinite(cable) else self.player.length_change
+        lags = abs(cable - commanded) <= _LAG * self.settings.max_cable_speed
+        supported = lags or (math.isfinite(cable) and self.actuators.pulls(self._states))
+        return cable if supported else commanded

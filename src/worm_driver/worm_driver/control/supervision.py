@@ -1,24 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decides from what the servos report whether the robot may go on: pure, one look per cycle."""
+"""Pure functions that decide from the states of the servos, once per cycle, whether the robot may continue."""
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from worm_driver.servos.registers import TICKS_PER_TURN, WATCHDOG_EXPIRED, hardware_error_text
+from worm_driver.servos.registers import WATCHDOG_EXPIRED, hardware_error_text
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When a deviation becomes a fault.
+    """Limits beyond which a deviation becomes a fault.
 
     Attributes:
-        max_silence: s for which a servo was asked and gave no state; the driver's own lateness does not count.
-        max_current: A, of a cable servo.
-        max_load: of a cable servo that measures no current, ratio of its strongest.
-        overload_cycles: cycles in a row above one of the two.
-        following_error: m, of the cable behind its command.
-        following_cycles: cycles in a row beyond it.
+        max_silence: longest time without a state of a servo, s. The driver's own lateness does not count.
+        max_current: largest current of a cable servo, A.
+        max_load: largest load of a cable servo that measures no current, as a ratio of its maximum.
+        overload_cycles: consecutive cycles above max_current or max_load that are a fault.
+        following_error: largest distance of the cable from its command, m.
+        following_cycles: consecutive cycles beyond following_error that are a fault.
     """
 
     max_silence: float = 0.035
@@ -31,7 +30,13 @@ class Limits:
 
 @dataclass(frozen=True)
 class Counts:
-    """What has been going on for how many cycles in a row, by servo; and how long servos have been silent (s)."""
+    """Durations of the present deviations.
+
+    Attributes:
+        silence: time without a state, s, by servo id.
+        overload: consecutive cycles with overload, by servo id.
+        following: consecutive cycles with too large a following error.
+    """
 
     silence: Mapping[int, float] = field(default_factory=dict)
     overload: Mapping[int, int] = field(default_factory=dict)
@@ -40,7 +45,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class Health:
-    """The registers that say whether a servo is still what it was set up to be."""
+    """Registers that show whether a servo still has the settings that the driver wrote."""
 
     torque: int
     led: int
@@ -49,21 +54,33 @@ class Health:
 
 
 def silence(counts: Counts, silent: Iterable[int], watched: float) -> Counts:
-    """Counts after a look at which some servos gave no state, and which stands for a time (s), see watched_time."""
+    """Return the counts after a reading in which some servos gave no state.
+
+    Args:
+        counts: counts before the reading.
+        silent: ids of the servos without a state.
+        watched: time that the reading stands for, s, see `watched_time`.
+    """
     return replace(counts, silence={s: counts.silence.get(s, 0.0) + watched for s in silent})
 
 
 def watched_time(elapsed: float, period: float) -> float:
-    """For how long (s) a look at the servos stands, which ended ``elapsed`` s after the one before.
+    """Return the time (s) that a reading of the servos stands for, if it ended ``elapsed`` s after the previous one.
 
-    A driver that is not late asks twice within two periods when nobody answers. What went by beyond that is its own
-    lateness, in which no servo was asked.
+    A punctual driver reads twice within two periods if no servo answers. Any time beyond that is the driver's own
+    lateness, in which it sent no request.
     """
     return min(elapsed, 2.0 * period)
 
 
 def lateness(away: float, watchdog: float, load: float) -> str:
-    """What to say of a loop that left the servos alone for a time (s) beyond their watchdog (s), at a load average."""
+    """Return the message about a loop that sent no packets for longer than the bus watchdog.
+
+    Args:
+        away: time without packets, s.
+        watchdog: bus watchdog of the servos, s.
+        load: load average of the computer.
+    """
     return (
         f"the control loop was late by {away * 1e3:.0f} ms, and the servos stop by their watchdog after "
         f"{watchdog * 1e3:.0f} ms: the computer was busy (load {load:.1f}) or the driver was suspended"
@@ -71,9 +88,9 @@ def lateness(away: float, watchdog: float, load: float) -> str:
 
 
 def crowding(load: float, cores: int) -> str:
-    """What else explains a silence while the load average exceeds the computer's cores; else nothing.
+    """Return a further explanation of a silence if the load average exceeds the number of cores, else an empty string.
 
-    The kernel passes the bytes of a serial line on in a thread that has no real-time priority, whatever ours has.
+    The kernel forwards the bytes of a serial line in a thread without real-time priority, whatever priority ours has.
     """
     if load <= cores:
         return ""
@@ -81,9 +98,12 @@ def crowding(load: float, cores: int) -> str:
 
 
 def overload(counts: Counts, efforts: Mapping[int, float], levels: Mapping[int, float]) -> Counts:
-    """Counts after a look at the efforts of the cable servos that answered; levels: above which it is too much.
+    """Return the counts after a reading of the efforts of the cable servos that answered.
 
-    Both by id, in A or as a ratio of the load, as the servo measures.
+    Args:
+        counts: counts before the reading.
+        efforts: effort by servo id, A or a ratio of the load, as the servo measures.
+        levels: effort by servo id above which a servo is overloaded, in the same unit.
     """
     now = dict(counts.overload)
     for servo, effort in efforts.items():
@@ -92,7 +112,7 @@ def overload(counts: Counts, efforts: Mapping[int, float], levels: Mapping[int, 
 
 
 def following(counts: Counts, error: float, limits: Limits) -> Counts:
-    """Counts after a look at the following error (m); NaN is no error."""
+    """Return the counts after a reading of the following error (m). NaN counts as no error."""
     return replace(
         counts, following=counts.following + 1 if abs(error) > limits.following_error else 0
     )
@@ -101,9 +121,13 @@ def following(counts: Counts, error: float, limits: Limits) -> Counts:
 def fault_in_counts(
     counts: Counts, limits: Limits, problems: Mapping[int, str], otherwise: str = ""
 ) -> str | None:
-    """The fault that the counts amount to, in words.
+    """Return the fault that the counts amount to, as a message, or None.
 
-    problems: why a servo gives no state, by id. otherwise: what else explains it, see crowding.
+    Args:
+        counts: counts after the present reading.
+        limits: limits of the deviations.
+        problems: why the state of a servo is missing, by id.
+        otherwise: further explanation of a silence, see `crowding`.
     """
     for servo, duration in counts.silence.items():
         if duration >= limits.max_silence:
@@ -112,7 +136,7 @@ def fault_in_counts(
     for servo, cycles in counts.overload.items():
         if cycles >= limits.overload_cycles:
             return (
-                f"servo {servo} is beyond its limit (limits.max_servo_current_A, limits.max_servo_load): the "
+                f"servo {servo} is beyond its limit (limits.max_servo_current_a, limits.max_servo_load): the "
                 "cable is blocked or overloaded"
             )
     if counts.following >= limits.following_cycles:
@@ -121,7 +145,7 @@ def fault_in_counts(
 
 
 def fault_in_health(servo: int, health: Health, *, is_cable: bool) -> str | None:
-    """The fault that a servo's health registers show while its torque should be on, in words."""
+    """Return the fault that a servo's health registers show while its torque should be on, as a message, or None."""
     if health.hardware_error:
         return f"servo {servo} reports {hardware_error_text(health.hardware_error)}"
     if health.watchdog == WATCHDOG_EXPIRED:
@@ -135,10 +159,9 @@ def fault_in_health(servo: int, health: Health, *, is_cable: bool) -> str | None
     return None
 
 
-def turn_count_jumped(before: int, after: int, elapsed: float, fastest: float) -> bool:
-    """Whether a position (ticks) has changed in a time (s) by more than a servo of a speed (rad/s) can turn.
-
-    Then its turn count was folded.
-    """
-    possible = 2.0 * fastest * elapsed / math.tau * TICKS_PER_TURN + TICKS_PER_TURN / 8
-    return abs(after - before) > possible
+def position_jumped(servo: int, jump: int) -> str:
+    """Return the message about a servo whose position jumped by some ticks from the last plausible one."""
+    return (
+        f"the position of servo {servo} jumped by {jump} ticks, and a second reading confirmed it: it cannot have "
+        "turned so far, so its turn count or its encoder is wrong"
+    )

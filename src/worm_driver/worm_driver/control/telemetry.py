@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one cycle of the robot yields: frozen values that are handed from the I/O thread to whoever wants them."""
+"""Results of one cycle of the robot, as frozen values that pass from the I/O thread to other threads."""
 
 import math
 from dataclasses import dataclass
@@ -8,21 +8,23 @@ from worm_driver.gait.gait_player import PlayerState
 from worm_driver.servos.encoding import from_raw, unpack_from
 from worm_driver.servos.registers import COMMON, ServoModel
 
-#: the block that is read in every cycle: Realtime Tick to Present Temperature, without a gap in any model
+#: Block that is read in every cycle: Realtime Tick to Present Temperature, without a gap in any model.
 STATE_START = COMMON["realtime_tick"].address
 STATE_SIZE = COMMON["present_temperature"].end - STATE_START
 
 
 @dataclass(frozen=True)
 class ServoState:
-    """A servo's state in SI.
+    """State of a servo, in SI units.
 
     Attributes:
         ticks: present position, raw.
-        position: rad. velocity: rad/s.
-        effort: A, or the ratio of the load where the servo measures no current.
-        voltage: V. temperature: degC.
-        tick: s, the servo's own clock.
+        position: present position, rad.
+        velocity: present velocity, rad/s.
+        effort: current, A, or the ratio of the load if the servo measures no current.
+        voltage: supply voltage, V.
+        temperature: temperature, degC.
+        tick: time of the servo's own clock, s.
     """
 
     ticks: int
@@ -34,12 +36,12 @@ class ServoState:
     tick: float
 
 
-#: stands for a servo that did not answer
+#: State of a servo that did not answer.
 SILENT = ServoState(0, math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
 
 
 def decode(model: ServoModel, block: bytes) -> ServoState:
-    """A servo's state from the block STATE_START, STATE_SIZE."""
+    """Return a servo's state from its block of STATE_SIZE bytes at address STATE_START."""
 
     def value(name: str) -> float:
         return from_raw(model[name], unpack_from(model[name], block, STATE_START))
@@ -59,18 +61,18 @@ def decode(model: ServoModel, block: bytes) -> ServoState:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One cycle. Times are monotonic, in s.
+    """Result of one cycle. Times are monotonic, in s.
 
     Attributes:
-        command_time: when the goals were sent.
-        read_time: when the servos were asked for their state.
-        active: torque is on.
-        homed: the length of the cable is known.
-        player: what is being played.
-        commanded: m, change of length asked of the cable; NaN with the torque off.
-        cable: m, change of length by the encoders; NaN without all of them, or before homing.
+        command_time: time at which the goals were sent.
+        read_time: time at which the states of the servos were requested.
+        active: True if the torque is on.
+        homed: True if the length of the cable is known.
+        player: state of the gait player.
+        commanded: commanded length change of the cable, m; NaN with the torque off.
+        cable: length change by the encoders, m; NaN if a cable servo is silent or before homing.
         servos: states in the order of the robot's servos; SILENT for one that did not answer.
-        alerts: ids of the servos whose last answer told of a hardware error.
+        alerts: ids of the servos whose last answer reported a hardware error.
     """
 
     command_time: float

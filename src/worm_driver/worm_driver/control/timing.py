@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A grid of deadlines, and how well it was kept."""
+"""Grid of deadlines and the measurement of how well a loop meets them."""
 
 import math
 from collections import deque
@@ -9,28 +9,29 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class DeadlineGrid:
-    """Deadlines at start + n period, s monotonic. A missed one is skipped, not caught up with."""
+    """Deadlines at start + n period, s, monotonic. A missed deadline is skipped, without catching up."""
 
     start: float
     period: float
 
     def next_after(self, now: float) -> float:
-        """The first deadline later than a time."""
+        """Return the first deadline later than a time (s)."""
         return self.start + (math.floor((now - self.start) / self.period + 1e-9) + 1) * self.period
 
 
 @dataclass(frozen=True)
 class TimingReport:
-    """Quality of a periodic loop over its last cycles; s.
+    """Timing of a periodic loop over its last cycles.
 
     Attributes:
         mean_period: s; NaN before two cycles.
-        p99_error: s, 99th percentile of |period - nominal|; NaN before two cycles.
+        p99_error: 99th percentile of |period - nominal|, s; NaN before two cycles.
         max_error: s; NaN before two cycles.
-        p99_wake: s, 99th percentile of how late after its deadline a cycle began: what the computer did.
-        p99_cycle: s, 99th percentile of how long a cycle took: what the device and the interpreter did.
-        missed: deadlines skipped since the start.
-        cycles: since the start.
+        p99_wake: 99th percentile of the delay between a deadline and the start of its cycle, s. Caused by the
+            computer.
+        p99_cycle: 99th percentile of the duration of a cycle, s. Caused by the device and the interpreter.
+        missed: number of deadlines skipped since the start.
+        cycles: number of cycles since the start.
     """
 
     mean_period: float
@@ -44,11 +45,13 @@ class TimingReport:
 
 @dataclass
 class PeriodMeter:
-    """Collects the periods of a loop.
+    """Collector of the periods of a loop.
 
     Attributes:
-        period: s, nominal.
+        period: nominal period, s.
         window: number of periods that a report covers.
+        missed: number of deadlines skipped so far.
+        cycles: number of cycles so far.
     """
 
     period: float
@@ -64,7 +67,13 @@ class PeriodMeter:
         self._periods, self._wakes, self._durations = (deque(maxlen=self.window) for _ in range(3))
 
     def begin(self, start: float, due: float, skipped: int) -> None:
-        """Notes a cycle that began at a time (s) and was due at another, after skipped deadlines."""
+        """Record the start of a cycle.
+
+        Args:
+            start: time at which the cycle began, s.
+            due: its deadline, s.
+            skipped: number of deadlines skipped before it.
+        """
         self.cycles += 1
         self.missed += skipped
         self._wakes.append(start - due)
@@ -73,16 +82,16 @@ class PeriodMeter:
         self._last = start
 
     def end(self, now: float) -> None:
-        """Notes the end of the cycle that was begun last, at a time (s)."""
+        """Record the end of the present cycle at a time (s)."""
         if self._last is not None:
             self._durations.append(now - self._last)
 
     def pause(self) -> None:
-        """Notes that the time until the next cycle is no period."""
+        """Exclude the time until the next cycle from the periods."""
         self._last = None
 
     def report(self) -> TimingReport:
-        """The quality so far."""
+        """Return the timing so far."""
         periods = tuple(self._periods)
         if not periods:
             unknown = (math.nan,) * 5
@@ -100,6 +109,6 @@ class PeriodMeter:
 
 
 def percentile(values: Iterable[float], fraction: float) -> float:
-    """The smallest value that at least a fraction of the values do not exceed."""
+    """Return the smallest value that at least a fraction of the values do not exceed."""
     ordered = sorted(values)
     return ordered[max(0, math.ceil(fraction * len(ordered)) - 1)]

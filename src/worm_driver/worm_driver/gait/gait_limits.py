@@ -61,7 +61,7 @@ class GaitLimits:
         """Raises LimitError, which says what is wrong and what would be right."""
         ranges = (
             ("stroke", self.min_stroke, self.max_stroke, "m", "limits.max_stroke_m"),
-            ("frequency", self.min_frequency, self.max_frequency, "Hz", "limits.max_frequency_Hz"),
+            ("frequency", self.min_frequency, self.max_frequency, "Hz", "limits.max_frequency_hz"),
             ("margin", 0.0, self.max_stroke, "m", "limits.max_stroke_m"),
         )
         for name, low, high, unit, limit in ranges:

@@ -84,7 +84,8 @@ class PlayerState:
         since: s, when the phase began.
         length_change: m, what the cable is asked for now.
         ramp_from: m, where a return to rest began.
-        direction: where the fins are set to; 0 before the first run.
+        direction: where the fins are set to; 0 before the first run and after a hold, which stops them where they are.
+        stepped: s, when the last step was.
         still_since: s, when the cable and the fins were last asked to move, or seen off their place.
         run: the current run, or the last one when its ending is set.
         message: why it holds or has failed.
@@ -95,6 +96,7 @@ class PlayerState:
     length_change: float = 0.0
     ramp_from: float = 0.0
     direction: int = 0
+    stepped: float = -math.inf
     still_since: float = -math.inf
     run: Run | None = None
     message: str = ""
@@ -131,6 +133,8 @@ class PlayerSettings:
         rest_timeout: s, longest rest: then the gait starts without an idle power, or a tracker.
         flip_timeout: s, longest time for the fins.
         return_speed: m/s, peak cable speed on the way back to rest.
+        longest_step: s, by which one step goes on with a return to rest at most: after a late one the cable does not
+            catch up, as that would be faster than return_speed.
     """
 
     rest_duration: float = 1.0
@@ -139,6 +143,7 @@ class PlayerSettings:
     rest_timeout: float = 3.0
     flip_timeout: float = 3.0
     return_speed: float = 0.05
+    longest_step: float = 0.01
 
 
 def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerState:
@@ -220,10 +225,20 @@ def step(
     handler = _STEPS.get(state.phase)
     if handler is None:
         return state
-    before, state = state, handler(state, now, observation, settings)
+    before, state = state, handler(_delayed(state, now, settings), now, observation, settings)
+    state = replace(state, stepped=now)
     if moving(before) or state.direction != before.direction or not observation.fins_set:
         return replace(state, still_since=now)
     return state
+
+
+def _delayed(state: PlayerState, now: float, settings: PlayerSettings) -> PlayerState:
+    """The state whose return to rest began later by what this step is late."""
+    is_return = state.phase is Phase.RETURNING or (
+        state.phase is Phase.STOPPING and state.run is not None and state.run.onset is None
+    )
+    late = now - max(state.stepped, state.since) - settings.longest_step
+    return replace(state, since=state.since + late) if is_return and late > 0.0 else state
 
 
 def _returning(
@@ -318,4 +333,4 @@ def _hold(
     state: PlayerState, now: float, length_change: float, phase: Phase, ending: Ending, reason: str
 ) -> PlayerState:
     state = _end(state, now, ending, phase, reason)
-    return replace(state, length_change=length_change, message=reason)
+    return replace(state, length_change=length_change, direction=0, message=reason)

@@ -3,7 +3,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -15,6 +15,7 @@ from worm_driver.control.telemetry import Snapshot
 from worm_driver.gait.gait_limits import Gait
 from worm_driver.gait.gait_player import Phase
 from worm_driver.power.ina219 import PowerSample
+from worm_driver.servos.registers import ServoModel
 from worm_msgs.msg import BodyLength, GaitState, Power
 from worm_msgs.msg import Gait as GaitMessage
 
@@ -69,14 +70,23 @@ class ClockPair:
         return (stamp.sec * 1_000_000_000 + stamp.nanosec - self.offset_ns) * 1e-9
 
 
-def joint_state(names: Sequence[str], snapshot: Snapshot, clocks: ClockPair) -> JointState:
-    """Positions (rad), velocities (rad/s) and efforts (A or 1) of all servos; NaN for one that was silent."""
+def joint_state(
+    names: Sequence[str], models: Sequence[ServoModel], snapshot: Snapshot, clocks: ClockPair
+) -> JointState:
+    """Return positions (rad), velocities (rad/s) and torques (N*m) of all servos; NaN for one that was silent.
+
+    The torque is that of the servo's current. One that measures none has NaN; without any, ``effort`` is empty.
+    """
+    torques = [
+        state.effort * model.torque_constant
+        for model, state in zip(models, snapshot.servos, strict=True)
+    ]
     return JointState(
         header=Header(stamp=clocks.stamp(snapshot.read_time)),
         name=list(names),
         position=[state.position for state in snapshot.servos],
         velocity=[state.velocity for state in snapshot.servos],
-        effort=[state.effort for state in snapshot.servos],
+        effort=torques if any(model.measures_current for model in models) else [],
     )
 
 
@@ -105,7 +115,7 @@ def power(sample: PowerSample, clocks: ClockPair) -> Power:
 
 def gait_from(message: GaitMessage) -> Gait:
     """A gait, unchecked."""
-    return Gait(message.stroke, message.frequency, message.direction, message.margin)
+    return Gait(**{row.name: getattr(message, row.name) for row in fields(Gait)})
 
 
 def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -> GaitState:

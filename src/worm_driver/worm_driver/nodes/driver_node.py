@@ -28,13 +28,14 @@ from worm_driver.control.emergency import EmergencyLatch, state_folder
 from worm_driver.control.hardware import Hardware
 from worm_driver.errors import ConfigurationError, DriverError, ReleaseError, StoppedError
 from worm_driver.nodes import driver_messages, driver_parameters
-from worm_driver.nodes.impossible_transitions import refuse_impossible_transitions
+from worm_driver.nodes.lifecycle_requests import LifecycleRequests
 from worm_driver.nodes.run_gait_action import RunGaitAction
+from worm_driver.nodes.sole_driver import SoleDriver
 from worm_driver.nodes.stamps import Stamps
 from worm_driver.nodes.stop_services import StopServices
 from worm_driver.nodes.telemetry_publisher import TelemetryPublisher
 from worm_driver.nodes.tracker_listener import TrackerListener
-from worm_msgs import network
+from worm_msgs import network, readiness
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import Ending, spare_pauses
 
@@ -56,6 +57,9 @@ _PUBLISH_PERIOD = 0.04
 _ANSWERS = 1.0
 _LINGER = 0.3
 
+#: why everything is closed when the process ends
+_END = "the driver ends"
+
 _Action = Callable[[Hardware, float], object]
 _SERVICES: tuple[tuple[str, _Action, str], ...] = (
     (
@@ -72,28 +76,37 @@ _SERVICES: tuple[tuple[str, _Action, str], ...] = (
 
 
 class DriverNode(LifecycleNode):
-    """See the module."""
+    """See the module.
+
+    Attributes:
+        unreleased: what failed when the robot was closed last, in words: a servo may still have its torque.
+    """
 
     def __init__(self) -> None:
         super().__init__("driver")
         declare(self, driver_parameters.rows)
+        driver_parameters.check_time(self)
         self._reach = network.reach(os.environ, get_rmw_implementation_identifier())
+        self._sole = SoleDriver(self, on_network=not self._reach.is_local)
         self._hardware: Hardware | None = None
         self._failure: Exception | None = None
+        self.unreleased: list[str] = []
         self._why_closed = "not configured"
         self._stamps = Stamps(self)
         self._emergency = EmergencyLatch(state_folder(os.environ))
         self._adopt_emergency()
         self._action = RunGaitAction(
-            self, lambda: self._hardware, lambda: self._tracker.sees_robot()
+            self, self._stamps, lambda: self._hardware, lambda: self._tracker.sees_robot()
         )
         self._tracker = TrackerListener(self, self._stamps, self._action.on_position)
         self._telemetry = TelemetryPublisher(self, self._stamps, self._action, self._emergency)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._stops = StopServices(self, self._opened, self._emergency, self._action.on_heartbeat)
+        self._stops = StopServices(
+            self, self._opened, self._emergency, self._action.stop, self._action.on_heartbeat
+        )
         for name, action, done in _SERVICES:
             self.create_service(Trigger, name, partial(self._serve, action, done))
-        refuse_impossible_transitions(self)
+        self._lifecycle = LifecycleRequests(self)
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
@@ -104,12 +117,11 @@ class DriverNode(LifecycleNode):
     # --- parameters ----------------------------------------------------------------------------
 
     def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        """What cannot take effect is refused while the robot is open."""
-        fixed = driver_parameters.fixed(parameters)
-        if self._hardware is None or not fixed:
-            return SetParametersResult(successful=True)
-        reason = f"{', '.join(fixed)}: takes effect at configure; deactivate and clean up the driver first"
-        return SetParametersResult(successful=False, reason=reason)
+        """Reject what cannot take effect, and what would raise a limit, while the robot is open."""
+        reason = driver_parameters.why_not_set(
+            self, parameters, configured=self._hardware is not None
+        )
+        return SetParametersResult(successful=not reason, reason=reason)
 
     def _take_parameters(self, _: Sequence[Parameter]) -> None:
         """What takes effect at once does."""
@@ -127,15 +139,16 @@ class DriverNode(LifecycleNode):
         try:
             settings = driver_parameters.settings(self)
             self._adopt_emergency()
-            self._hardware = Hardware(
-                settings, self._tracker.is_ready, self._emergency.why_not_start
-            )
+            self._sole.require()
+            self._hardware = Hardware(settings, self._tracker.is_ready, self._why_not_start)
             self._stamps.robot_clock = self._hardware.clock
         except Exception as error:  # noqa: BLE001 (rclpy would drop it without a word)
             return self._failed("configure", error)
-        self._failure = None
+        self._failure, self.unreleased = None, []
         for line in self._hardware.description():
             self.get_logger().info(line)
+        if restriction := self._emergency.restriction(os.environ):
+            self.get_logger().warning(restriction)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -168,7 +181,10 @@ class DriverNode(LifecycleNode):
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Brings the gait to rest, releases the servos and closes everything; FAILURE if one may have its torque."""
+        """Brings the gait to rest, releases the servos and closes everything; FAILURE if one may have its torque.
+
+        A stop on the way leaves the robot holding, with its torque on.
+        """
         if self.close("the driver shuts down"):
             return TransitionCallbackReturn.FAILURE
         return super().on_shutdown(state)
@@ -176,6 +192,9 @@ class DriverNode(LifecycleNode):
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Releases and closes everything, so that the driver can be configured again."""
         self.close(f"a transition failed: {self._failure}")
+        self.get_logger().error(
+            "the driver is unconfigured now, with everything closed: configure and activate it once the servos answer"
+        )
         super().on_error(state)
         return TransitionCallbackReturn.SUCCESS
 
@@ -188,9 +207,11 @@ class DriverNode(LifecycleNode):
         if hardware is None:
             return []
         problems = hardware.close(reason, self._publish)
-        self._hardware = None
+        self._hardware, self.unreleased = None, problems
         self._why_closed = "; ".join((reason, *problems))
         self._tracker.forget()
+        if problems and self._failure is None:
+            self._failure = ReleaseError("; ".join(problems))
         for problem in problems:
             self.get_logger().error(f"on release: {problem}")
         if self.context.ok():
@@ -211,22 +232,36 @@ class DriverNode(LifecycleNode):
         while time.monotonic() < linger:
             executor.spin_once(timeout_sec=0.05)
 
+    def refuse_transitions(self) -> None:
+        """Carry no transition out from now on: the process ends."""
+        self._lifecycle.refuse()
+
+    def begin_to_close(self) -> None:
+        """Begin to bring the robot to rest, before any stop that comes from now on. Safe in a signal handler."""
+        if self._hardware is not None:
+            self._hardware.loop.leave(_END)
+
     def let_go(self) -> None:
         """Cuts a release short: the torque goes at once. Safe in a signal handler."""
         if self._hardware is not None:
-            self._hardware.loop.ask_to_end()
+            self._hardware.loop.release_at_once()
 
     def autostart(self) -> None:
         """Configures and activates, where the parameter asks for it.
 
         A robot that cannot be activated yet, as it is not homed, stays configured for its operator. Raises DriverError:
-        it cannot be configured.
+        it cannot be configured, and the parameter does not leave that to its operator, either.
         """
         if not self.get_parameter("autostart").value:
             return
-        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
+        elif not self.get_parameter("stay_on_failure").value:
             raise self._failure or DriverError("it cannot be configured")
-        self.trigger_activate()
+
+    def wait_to_be_sole(self, ended: Ending) -> None:
+        """Serve nobody before this is the only driver of its namespace. Raises ConfigurationError where it is not."""
+        self._sole.wait(ended)
 
     def tell_what_it_waits_for(self) -> None:
         """A driver that nobody has configured says so."""
@@ -242,11 +277,16 @@ class DriverNode(LifecycleNode):
         self.get_logger().error(f"cannot {what}: {words}")
         return TransitionCallbackReturn.FAILURE
 
+    def _why_not_start(self) -> str:
+        """In any thread: why neither torque nor a run may begin; empty when they may."""
+        return self._emergency.why_not_start() or self._sole.problem
+
     def _activate(self) -> None:
         """Raises DriverError; an activation that takes too long is taken back when it ends."""
+        self._sole.require()
         hardware = self._opened()
         robot = hardware.robot
-        hardware.loop.ask(robot.activate, _ACTIVATION, undo=lambda _: robot.release())
+        hardware.loop.ask(robot.activate, _ACTIVATION, undo=lambda _: robot.leave())
 
     def _release(self) -> None:
         """Raises StoppedError, ReleaseError, DriverError."""
@@ -262,6 +302,10 @@ class DriverNode(LifecycleNode):
                     "deactivate it again to let go"
                 )
             self._publish()
+        if not self._do(lambda hardware, _: hardware.robot.released):
+            raise StoppedError(
+                "the robot did not come to rest in time: it keeps its torque; deactivate it again to release it"
+            )
         problems = self._do(lambda hardware, _: hardware.robot.release(), _LETTING_GO)
         if problems:
             raise ReleaseError(release_report(problems).message)
@@ -269,14 +313,16 @@ class DriverNode(LifecycleNode):
     # --- services ------------------------------------------------------------------------------
 
     def _adopt_emergency(self) -> None:
-        """The emergency stop of the robot that the parameters name, as it was left."""
-        problem = self._emergency.adopt(self.get_parameter("port").value)
+        """Continue with the emergency stop of the robot that the parameters name, as it was left."""
+        problem = self._emergency.adopt(driver_parameters.latch_files(self))
         if problem:
             self.get_logger().error(problem)
 
     def destroy_node(self) -> None:
-        """Also ends the service stop."""
+        """Also end the services that have threads of their own and the claim of the namespace."""
+        self._lifecycle.close()
         self._stops.close()
+        self._sole.close()
         super().destroy_node()
 
     def _serve(
@@ -313,6 +359,7 @@ class DriverNode(LifecycleNode):
         hardware, latest = self._hardware, self._telemetry.latest
         if hardware is not None:
             hardware.loop.check()
+        self._sole.look()
         if hardware is None or latest is None:
             reports = [offline_report(self._failure)]
         else:
@@ -328,7 +375,8 @@ class DriverNode(LifecycleNode):
 def main(args: list[str] | None = None) -> int:
     """Runs the driver until SIGINT, SIGTERM or SIGHUP; the servos are released on every way out.
 
-    A first signal brings the robot to rest, a later Ctrl-C lets go at once.
+    A first signal brings the robot to rest, a later Ctrl-C releases it at once. A robot that was stopped on the way
+    keeps its torque, as it would spring back: then the exit status is 1.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL)
     about = "Plays gaits on the robot and publishes what it measures, as a lifecycle node."
@@ -339,18 +387,22 @@ def main(args: list[str] | None = None) -> int:
         return 1
 
 
-def _run(ended: Ending) -> None:
+def _run(ended: Ending) -> int:
     node = DriverNode()
-    ended.again = node.let_go
+    ended.first, ended.again = node.begin_to_close, node.let_go
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
         spare_pauses()
+        node.wait_to_be_sole(ended)
+        readiness.announce()
         node.autostart()
         node.tell_what_it_waits_for()
         while not ended():
             executor.spin_once(timeout_sec=0.05)
     finally:
-        node.close("the driver ends")
+        node.refuse_transitions()
+        node.close(_END)
         node.answer_goals(executor)
         node.destroy_node()
+    return 1 if node.unreleased else 0

@@ -1,65 +1,53 @@
 # SPDX-License-Identifier: Apache-2.0
 """The driver's ROS parameters: names, descriptions, ranges and defaults in one table, and the settings they make."""
 
+import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from worm_driver.control.driver_settings import DriverSettings, PowerSettings, load_body
+from worm_driver.control.emergency import latch_names
 from worm_driver.control.supervision import Limits
 from worm_driver.errors import ConfigurationError
 from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.servos.transmission import Fin, Spool
-from worm_msgs.node_command import descriptor
-
-
-@dataclass(frozen=True)
-class _Row:
-    """One parameter: its default gives the type; range is None where there is none (texts, flags, arrays).
-
-    One that is ``live`` takes effect at once, any other when the driver is configured.
-    """
-
-    name: str
-    default: Any
-    description: str
-    range: tuple[float, float] | None = None
-
-    @property
-    def live(self) -> bool:
-        return self.name.startswith("limits.") or self.name in _LIVE
-
-    def descriptor(self) -> ParameterDescriptor:
-        when = "at once" if self.live else "at configure, and is refused until the next cleanup"
-        text = f"{self.description} Takes effect {when}."
-        return descriptor(text, self.default, self.range, name=self.name)
-
+from worm_msgs.parameter_rows import ParameterRow
 
 HEARTBEAT = "heartbeat_s"
-_LIVE = {"rest_duration_s", "return_speed_m_s", HEARTBEAT}
+#: parameters that take effect at once; those that bound a motion can then only be lowered
+_LIVE = ("limits.", "rest_duration_s", "return_speed_m_per_s", HEARTBEAT)
+_BOUNDS = ("limits.", "return_speed_m_per_s")
+_SIMULATED_TIME = "use_sim_time"
+_Row = ParameterRow
 _ROWS = (
     _Row("autostart", False, "Configure and activate by itself, without a lifecycle manager."),
+    _Row(
+        "stay_on_failure",
+        False,
+        "Where autostart cannot configure, wait for an operator to do it; false: end, for systemd to start it again.",
+    ),
     _Row(
         "parameter_file", "", "YAML with rear_mass, front_mass, initial_length; empty: the paper's."
     ),
     _Row("port", "/dev/worm_bus", "Serial device of the servo bus."),
-    _Row("baud_rate", DriverSettings.baud_rate, "bit/s, as set in the servos.", (9600, 4_000_000)),
-    _Row("rate_Hz", DriverSettings.rate, "Rate of commands and telemetry.", (10.0, 100.0)),
+    _Row("baud_rate", DriverSettings.baud_rate, "bit/s, as set in the servos.", 9600, 4_000_000),
+    _Row("rate_hz", DriverSettings.rate, "Rate of commands and telemetry.", 10.0, 100.0),
     _Row(
         "real_time_priority",
         40,
         "SCHED_FIFO of the servo thread, half for the others, with locked memory; 0: none.",
-        (0, 99),
+        0,
+        99,
     ),
     _Row(
         "bus_watchdog_s",
         DriverSettings.watchdog,
         "Silence after which the servos stop by themselves.",
-        (0.04, 2.0),
+        0.04,
+        2.0,
     ),
     _Row(
         "home_at_start", False, "Take the length at configuring as the initial one, if not homed."
@@ -69,18 +57,20 @@ _ROWS = (
         PowerSettings.i2c_bus,
         "Number or device of the I2C bus, socket of a virtual robot; empty or none: no sensor.",
     ),
-    _Row("i2c_address", PowerSettings.i2c_address, "Address of the INA219.", (0x40, 0x4F)),
+    _Row("i2c_address", PowerSettings.i2c_address, "Address of the INA219.", 0x40, 0x4F),
     _Row(
         "ina219.shunt_resistance_ohm",
         PowerSettings.shunt_resistance,
         "Resistance of the shunt.",
-        (1e-4, 10.0),
+        1e-4,
+        10.0,
     ),
     _Row(
-        "ina219.max_current_A",
+        "ina219.max_current_a",
         PowerSettings.max_current,
         "Current above which a sample is an overflow.",
-        (0.01, 100.0),
+        0.01,
+        100.0,
     ),
     _Row("cable_servos.ids", [1], "Ids of the cable servos."),
     _Row("cable_servos.signs", [1], "1: rising ticks shorten the body; -1: they lengthen it."),
@@ -88,68 +78,105 @@ _ROWS = (
     _Row("fin_servos.ids", [11, 12], "Ids of the fin servos, rear to front."),
     _Row("fin_servos.forward_angle_rad", [2.356, 2.356], "Servo angles for forward gaits."),
     _Row("fin_servos.reverse_angle_rad", [3.927, 3.927], "Servo angles for reverse gaits."),
-    _Row("fin_servos.speed_rad_s", DriverSettings.fin_speed, "Speed of a flip.", (0.1, 6.0)),
-    _Row("limits.max_stroke_m", DriverSettings.max_stroke, "Largest stroke.", (1e-3, 1.0)),
+    _Row("fin_servos.speed_rad_per_s", DriverSettings.fin_speed, "Speed of a flip.", 0.1, 6.0),
+    _Row("limits.max_stroke_m", DriverSettings.max_stroke, "Largest stroke.", 1e-3, 1.0),
+    _Row("limits.max_frequency_hz", DriverSettings.max_frequency, "Highest frequency.", 0.01, 5.0),
     _Row(
-        "limits.max_frequency_Hz", DriverSettings.max_frequency, "Highest frequency.", (0.01, 5.0)
-    ),
-    _Row(
-        "limits.max_cable_speed_m_s",
+        "limits.max_cable_speed_m_per_s",
         DriverSettings.max_cable_speed,
         "Largest cable speed.",
-        (1e-3, 2.0),
+        1e-3,
+        2.0,
     ),
     _Row(
-        "limits.max_servo_current_A",
+        "limits.max_servo_current_a",
         Limits.max_current,
         "Of a cable servo; longer than 50 ms is a fault.",
-        (0.05, 5.0),
+        0.05,
+        5.0,
     ),
     _Row(
         "limits.max_servo_load",
         Limits.max_load,
-        "As max_servo_current_A, for a model without a current sensor (XL430): ratio of its load.",
-        (0.1, 1.0),
+        "As max_servo_current_a, for a model without a current sensor (XL430): ratio of its load.",
+        0.1,
+        1.0,
     ),
     _Row(
         "limits.max_following_error_m",
         Limits.following_error,
         "Of the cable; longer is a fault.",
-        (1e-3, 0.2),
+        1e-3,
+        0.2,
     ),
     _Row(
         "limits.max_silence_s",
         Limits.max_silence,
         "Time without a servo's state; longer is a fault.",
-        (0.0, 2.0),
+        0.0,
+        2.0,
     ),
-    _Row("rest_duration_s", PlayerSettings.rest_duration, "Least rest before a gait.", (0.1, 60.0)),
+    _Row("rest_duration_s", PlayerSettings.rest_duration, "Least rest before a gait.", 0.1, 60.0),
     _Row(
         HEARTBEAT,
         0.0,
         "Silence of a goal's owner on the topic heartbeat after which its run ends at the next point of rest; 0: as "
         "each goal asks.",
-        (0.0, 60.0),
+        0.0,
+        60.0,
     ),
     _Row(
-        "return_speed_m_s",
+        "return_speed_m_per_s",
         PlayerSettings.return_speed,
         "Peak cable speed on the way back to rest.",
-        (1e-3, 0.5),
+        1e-3,
+        0.5,
     ),
 )
+_NAMES = frozenset(row.name for row in _ROWS)
 
 
-def rows() -> list[tuple[str, Any, ParameterDescriptor]]:
-    """Name, default and descriptor of every parameter."""
-    return [(row.name, row.default, row.descriptor()) for row in _ROWS]
+def rows() -> list[ParameterRow]:
+    """Return every parameter, each with when it takes effect."""
+    return [
+        dataclasses.replace(row, description=f"{row.description} {_effect(row.name)}")
+        for row in _ROWS
+    ]
 
 
-def fixed(parameters: Sequence[Parameter]) -> list[str]:
-    """The names of those that do not take effect before the driver is configured anew."""
-    live = {row.name for row in _ROWS if row.live}
-    known = {row.name for row in _ROWS}
-    return [p.name for p in parameters if p.name in known - live]
+def _effect(name: str) -> str:
+    if name.startswith(_BOUNDS):
+        return "Takes effect at once; a configured driver lets it be lowered only."
+    if name.startswith(_LIVE):
+        return "Takes effect at once."
+    return "Takes effect at configure, and is rejected until the next cleanup."
+
+
+def check_time(node: Node) -> None:
+    """Raise ConfigurationError where a driver is to go by simulated time, which would have no effect."""
+    if node.get_parameter(_SIMULATED_TIME).value:
+        raise ConfigurationError(
+            f"{_SIMULATED_TIME} is true: a robot runs in real time; leave it out for the driver"
+        )
+
+
+def why_not_set(node: Node, parameters: Sequence[Parameter], *, configured: bool) -> str:
+    """Return why parameters cannot be set now, empty where they can."""
+    for parameter in parameters:
+        name, value = parameter.name, parameter.value
+        if name == _SIMULATED_TIME and value:
+            return f"{name}: a robot runs in real time, the driver cannot go by another clock"
+        if not configured or name not in _NAMES:
+            continue
+        if not name.startswith(_LIVE):
+            return f"{name}: takes effect at configure; deactivate and clean up the driver first"
+        present = node.get_parameter(name).value
+        if name.startswith(_BOUNDS) and value > present:
+            return (
+                f"{name} is {present:g} and can only be lowered, not raised to {value:g}, while the driver is "
+                "configured: deactivate and clean it up first"
+            )
+    return ""
 
 
 def settings(node: Node) -> DriverSettings:
@@ -164,7 +191,7 @@ def settings(node: Node) -> DriverSettings:
         baud_rate=value("baud_rate"),
         watchdog=value("bus_watchdog_s"),
         home_at_start=value("home_at_start"),
-        rate=value("rate_Hz"),
+        rate=value("rate_hz"),
         real_time_priority=value("real_time_priority"),
         spools=tuple(
             Spool(*row)
@@ -182,29 +209,35 @@ def settings(node: Node) -> DriverSettings:
             )
         ),
         max_stroke=value("limits.max_stroke_m"),
-        max_frequency=value("limits.max_frequency_Hz"),
-        max_cable_speed=value("limits.max_cable_speed_m_s"),
-        fin_speed=value("fin_servos.speed_rad_s"),
+        max_frequency=value("limits.max_frequency_hz"),
+        max_cable_speed=value("limits.max_cable_speed_m_per_s"),
+        fin_speed=value("fin_servos.speed_rad_per_s"),
         power=PowerSettings(
             i2c_bus,
             value("i2c_address"),
             value("ina219.shunt_resistance_ohm"),
-            value("ina219.max_current_A"),
+            value("ina219.max_current_a"),
         ),
         player=PlayerSettings(
             rest_duration=value("rest_duration_s"),
             rest_samples=10 if i2c_bus else 0,
-            return_speed=value("return_speed_m_s"),
+            return_speed=value("return_speed_m_per_s"),
             rest_timeout=value("rest_duration_s") + 2.0,
         ),
         limits=Limits(
-            max_current=value("limits.max_servo_current_A"),
+            max_current=value("limits.max_servo_current_a"),
             max_load=value("limits.max_servo_load"),
             following_error=value("limits.max_following_error_m"),
             max_silence=value("limits.max_silence_s"),
         ),
         body=load_body(value("parameter_file")),
     )
+
+
+def latch_files(node: Node) -> tuple[str, ...]:
+    """Return the names of the files in which the emergency stop of the node's robot is stored."""
+    servos = [*_array(node, "cable_servos.ids"), *_array(node, "fin_servos.ids")]
+    return latch_names(node.get_namespace(), servos, node.get_parameter("port").value)
 
 
 def _rows(node: Node, *names: str) -> list[tuple[Any, ...]]:

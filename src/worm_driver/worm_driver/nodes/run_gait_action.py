@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The action run_gait: goals in, feedback and measured figures out.
 
-A goal that cannot be played is accepted and aborted at once, since a rejection has no room for the reason.
+A goal is accepted when its run has begun, and rejected otherwise. The reason of a rejection, for which the response
+has no room, is logged and published on run_gait/rejections.
 """
 
 import math
@@ -9,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rclpy.action import ActionServer, CancelResponse
+from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
@@ -25,8 +26,12 @@ from worm_driver.gait.gait_player import Ending, Phase, Run
 from worm_driver.gait.run_end import RunEnd, is_in_vain, is_late, unseen_cycle
 from worm_driver.nodes.driver_messages import gait_from
 from worm_driver.nodes.driver_parameters import HEARTBEAT
+from worm_driver.nodes.goal_server import GoalServer
+from worm_driver.nodes.stamps import Stamps
+from worm_driver.nodes.throttled_log import ThrottledLog
 from worm_driver.power.ina219 import PowerSample
 from worm_msgs.action import RunGait
+from worm_msgs.goal_rejections import GoalRejections
 from worm_msgs.msg import Heartbeat
 
 #: s between two feedback messages
@@ -40,12 +45,14 @@ _TRACKER_PATIENCE = 1.0
 class _Current:
     """The run that is being played, and the goal that asked for it."""
 
-    goal: ServerGoalHandle
+    goal_id: bytes
     number: int
     done: Future
     record: RunRecord
     end: RunEnd
     owner: Owner
+    #: known once rclpy has accepted the goal
+    goal: ServerGoalHandle | None = None
     next_feedback: float = -math.inf
     ended: Run | None = None
     #: the last word on the run, the last cycle whose end the tracker saw, and what has been asked for
@@ -58,16 +65,27 @@ class RunGaitAction:
     """Serves run_gait on a node; everything happens in the node's executor thread."""
 
     def __init__(
-        self, node: Node, hardware: Callable[[], Hardware | None], sees_robot: Callable[[], bool]
+        self,
+        node: Node,
+        stamps: Stamps,
+        hardware: Callable[[], Hardware | None],
+        sees_robot: Callable[[], bool],
     ):
         self._node = node
         self._hardware = hardware
         self._sees_robot = sees_robot
         # The last one is being played, those before it still wait for the tracker.
         self._runs: list[_Current] = []
-        self._open = 0
-        self._server = ActionServer(
-            node, RunGait, "run_gait", self._execute, cancel_callback=self._on_cancel
+        self._rejections = GoalRejections(node, "run_gait", stamps.now)
+        self._log = ThrottledLog(node.get_logger())
+        self._server = GoalServer(
+            node,
+            RunGait,
+            "run_gait",
+            self._begin,
+            self._on_rejected,
+            self._execute,
+            self._on_cancel,
         )
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(PERIOD, self._look_for_owners, clock=steady)
@@ -83,7 +101,7 @@ class RunGaitAction:
         """In any thread: the owner of a goal is there."""
         goal = bytes(beat.goal)
         for current in tuple(self._runs):
-            if bytes(current.goal.goal_id.uuid) == goal:
+            if current.goal_id == goal:
                 current.owner.hear()
 
     def on_power(self, sample: PowerSample) -> None:
@@ -104,10 +122,14 @@ class RunGaitAction:
             if current.ended is not None and not current.done.done():
                 self._end_when_seen(current, current.ended, snapshot.command_time)
 
+    def stop(self) -> None:
+        """Reject every goal that was received and has not begun. In any thread, before the robot is stopped."""
+        self._server.stop()
+
     @property
     def busy(self) -> bool:
         """Whether a goal has no result yet."""
-        return self._open > 0
+        return bool(self._runs)
 
     def abandon(self, reason: str) -> None:
         """Ends the goals of runs that nothing plays any more."""
@@ -117,7 +139,7 @@ class RunGaitAction:
 
     def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         hardware = self._hardware()
-        if hardware is not None and self._runs and self._runs[-1].goal == goal:
+        if hardware is not None and self._runs and self._runs[-1].goal_id == _id(goal):
             hardware.loop.submit(hardware.robot.cancel)
         return CancelResponse.ACCEPT
 
@@ -160,24 +182,28 @@ class RunGaitAction:
         self._node.get_logger().warning(f"run {current.number} {reason}")
         hardware.loop.submit(lambda now: hardware.robot.cancel(now, reason), patience=math.inf)
 
+    def _on_rejected(self, goal_id: bytes, reason: str) -> None:
+        """In any thread: report why a goal is rejected."""
+        self._log.warning(f"gait rejected: {reason}")
+        self._rejections.publish(goal_id, reason)
+
     async def _execute(self, goal: ServerGoalHandle) -> RunGait.Result:
-        try:
-            current = self._begin(goal)
-        except DriverError as error:
-            self._node.get_logger().warning(f"gait refused: {error}")
-            goal.abort()
-            return _no_result(str(error))
-        self._open += 1
+        """Wait for the end of the run that `_begin` has begun."""
+        current = next(each for each in self._runs if each.goal_id == _id(goal))
+        current.goal = goal
+        hardware = self._hardware()
+        if goal.is_cancel_requested and hardware is not None:  # faster than this callback
+            hardware.loop.submit(hardware.robot.cancel)
         outcome = await current.done
         self._runs.remove(current)
-        self._open -= 1
-        return self._finish(current, outcome)
+        return self._finish(goal, current, outcome)
 
-    def _begin(self, goal: ServerGoalHandle) -> _Current:
+    def _begin(self, goal_id: bytes, asked: RunGait.Goal, stops: int) -> None:
+        """Begin the run of a goal that was received after a number of stops. Raises DriverError."""
         hardware = self._hardware()
         if hardware is None:
             raise DriverError("the driver is not configured: configure and activate it first")
-        asked, gait = goal.request, gait_from(goal.request.gait)
+        gait = gait_from(asked.gait)
         end = RunEnd(asked.cycles, asked.grooves, asked.distance)
         cycles = end.most_cycles(gait, hardware.robot.limits)
         if end.needs_tracker and not self._sees_robot():
@@ -185,14 +211,14 @@ class RunGaitAction:
                 "a run that ends by grooves or distance needs the topic tracker, which is silent"
             )
         owner = Owner(self._patience(asked.heartbeat), time.monotonic())
-        number = hardware.loop.ask(
-            lambda now: hardware.robot.start(now, gait, cycles), undo=hardware.robot.cancel
-        )
-        current = _Current(goal, number, Future(), RunRecord(), end, owner)
-        self._runs.append(current)
-        if goal.is_cancel_requested:  # faster than this callback
-            hardware.loop.submit(hardware.robot.cancel)
-        return current
+
+        def start(now: float) -> int:
+            if self._server.stops != stops:
+                raise LimitError("a stop came after this goal: send it again")
+            return hardware.robot.start(now, gait, cycles)
+
+        number = hardware.loop.ask(start, undo=hardware.robot.cancel)
+        self._runs.append(_Current(goal_id, number, Future(), RunRecord(), end, owner))
 
     def _patience(self, asked: float) -> float:
         """Raises LimitError."""
@@ -201,8 +227,9 @@ class RunGaitAction:
         demanded: float = self._node.get_parameter(HEARTBEAT).value
         return patience_of(asked, demanded)
 
-    def _finish(self, current: _Current, outcome: Run | str) -> RunGait.Result:
-        goal = current.goal
+    def _finish(
+        self, goal: ServerGoalHandle, current: _Current, outcome: Run | str
+    ) -> RunGait.Result:
         if isinstance(outcome, str):
             goal.abort()
             return _no_result(outcome)
@@ -223,7 +250,7 @@ class RunGaitAction:
 
     def _give_feedback(self, current: _Current, run: Run, snapshot: Snapshot) -> None:
         now = snapshot.command_time
-        if now < current.next_feedback:
+        if current.goal is None or now < current.next_feedback:
             return
         current.next_feedback = now + _FEEDBACK_PERIOD
         record, hardware = current.record, self._hardware()
@@ -247,6 +274,10 @@ class RunGaitAction:
         complete = not positions or positions[-1][0] >= run.end + _TRACKER_AFTERWARDS
         if complete or now > run.end + _TRACKER_PATIENCE:
             current.done.set_result(run)
+
+
+def _id(goal: ServerGoalHandle) -> bytes:
+    return bytes(goal.goal_id.uuid)
 
 
 def _elapsed(run: Run, snapshot: Snapshot) -> float:

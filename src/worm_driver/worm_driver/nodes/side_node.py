@@ -2,7 +2,9 @@
 """A second node with an executor and a thread of its own, for what must be served while the first one is busy."""
 
 import threading
+from collections.abc import Sequence
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -26,9 +28,8 @@ class SideNode:
             namespace=main.get_namespace(),
             cli_args=["--ros-args", "-r", f"__node:={name}"],  # before the process's own __node:=
             enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
+        self.node.add_on_set_parameters_callback(self._reject)
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, name=purpose, daemon=True)
 
@@ -41,6 +42,11 @@ class SideNode:
         self._ending.set()
         self._thread.join()
         self.node.destroy_node()
+
+    def _reject(self, _: Sequence[Parameter]) -> SetParametersResult:
+        """Reject every parameter, use_sim_time included, as none would have an effect here."""
+        reason = f"{self.node.get_name()} has no parameters of its own: set those of the main node"
+        return SetParametersResult(successful=False, reason=reason)
 
     def _serve(self) -> None:
         executor = SingleThreadedExecutor(context=self.node.context)

@@ -1,50 +1,68 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must be heard while the driver's own thread is busy: ``stop``, ``emergency_stop`` and the heartbeat."""
+"""Services and topics that are served while the driver's own thread is busy: stop, emergency stop, heartbeat."""
 
 import math
 from collections.abc import Callable, Iterator
 
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from worm_driver.control.emergency import EmergencyLatch
+from worm_driver.control.emergency import EmergencyLatch, StopPublishers
 from worm_driver.control.hardware import Hardware
 from worm_driver.errors import DriverError
+from worm_driver.nodes.identified_subscription import IdentifiedSubscription
 from worm_driver.nodes.side_node import SideNode
 from worm_msgs.msg import Heartbeat
 from worm_msgs.qos import LATCHED
 
 #: no request is dropped, however many wait: whoever calls stop gets an answer
 _EVERY_CALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-#: what is said once is not lost, even where the publisher has found the driver, but not yet the driver the publisher
-_ONCE = QoSProfile(depth=10)
-#: matches every publisher, also one that promises nothing
-_ANYBODY = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: subscriptions to the emergency stop: also to messages that were sent before the driver began; to messages that
+#: are sent once, none of which is lost; and to publishers that promise nothing
+_EMERGENCY_QOS = (
+    LATCHED,
+    QoSProfile(depth=10),
+    QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT),
+)
+_EMERGENCY = "emergency_stop"
 
 
 class StopServices:
-    """Served by a node beside the driver's, in its own thread; ``opened`` raises DriverError while nothing is open."""
+    """Served by a node beside the driver's, in its own thread.
+
+    Args:
+        node: the driver's.
+        opened: raises DriverError while nothing is open.
+        emergency: is set by the topic.
+        cancel_goals: rejects the goals that were received and have not begun.
+        on_heartbeat: takes each heartbeat.
+    """
 
     def __init__(
         self,
         node: Node,
         opened: Callable[[], Hardware],
         emergency: EmergencyLatch,
+        cancel_goals: Callable[[], None],
         on_heartbeat: Callable[[Heartbeat], None],
     ) -> None:
         self._logger = node.get_logger()
         self._opened = opened
         self._emergency = emergency
+        self._cancel_goals = cancel_goals
         self._side = SideNode(node, "stop")
         side = self._side.node
         self._stop = side.create_service(Trigger, "stop", self._on_stop, qos_profile=_EVERY_CALL)
+        side.create_service(
+            Trigger, "reset_emergency_stop", self._on_reset, qos_profile=_EVERY_CALL
+        )
         side.create_subscription(Heartbeat, "heartbeat", on_heartbeat, 100)
-        # Also what was said before this driver began, which may be a stop but takes none back; from anybody.
-        side.create_subscription(Bool, "emergency_stop", self._on_kept_emergency, LATCHED)
-        side.create_subscription(Bool, "emergency_stop", self._on_emergency, _ONCE)
-        side.create_subscription(Bool, "emergency_stop", self._on_emergency, _ANYBODY)
+        self._publishers = StopPublishers()
+        self._emergencies = [
+            IdentifiedSubscription(side, _EMERGENCY, qos, self._on_emergency)
+            for qos in _EMERGENCY_QOS
+        ]
         self._side.start()
 
     def close(self) -> None:
@@ -54,6 +72,7 @@ class StopServices:
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """One stop answers all who have called by then, as it takes a cycle."""
         others = list(self._further_stops())
+        self._cancel_goals()
         try:
             hardware = self._opened()
             hardware.loop.insist(
@@ -74,19 +93,21 @@ class StopServices:
             while (header := handle.service_take_request(Trigger.Request)[1]) is not None:
                 yield header
 
-    def _on_kept_emergency(self, word: Bool) -> None:
-        if word.data:
-            self._on_emergency(word)
+    def _present(self) -> dict[bytes, str]:
+        """Return the publishers of the emergency stop that are there now: the node of each by its identifier."""
+        return {
+            bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in self._side.node.get_publishers_info_by_topic(_EMERGENCY)
+        }
 
-    def _on_emergency(self, word: Bool) -> None:
-        """Nothing starts from here on, and what moves holds."""
-        if word.data != self._emergency.on:
-            problem = self._emergency.set(word.data)
-            self._logger.error(
-                f"EMERGENCY STOP {'on: nothing starts' if word.data else 'off'}. {problem}".strip()
-            )
-        if not word.data:
+    def _on_emergency(self, publisher: bytes, sent_ns: int, stops: bool) -> None:  # noqa: FBT001
+        """Latch true: from then on nothing starts, what moves holds. A false clears nothing."""
+        if not self._publishers.note(publisher, sent_ns, stops, self._present()) or not stops:
             return
+        self._cancel_goals()
+        if not self._emergency.on:
+            problem = self._emergency.latch()
+            self._logger.error(f"EMERGENCY STOP on: nothing starts. {problem}".strip())
         try:
             hardware = self._opened()
         except DriverError:
@@ -94,3 +115,24 @@ class StopServices:
         hardware.loop.submit(
             lambda now: hardware.robot.stop(now, "the emergency stop is on"), patience=math.inf
         )
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Clear the emergency stop, unless a publisher still holds it."""
+        for subscription in self._emergencies:  # what was published before the request counts
+            subscription.drain()
+        present = self._present()
+        stopping = self._publishers.stopping(present)
+        if stopping:
+            nodes = sorted({present.get(publisher, "an unknown node") for publisher in stopping})
+            last = f"the last message on {_EMERGENCY} of {', '.join(nodes)} is true"
+            response.success = False
+            response.message = f"{last}: publish false there first, then reset"
+            return response
+        gone = self._publishers.forget_absent(present)
+        problem = self._emergency.reset() if self._emergency.on else ""
+        response.success = not problem
+        response.message = problem or "the emergency stop is off: starts are permitted"
+        if gone and not problem:
+            response.message += f" ({gone} of its publishers ended without taking it back)"
+        self._logger.error(f"EMERGENCY STOP reset: {response.message}")
+        return response

@@ -85,7 +85,9 @@ class TelemetryPublisher:
         self.latest = snapshot
         initial = hardware.settings.body.initial_length
         self._joint_states.publish(
-            driver_messages.joint_state(hardware.joint_names, snapshot, clocks)
+            driver_messages.joint_state(
+                hardware.joint_names, hardware.joint_models, snapshot, clocks
+            )
         )
         if not math.isnan(snapshot.commanded):
             self._commanded.publish(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node ``tracker``: images in, positions of both modules out, with the stamps of the images."""
+"""Node ``tracker``: publishes the positions of both modules, measured in camera images."""
 
 import sys
 import time
@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -27,37 +26,45 @@ from worm_driver.tracking.tracker import Tracker as ModuleTracker
 from worm_driver.tracking.tracker_report import TrackerReport
 from worm_driver.tracking.tracker_setup import load_setup
 from worm_driver.tracking.tracking_errors import ImageError, SetupError, TrackingError
+from worm_msgs import readiness
 from worm_msgs.node_command import declare, run_node
+from worm_msgs.parameter_rows import ParameterRow
 from worm_msgs.ros_process import Ending, spare_pauses
 
-#: Stands for the setup file of the virtual robot's camera
+#: Value of setup_file that selects the setup of the virtual robot's camera.
 VIRTUAL = "virtual"
 TOPIC = "topic"
 _TRANSPORTS = ("raw", "compressed")
-_DIFFERENT = 1e-3  # relative, between the calibration of the setup file and that of the topic
-_PARAMETERS = (
-    ("setup_file", "", f"The rig (YAML); {VIRTUAL}: that of the virtual robot's camera."),
-    ("source", TOPIC, "topic, a V4L2 device such as /dev/video0, a film, or a folder of images."),
-    ("image_transport", "raw", "Of the topic: raw or compressed."),
+_DIFFERENT = (
+    1e-3  # largest relative difference between the calibrations of the setup file and of the topic
+)
+_PARAMETERS = tuple(
+    ParameterRow(name, default, text, read_only=True)
+    for name, default, text in (
+        ("setup_file", "", f"The rig (YAML); {VIRTUAL}: that of the virtual robot's camera."),
+        (
+            "source",
+            TOPIC,
+            "topic, a V4L2 device such as /dev/video0, a video, or a folder of images.",
+        ),
+        ("image_transport", "raw", "Of the topic: raw or compressed."),
+    )
 )
 _NANOSECONDS = 10**9
 
 
-def rows() -> list[tuple[str, str, ParameterDescriptor]]:
-    """Name, default and descriptor of every parameter."""
-    return [
-        (name, default, ParameterDescriptor(description=text, read_only=True))
-        for name, default, text in _PARAMETERS
-    ]
+def rows() -> tuple[ParameterRow, ...]:
+    """Return every parameter."""
+    return _PARAMETERS
 
 
 class TrackerNode(Node):
-    """See the module. Raises TrackingError where the parameters cannot be used."""
+    """Tracker node. Raises TrackingError if the parameters are invalid."""
 
     def __init__(self) -> None:
         super().__init__("tracker")
         declare(self, rows)
-        texts = {name: str(self.get_parameter(name).value) for name, _, _ in _PARAMETERS}
+        texts = {row.name: str(self.get_parameter(row.name).value) for row in _PARAMETERS}
         self._setup = load_setup(_setup_path(texts["setup_file"]))
         self._detector = vision.MarkerDetector(self._setup.dictionary)
         self._tracker = None if self._setup.camera is None else ModuleTracker(self._setup)
@@ -65,7 +72,7 @@ class TrackerNode(Node):
         self._positions = PositionPublisher(self, 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._frames: FrameThread | None = None
-        self._deaf = False
+        self._qos_incompatible = False
         self.failure: TrackingError | None = None
         if texts["source"] == TOPIC:
             self._subscribe(texts["image_transport"])
@@ -79,8 +86,8 @@ class TrackerNode(Node):
         self.create_subscription(
             CameraInfo, "camera/camera_info", self._on_info, qos_profile_sensor_data
         )
-        # An image goes in pieces, of which a best-effort subscriber loses some; a reliable one hears no best-effort
-        # camera, of which it is told.
+        # An image is sent in fragments, of which a best-effort subscriber loses some. A reliable subscriber does not
+        # match a best-effort camera; the middleware then reports incompatible QoS.
         self._transport = transport
         self._images = self._subscribe_images(QoSProfile(depth=2))
 
@@ -99,9 +106,8 @@ class TrackerNode(Node):
         )
 
     def _on_incompatible(self, _: object) -> None:
-        self._deaf = (
-            True  # mended at the next report: an event's subscription may not end within it
-        )
+        # Handled at the next report: a subscription must not be destroyed within its own event.
+        self._qos_incompatible = True
 
     def _open(self, source: str) -> None:
         if self._tracker is None:
@@ -113,7 +119,7 @@ class TrackerNode(Node):
         self._frames.start()
 
     def close(self) -> None:
-        """Lets go of a camera."""
+        """Close the camera."""
         if self._frames is not None:
             self._frames.close()
 
@@ -126,13 +132,13 @@ class TrackerNode(Node):
             camera = make_camera_model(size, list(message.k), model, list(message.d))
         except SetupError as error:
             if self._setup.camera is None:
-                self._refuse(f"camera_info: {error}")
+                self._reject_images(f"camera_info: {error}")
             return
         if self._setup.camera is None:
             if self._tracker is None or self._tracker.camera != camera:
                 self._tracker = ModuleTracker(self._setup, camera)
         elif _differ(self._setup.camera, camera):
-            text = "the calibration on camera_info is not that of the setup file, which is used"
+            text = "the calibration on camera_info differs from the setup file's, which is used"
             self.get_logger().warning(text, once=True)
 
     def _on_image(self, message: Image) -> None:
@@ -141,7 +147,7 @@ class TrackerNode(Node):
             size = message.height, message.width, message.step
             image = vision.grey(data, *size, message.encoding)
         except ImageError as error:
-            self._refuse(str(error))
+            self._reject_images(str(error))
             return
         self._see(image, message.header.stamp)
 
@@ -149,71 +155,73 @@ class TrackerNode(Node):
         try:
             image = vision.decode_image(bytes(message.data))
         except ImageError as error:
-            self._refuse(str(error))
+            self._reject_images(str(error))
             return
         self._see(image, message.header.stamp)
 
     def _on_arrival(self) -> None:
         assert self._frames is not None
-        while (frame := self._frames.take()) is not None:
+        while (frame := self._frames.next_frame()) is not None:
             age = time.monotonic() - frame.time
             now = self.get_clock().now().nanoseconds
             self._see(frame.image, _time(now - round(age * _NANOSECONDS)))
         if self._frames.ended:
-            self.failure = self._frames.failure or ImageError("the images are at their end")
+            self.failure = self._frames.failure or ImageError("the source has no more images")
 
     # --- positions out --------------------------------------------------------------------------
 
     def _see(self, image: vision.Image, stamp: Time) -> None:
         if self._tracker is None:
-            self._refuse("no camera_info yet: the images cannot be used")
+            self._reject_images("no camera_info yet: the images cannot be used")
             return
         camera = self._tracker.camera
         try:
             check_size(image, (camera.width, camera.height), "the image")
         except ImageError as error:
-            self._refuse(str(error))
+            self._reject_images(str(error))
             return
         nanoseconds = stamp.sec * _NANOSECONDS + stamp.nanosec
         sample = self._tracker.see(self._detector.detect(image), nanoseconds / _NANOSECONDS)
         self._report.count(sample)
-        if sample.news:
-            self.get_logger().warning(sample.news)
+        if sample.event:
+            self.get_logger().warning(sample.event)
         exposed = _time(nanoseconds - round(self._setup.delay * _NANOSECONDS))
         self._positions.publish(exposed, sample.rear, sample.front)
 
-    def _refuse(self, problem: str) -> None:
-        if self._report.refuse(problem):
+    def _reject_images(self, problem: str) -> None:
+        if self._report.set_problem(problem):
             self.get_logger().error(problem)
 
-    def _hear_best_effort(self) -> None:
-        """Subscribes again, for a camera that publishes best effort."""
-        self._deaf = False
+    def _subscribe_best_effort(self) -> None:
+        """Subscribe again, for a camera that publishes with best effort."""
+        self._qos_incompatible = False
         self.destroy_subscription(self._images)
         quality = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._images = self._subscribe_images(quality)
 
     def _publish_report(self) -> None:
-        if self._deaf:
-            self._hear_best_effort()
+        if self._qos_incompatible:
+            self._subscribe_best_effort()
         stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(
             driver_messages.diagnostics(
-                [self._report.take()], stamp, self.get_namespace().strip("/")
+                [self._report.next_report()], stamp, self.get_namespace().strip("/")
             )
         )
 
 
 def _setup_path(text: str) -> Path:
     if not text:
-        raise SetupError("setup_file is missing: give the rig, -p setup_file:=tracker.yaml")
+        raise SetupError(
+            "setup_file is missing: name the tracker's setup file, -p setup_file:=tracker.yaml"
+        )
     if text == VIRTUAL:
         return Path(str(files("worm_driver").joinpath("config/virtual_tracker.yaml")))
     return Path(text).expanduser()
 
 
 def _differ(one: CameraModel, other: CameraModel) -> bool:
-    """Whether two calibrations see something else."""
+    """Return True if two calibrations differ."""
     if (one.width, one.height, one.model) != (other.width, other.height, other.model):
         return True
     numbers = [np.array([*m.focal, *m.centre]) for m in (one, other)]
@@ -231,13 +239,14 @@ def _run(ended: Ending) -> int:
         executor.add_node(node)
         spare_pauses()
         node.get_logger().info("ready")
+        readiness.announce()
         while not ended() and node.failure is None:
             executor.spin_once(timeout_sec=0.05)
     finally:
         node.close()
         node.destroy_node()
     if isinstance(node.failure, ImageError):
-        print(f"tracker: {node.failure}", file=sys.stderr)  # noqa: T201 (the command's own words)
+        print(f"tracker: {node.failure}", file=sys.stderr)  # noqa: T201 (standard error of the command)
         return 1
     if node.failure is not None:
         raise node.failure
@@ -245,6 +254,6 @@ def _run(ended: Ending) -> int:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Runs the tracker until SIGINT, SIGTERM or SIGHUP, or until its film is at its end."""
-    about = "Tells the positions of both modules from a camera's images, a film or a folder."
+    """Run the tracker until SIGINT, SIGTERM or SIGHUP, or until the video ends."""
+    about = "Measure the positions of both modules in the images of a camera, a video or a folder."
     return run_node("tracker", about, rows, _run, (TrackingError,), args)

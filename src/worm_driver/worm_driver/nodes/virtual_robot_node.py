@@ -32,6 +32,7 @@ from worm_driver.virtual_robot.wire.faults import (
     make_fault,
     parse_fault,
 )
+from worm_msgs import readiness
 from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import Ending, own_arguments, ros_process
 from worm_msgs.srv import InjectFault
@@ -222,6 +223,7 @@ def _run(robot: VirtualRobot, options: argparse.Namespace, ended: Ending) -> Non
         serving.start()
         sys.stdout.write(f"ready: {options.directory}\n")
         sys.stdout.flush()
+        readiness.announce()
         # Where all are asked to end at once, the robot is there until the driver has let go of it.
         while serving.is_alive() and not (ended() and node.endpoints.quiet_for(_QUIET)):
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)

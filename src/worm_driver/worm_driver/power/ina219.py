@@ -3,7 +3,8 @@
 
 Current is the shunt voltage over the shunt's resistance, which needs no calibration register. That register is
 written all the same, for two things that only it gives: the chip's overflow bit works with it, and it reads back 0
-after a brown-out, which is looked at with every sample.
+after a brown-out. Both settings are read back with every sample: a stray write to the configuration changes the range
+of the shunt, and with it the number, without any other sign.
 """
 
 import enum
@@ -40,7 +41,7 @@ class SampleStatus(enum.Enum):
     OVERFLOW = "overflow"
     NOT_READY = "not ready"
     BUS_ERROR = "bus error"
-    SENSOR_RESET = "sensor reset"
+    SENSOR_RESET = "sensor reset"  # the chip had lost its settings, and has got them back
 
 
 @dataclass(frozen=True)
@@ -131,8 +132,7 @@ class INA219:
     def _sample(self, time: float) -> PowerSample:
         bus = self.device.read(BUS)
         shunt = _signed(self.device.read(SHUNT))
-        calibration = self.device.read(CALIBRATION)
-        if calibration != self.calibration:
+        if not self.is_set_up():  # after the measured values, which it vouches for
             self.set_up()
             return PowerSample(time, SampleStatus.SENSOR_RESET)
         if not bus & _READY_BIT:
@@ -159,7 +159,7 @@ def calibration_for(shunt_resistance: float, max_current: float) -> int:
     ConfigurationError: the current does not fit the shunt's +-320 mV, or the register.
     """
     if not (shunt_resistance > 0.0 and max_current > 0.0):
-        raise ConfigurationError("shunt_resistance_ohm and max_current_A must be positive")
+        raise ConfigurationError("shunt_resistance_ohm and max_current_a must be positive")
     if max_current * shunt_resistance > 0.32 * (1.0 + 1e-9):
         raise ConfigurationError(
             f"{max_current:g} A through {shunt_resistance:g} ohm is over the INA219's 320 mV: "
@@ -168,7 +168,7 @@ def calibration_for(shunt_resistance: float, max_current: float) -> int:
     value = int(0.04096 / (max_current / 32768 * shunt_resistance)) & 0xFFFE
     if not 0 < value <= 0xFFFE:
         raise ConfigurationError(
-            f"max_current_A {max_current:g} is too small for {shunt_resistance:g} ohm: raise it"
+            f"max_current_a {max_current:g} is too small for {shunt_resistance:g} ohm: raise it"
         )
     return value
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servo bus, byte for byte: control tables, packets, the port. Knows no robot."""
+"""Servo bus at the level of bytes, packets and registers, without any knowledge of a robot."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes over the servo bus and what went wrong there, as values: nothing of the SDK."""
+"""Values that pass over the servo bus and counters of its failures, independent of the SDK."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ _ERROR_TEXT = {
 
 @dataclass(frozen=True)
 class Identity:
-    """A servo's answer to a ping."""
+    """Answer of a servo to a ping."""
 
     model_number: int
     firmware: int
@@ -24,13 +24,13 @@ class Identity:
 
 @dataclass(frozen=True)
 class Reply:
-    """A servo's part of a sync read.
+    """Part of one servo in a sync read.
 
     Attributes:
-        data: the block that was asked for, in register order.
-        alert: the servo reports a hardware error (see hardware_error_status).
+        data: requested block, in register order.
+        alert: True if the servo reports a hardware error (see hardware_error_status).
         error: error number of the status packet, 0 for none.
-        received: s, monotonic, when its last byte had come.
+        received: time at which its last byte was received, s, monotonic.
     """
 
     data: bytes
@@ -38,19 +38,36 @@ class Reply:
     error: int
     received: float
 
+    def repeats(self, other: "Reply") -> bool:
+        """Return True if both replies have the same content, whatever the times at which they were received."""
+        return (self.data, self.alert, self.error) == (other.data, other.alert, other.error)
+
 
 @dataclass(frozen=True)
 class BusCounters:
-    """How often something went wrong since the port was opened."""
+    """Numbers of exchanges and of failures since the port was opened.
+
+    Attributes:
+        exchanges: exchanges on the bus.
+        timeouts: exchanges in which an answer is missing.
+        corrupt: garbled, unexpected or contradictory answers.
+        errors: answers with an error number.
+        stale: answers that are older than their request.
+        implausible: positions that their servo cannot have reached.
+        withheld: goals that were not written because they are out of bounds.
+        retries: repeated exchanges.
+    """
 
     exchanges: int = 0
     timeouts: int = 0
     corrupt: int = 0
     errors: int = 0
     stale: int = 0
+    implausible: int = 0
+    withheld: int = 0
     retries: int = 0
 
 
 def error_text(number: int) -> str:
-    """What a status packet's error number says, in words."""
+    """Return the meaning of a status packet's error number."""
     return _ERROR_TEXT.get(number, f"answers with error number {number}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibration computes and writes: spools from ruler readings, and the driver's parameter file."""
+"""Results of a calibration: spools from ruler readings, and the driver's parameter file."""
 
 import math
 from collections.abc import Sequence
@@ -12,25 +12,28 @@ from worm_driver.errors import ConfigurationError
 from worm_driver.servos.registers import TICKS_PER_TURN
 from worm_driver.servos.transmission import Fin, Spool
 
-#: m, by which ruler readings may scatter about a straight line
+#: Largest deviation of a ruler reading from the straight line, m.
 _SCATTER = 1.5e-3
-#: m, least change of length that a radius is computed from
+#: Smallest length change from which a radius is computed, m.
 _LEAST_CHANGE = 5e-3
 
 
 @dataclass(frozen=True)
 class Reading:
-    """A servo position (ticks) and the body length (m) that a ruler shows there."""
+    """Position of a servo (ticks) and the body length (m) that a ruler shows at it."""
 
     ticks: int
     length: float
 
 
 def spool_from(servo: int, readings: Sequence[Reading]) -> tuple[Spool, float]:
-    """The spool that fits the readings best, and the largest deviation (m) from it.
+    """Return the spool that fits the readings best, and the largest deviation from it (m).
 
-    The length is a straight line over the position; its slope is the radius, its fall the sign. Raises
-    ConfigurationError: too few readings, too little motion, or readings that fit no straight line.
+    The length is fitted by a straight line over the position. The absolute slope is the radius. A falling line has
+    sign 1.
+
+    Raises:
+        ConfigurationError: There are too few readings, too little motion, or readings off the straight line.
     """
     if len({reading.ticks for reading in readings}) < 2:
         raise ConfigurationError(f"cable servo {servo}: two positions at least are needed")
@@ -52,7 +55,10 @@ def spool_from(servo: int, readings: Sequence[Reading]) -> tuple[Spool, float]:
 
 
 def parameter_text(port: str, baud_rate: int, spools: Sequence[Spool], fins: Sequence[Fin]) -> str:
-    """The driver's parameter file for what was found; all else stays at its default."""
+    """Return the text of the driver's parameter file with the calibrated values.
+
+    Other parameters keep their defaults.
+    """
     parameters: dict[str, object] = {
         "port": port,
         "baud_rate": baud_rate,

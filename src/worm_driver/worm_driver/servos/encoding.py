@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bytes, raw integers and SI values of a register.
+"""Conversions between the bytes, the raw integer and the SI value of a register.
 
-The SDK hands every value back unsigned; two's complement is undone here, and nowhere else.
+The SDK returns every value unsigned. This module is the only place that decodes two's complement.
 """
 
 import math
@@ -10,9 +10,10 @@ from worm_driver.servos.registers import Register
 
 
 def pack(register: Register, raw: int) -> bytes:
-    """Raw value to the register's little-endian bytes.
+    """Return the little-endian bytes of a raw value.
 
-    Raises ValueError: the value does not fit the register.
+    Raises:
+        ValueError: The value does not fit the register.
     """
     try:
         return raw.to_bytes(register.size, "little", signed=register.signed)
@@ -21,9 +22,10 @@ def pack(register: Register, raw: int) -> bytes:
 
 
 def unpack(register: Register, data: bytes) -> int:
-    """The register's little-endian bytes to its raw value, sign and all.
+    """Return the raw value of little-endian bytes, with its sign.
 
-    Raises ValueError: the number of bytes is not the register's size.
+    Raises:
+        ValueError: The number of bytes is not the register's size.
     """
     if len(data) != register.size:
         raise ValueError(f"{register.name} has {register.size} bytes, not {len(data)}")
@@ -31,14 +33,15 @@ def unpack(register: Register, data: bytes) -> int:
 
 
 def unpack_from(register: Register, block: bytes, start: int) -> int:
-    """A register's raw value out of a block of the control table that begins at address ``start``."""
+    """Return the raw value of a register in a block of the control table that begins at address ``start``."""
     return unpack(register, block[register.address - start : register.end - start])
 
 
 def to_raw(register: Register, value: float) -> int:
-    """SI value to the nearest raw value.
+    """Return the raw value that is nearest to an SI value.
 
-    Raises ValueError: the value is not finite, or does not fit the register.
+    Raises:
+        ValueError: The value is not finite, or does not fit the register.
     """
     if not math.isfinite(value):
         raise ValueError(f"{register.name} cannot be {value}")
@@ -48,5 +51,5 @@ def to_raw(register: Register, value: float) -> int:
 
 
 def from_raw(register: Register, raw: int) -> float:
-    """Raw value to the register's unit."""
+    """Return the value in the register's unit."""
     return raw * register.scale

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control tables of the Dynamixel X series, as data.
 
-One frozen row per register, one table per servo model. Names are the e-manual's, in lower case; scales turn a raw
-value into the unit beside it. Sources: ROBOTIS e-manual (control table of each model) and the ``.model`` files of
-DynamixelSDK, which give 0.0239691227 rad/s for the velocity unit that the manual rounds to 0.229 rpm.
+Each register is a frozen row, and each servo model is a table. Names are those of the e-manual in lower case. A scale
+converts a raw value into the unit of its row. Sources are the ROBOTIS e-manual (control table of each model) and the
+``.model`` files of DynamixelSDK. The latter give 0.0239691227 rad/s for the velocity unit, which the manual rounds to
+0.229 rpm.
 """
 
 import math
@@ -11,18 +12,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from worm_msgs.servo_models import SERVO_MODELS, ServoRow
+
 TICKS_PER_TURN = 4096
-#: goal range of extended position mode, ticks (e-manual, operating mode 4)
+#: Goal range of extended position mode, ticks (e-manual, operating mode 4).
 EXTENDED_POSITION_LIMIT = 1_048_575
 
 VELOCITY_MODE = 1
 POSITION_MODE = 3
 EXTENDED_POSITION_MODE = 4
 
-#: value of bus_watchdog once it has expired (e-manual, bus watchdog: -1)
+#: Value of bus_watchdog once it has expired (e-manual, bus watchdog: -1).
 WATCHDOG_EXPIRED = -1
 
-#: bits of hardware_error_status
+#: Bits of hardware_error_status.
 HARDWARE_ERRORS: Mapping[int, str] = MappingProxyType(
     {
         0: "input voltage",
@@ -36,7 +39,7 @@ HARDWARE_ERRORS: Mapping[int, str] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Register:
-    """One row of a control table: ``value = raw * scale`` in ``unit``."""
+    """Row of a control table: ``value = raw * scale`` in ``unit``."""
 
     name: str
     address: int
@@ -47,16 +50,23 @@ class Register:
 
     @property
     def end(self) -> int:
-        """The address after the register's last byte."""
+        """Address after the register's last byte."""
         return self.address + self.size
 
 
 @dataclass(frozen=True)
 class ServoModel:
-    """A servo model: the number that it answers to a ping, and its control table by register name.
+    """Servo model with its model number and its control table by register name.
 
     Attributes:
-        strongest_current: A, largest value that current_limit takes; NaN where there is no such register.
+        number: model number, as answered to a ping.
+        name: name of the model.
+        minimum_firmware: oldest firmware that has a bus watchdog.
+        registers: control table.
+        strongest_current: largest value that current_limit accepts, A; NaN without such a register.
+        torque_constant: stall torque over stall current (e-manual, Specifications), N*m/A; NaN if the servo measures
+            no
+            current.
     """
 
     number: int
@@ -64,10 +74,11 @@ class ServoModel:
     minimum_firmware: int
     registers: Mapping[str, Register] = field(repr=False)
     strongest_current: float = math.nan
+    torque_constant: float = math.nan
 
     @property
     def measures_current(self) -> bool:
-        """False where the servo reports an estimated load ratio in place of a current."""
+        """True if the servo measures its current, False if it reports an estimated load ratio instead."""
         return "present_current" in self.registers
 
     def __getitem__(self, name: str) -> Register:
@@ -134,19 +145,30 @@ def _table(*own: Register) -> Mapping[str, Register]:
     return MappingProxyType({row.name: row for row in (*_COMMON, *own)})
 
 
-XL330_M288 = ServoModel(1200, "XL330-M288-T", 38, _table(*_current(1e-3)), 1.750)
-XL430_W250 = ServoModel(1060, "XL430-W250-T", 38, _table(*_LOAD))
-XM430_W350 = ServoModel(1020, "XM430-W350-T", 38, _table(*_current(2.69e-3)), 1193 * 2.69e-3)
+def _model(row: ServoRow) -> ServoModel:
+    name = f"{row.name}-T"
+    if not row.measures_current:
+        return ServoModel(row.number, name, row.minimum_firmware, _table(*_LOAD))
+    return ServoModel(
+        row.number,
+        name,
+        row.minimum_firmware,
+        _table(*_current(row.current_unit)),
+        row.current_limit * row.current_unit,
+        row.stall_torque / row.stall_current,
+    )
+
 
 MODELS: Mapping[int, ServoModel] = MappingProxyType(
-    {m.number: m for m in (XL330_M288, XL430_W250, XM430_W350)}
+    {row.number: _model(row) for row in SERVO_MODELS}
 )
+XL330_M288, XL430_W250, XM430_W350 = (MODELS[number] for number in (1200, 1060, 1020))
 
-#: the rows that lie at the same address in every model, for exchanges that address several models at once
+#: Rows with the same address in every model, for exchanges with several models at once.
 COMMON: Mapping[str, Register] = _table()
 
 
 def hardware_error_text(status: int) -> str:
-    """The faults named by a hardware_error_status byte, in words."""
+    """Return the names of the faults in a hardware_error_status byte."""
     names = [name for bit, name in HARDWARE_ERRORS.items() if status >> bit & 1]
     return ", ".join(names) if names else f"unknown fault 0x{status:02X}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Linux has to say about a serial port: its FTDI latency timer, its locks, and why it cannot be opened."""
+"""Information from Linux about a serial port: its FTDI latency timer, its locks, and why it cannot be opened."""
 
 import contextlib
 import errno
@@ -10,19 +10,19 @@ import termios
 from pathlib import Path
 
 _SYSFS = Path("/sys/bus/usb-serial/devices")
-#: majors of the slave side of pseudo-terminals (Linux, Documentation/admin-guide/devices.txt)
+#: Majors of the slave side of pseudo-terminals (Linux, Documentation/admin-guide/devices.txt).
 _PTY_MAJORS = range(136, 144)
-#: majors of /dev/null and its kind, of virtual consoles and serial ports, and of /dev/tty, /dev/console and /dev/ptmx
+#: Majors of memory devices such as /dev/null, and of consoles, serial ports, /dev/tty, /dev/console and /dev/ptmx.
 _MEMORY_MAJORS = (1,)
 _CONSOLE_MAJORS = (4, 5)
-#: minor from which on a device of a console's major is a serial port
+#: Smallest minor of a serial port among the devices with a console's major.
 _SERIAL_MINORS = 64
 
 
 def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:
-    """The latency timer of the USB adapter behind a port, ms; None where it has none (a UART, a pty).
+    """Return the latency timer of the USB adapter behind a port (ms), None if it has none (a UART, a pseudo-terminal).
 
-    An FTDI adapter holds answers back for that long: 16 ms by default, 1 ms is what 100 Hz needs.
+    An FTDI adapter delays answers by up to that time. The default is 16 ms; a rate of 100 Hz requires 1 ms.
     """
     try:
         return int(latency_timer_path(port, sysfs).read_text())
@@ -31,16 +31,16 @@ def latency_timer_ms(port: str, sysfs: Path = _SYSFS) -> int | None:
 
 
 def latency_timer_path(port: str, sysfs: Path = _SYSFS) -> Path:
-    """Where that number is, ms, to be read and written."""
+    """Return the path of the file that holds the latency timer in ms, for reading and writing."""
     return sysfs / Path(port).resolve().name / "latency_timer"
 
 
 def why_no_port(port: str) -> str:
-    """One line on why a path that exists can be no servo bus, with the remedy; empty where it may be one."""
+    """Return why an existing path cannot be a servo bus, with the remedy. Empty if it may be one."""
     try:
         status = Path(port).stat()
     except OSError:
-        return ""  # opening it says why
+        return ""  # opening it reports the reason
     remedy = (
         "set the parameter port to the adapter's device (/dev/worm_bus, or see /dev/serial/by-id)"
     )
@@ -57,7 +57,7 @@ def why_no_port(port: str) -> str:
 
 
 def _own_terminals() -> set[int]:
-    """Device numbers of the terminals that this process reads from and writes to, or belongs to."""
+    """Return the device numbers of this process's terminals: its standard streams and its controlling terminal."""
     terminals = set()
     for descriptor in (0, 1, 2):
         with contextlib.suppress(OSError):
@@ -69,22 +69,22 @@ def _own_terminals() -> set[int]:
 
 
 def refuse_other_openers(descriptor: int) -> None:
-    """Makes the kernel refuse further opens of a tty, by programs that know no lock file too.
+    """Make the kernel reject further opens of a tty, also by programs that ignore lock files.
 
-    A pseudo-terminal is left out: the mark outlives its opener there, as the other side holds it open.
+    A pseudo-terminal is excluded, because its other side keeps it open and the mark would outlive its opener.
     """
     if os.major(os.fstat(descriptor).st_rdev) not in _PTY_MAJORS:
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
 
 
 def admit_other_openers(descriptor: int) -> None:
-    """Takes the mark of refuse_other_openers back."""
+    """Undo `refuse_other_openers`."""
     with contextlib.suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCNXCL)
 
 
 def explain_open_failure(port: str, error: Exception) -> str:
-    """One line on why a port could not be opened, with the remedy."""
+    """Return why a port could not be opened, with the remedy."""
     number = getattr(error, "errno", None)
     if not Path(port).exists():
         return (

@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The servo bus: Dynamixel Protocol 2.0 through dynamixel_sdk. The only module that imports it.
+"""Servo bus: Dynamixel Protocol 2.0 through dynamixel_sdk. No other module imports that package.
 
-What version 4.1.0 of the SDK does behind its caller's back is put right here:
+This module corrects the following defects of version 4.1.0 of the SDK:
 
-- it sends packets unstuffed, and takes stuffing out wrongly: ``_PacketHandler``;
-- it measures timeouts by the wall clock, spins while it waits, and reads on for ever while bytes keep coming:
-  ``BusPort``;
-- it takes a late answer for the answer to the next question: after a failed exchange the next question waits for a
-  quiet line, an answer must have the length asked for, and ``tick_clock`` checks the servo's own time in a block;
-- it gives up by the clock without a look at what has come: a process that was held up reads that first;
-- its GroupSyncRead forgets error and alert bytes, and loses good answers with a missing one: ``sync_read``;
-- its busy flag sticks after an exception, and is no lock: ``_exchange``;
-- it opens a port that another program uses: ``BusPort.setupPort``.
+- It sends packets without byte stuffing and removes stuffing incorrectly. See ``_PacketHandler``.
+- It measures timeouts by the wall clock, spins while it waits, and never stops reading while bytes arrive. See
+  ``BusPort``.
+- It mistakes a late answer for the answer to the next request. After a failed exchange the next request waits for a
+  quiet line, and an answer must have the requested length. ``tick_clock`` checks the servo's own time in a block.
+- Its timeout expires without a look at received bytes. A process that was suspended reads those first.
+- Its GroupSyncRead drops error and alert bytes, and loses good answers together with a missing one. It also accepts
+  an answer with another servo's id. See ``sync_read`` and ``_attempt``.
+- Its busy flag stays set after an exception, and is not a lock. See ``_exchange``.
+- It opens a port that another program uses. See ``BusPort.setupPort``.
 """
 
 import contextlib
@@ -43,30 +44,30 @@ from worm_driver.servos.stuffing import stuff, unstuff
 
 BROADCAST = 254
 
-#: what to look at when a servo is silent: all that explains it, as silence does not say which
+#: Remedy for a silent servo. It names all possible causes, as silence does not distinguish them.
 SILENCE_REMEDY = (
     "check its power, its cable, its id and the baud rate (of a virtual robot: that it runs, and that no fault was "
     "injected)"
 )
 
-#: s, after which a write is given up: pyserial would wait for ever for an adapter that takes no bytes
+#: Timeout of a write, s. pyserial would wait forever for an adapter that accepts no bytes.
 _WRITE_TIMEOUT = 0.05
-#: repetitions of an exchange while setting up
+#: Repetitions of an exchange during setup.
 _PATIENT_RETRIES = 8
-#: s, after which no answer is taken to be on its way any more, while setting up; shorter than the servos' bus watchdog
+#: Largest delay of an answer during setup, s. It is shorter than the servos' bus watchdog.
 _LATEST = 0.06
-#: bytes that may be read of a question whose time is over: more than have come while the process was held up is babble
+#: Largest number of bytes read after the timeout of a request. More bytes cannot be answers that waited to be read.
 _LEFT_OVER = 4096
-# Where things stand in a packet; stuffing covers all from the instruction on.
+# Indices of a packet's fields. Stuffing covers everything from the instruction on.
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
 _ALERT = 0x80
 
 
 class BusPort(PortHandler):
-    """The SDK's port: monotonic time, waiting without spinning, exclusive.
+    """The SDK's port with monotonic time, sleeping waits and exclusive access.
 
     Attributes:
-        latency: s, how long the adapter may hold an answer back.
+        latency: longest time that the adapter delays an answer, s.
     """
 
     def __init__(self, path: str, baud_rate: int):
@@ -78,47 +79,47 @@ class BusPort(PortHandler):
         self._left_over = 0
 
     def go_by(self, clock: Clock) -> None:
-        """Has the thread that uses the port go by another clock, before the first exchange."""
+        """Set the clock of the thread that uses the port. Call it before the first exchange."""
         self._clock = clock
 
     def getCurrentTime(self) -> float:  # noqa: N802 (the SDK's name)
-        """Now, ms: immune to a step of the wall clock."""
+        """Return the monotonic time, ms. A step of the wall clock does not change it."""
         return self._clock() * 1e3
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
-        """Starts the wait for an answer of a length."""
+        """Start the timeout for an answer of a length (bytes)."""
         self.begin_wait(self.answer_time(packet_length))
 
     def begin_wait(self, duration: float) -> None:
-        """Starts a wait of a duration (s)."""
+        """Start a timeout of a duration (s)."""
         self._left_over = _LEFT_OVER
         self.setPacketTimeoutMillis(duration * 1e3)
 
     def answer_time(self, packet_length: int) -> float:
-        """How long (s) an answer may take: its time on the wire, twice the latency, and 2 ms."""
+        """Return the longest duration of an answer (s): its transmission time, twice the latency, and 2 ms."""
         return self.tx_time_per_byte * packet_length * 1e-3 + self.quiet_time
 
     @property
     def remaining(self) -> float:
-        """What is left of the wait, s; 0 when it is over."""
+        """Time that is left of the timeout, s; 0 after it has expired."""
         return max(0.0, self.packet_timeout - self.getTimeSinceStart()) * 1e-3
 
     @property
     def expects(self) -> bool:
-        """Whether an answer may still come, or has come unread while the process was held up."""
+        """True if an answer may still arrive, or was received but not read while the process was suspended."""
         return self.remaining > 0.0 or (self._left_over > 0 and self._wait(0.0))
 
     def isPacketTimeout(self) -> bool:  # noqa: N802
-        """Whether the wait is over."""
+        """Return True if the timeout has expired."""
         return self.remaining <= 0.0
 
     @property
     def quiet_time(self) -> float:
-        """How long the line must be silent before nothing late can be on its way, s."""
+        """Duration of silence after which no late answer can arrive, s."""
         return 2 * self.latency + 2e-3
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
-        """Up to ``length`` bytes; sleeps until some are there or the wait is over."""
+        """Return up to ``length`` bytes. Sleep until some are available or the timeout expires."""
         remaining = self.remaining
         if length <= 0 or self._left_over <= 0 or not self._wait(remaining):
             return b""
@@ -128,7 +129,11 @@ class BusPort(PortHandler):
         return data
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
-        """Sends all bytes. Raises OSError when the device takes none for too long."""
+        """Send all bytes and return their number.
+
+        Raises:
+            OSError: The device accepts no bytes for too long.
+        """
         left = memoryview(bytes(packet))
         device = self.ser.fileno()
         while left:
@@ -140,7 +145,7 @@ class BusPort(PortHandler):
         return len(packet)
 
     def discard_until_quiet(self, quiet: float, longest: float) -> None:
-        """Throws bytes away until none came for a time (s), for at most ``longest`` s."""
+        """Discard bytes until the line is quiet for a time (s), for at most ``longest`` s."""
         end = self._clock() + longest
         while self._clock() < end and self._wait(quiet):
             self._read(4096)
@@ -151,11 +156,11 @@ class BusPort(PortHandler):
         return data
 
     def _wait(self, timeout: float) -> bool:
-        """Whether bytes are there within a time (s), at once for 0."""
+        """Return True if bytes are available within a timeout (s). A timeout of 0 returns immediately."""
         return self._clock.wait_readable(self.ser.fileno(), timeout)
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
-        """Opens the device for this process alone."""
+        """Open the device for exclusive use by this process."""
         if self.is_open:
             self.closePort()
         self.ser = serial.Serial(self.port_name, cflag_baud, timeout=0, exclusive=True)
@@ -170,7 +175,7 @@ class BusPort(PortHandler):
         return True
 
     def closePort(self) -> None:  # noqa: N802
-        """Closes the device, and lets others open it."""
+        """Close the device and permit other programs to open it."""
         if self.is_open:
             self.is_open = False
             serial_port.admit_other_openers(self.ser.fileno())
@@ -178,10 +183,10 @@ class BusPort(PortHandler):
 
 
 class _PacketHandler(Protocol2PacketHandler):
-    """The SDK's packet handler with byte stuffing that reaches the wire."""
+    """The SDK's packet handler with byte stuffing in the packets that are sent."""
 
     def addStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
-        """Stuffs in place: the SDK drops what this returns, and sends the list that it passed."""
+        """Stuff a packet in place, because the SDK ignores the return value and sends the list that it passed."""
         end = _INSTRUCTION + (packet[_LENGTH] | packet[_LENGTH + 1] << 8) - 2
         body = stuff(bytes(packet[_INSTRUCTION:end]))
         packet[_INSTRUCTION:] = [*body, 0, 0]
@@ -189,7 +194,7 @@ class _PacketHandler(Protocol2PacketHandler):
         return packet
 
     def removeStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
-        """The packet without its stuffing, and without bytes that followed it."""
+        """Return the packet without its stuffing and without the bytes that followed it."""
         end = _INSTRUCTION + (packet[_LENGTH] | packet[_LENGTH + 1] << 8) - 2
         body = unstuff(bytes(packet[_INSTRUCTION:end]))
         head = list(packet[:_INSTRUCTION])
@@ -199,14 +204,15 @@ class _PacketHandler(Protocol2PacketHandler):
 
 @dataclass
 class ServoBus:
-    """Exchanges with the servos on one port, with a retry budget. Values are raw.
+    """Exchanges with the servos on one port, with a limited number of retries. Values are raw.
 
-    Every method raises PortError when the port is gone. The object may be handed from thread to thread; two threads
-    at once are kept apart by a lock.
+    Every method raises PortError if the port is gone. Threads may share the object, as a lock separates their
+    exchanges.
 
     Attributes:
-        port: an open port.
-        retries: how often a failed exchange is repeated.
+        port: open port.
+        retries: number of repetitions of a failed exchange.
+        counters: numbers of exchanges and failures.
     """
 
     port: BusPort
@@ -222,16 +228,19 @@ class ServoBus:
     def open(
         path: str, baud_rate: int, latency: float | None = None, retries: int = 1
     ) -> "ServoBus":
-        """Opens a serial port exclusively.
+        """Open a serial port exclusively.
 
         Args:
+            path: path of the port.
             baud_rate: bit/s.
-            latency: s, how long the adapter may hold an answer back; None: as long as its latency timer says
-                once the port is open, for opening asks the adapter to be quick.
+            latency: longest time that the adapter delays an answer, s. None: its latency timer, read after the port
+                was
+                opened, because opening it requests a low latency.
+            retries: number of repetitions of a failed exchange.
 
         Raises:
-            PortError: it is missing, forbidden or in use; the message says what to do.
-            ConfigurationError: the SDK does not know the baud rate, or the path is no serial device.
+            PortError: The port is missing, forbidden or in use. The message contains the remedy.
+            ConfigurationError: The SDK does not know the baud rate, or the path is not a serial device.
         """
         if reason := serial_port.why_no_port(path):
             raise ConfigurationError(reason)
@@ -241,7 +250,7 @@ class ServoBus:
                 raise ConfigurationError(
                     f"baud rate {baud_rate} is not one that the SDK can set: see addr 8 (baud_rate)"
                 )
-        # SerialException is an OSError; termios.error is none
+        # SerialException is an OSError, termios.error is not.
         except (OSError, termios.error) as error:
             raise PortError(serial_port.explain_open_failure(path, error)) from error
         if latency is None:
@@ -250,16 +259,16 @@ class ServoBus:
         return ServoBus(port, retries)
 
     def close(self) -> None:
-        """Closes the port; harmless when it is closed or gone."""
+        """Close the port. Has no effect if it is closed or gone."""
         with contextlib.suppress(OSError):
             self.port.closePort()
 
     @contextlib.contextmanager
     def patient(self, retries: int = _PATIENT_RETRIES) -> Iterator[None]:
-        """For set-up, where an answer counts more than its time.
+        """Enter a context for setup, in which an answer matters more than its duration.
 
-        Failed exchanges are repeated more often; and the first question, like each one after a failure, waits until no
-        older answer can be on its way.
+        Failed exchanges are repeated more often. The first request, and each one after a failure, waits until no older
+        answer can arrive.
         """
         before = self.retries, self._quiet
         self.retries, self._quiet = max(self.retries, retries), _LATEST
@@ -270,38 +279,63 @@ class ServoBus:
             self.retries, self._quiet = before
 
     def ping(self, servo: int) -> Identity:
-        """Model number and firmware of a servo. Raises BusError."""
+        """Return the model number and the firmware of a servo.
+
+        Raises:
+            BusError: The servo does not answer correctly.
+        """
         packet = [0] * 10
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 3, 1
         data = self._command(servo, packet, 3)
         return Identity(data[0] | data[1] << 8, data[2])
 
     def read(self, servo: int, register: Register) -> int:
-        """A register's raw value. Raises BusError."""
+        """Return a register's raw value.
+
+        Raises:
+            BusError: The servo does not answer correctly.
+        """
         return unpack(register, self.read_block(servo, register.address, register.size))
 
     def read_block(self, servo: int, start: int, size: int) -> bytes:
-        """A block of the control table. Raises BusError."""
+        """Return a block of the control table.
+
+        Raises:
+            BusError: The servo does not answer correctly.
+        """
         packet = [0] * 14
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 7, 2
         packet[8:12] = [*start.to_bytes(2, "little"), *size.to_bytes(2, "little")]
         return self._command(servo, packet, size)
 
     def write(self, servo: int, register: Register, raw: int) -> None:
-        """Sets a register, acknowledged by the servo. Raises BusError."""
+        """Write a register with acknowledgement by the servo.
+
+        Raises:
+            BusError: The servo does not acknowledge it.
+        """
         packet = [0] * (12 + register.size)
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 5 + register.size, 3
         packet[8:-2] = [*register.address.to_bytes(2, "little"), *pack(register, raw)]
         self._command(servo, packet, 0)
 
     def reboot(self, servo: int) -> None:
-        """Restarts a servo: torque and turn count are gone afterwards. Raises BusError."""
+        """Restart a servo. It loses its torque and its turn count.
+
+        Raises:
+            BusError: The servo does not acknowledge it.
+        """
         packet = [0] * 10
         packet[_ID], packet[_LENGTH], packet[_INSTRUCTION] = servo, 3, 8
         self._command(servo, packet, 0)
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        """Sets a register of several servos at once; no servo acknowledges. Raises PortError."""
+        """Write a register of several servos at once, without acknowledgement.
+
+        Raises:
+            PortError: The port is gone.
+            BusError: The packet cannot be sent.
+        """
         if not values:
             return
         parameters = [
@@ -316,14 +350,30 @@ class ServoBus:
     def sync_read(
         self, start: int, size: int, servos: Sequence[int]
     ) -> tuple[float, dict[int, Reply]]:
-        """A block of the control table of several servos; one without an intact answer is left out.
+        """Return a block of the control table of several servos. Servos without an intact answer are omitted.
 
-        Returns when the question was sent (s, monotonic), and the replies by id. One attempt and no retry:
-        the caller knows what a repetition is worth. A reply with an error has no data. Raises PortError.
+        There is one attempt without retries, as only the caller can decide about a repetition. A reply with an error
+        has no data. An id is accepted once, and only in the order of the request, in which servos answer. If two
+        answers with the same id differ, neither is accepted.
+
+        Args:
+            start: address of the block.
+            size: size of the block, bytes.
+            servos: ids.
+
+        Returns:
+            Time at which the request was sent (s, monotonic), and the replies by id.
+
+        Raises:
+            PortError: The port is gone.
+            BusError: The packet cannot be sent.
         """
         replies: dict[int, Reply] = {}
+        doubted: set[int] = set()
+        if not servos:
+            return self.now(), replies
         with self._question() as handler:
-            asked = self.port.getCurrentTime() * 1e-3
+            asked = self.now()
             self._check_sent(
                 handler.syncReadTx(self.port, start, size, list(servos), len(servos), False)
             )
@@ -333,33 +383,58 @@ class ServoBus:
                 if packet is None:
                     continue
                 servo, reply = packet[_ID], self._reply(packet)
-                if servo in servos and (len(reply.data) == size or reply.error):
-                    replies.setdefault(servo, reply)
-                else:
+                if servo not in servos or not (len(reply.data) == size or reply.error):
                     self._count(corrupt=1)
+                elif servo in replies:
+                    if not reply.repeats(replies[servo]):
+                        doubted.add(servo)
+                elif any(servos.index(servo) < servos.index(earlier) for earlier in replies):
+                    doubted.add(servo)
+                else:
+                    replies[servo] = reply
+        for servo in doubted:
+            self._count(corrupt=1)
+            replies.pop(servo, None)
         self._count(errors=sum(reply.error != 0 for reply in replies.values()))
         if len(replies) < len(servos):
             self._count(timeouts=1)
             self._settled = False
         return asked, replies
 
+    def now(self) -> float:
+        """Return the time (s, monotonic) of the port's clock."""
+        return self.port.getCurrentTime() * 1e-3
+
     def answer_time(self, size: int, servos: int) -> float:
-        """How long (s) a sync read waits for its answers."""
+        """Return how long (s) a sync read of ``size`` bytes waits for its answers."""
         return self.port.answer_time((11 + size) * servos)
 
     def torque_off_all(self) -> None:
-        """Takes the torque off every servo on the bus, by broadcast and without an answer. Raises PortError."""
+        """Switch the torque of every servo on the bus off, by broadcast and without acknowledgement.
+
+        Raises:
+            PortError: The port is gone.
+            BusError: The packet cannot be sent.
+        """
         with self._exchange() as handler:
             torque = COMMON["torque_enable"]
             self._check_sent(handler.writeTxOnly(self.port, BROADCAST, torque.address, 1, [0]))
 
     def note_stale(self) -> None:
-        """Notes an answer that was older than its question: the next question waits for a quiet line."""
+        """Count an answer that is older than its request. The next request waits for a quiet line."""
         self._count(stale=1)
         self._settled = False
 
+    def note_implausible(self) -> None:
+        """Count a position that its servo cannot have reached."""
+        self._count(implausible=1)
+
+    def note_withheld(self, goals: int) -> None:
+        """Count goals that were not written because they are out of bounds."""
+        self._count(withheld=goals)
+
     def unsettle(self) -> None:
-        """Has the next question begin on a quiet line, where nothing late can arrive any more."""
+        """Make the next request wait for a quiet line, on which no late answer can arrive."""
         self._settled = False
 
     def _command(self, servo: int, packet: list[int], size: int) -> bytes:
@@ -405,7 +480,7 @@ class ServoBus:
         return reply.data
 
     def _receive(self, handler: _PacketHandler) -> list[int] | None:
-        """The next intact status packet within the wait, or None."""
+        """Return the next intact status packet before the timeout, or None."""
         packet, result = handler.rxPacket(self.port, False)
         if result == COMM_SUCCESS and len(packet) >= _PARAMETERS + 2:
             return packet
@@ -420,19 +495,20 @@ class ServoBus:
             self._count(exchanges=1)
             try:
                 yield self._handler
-            # termios.error, which is no OSError: the SDK clears the line before it sends
+            # termios.error is not an OSError. The SDK raises it when it clears the line before it sends.
             except (OSError, termios.error) as error:
                 raise PortError(
-                    f"servo bus {self.port.port_name} is gone ({error}): plug it in again "
-                    "(or start the virtual robot again), then deactivate the driver, or clean it up if it is "
-                    "inactive, and configure it"
+                    f"servo bus {self.port.port_name} is gone ({error}). Connect it again (or start the virtual robot "
+                    "again). Then deactivate the driver if it is active: this fails, as no servo confirms that its "
+                    "torque is off, and leaves it unconfigured. If it is inactive, clean it up. Then configure and "
+                    "activate it"
                 ) from error
             finally:
                 self.port.is_using = False
 
     @contextlib.contextmanager
     def _question(self) -> Iterator[_PacketHandler]:
-        """An exchange with answers: begins on a quiet line."""
+        """Enter an exchange that expects answers. It begins on a quiet line."""
         with self._exchange() as handler:
             if not self._settled:
                 quiet = max(self._quiet, self.port.quiet_time)
@@ -441,8 +517,9 @@ class ServoBus:
             yield handler
 
     def _reply(self, packet: Sequence[int]) -> Reply:
-        error, now = packet[_ERROR], self.port.getCurrentTime() * 1e-3
-        return Reply(bytes(packet[_PARAMETERS:-2]), bool(error & _ALERT), error & ~_ALERT, now)
+        error = packet[_ERROR]
+        data = bytes(packet[_PARAMETERS:-2])
+        return Reply(data, bool(error & _ALERT), error & ~_ALERT, self.now())
 
     def _check_sent(self, result: int) -> None:
         if result != COMM_SUCCESS:

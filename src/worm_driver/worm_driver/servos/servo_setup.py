@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One servo at a time: who is it, is it fit, and setting it up. Used outside of the 100 Hz cycle.
+"""Functions that identify, check and set up one servo at a time, outside of the 100 Hz cycle.
 
-What is decided by is read twice on a quiet line, and what changes a meaning (mode, limits, home) is read back so: an
-answer that is late must not pass for the one to this question. The bus is to be patient meanwhile.
+Values that decide something are read twice on a quiet line. Registers that change a meaning (mode, limits, home) are
+read back in the same way. A late answer must not pass for the answer to the present request. The callers use
+`ServoBus.patient` meanwhile.
 
-The led register of a cable servo is the mark of its home: lit while the turn count is valid. It is RAM, so a reboot
-or a power cut, which fold the turn count, put it out, whoever was watching.
+The led register of a cable servo marks its home. It is lit while the turn count is valid. It is in RAM, so a reboot or
+a power cut, which fold the turn count, always clear it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,28 +26,33 @@ from worm_driver.servos.registers import (
 )
 from worm_driver.servos.servo_bus import ServoBus
 
-#: pairs of readings, of which one must agree
+#: Pairs of readings, of which one must agree.
 _PAIRS = 4
-#: raw, by which two readings of a measured register may differ
+#: Largest difference between two readings of a measured register, raw.
 _UNSTEADY = {"present_position": 3, "present_input_voltage": 3}
-#: ticks, by which a servo may stand off 0 after homing: a robot that was just let go still creeps
+#: Largest difference between two consecutive positions of a servo before it is enabled, ticks.
+_STANDS = 64
+#: Largest distance of a servo from 0 after homing, ticks, as a robot that was just released still creeps.
 _HOME_TOLERANCE = 10
-#: ticks, homing offset the servos accept (e-manual, homing offset)
+#: Largest homing offset that the servos accept, ticks (e-manual, homing offset).
 _HOMING_OFFSET_LIMIT = 1_044_479
 
 
-#: by how much a servo's own limit lies above the level of a fault, so that the fault can be seen
+#: Ratio of a servo's own limit to the level of a fault. It exceeds 1, so that the fault can be detected.
 _HEADROOM = 1.1
 
 
 @dataclass(frozen=True)
 class Servo:
-    """A servo that answered, and what it said of itself.
+    """Identified servo with the limits that it reports.
 
     Attributes:
-        velocity_limit: rad/s, the least of its register and of what the shaft can do.
-        voltage_range: V, least and largest supply that its registers allow.
-        temperature_limit: degC, at which it shuts down.
+        number: id on the bus.
+        model: model with its control table.
+        firmware: firmware version.
+        velocity_limit: velocity limit of its register, rad/s.
+        voltage_range: smallest and largest supply voltage that its registers allow, V.
+        temperature_limit: temperature at which it shuts down, degC.
     """
 
     number: int
@@ -61,9 +67,11 @@ class Servo:
 
 
 def identify(bus: ServoBus, number: int) -> Servo:
-    """Pings a servo and reads its limits.
+    """Ping a servo and read its limits.
 
-    Raises BusError: it does not answer; ConfigurationError: it has no control table here, or too old a firmware.
+    Raises:
+        BusError: The servo does not answer.
+        ConfigurationError: The model has no control table here, or its firmware is too old.
     """
     identity = bus.ping(number)
     model = MODELS.get(identity.model_number)
@@ -86,7 +94,11 @@ def identify(bus: ServoBus, number: int) -> Servo:
 
 
 def registers(bus: ServoBus, servo: Servo, *names: str) -> Mapping[str, int]:
-    """Raw values by name, as two readings on a quiet line agree on them. Raises BusError."""
+    """Return raw values by name, on which two readings on a quiet line agree.
+
+    Raises:
+        BusError: The servo does not answer, or no two readings agree.
+    """
     return _registers(bus, servo.number, servo.model, names)
 
 
@@ -111,7 +123,11 @@ def _registers(
 
 
 def store(bus: ServoBus, servo: Servo, name: str, raw: int) -> None:
-    """Sets a register that others are understood by, and makes sure of it. Raises BusError."""
+    """Write a register that changes the meaning of others, and read it back.
+
+    Raises:
+        BusError: The servo does not answer, or stores another value.
+    """
     bus.write(servo.number, servo[name], raw)
     stored = registers(bus, servo, name)[name]
     if stored != raw:
@@ -121,7 +137,12 @@ def store(bus: ServoBus, servo: Servo, name: str, raw: int) -> None:
 
 
 def check(bus: ServoBus, servo: Servo) -> None:
-    """Raises ConfigurationError when a servo reports a fault, or its supply is out of range."""
+    """Check that a servo reports no fault and that its supply is in range.
+
+    Raises:
+        BusError: The servo does not answer.
+        ConfigurationError: The servo reports a fault, or its supply is out of range.
+    """
     values = registers(bus, servo, "hardware_error_status", "present_input_voltage")
     status = values["hardware_error_status"]
     if status:
@@ -139,24 +160,33 @@ def check(bus: ServoBus, servo: Servo) -> None:
 
 
 def own_limit(servo: Servo, limits: Limits) -> float:
-    """What a cable servo itself limits its output to: A, or a ratio of the load where it measures no current."""
+    """Return a cable servo's own output limit, A, or a ratio of the load if it measures no current."""
     if servo.model.measures_current:
         return min(_HEADROOM * limits.max_current, servo.model.strongest_current)
     return min(_HEADROOM * limits.max_load, 1.0)
 
 
 def fault_level(servo: Servo, limits: Limits) -> float:
-    """Effort above which a cable servo is overloaded; unit as of own_limit."""
+    """Return the effort above which a cable servo is overloaded, in the unit of `own_limit`."""
     return own_limit(servo, limits) / _HEADROOM
 
 
 def prepare(
     bus: ServoBus, servo: Servo, mode: int, settings: Mapping[str, int] = MappingProxyType({})
 ) -> None:
-    """Takes the torque off and sets the EEPROM up: mode, direct drive, answers at once. Raises BusError.
+    """Switch the torque off and set up the EEPROM: mode, direct drive, answers without delay.
 
-    A servo that was in another mode has folded its turn count: its home mark is put out. Only what differs is
-    written, as the EEPROM wears. ``settings`` are further registers by name, raw.
+    A servo that was in another mode has folded its turn count, so its home mark is cleared. Only values that differ
+    are written, as the EEPROM wears out.
+
+    Args:
+        bus: servo bus.
+        servo: the servo.
+        mode: operating mode.
+        settings: further registers by name, raw.
+
+    Raises:
+        BusError: The servo does not answer, or keeps its torque.
     """
     bus.write(servo.number, servo["torque_enable"], 0)
     bus.write(servo.number, servo["status_return_level"], 2)
@@ -172,26 +202,29 @@ def prepare(
 
 
 def cable_settings(servo: Servo, limit: float) -> dict[str, int]:
-    """What a cable servo is set to beside its mode: its own limit (see own_limit) of the current."""
+    """Return the registers that a cable servo needs in addition to its mode, raw by name.
+
+    This is the current limit (see `own_limit`) if the servo measures its current.
+    """
     if not servo.model.measures_current:
         return {}
     return {"current_limit": to_raw(servo["current_limit"], limit)}
 
 
 def prepare_cable(bus: ServoBus, servo: Servo, limit: float) -> None:
-    """As prepare, for a cable servo: extended position mode, and its own limit (see own_limit) of the current."""
+    """Prepare a cable servo: extended position mode, and its own limit of the current (see `own_limit`)."""
     prepare(bus, servo, EXTENDED_POSITION_MODE, cable_settings(servo, limit))
 
 
 def prepare_fin(bus: ServoBus, servo: Servo) -> None:
-    """As prepare, for a fin servo: position mode."""
+    """Prepare a fin servo: position mode."""
     prepare(bus, servo, POSITION_MODE)
 
 
 def held_position(bus: ServoBus, servo: Servo, limit: float) -> int | None:
-    """Where (ticks from home) a cable servo stands that an earlier driver left with its torque on; None for no such.
+    """Return the position (ticks from home) of a cable servo that an earlier driver left with torque, else None.
 
-    Only one that is homed and set up as prepare_cable does; of another the position means nothing.
+    The position has a meaning only if the servo is homed and has the settings of `prepare_cable`.
     """
     wanted = {
         "operating_mode": EXTENDED_POSITION_MODE,
@@ -205,15 +238,23 @@ def held_position(bus: ServoBus, servo: Servo, limit: float) -> int | None:
 
 
 def is_homed(bus: ServoBus, servo: Servo) -> bool:
-    """Whether a cable servo's position 0 is the cable's home. Raises BusError."""
+    """Return True if a cable servo's position 0 is the cable's home.
+
+    Raises:
+        BusError: The servo does not answer.
+    """
     return registers(bus, servo, "led")["led"] == 1
 
 
 def home(bus: ServoBus, cables: Sequence[Servo]) -> None:
-    """Makes the present positions of all cable servos 0, and marks them as homed. Torque must be off.
+    """Set the present positions of all cable servos to 0 and mark the servos as homed. Their torque must be off.
 
-    The marks go out before anything else is written and come back after everything was read back: whatever fails, no
-    servo is marked whose 0 is not the home. Raises HomingError: a servo did not take it; BusError: one does not answer.
+    All marks are cleared before any other write, and set again after everything was read back. After a failure no
+    servo is marked unless its 0 is the home.
+
+    Raises:
+        HomingError: A servo did not accept its new zero.
+        BusError: A servo does not answer.
     """
     for servo in cables:
         store(bus, servo, "led", 0)
@@ -243,19 +284,20 @@ def _set_zero(bus: ServoBus, servo: Servo) -> None:
 def limit_motion(
     bus: ServoBus, servo: Servo, speed: float, watchdog: float, limit: float = 1.0
 ) -> None:
-    """Sets what the servo itself keeps to once it is enabled: speed, output, and the bus watchdog.
+    """Write the limits that the servo itself enforces once it is enabled: speed, output and the bus watchdog.
 
     Args:
-        servo: with its torque off, or left on by an earlier driver.
-        speed: rad/s.
-        watchdog: s without packets.
-        limit: ratio of the load, see own_limit; means nothing where the servo measures its current.
+        bus: servo bus.
+        servo: servo with its torque off, or left on by an earlier driver.
+        speed: speed limit, rad/s.
+        watchdog: time without packets, s.
+        limit: ratio of the load, see `own_limit`; without meaning if the servo measures its current.
 
     Raises:
-        BusError: it does not answer, or refuses.
+        BusError: The servo does not answer, or rejects a value.
     """
     number, profile = servo.number, servo["profile_velocity"]
-    bus.write(number, servo["bus_watchdog"], 0)  # one that has expired refuses all else
+    bus.write(number, servo["bus_watchdog"], 0)  # an expired one rejects all other writes
     bus.write(number, servo["bus_watchdog"], to_raw(servo["bus_watchdog"], watchdog))
     bus.write(number, profile, max(1, to_raw(profile, min(speed, servo.velocity_limit))))
     if not servo.model.measures_current:
@@ -263,38 +305,62 @@ def limit_motion(
         bus.write(number, servo["goal_pwm"], min(most, to_raw(servo["goal_pwm"], limit)))
 
 
-def enable(bus: ServoBus, servo: Servo) -> int:
-    """Torque on, after limit_motion has armed the bus watchdog; returns where (ticks) it holds.
+def standing_position(bus: ServoBus, servo: Servo) -> int:
+    """Return the position of a servo (ticks) on which two consecutive readings agree.
 
-    As short as can be: the servos that are enabled already wait for their first goal. Raises BusError where it
-    does not answer, or refuses, and ConfigurationError where it restarted meanwhile: it has its torque without the
-    limits then, and is to be disabled.
+    A single wrong reading must not become a goal. A body that springs back moves between two readings.
+
+    Raises:
+        BusError: The servo does not answer.
+        CorruptReplyError: No two readings agree.
     """
-    position = bus.read(servo.number, servo["present_position"])
-    bus.write(servo.number, servo["goal_position"], position)
+    before = bus.read(servo.number, servo["present_position"])
+    for _ in range(_PAIRS):
+        position = bus.read(servo.number, servo["present_position"])
+        if abs(position - before) <= _STANDS:
+            return position
+        before = position
+    raise CorruptReplyError(
+        f"servo {servo.number} gives another position each time ({before} ticks at last): check its cable and its "
+        "encoder"
+    )
+
+
+def switch_on(bus: ServoBus, servo: Servo) -> None:
+    """Switch the torque on, after `limit_motion` has armed the bus watchdog and the goal is at the present position.
+
+    It is as short as possible, because the servos that are already enabled wait for their first goal.
+
+    Raises:
+        BusError: The servo does not answer, or rejects it.
+        ConfigurationError: The servo restarted during setup. It then has torque without limits, and must be disabled.
+    """
     bus.write(servo.number, servo["torque_enable"], 1)
     if not bus.read(servo.number, servo["bus_watchdog"]):
         raise ConfigurationError(
             f"servo {servo.number} restarted while it was set up: check its supply and its cable, then activate again"
         )
-    return position
 
 
 def disable(bus: ServoBus, servo: Servo) -> None:
-    """Takes the torque off, and then disarms the bus watchdog. Raises BusError."""
+    """Switch the torque off, and then disarm the bus watchdog.
+
+    Raises:
+        BusError: The servo does not answer.
+    """
     bus.write(servo.number, servo["torque_enable"], 0)
     bus.write(servo.number, servo["bus_watchdog"], 0)
 
 
 def release_all(bus: ServoBus, servos: Sequence[Servo]) -> list[str]:
-    """Takes the torque off every servo, whatever fails on the way, and looks whether it is.
+    """Switch the torque of every servo off, whatever fails on the way, and read it back.
 
     Returns:
-        what failed, in words; empty when every servo says that its torque is off.
+        Failures, one sentence each; empty if every servo reports that its torque is off.
     """
     problems = []
     try:
-        bus.torque_off_all()  # at once and without an answer; what follows makes sure
+        bus.torque_off_all()  # immediate, but not acknowledged: each servo is checked below
     except BusError as error:
         return [str(error)]
     with bus.patient(retries=2):

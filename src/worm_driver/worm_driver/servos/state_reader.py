@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the state of all servos once per cycle, and makes sure that it is of this cycle."""
+"""Reader of the states of all servos, once per cycle, with checks that they are fresh and plausible."""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,34 +7,41 @@ from worm_driver.control.telemetry import SILENT, STATE_SIZE, STATE_START, Servo
 from worm_driver.servos import tick_clock
 from worm_driver.servos.bus_types import Reply, error_text
 from worm_driver.servos.encoding import from_raw, unpack_from
+from worm_driver.servos.position_track import PositionTrack
 from worm_driver.servos.registers import COMMON, WATCHDOG_EXPIRED
 from worm_driver.servos.servo_bus import SILENCE_REMEDY, ServoBus
 from worm_driver.servos.servo_setup import Servo
 from worm_driver.servos.tick_clock import TickClock
 
-#: one of these registers is read per cycle beside the state, in turn: none of them lies in the state's block
+#: Registers outside of the state's block. Each cycle reads one of them in turn, in addition to the state.
 _HEALTH = tuple(COMMON[name] for name in ("torque_enable", "hardware_error_status", "bus_watchdog"))
 
-#: the block that holds all of a servo's health, and its clock
+#: Block with a servo's health registers and its clock.
 _HEALTH_START, _HEALTH_END = COMMON["torque_enable"].address, COMMON["realtime_tick"].end
-#: exchanges from which a servo's clock is learnt
+#: Number of exchanges from which a servo's clock is estimated.
 _FIRST_ANSWERS = 3
 
 
 class StateReader:
-    """Reads states, with one repetition when a servo was silent, garbled or late.
+    """Reader of states. It repeats a reading once if an answer is missing, garbled, late or implausible.
+
+    Args:
+        bus: open servo bus.
+        servos: servos whose states are read.
+        track: decides which positions are plausible.
 
     Attributes:
-        problems: why a servo's state is SILENT, in words, by id.
+        problems: why a servo's state is SILENT, by id.
 
     Raises:
-        BusError: the port is gone.
+        BusError: The port is gone.
     """
 
-    def __init__(self, bus: ServoBus, servos: Sequence[Servo]):
+    def __init__(self, bus: ServoBus, servos: Sequence[Servo], track: PositionTrack):
         self._bus = bus
+        self._track = track
+        self._implausible: dict[int, int] = {}
         self._servos = tuple(servos)
-        self._ids = [servo.number for servo in servos]
         self._clocks: dict[int, TickClock] = {}
         self._suspects: set[int] = set()
         self._alerts: set[int] = set()
@@ -43,38 +50,51 @@ class StateReader:
         self.learn_clocks()
 
     def read(self) -> tuple[float, tuple[ServoState, ...]]:
-        """When the servos were asked (s, monotonic), and their states; SILENT without a fresh answer.
+        """Return the time of the request (s, monotonic) and the states of the servos; SILENT without a fresh answer.
 
-        Raises BusError: the port is gone.
+        A servo whose position is lost gets no request. Without packets its bus watchdog stops it at its position,
+        whatever its goal now stands for.
+
+        Raises:
+            BusError: The port is gone.
         """
         asked, states = self._ask()
         if len(states) < len(self._ids):
             self._bus.unsettle()
             asked, states = self._ask()
+            for servo, ticks in self._implausible.items():
+                self._track.lose(servo, ticks)
         if len(states) == len(self._ids):
             self._read_health()
-        return asked, tuple(states.get(number, SILENT) for number in self._ids)
+        return asked, tuple(states.get(servo.number, SILENT) for servo in self._servos)
+
+    @property
+    def _ids(self) -> list[int]:
+        """Ids of the servos that get requests."""
+        lost = self._track.lost
+        return [servo.number for servo in self._servos if servo.number not in lost]
 
     def take_suspect(self) -> int | None:
-        """A servo that has given a sign of a fault or a restart, for a closer look; None when there is none.
+        """Remove and return a servo that showed a sign of a fault or a restart; None if there is none.
 
-        A sign is not yet a fault: a late answer can look like one.
+        A sign is not yet a fault, because a late answer can look like one. The caller reads the servo again.
         """
         return self._suspects.pop() if self._suspects else None
 
     def forget_suspects(self) -> None:
-        """Drops the signs collected so far."""
+        """Drop the signs collected so far."""
         self._suspects.clear()
 
     @property
     def alerts(self) -> frozenset[int]:
-        """Servos whose last answer said that they have a hardware error."""
+        """Ids of the servos whose last answer reported a hardware error."""
         return frozenset(self._alerts)
 
     def learn_clocks(self) -> None:
-        """Learns the servos' clocks anew, from questions that each wait until no older answer can come.
+        """Estimate the servos' clocks from scratch. Each request waits until no older answer can arrive.
 
-        Raises BusError: the port is gone.
+        Raises:
+            BusError: The port is gone.
         """
         self._clocks.clear()
         with self._bus.patient():
@@ -84,10 +104,12 @@ class StateReader:
         self.forget_suspects()
 
     def look(self, servo: Servo, names: Sequence[str]) -> Mapping[str, int] | None:
-        """Registers of a servo's health by name, asked now on a quiet line; None without a fresh answer.
+        """Return registers of a servo's health by name, read now on a quiet line; None without a fresh answer.
 
-        All in one block with the servo's clock, so that a late answer is never taken for a fault. Raises BusError: the
-        port is gone.
+        One block contains the registers and the servo's clock, so that a late answer is never mistaken for a fault.
+
+        Raises:
+            BusError: The port is gone.
         """
         self._bus.unsettle()
         size = _HEALTH_END - _HEALTH_START
@@ -103,28 +125,39 @@ class StateReader:
         return values if self._is_fresh(servo.number, asked, reply.received, tick) else None
 
     def _ask(self) -> tuple[float, Mapping[int, ServoState]]:
-        asked, replies = self._bus.sync_read(STATE_START, STATE_SIZE, self._ids)
+        ids = self._ids
+        asked, replies = self._bus.sync_read(STATE_START, STATE_SIZE, ids)
         self._note_alerts(replies)
         states = {}
         self.problems.clear()
+        self._implausible.clear()
         for servo in self._servos:
             reply = replies.get(servo.number)
-            if reply is None:
+            if servo.number not in ids:
+                self.problems[servo.number] = "gave a position that it cannot have reached"
+            elif reply is None:
                 self.problems[servo.number] = f"does not answer intact: {SILENCE_REMEDY}"
             elif reply.error:
                 self.problems[servo.number] = error_text(reply.error)
             else:
                 state = decode(servo.model, reply.data)
-                if self._is_fresh(servo.number, asked, reply.received, state.tick):
-                    states[servo.number] = state
-                else:
+                if not self._is_fresh(servo.number, asked, reply.received, state.tick):
                     self.problems[servo.number] = "answers late"
+                elif not self._track.accepts(servo.number, state.ticks, reply.received):
+                    self._note_implausible(servo.number, state.ticks)
+                else:
+                    states[servo.number] = state
         return asked, states
 
-    def _is_fresh(self, servo: int, asked: float, received: float, tick: float) -> bool:
-        """Whether the servo's clock shows an answer to be one to this question.
+    def _note_implausible(self, servo: int, ticks: int) -> None:
+        self._bus.note_implausible()
+        self._implausible[servo] = ticks
+        self.problems[servo] = f"gives a position that it cannot have reached ({ticks} ticks)"
 
-        A clock that jumped belongs to a servo that has restarted; its answer counts from the next time on.
+    def _is_fresh(self, servo: int, asked: float, received: float, tick: float) -> bool:
+        """Return True if the servo's clock shows that an answer belongs to the present request.
+
+        A clock that jumped belongs to a servo that has restarted. Its answers are accepted from the next one on.
         """
         clock = self._clocks.get(servo)
         if clock is None or abs(tick_clock.jump(clock, tick, received)) >= tick_clock.RESTART:

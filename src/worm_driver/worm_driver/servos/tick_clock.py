@@ -1,35 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tells a fresh answer from a late one by the servo's own clock.
+"""Distinction between a fresh and a late answer by the servo's own clock.
 
-A status packet does not say which question it answers, so an answer that comes after its timeout looks like the
-answer to the next question. Every block that the driver trusts holds the servo's Realtime Tick (addr 120, ms, wraps
-after 32767): the tick of an answer must not lie before its question. The same clock starts anew with the servo, which
-shows a restart.
+A status packet does not contain the request that it answers, so a late answer looks like the answer to the next
+request. Every block that the driver trusts contains the servo's Realtime Tick (addr 120, ms, wraps after 32767). The
+tick of an answer must not lie before its request. The clock restarts with the servo, which reveals a restart.
 
-How far the servo's clock is ahead of the host's is bounded from below by every answer, a late one too: none is made
-after it was received. The largest bound stands, and sinks only by what two clocks may drift apart; so no answer,
-however late, can make a later good one look old.
+Every answer, also a late one, is a lower bound of the lead of the servo's clock over the host's. No answer is made
+after it was received. The largest bound is stored. It decreases only by the possible drift between the clocks, so a
+late answer can never make a later good one look old.
 """
 
 from dataclasses import dataclass
 
 WRAP_S = 32.768
-#: s, an answer whose clock is off by more than this comes from a servo that has restarted: none is so late
+#: Jump of a clock that reveals a restart, s. No answer is so late.
 RESTART = 0.3
-#: s, by which a fresh answer may seem older than its question: the tick is cut off to whole ms, and so is the moment at
-#: which the servo brings its table up to date; half of it is reserve. A late answer is older by a wait, 4 ms at least.
+#: Largest apparent age of a fresh answer before its request, s. The tick and the moment at which the servo updates its
+#: table are truncated to whole ms; half of the value is reserve. A late answer is older by a wait, at least 4 ms.
 RESOLUTION = 3e-3
-#: s per s, by which two clocks are allowed to drift apart
+#: Largest drift between two clocks, s/s.
 _DRIFT = 2e-3
 
 
 @dataclass(frozen=True)
 class TickClock:
-    """How far a servo's clock is ahead of the host's.
+    """Lead of a servo's clock over the host's.
 
     Attributes:
-        lead: s, largest seen (tick - host time at which the answer came), modulo the wrap.
-        time: s, host time at which it was last updated.
+        lead: largest observed (tick - host time of reception), modulo the wrap, s.
+        time: host time of the last update, s.
     """
 
     lead: float
@@ -37,24 +36,24 @@ class TickClock:
 
 
 def begin(tick_s: float, received: float) -> TickClock:
-    """From the first answer, which came at a host time (s)."""
+    """Return the clock after the first answer, received at a host time (s)."""
     return TickClock((tick_s - received) % WRAP_S, received)
 
 
 def jump(clock: TickClock, tick_s: float, received: float) -> float:
-    """By how much (s) an answer is ahead of what its clock has shown so far; negative for one that took its time."""
+    """Return the lead of an answer over its clock so far (s); negative for a delayed answer."""
     return _wrapped(tick_s - received - clock.lead)
 
 
 def update(clock: TickClock, tick_s: float, received: float) -> TickClock:
-    """The clock after an answer of the same servo, whether late or not."""
+    """Return the clock after an answer of the same servo, late or not."""
     sunk = -_DRIFT * max(0.0, received - clock.time)
     ahead = max(jump(clock, tick_s, received), sunk)
     return TickClock((clock.lead + ahead) % WRAP_S, received)
 
 
 def age(clock: TickClock, tick_s: float, asked: float) -> float:
-    """How long (s) before its question an answer was made, at least; negative for one that was made after it."""
+    """Return the smallest possible age of an answer at its request (s); negative if it was made later."""
     return _wrapped(asked - (tick_s - clock.lead))
 
 

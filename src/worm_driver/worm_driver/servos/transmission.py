@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Servo angle to cable length and back.
+"""Conversion between servo angle and cable length.
 
-Every servo's own position 0 is its home: the cable at its initial length, delta L = 0. Homing sets the servo's homing
-offset so, hence the home lives in the servo and not in a file beside it.
+The position 0 of a servo is its home, with the cable at its initial length, ΔL = 0. Homing sets the servo's homing
+offset, so the home is stored in the servo and not in a file.
 """
 
 import math
@@ -14,12 +14,12 @@ from worm_driver.servos.registers import EXTENDED_POSITION_LIMIT, TICKS_PER_TURN
 
 @dataclass(frozen=True)
 class Spool:
-    """A cable servo's spool.
+    """Spool of a cable servo.
 
     Attributes:
         servo: id on the bus.
-        sign: +1 when rising ticks wind the cable up (shorten the body), -1 when they pay it out.
-        radius: m, from the spool's axis to the middle of the cable.
+        sign: +1 if rising ticks wind the cable up (shorten the body), -1 if they pay it out.
+        radius: distance from the spool's axis to the middle of the cable, m.
     """
 
     servo: int
@@ -37,9 +37,10 @@ class Spool:
             )
 
     def ticks(self, length_change: float) -> int:
-        """Position (ticks from home) that gives a change of length (m, contraction is negative).
+        """Return the position (ticks from home) for a length change (m, contraction is negative).
 
-        Raises LimitError: not finite, or further than the servo counts.
+        Raises:
+            LimitError: The length change is not finite, or beyond the range of the servo.
         """
         if not math.isfinite(length_change):
             raise LimitError(
@@ -54,22 +55,22 @@ class Spool:
         return ticks
 
     def length_change(self, ticks: float) -> float:
-        """Change of length (m) at a position (ticks from home)."""
+        """Return the length change (m) at a position (ticks from home)."""
         return -self.sign * ticks * 2 * math.pi / TICKS_PER_TURN * self.radius
 
     def speed(self, shaft_speed: float) -> float:
-        """Cable speed (m/s, without sign) at a shaft speed (rad/s)."""
+        """Return the absolute cable speed (m/s) at a shaft speed (rad/s)."""
         return abs(shaft_speed) * self.radius
 
 
 @dataclass(frozen=True)
 class Fin:
-    """A fin servo and its two positions.
+    """Fin servo and its two positions.
 
     Attributes:
         servo: id on the bus.
-        forward_angle: rad, servo position with which the robot goes forward.
-        reverse_angle: rad, the other one.
+        forward_angle: servo position for forward gaits, rad.
+        reverse_angle: servo position for reverse gaits, rad.
     """
 
     servo: int
@@ -84,6 +85,6 @@ class Fin:
                 )
 
     def ticks(self, direction: int) -> int:
-        """Position (ticks) for a direction, 1 forward or -1 reverse."""
+        """Return the position (ticks) for a direction, 1 for forward or -1 for reverse."""
         angle = self.forward_angle if direction > 0 else self.reverse_angle
         return round(angle * TICKS_PER_TURN / (2 * math.pi)) % TICKS_PER_TURN

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From images of printed markers to positions of the modules in the pipe. Only ``vision`` knows OpenCV."""
+"""Module positions from camera images of printed markers. Only ``vision`` imports OpenCV."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera's intrinsics, as ROS's camera_info describes them.
+"""Camera intrinsics in the terms of ROS's camera_info.
 
-Models and names are those of sensor_msgs/CameraInfo and image_geometry: ``plumb_bob`` (Brown's radial and tangential
-distortion, 4 or 5 coefficients), ``rational_polynomial`` (8 coefficients) and ``equidistant`` (Kannala and Brandt's
-fisheye, 4 coefficients).
+Distortion models and names follow sensor_msgs/CameraInfo and image_geometry: ``plumb_bob`` (Brown's radial and
+tangential distortion, 4 or 5 coefficients), ``rational_polynomial`` (8 coefficients) and ``equidistant`` (Kannala and
+Brandt's fisheye, 4 coefficients).
 """
 
 import math
@@ -20,20 +20,20 @@ from worm_driver.tracking.tracking_errors import SetupError
 
 Array = NDArray[np.float64]
 
-#: Numbers of distortion coefficients that a model may have.
+#: Allowed numbers of distortion coefficients of each model.
 COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "equidistant": (4,)}
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A calibrated camera.
+    """Calibrated camera.
 
     Attributes:
-        width, height: of its images, pixels.
-        focal: (fx, fy), pixels.
-        centre: (cx, cy), pixels; (0, 0) is the middle of the first pixel.
-        model: a key of COEFFICIENTS.
-        distortion: coefficients in the order of camera_info, those that the model has.
+        width, height: image size, pixels.
+        focal: focal length (fx, fy), pixels.
+        centre: principal point (cx, cy), pixels; (0, 0) is the centre of the first pixel.
+        model: distortion model, a key of COEFFICIENTS.
+        distortion: distortion coefficients in the order of camera_info.
     """
 
     width: int
@@ -45,24 +45,25 @@ class CameraModel:
 
     @property
     def matrix(self) -> Array:
-        """K, shape (3, 3)."""
+        """Camera matrix K, shape (3, 3)."""
         (fx, fy), (cx, cy) = self.focal, self.centre
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def load_camera_info(path: Path) -> CameraModel:
-    """The camera of a YAML file as ROS's camera_calibration writes it.
+    """Read the camera from a YAML file in the format of ROS's camera_calibration.
 
-    Raises SetupError: the file is missing, or is no calibration.
+    Raises:
+        SetupError: The file is missing or is not a calibration.
     """
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise SetupError(
-            f"{path}: {error.strerror}: make it with calibrate_camera, or copy the camera's camera_info file there"
+            f"{path}: {error.strerror}. Create it with calibrate_camera, or copy the camera's camera_info file there"
         ) from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SetupError(f"{path}: no YAML: {' '.join(str(error).split())}") from None
+        raise SetupError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
     try:
         return _from_file(content)
     except SetupError as error:
@@ -72,14 +73,14 @@ def load_camera_info(path: Path) -> CameraModel:
 def _from_file(content: Any) -> CameraModel:
     if not isinstance(content, Mapping):
         raise SetupError(
-            "no camera_info: expected image_width, image_height, camera_matrix and so on"
+            "not a camera_info file: it must be a mapping with image_width, image_height, camera_matrix and so on"
         )
     for key in (
         *("image_width", "image_height", "camera_matrix"),
         *("distortion_model", "distortion_coefficients"),
     ):
         if key not in content:
-            raise SetupError(f"no camera_info: {key} is missing")
+            raise SetupError(f"not a camera_info file: {key} is missing")
     return make_camera_model(
         (content["image_width"], content["image_height"]),
         _numbers(content["camera_matrix"], "camera_matrix"),
@@ -89,37 +90,48 @@ def _from_file(content: Any) -> CameraModel:
 
 
 def _numbers(content: Any, key: str) -> list[float]:
-    """The data of a matrix in the file's form."""
+    """Return the values of a matrix entry of the file."""
     data = content.get("data") if isinstance(content, Mapping) else None
     if not isinstance(data, list):
         raise SetupError(f"{key} has no list named data")
     if any(isinstance(v, bool) or not isinstance(v, int | float) for v in data):
-        raise SetupError(f"{key} holds something that is no number")
+        raise SetupError(f"{key} contains a value that is not a number")
     return [float(value) for value in data]
 
 
 def make_camera_model(
     size: tuple[Any, Any], matrix: list[float], model: Any, distortion: list[float]
 ) -> CameraModel:
-    """A camera from the fields of a camera_info: size in pixels, K row by row, distortion_model, D.
+    """Return the camera described by the fields of a camera_info message.
 
-    Raises SetupError: they are not those of a calibrated camera, or the model is none of COEFFICIENTS.
+    Args:
+        size: image width and height, pixels.
+        matrix: camera matrix K, row by row, 9 values.
+        model: distortion_model.
+        distortion: distortion coefficients D.
+
+    Raises:
+        SetupError: The camera is not calibrated, or its distortion model is not supported.
     """
     width, height = size
     if not all(isinstance(side, int) and side > 0 for side in size):
-        raise SetupError(f"an image of {width} x {height} pixels is none")
+        raise SetupError(
+            f"image size {width} x {height} is not valid: both must be positive integers"
+        )
     if len(matrix) != 9 or not all(map(math.isfinite, [*matrix, *distortion])):
         raise SetupError("camera_matrix must hold nine finite numbers")
     if matrix[0] <= 0.0 or matrix[4] <= 0.0:
         raise SetupError(
-            "the focal length is 0: the camera is not calibrated, see calibrate_camera"
+            "the focal length is 0: the camera is not calibrated. Calibrate it with calibrate_camera"
         )
     if matrix[1] != 0.0:
         raise SetupError("a camera_matrix with skew is not supported")
     if not distortion and model in ("", "plumb_bob"):
         model, distortion = "plumb_bob", [0.0] * 5
     if model not in COEFFICIENTS:
-        raise SetupError(f"distortion_model {model!r} is none of {', '.join(COEFFICIENTS)}")
+        raise SetupError(
+            f"distortion_model {model!r} is not supported; use one of {', '.join(COEFFICIENTS)}"
+        )
     if len(distortion) not in COEFFICIENTS[model]:
         counts = " or ".join(map(str, COEFFICIENTS[model]))
         raise SetupError(f"{model} takes {counts} coefficients, not {len(distortion)}")
@@ -128,7 +140,7 @@ def make_camera_model(
 
 
 def camera_info_text(name: str, camera: CameraModel) -> str:
-    """The YAML file that `load_camera_info` and ROS's camera_info_manager read."""
+    """Return the content of a camera_info YAML file, as `load_camera_info` and camera_info_manager read it."""
     fx, fy, cx, cy = *camera.focal, *camera.centre
     content = {
         "image_width": camera.width,

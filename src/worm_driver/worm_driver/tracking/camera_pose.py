@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the camera is, from the markers that are fixed to the pipe, and whether it was moved."""
+"""Camera pose from the reference markers on the pipe, and detection of camera motion."""
 
 import math
 from collections.abc import Mapping
@@ -12,14 +12,17 @@ from worm_driver.tracking.camera_model import Array, CameraModel
 from worm_driver.tracking.tracker_setup import FEWEST_REFERENCES, TrackerSetup
 from worm_driver.tracking.tracking_errors import PoseError
 
-#: m, by which the corners of the reference markers may lie beside where the setup file has them (rms); most of a
-#: wrong place is hidden by a wrong pose: a marker that is 10 mm off along the pipe leaves 0.9 mm, one of 2 mm 0.2 mm
+#: Largest rms distances of the reference corners from the setup file's positions (m): rejected above the first, a
+#: warning above the second. The fitted pose absorbs most of a wrong position: a marker that is 10 mm off along the
+#: pipe leaves a residual of 0.9 mm, one that is 2 mm off leaves 0.2 mm.
 _MISPLACED, DOUBTFUL = 0.0007, 0.00015
-#: A second pose that fits the same corners almost as well, and looks from a direction that differs by more (rad)
+#: A second pose is ambiguous if its error is below this multiple of the best error and its viewing direction differs
+#: by more than this angle (rad).
 _ALMOST, _OTHER_DIRECTION = 1.5, 0.03
-#: pixels; twenty times the noise of a marker's centre, and still below a quarter of a millimetre at 2 pixels a mm
+#: Displacement of a marker that counts as motion (pixels): twenty times the noise of a marker's centre, and a quarter
+#: of a millimetre at 2 pixels per mm.
 _MOVED = 0.5
-#: images that are averaged for a fixed camera; more bring nothing that the prints' places would not spoil
+#: Number of images averaged for a fixed camera. Beyond it, errors of the markers' positions dominate.
 _AVERAGED = 128
 
 _UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])  # right, up
@@ -29,14 +32,14 @@ Corners = Mapping[int, Array]
 
 @dataclass(frozen=True)
 class CameraPose:
-    """A camera that sees a point of the pipe's frame at rotation @ point + shift (m) in its optical frame.
+    """Camera pose: a point of the pipe's frame is at rotation @ point + shift (m) in the optical frame.
 
     Attributes:
-        rotation: shape (3, 3).
-        shift: shape (3,), m.
-        facing: -1 if the prints face -y and the camera stands there, 1 if +y.
-        error: rms distance of the corners from where the setup has them, pixels.
-        error_m: the same in m at the markers' distance.
+        rotation: rotation matrix, shape (3, 3).
+        shift: translation, shape (3,), m.
+        facing: -1 if the prints face the camera on the side of -y, 1 on the side of +y.
+        error: rms reprojection error of the corners, pixels.
+        error_m: rms reprojection error at the distance of the markers, m.
     """
 
     rotation: Array
@@ -47,13 +50,13 @@ class CameraPose:
 
     @property
     def position(self) -> Array:
-        """Of the camera in the pipe's frame, shape (3,), m."""
+        """Position of the camera in the pipe's frame, shape (3,), m."""
         place: Array = -self.rotation.T @ self.shift
         return place
 
 
 def print_corners(centre: tuple[float, float, float], size: float, facing: int) -> Array:
-    """Corners (m), shape (4, 3), of an upright print that faces -y or +y, in the order of a Detection."""
+    """Return the corners (m), shape (4, 3), of an upright print that faces -y or +y, in the order of a Detection."""
     corners = np.tile(np.array(centre), (4, 1))
     corners[:, 0] -= facing * size * _UNIT_CORNERS[:, 0]
     corners[:, 2] += size * _UNIT_CORNERS[:, 1]
@@ -61,20 +64,28 @@ def print_corners(centre: tuple[float, float, float], size: float, facing: int) 
 
 
 def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> CameraPose:
-    """The camera's pose from the corners (pixels, shape (4, 2)) of reference markers by their numbers.
+    """Return the camera's pose.
 
-    Raises PoseError: too few markers are seen, two poses fit alike, or none fits.
+    Args:
+        setup: the rig.
+        camera: its calibration.
+        corners_of: corners (pixels, shape (4, 2)) of each visible reference marker, by marker number.
+
+    Raises:
+        PoseError: Too few markers are visible, two poses fit equally well, or none fits.
     """
     if len(corners_of) < FEWEST_REFERENCES:
         have = ", ".join(map(str, corners_of)) or "none"
-        raise PoseError(f"reference markers in view: {have}; {FEWEST_REFERENCES} are needed")
+        raise PoseError(
+            f"reference markers in view: {have}; at least {FEWEST_REFERENCES} are needed"
+        )
     pixels = np.concatenate(list(corners_of.values()))
     rays = vision.directions(camera, pixels)
     if not np.isfinite(rays).all():
-        raise PoseError("a reference marker is where the lens calibration does not reach")
+        raise PoseError("a reference marker lies outside the range of the lens calibration")
     candidates = sorted(
         (
-            _judged(setup, camera, corners_of, facing, pose)
+            _candidate(setup, camera, corners_of, facing, pose)
             for facing in (-1, 1)
             for pose in vision.poses(_places(setup, corners_of, facing), rays)
         ),
@@ -83,13 +94,14 @@ def find_pose(setup: TrackerSetup, camera: CameraModel, corners_of: Corners) -> 
     best = candidates[0]
     if not best.error_m <= _MISPLACED:
         raise PoseError(
-            f"the reference markers lie {best.error_m * 1e3:.1f} mm beside the places of the setup file: "
-            "check reference, marker_size_m and camera_info, and that the prints stand upright"
+            f"the reference markers are {best.error_m * 1e3:.1f} mm (rms) from their positions in the setup file: "
+            "check reference, marker_size_m and camera_info, and that the prints are upright"
         )
     for other in candidates[1:]:
         if other.error < _ALMOST * best.error and _angle(best, other) > _OTHER_DIRECTION:
             raise PoseError(
-                "two places of the camera fit the reference markers alike: spread them wider, or come closer"
+                "two camera positions fit the reference markers equally well: place the markers further apart, or "
+                "move closer"
             )
     return best
 
@@ -99,7 +111,7 @@ def _places(setup: TrackerSetup, corners_of: Corners, facing: int) -> Array:
     return np.concatenate(corners)
 
 
-def _judged(
+def _candidate(
     setup: TrackerSetup,
     camera: CameraModel,
     corners_of: Corners,
@@ -109,7 +121,7 @@ def _judged(
     rotation, shift = pose
     places = _places(setup, corners_of, facing)
     depth = float((places @ rotation.T + shift)[:, 2].mean())
-    if not depth > 0.0:  # behind the camera, or no pose at all
+    if not depth > 0.0:  # the markers would be behind the camera, or the pose is NaN
         return CameraPose(rotation, shift, facing, math.inf, math.inf)
     wrong = vision.project(camera, places, rotation, shift) - np.concatenate(
         list(corners_of.values())
@@ -119,28 +131,28 @@ def _judged(
 
 
 def _angle(one: CameraPose, other: CameraPose) -> float:
-    """Between the directions in which two cameras look, rad."""
+    """Return the angle between two camera orientations, rad."""
     cosine = (np.trace(one.rotation.T @ other.rotation) - 1.0) / 2.0
     return math.acos(min(max(float(cosine), -1.0), 1.0))
 
 
 @dataclass(frozen=True)
-class Watch:
-    """What an image says of the camera.
+class PoseEstimate:
+    """Camera pose estimated from one image.
 
     Attributes:
-        pose: None where it cannot be told, or not be trusted.
-        problem: why not; empty where it can.
-        news: what is to be told once, such as that the camera was moved; most often empty.
+        pose: None if it cannot be determined or is not reliable.
+        problem: why `pose` is None; empty otherwise.
+        event: message to log once, for example that the camera was moved; usually empty.
     """
 
     pose: CameraPose | None
     problem: str = ""
-    news: str = ""
+    event: str = ""
 
 
 class FixedCamera:
-    """The pose of a camera that stands still: averaged over images, and checked against each new one."""
+    """Pose estimator for a stationary camera: averages images and checks each new one against the average."""
 
     def __init__(self, setup: TrackerSetup, camera: CameraModel):
         self._setup = setup
@@ -151,13 +163,13 @@ class FixedCamera:
         self._pose: CameraPose | None = None
         self._stray: set[int] = set()
 
-    def look(self, corners_of: Corners) -> Watch:
-        """Takes the reference markers of the next image."""
+    def update(self, corners_of: Corners) -> PoseEstimate:
+        """Add the reference markers of the next image and return the pose."""
         trusted = {
             number: corners for number, corners in corners_of.items() if number not in self._stray
         }
         if not trusted:
-            return Watch(None, "no reference marker in view: the camera cannot be checked")
+            return PoseEstimate(None, "no reference marker in view: the camera cannot be checked")
         moved = {
             n: distance for n in trusted if (distance := self._distance(n, trusted[n])) > _MOVED
         }
@@ -167,17 +179,17 @@ class FixedCamera:
         try:
             self._improve()
         except PoseError as error:
-            return Watch(None, str(error))
-        return Watch(self._pose)
+            return PoseEstimate(None, str(error))
+        return PoseEstimate(self._pose)
 
     def _distance(self, number: int, corners: Array) -> float:
-        """Pixels by which a marker is off its mean place."""
+        """Return the distance of a marker from its mean position, pixels."""
         if number not in self._sums:
             return 0.0
         mean = self._sums[number] / self._counts[number]
         return float(np.hypot(*(corners - mean).mean(axis=0)))
 
-    def _explain(self, moved: Mapping[int, float], corners_of: Corners) -> Watch:
+    def _explain(self, moved: Mapping[int, float], corners_of: Corners) -> PoseEstimate:
         names = ", ".join(f"{n} by {distance:.1f} px" for n, distance in moved.items())
         still = len(corners_of) - len(moved)
         if len(moved) == 1 and still >= FEWEST_REFERENCES:
@@ -185,12 +197,14 @@ class FixedCamera:
             self._stray.add(number)
             self._forget()
             self._average({n: corners for n, corners in corners_of.items() if n not in self._stray})
-            news = f"reference marker {names} against the others: it has come off, or was moved; it counts no more"
-            return Watch(None, f"reference marker {number} moved", news)
+            event = (
+                f"reference marker {names} moved relative to the others. It is ignored from now on"
+            )
+            return PoseEstimate(None, f"reference marker {number} moved", event)
         self._forget()
         self._average(corners_of)
         cause = "the camera" if not still else "the camera, or these markers,"
-        return Watch(
+        return PoseEstimate(
             None, "camera moved", f"reference markers moved in the image ({names}): {cause} moved"
         )
 
@@ -205,7 +219,7 @@ class FixedCamera:
                 self._counts[number] = self._counts.get(number, 0) + 1
 
     def _improve(self) -> None:
-        """Finds the pose anew at the first image and whenever their number has doubled."""
+        """Estimate the pose at the first image and again whenever the number of images has doubled."""
         due = self._images <= _AVERAGED and self._images & (self._images - 1) == 0
         if due or self._pose is None:
             means = {n: total / self._counts[n] for n, total in self._sums.items()}
@@ -213,15 +227,15 @@ class FixedCamera:
 
 
 class MovingCamera:
-    """The pose of a camera that may move, from each image alone."""
+    """Pose estimator for a camera that may move: each image is evaluated independently."""
 
     def __init__(self, setup: TrackerSetup, camera: CameraModel):
         self._setup = setup
         self._camera = camera
 
-    def look(self, corners_of: Corners) -> Watch:
-        """Takes the reference markers of the next image."""
+    def update(self, corners_of: Corners) -> PoseEstimate:
+        """Return the pose from the reference markers of one image."""
         try:
-            return Watch(find_pose(self._setup, self._camera, corners_of))
+            return PoseEstimate(find_pose(self._setup, self._camera, corners_of))
         except PoseError as error:
-            return Watch(None, str(error))
+            return PoseEstimate(None, str(error))

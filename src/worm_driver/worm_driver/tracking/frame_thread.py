@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images of a camera, a film or a folder as they come in time, from a thread that waits for them."""
+"""Thread that reads images from a camera, a video or a folder at their times."""
 
 import threading
 import time
@@ -7,38 +7,39 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from worm_driver.tracking.image_sources import Frame, frames_of_film, frames_of_folder
+from worm_driver.tracking.image_sources import Frame, frames_of_folder, frames_of_video
 from worm_driver.tracking.tracker_setup import TrackerSetup
 from worm_driver.tracking.tracking_errors import ImageError, TrackingError
-from worm_driver.tracking.vision import Film
+from worm_driver.tracking.vision import VideoSource
 
-_WAITING = 2  # images that may wait; a tracker that is late drops the older ones
-_PATIENCE = 0.05  # s, in which the end is noticed
+_QUEUE_LENGTH = 2  # images; a tracker that is late drops the older ones
+_POLL_PERIOD = 0.05  # s, after which `close` is noticed at the latest
 
 
 def frames_of_device(device: str, size: tuple[int, int], rate: float) -> Iterator[Frame]:
-    """The images of a V4L2 camera, without end; their time is that of their arrival on the monotonic clock (s).
+    """Yield the images of a V4L2 camera, stamped with their arrival on the monotonic clock (s).
 
-    Raises ImageError: it cannot be opened, or gives no more images.
+    Raises:
+        ImageError: The camera cannot be opened, or delivers no more images.
     """
-    camera = Film(device)
+    camera = VideoSource(device)
     try:
-        camera.ask_for(*size, rate)
-        while (taken := camera.read()) is not None:
-            yield Frame(device, time.monotonic(), taken[0])
-        raise ImageError(f"{device} gives no more images: was it unplugged?")
+        camera.request_format(*size, rate)
+        while (image_and_time := camera.read()) is not None:
+            yield Frame(device, time.monotonic(), image_and_time[0])
+        raise ImageError(f"{device} delivers no more images: was it unplugged?")
     finally:
         camera.close()
 
 
 class FrameThread:
-    """Hands images over in their own time.
+    """Reader thread that delivers each image at its time.
 
     Args:
-        source: a device under /dev, a film, or a folder.
+        source: a device under /dev, a video, or a folder of images.
         setup: the rig, for the rate of a folder and of a device.
-        size: (width, height) that a camera is asked for.
-        arrived: called in the thread when an image, or the end, is there to be taken.
+        size: (width, height) requested from a camera, pixels.
+        arrived: called in the thread when an image is available or the source has ended.
     """
 
     def __init__(
@@ -50,24 +51,24 @@ class FrameThread:
         elif Path(source).is_dir():
             self._frames = frames_of_folder(Path(source), setup.rate)
         else:
-            self._frames = frames_of_film(Path(source), setup.rate)
+            self._frames = frames_of_video(Path(source), setup.rate)
         self._arrived = arrived
-        self._waiting: deque[Frame] = deque(maxlen=_WAITING)
+        self._queue: deque[Frame] = deque(maxlen=_QUEUE_LENGTH)
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="images", daemon=True)
         self.ended = False
         self.failure: TrackingError | None = None
 
     def start(self) -> None:
-        """Begins."""
+        """Start the thread."""
         self._thread.start()
 
-    def take(self) -> Frame | None:
-        """The next image, its time on the monotonic clock (s); None if there is none."""
-        return self._waiting.popleft() if self._waiting else None
+    def next_frame(self) -> Frame | None:
+        """Return the next image with its time on the monotonic clock (s), None if the queue is empty."""
+        return self._queue.popleft() if self._queue else None
 
     def close(self) -> None:
-        """Ends the thread."""
+        """Stop the thread."""
         self._ending.set()
         self._thread.join(timeout=1.0)
 
@@ -80,10 +81,10 @@ class FrameThread:
                     begin = time.monotonic() - frame.time if begin is None else begin
                     due = begin + frame.time
                     while time.monotonic() < due and not self._ending.is_set():
-                        self._ending.wait(min(due - time.monotonic(), _PATIENCE))
+                        self._ending.wait(min(due - time.monotonic(), _POLL_PERIOD))
                 if self._ending.is_set():
                     return
-                self._waiting.append(Frame(frame.name, due, frame.image))
+                self._queue.append(Frame(frame.name, due, frame.image))
                 self._arrived()
         except TrackingError as error:
             self.failure = error

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images with their times from a folder or a film, one after another."""
+"""Image sequences with times, read from a folder or a video file."""
 
 import csv
 import math
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from worm_driver.tracking.tracking_errors import ImageError
-from worm_driver.tracking.vision import Film, Image, read_image
+from worm_driver.tracking.vision import Image, VideoSource, read_image
 
 TIMES_FILE = "times.csv"
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
@@ -17,7 +17,7 @@ IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 
 @dataclass(frozen=True)
 class Frame:
-    """An image: its name in the source, its time (s), its pixels."""
+    """One image with its name in the source and its time (s)."""
 
     name: str
     time: float
@@ -25,16 +25,17 @@ class Frame:
 
 
 def frames_of_folder(folder: Path, rate: float) -> Iterator[Frame]:
-    """The images of a folder in the order of times.csv (file,time_s), else of their names at a rate (Hz).
+    """Yield the images of a folder in the order of times.csv (file,time_s), else by name at a rate (Hz).
 
-    Raises ImageError: at the first image: there is none, one cannot be read, or nothing tells the times.
+    Raises:
+        ImageError: The folder has no images, an image cannot be read, or the times are unknown.
     """
     for path, time in times_of_folder(folder, rate):
         yield Frame(path.name, time, read_image(path))
 
 
 def times_of_folder(folder: Path, rate: float) -> list[tuple[Path, float]]:
-    """Image files of a folder with their times (s). Raises ImageError."""
+    """Return the image files of a folder with their times (s). Raises ImageError as `frames_of_folder` does."""
     if not folder.is_dir():
         raise ImageError(f"{folder} is not a folder")
     if (folder / TIMES_FILE).exists():
@@ -43,17 +44,17 @@ def times_of_folder(folder: Path, rate: float) -> list[tuple[Path, float]]:
         (path for path in folder.iterdir() if path.suffix.lower() in IMAGE_ENDINGS), key=_natural
     )
     if not paths:
-        raise ImageError(f"{folder} holds no images ({', '.join(IMAGE_ENDINGS)})")
+        raise ImageError(f"{folder} contains no images ({', '.join(IMAGE_ENDINGS)})")
     if not rate > 0.0:
         raise ImageError(
-            f"nothing tells when the images of {folder} were taken: add {TIMES_FILE} (file,time_s), or rate_hz to the "
+            f"the times of the images in {folder} are unknown: add {TIMES_FILE} (file,time_s), or rate_hz to the "
             "setup file"
         )
     return [(path, index / rate) for index, path in enumerate(paths)]
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """So that image_10 comes after image_9."""
+    """Return a sort key that puts image_10 after image_9."""
     parts = re.findall(r"\d+|\D+", path.name)
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
 
@@ -70,7 +71,7 @@ def _listed(path: Path) -> list[tuple[Path, float]]:
                 place = f"{path}, line {reader.line_num}"
                 time = _time(row["time_s"], place)
                 if not time > before:
-                    raise ImageError(f"{place}: time_s does not rise")
+                    raise ImageError(f"{place}: time_s does not increase")
                 if not row["file"] or not (path.parent / row["file"]).is_file():
                     raise ImageError(f"{place}: there is no file {row['file']!r}")
                 frames.append((path.parent / row["file"], time))
@@ -92,38 +93,39 @@ def _time(text: str | None, place: str) -> float:
     return time
 
 
-def frames_of_film(path: Path, rate: float) -> Iterator[Frame]:
-    """The images of a film at the times that it tells; at a rate (Hz) where it tells none.
+def frames_of_video(path: Path, rate: float) -> Iterator[Frame]:
+    """Yield the images of a video at the times stored in it, else at a rate (Hz).
 
-    Raises ImageError: at the first image: it cannot be opened, or nothing tells the times.
+    Raises:
+        ImageError: The video cannot be opened, has no images, or its times are unknown.
     """
     if not path.is_file():
         raise ImageError(f"{path} is not a file")
-    film = Film(str(path))
+    video = VideoSource(str(path))
     try:
-        rate = film.rate if 0.0 < film.rate < 1000.0 else rate
+        rate = video.rate if 0.0 < video.rate < 1000.0 else rate
         if not rate > 0.0:
-            raise ImageError(f"{path} does not tell its rate: add rate_hz to the setup file")
+            raise ImageError(f"{path} contains no frame rate: add rate_hz to the setup file")
         before = -math.inf
         index = 0
-        while (taken := film.read()) is not None:
-            image, time = taken
-            # Some containers tell no times, or the same for all: then they are equally spaced.
+        while (image_and_time := video.read()) is not None:
+            image, time = image_and_time
+            # Some containers store no times, or the same time for all images: space those equally.
             time = time if time > before else (index / rate if index == 0 else before + 1.0 / rate)
             yield Frame(f"image {index}", time, image)
             before = time
             index += 1
         if index == 0:
-            raise ImageError(f"{path} holds no images that can be read")
+            raise ImageError(f"{path} contains no readable images")
     finally:
-        film.close()
+        video.close()
 
 
 def check_size(image: Image, size: tuple[int, int], name: str) -> None:
-    """Raises ImageError if an image has not the size (width, height) that the camera was calibrated for."""
+    """Raise ImageError unless an image has the size (width, height) that the camera was calibrated for."""
     height, width = image.shape
     if (width, height) != size:
         raise ImageError(
             f"{name} has {width} x {height} pixels, but camera_info is for {size[0]} x {size[1]}: "
-            "calibrate at the size that you record in"
+            "calibrate at the recorded image size"
         )

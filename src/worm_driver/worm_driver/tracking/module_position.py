@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where on the modules' line a marker is, and whether what was seen can be that marker at all."""
+"""Position of a module marker along the pipe, and plausibility checks of its detection."""
 
 import math
 from dataclasses import dataclass
@@ -12,44 +12,44 @@ from worm_driver.tracking.camera_pose import CameraPose
 from worm_driver.tracking.tracker_setup import TrackerSetup
 from worm_driver.tracking.vision import Detection
 
-#: Of the marker's side, by which its centre may be beside the line: a module has some play in the pipe
+#: Largest distance of the centre from the line, relative to the marker's side: a module has some play in the pipe.
 _OFF_LINE = 0.3
-#: Relative, by which its sides may differ from its size
+#: Largest relative deviation of a side from marker_size_m.
 _SIZE = 0.12
-#: rad, by which a side may be turned against the pipe's axis
+#: Largest rotation of a side against the pipe's axis, rad.
 _TURNED = 0.2
-#: Cells over which its edges may rise; beyond, one cell runs into the next
+#: Largest width of an edge, cells. Beyond it, neighbouring cells merge.
 BLURRED = 0.8
 
 
 @dataclass(frozen=True)
 class Fix:
-    """A marker's centre along the pipe, m, NaN with the reason in words where it is not believed."""
+    """Position of a marker's centre along the pipe (m); NaN with the reason if the detection is rejected."""
 
     position: float
     reason: str = ""
 
 
 def locate(setup: TrackerSetup, camera: CameraModel, pose: CameraPose, detection: Detection) -> Fix:
-    """The x of the centre of a module's marker (m), on the line that the modules move on.
+    """Return the position (m) of a module's marker on the line that the modules move along.
 
-    The centre is where the diagonals cross, which no tilt of the print moves. x is the point of the line whose ray
-    passes nearest to it.
+    The centre is the intersection of the diagonals, which does not depend on the tilt of the print. The position is
+    the point of the line whose ray passes closest to the centre.
     """
     rays = vision.directions(camera, detection.corners)
     if not np.isfinite(rays).all():
-        return _refused("where the lens calibration does not reach")
-    position, beside = _nearest_on_line(setup.line, pose, _crossing(rays))
-    problem = _problem(setup, pose, detection, rays, beside)
-    return _refused(problem) if problem else Fix(position)
+        return _rejected("outside the range of the lens calibration")
+    position, offset = _nearest_on_line(setup.line, pose, _crossing(rays))
+    problem = _problem(setup, pose, detection, rays, offset)
+    return _rejected(problem) if problem else Fix(position)
 
 
-def _refused(reason: str) -> Fix:
+def _rejected(reason: str) -> Fix:
     return Fix(float("nan"), reason)
 
 
 def _crossing(rays: Array) -> Array:
-    """Where the diagonals of a quadrilateral cross, shape (2,)."""
+    """Return the intersection of a quadrilateral's diagonals, shape (2,)."""
     corners = np.column_stack([rays, np.ones(4)])
     diagonals = np.cross(corners[0], corners[2]), np.cross(corners[1], corners[3])
     point = np.cross(*diagonals)
@@ -60,10 +60,10 @@ def _crossing(rays: Array) -> Array:
 def _nearest_on_line(
     line: tuple[float, float], pose: CameraPose, ray: Array
 ) -> tuple[float, float]:
-    """The x (m) of the point of the line nearest to a ray in the image, and by how much the ray misses it (m)."""
+    """Return the x (m) of the point of the line closest to a ray, and its distance (m) from the ray."""
     along = pose.rotation[:, 0]
     start = pose.rotation @ np.array([0.0, *line]) + pose.shift
-    # (start + x * along) seen at ray: two equations linear in x, both in m at the point's depth.
+    # The projection of (start + x * along) equals ray: two equations linear in x, in m at the depth of the point.
     slope = along[:2] - ray * along[2]
     offset = start[:2] - ray * start[2]
     x = -float(slope @ offset / (slope @ slope))
@@ -71,29 +71,29 @@ def _nearest_on_line(
 
 
 def _problem(
-    setup: TrackerSetup, pose: CameraPose, detection: Detection, rays: Array, beside: float
+    setup: TrackerSetup, pose: CameraPose, detection: Detection, rays: Array, offset: float
 ) -> str:
-    """Why a detection is not believed; empty if it is."""
+    """Return why a detection is implausible; an empty string if it is plausible."""
     if not math.isfinite(detection.edge_width):
         return "without clear edges (glare, or partly covered)"
     if detection.edge_width > BLURRED:
         return f"blurred over {detection.edge_width:.1f} cells"
-    if beside > _OFF_LINE * setup.marker_size:
-        return f"at a wild place, {beside * 1e3:.1f} mm beside the modules' line"
+    if offset > _OFF_LINE * setup.marker_size:
+        return f"at an implausible position, {offset * 1e3:.1f} mm from the modules' line"
     sides = np.diff(_on_plane(setup.line[0], pose, rays), axis=0, append=0.0)
     sides[3] = -sides[:3].sum(axis=0)
     lengths = np.hypot(*sides.T) / setup.marker_size
     if np.abs(lengths - 1.0).max() > _SIZE:
-        return f"of a wrong size, {lengths.mean():.2f} of marker_size_m"
+        return f"of the wrong size, {lengths.mean():.2f} of marker_size_m"
     upright = np.array([[-pose.facing, 0.0], [0.0, -1.0], [pose.facing, 0.0], [0.0, 1.0]])
     turned = np.arccos(np.clip((sides * upright).sum(axis=1) / np.hypot(*sides.T), -1.0, 1.0))
     if turned.max() > _TURNED:
-        return f"turned by {np.degrees(turned.max()):.0f} degrees"
+        return f"rotated by {np.degrees(turned.max()):.0f} degrees"
     return ""
 
 
 def _on_plane(y: float, pose: CameraPose, rays: Array) -> Array:
-    """The x and z (m), shape (n, 2), of what is seen at rays in the plane of the modules' prints."""
+    """Return x and z (m), shape (n, 2), of the points where rays meet the plane of the modules' prints."""
     ahead = np.column_stack([rays, np.ones(len(rays))]) @ pose.rotation
     eye = pose.position
     depth = (y - eye[1]) / ahead[:, 1]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A picture of what the tracker makes of an image, for a person who sets a rig up."""
+"""Annotated image of a tracker result, for setting up a rig."""
 
 import math
 from collections.abc import Sequence
@@ -12,20 +12,20 @@ from worm_driver.tracking.tracker import TrackedPositions, Tracker
 from worm_driver.tracking.vision import Detection, Image, Label
 
 # blue, green, red
-_REFERENCE, _MODULE, _STRANGER, _REFUSED = (
+_REFERENCE, _MODULE, _UNKNOWN, _REJECTED = (
     (255, 190, 60),
     (80, 220, 80),
     (160, 160, 160),
     (60, 60, 255),
 )
 _AXIS = (60, 200, 255)
-_MARGIN = 0.1  # m of the modules' line that is drawn beyond the reference markers
+_MARGIN = 0.1  # m; length of the modules' line drawn beyond the reference markers
 
 
 def preview(
     tracker: Tracker, image: Image, detections: Sequence[Detection], sample: TrackedPositions
 ) -> Image:
-    """An image with the markers that were found, the modules' line, and what came out, shape (height, width, 3)."""
+    """Return an image with the detected markers, the modules' line and the result, shape (height, width, 3)."""
     labels = [_label(tracker, detection, sample) for detection in detections]
     if sample.pose is not None:
         labels += _line(tracker, sample.pose)
@@ -41,16 +41,18 @@ def _label(tracker: Tracker, detection: Detection, sample: TrackedPositions) -> 
         if number == module.number:
             known = math.isfinite(position)
             text = (
-                f"{number} {name} {position * 1e3:.2f} mm" if known else f"{number} {name}: refused"
+                f"{number} {name} {position * 1e3:.2f} mm"
+                if known
+                else f"{number} {name}: rejected"
             )
-            return Label(detection.corners, text, _MODULE if known else _REFUSED)
+            return Label(detection.corners, text, _MODULE if known else _REJECTED)
     if number in setup.reference:
         return Label(detection.corners, f"{number} reference", _REFERENCE)
-    return Label(detection.corners, f"{number} not in the setup", _STRANGER)
+    return Label(detection.corners, f"{number} not in the setup", _UNKNOWN)
 
 
 def _line(tracker: Tracker, pose: CameraPose) -> list[Label]:
-    """The line that the modules' markers move on, and where the reference markers should be."""
+    """Return the modules' line and the expected positions of the reference markers."""
     setup = tracker.setup
     along = [place[0] for place in setup.reference.values()]
     x = np.linspace(min(along) - _MARGIN, max(along) + _MARGIN, 60)
@@ -67,7 +69,7 @@ def _line(tracker: Tracker, pose: CameraPose) -> list[Label]:
 def summary(
     tracker: Tracker, detections: Sequence[Detection], sample: TrackedPositions
 ) -> list[str]:
-    """What came out, in lines of text."""
+    """Return the result as lines of text."""
     missing = set(tracker.setup.reference) - {detection.number for detection in detections}
     lines = [f"{len(detections)} markers found"]
     if missing:

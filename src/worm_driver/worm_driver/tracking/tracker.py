@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the markers in one image after another to x1 and x2: a position, or NaN with a reason."""
+"""Tracker that converts detected markers into x1 and x2, or NaN with a reason."""
 
 import math
 from collections import Counter
@@ -13,81 +13,86 @@ from worm_driver.tracking.tracker_setup import ModuleMarker, TrackerSetup
 from worm_driver.tracking.tracking_errors import SetupError
 from worm_driver.tracking.vision import Detection
 
-#: m, that a marker may jump from image to image whatever its speed: noise, and a module's play in the pipe
+#: Displacement between images that is always accepted (m): noise, and a module's play in the pipe.
 _PLAY = 0.003
 
 
 @dataclass(frozen=True)
 class TrackedPositions:
-    """What an image tells.
+    """Module positions measured in one image.
 
     Attributes:
-        time: of the exposure, s.
-        rear, front: x1 and x2, roots of the fins from the first reference marker along +x, m; NaN while hidden.
-        reason: why something is NaN; empty when both are seen.
-        news: what is to be told once, such as that the camera was moved; most often empty.
-        pose: of the camera, None where it cannot be told.
+        time: time of the exposure, s.
+        rear, front: x1 and x2, fin roots along +x from the first reference marker, m; NaN while hidden.
+        reason: why a position is NaN; empty if both are visible.
+        event: message to log once, for example that the camera was moved; usually empty.
+        pose: pose of the camera, None if unknown.
     """
 
     time: float
     rear: float
     front: float
     reason: str = ""
-    news: str = ""
+    event: str = ""
     pose: CameraPose | None = None
 
     @property
     def length(self) -> float:
-        """Distance of the fin roots (m); NaN while a marker is hidden."""
+        """Distance between the fin roots (m); NaN while a marker is hidden."""
         return self.front - self.rear
 
 
 class Tracker:
-    """Follows both modules through images that come in the order of their times.
+    """Tracker of both modules through images in the order of their times.
 
     Args:
         setup: the rig.
-        camera: its calibration, which the setup may leave to the images' topic.
+        camera: its calibration; required if the setup takes it from the camera_info topic.
+
+    Raises:
+        SetupError: Neither contains a calibration.
     """
 
     def __init__(self, setup: TrackerSetup, camera: CameraModel | None = None):
         model = setup.camera or camera
         if model is None:
-            raise SetupError("camera_info: topic works in tracker_node alone: name a file")
+            raise SetupError(
+                "camera_info: topic works only in tracker_node; name a camera_info file instead"
+            )
         self.setup = setup
         self.camera = model
         kind = FixedCamera if setup.pose == "fixed" else MovingCamera
-        self._place = kind(setup, model)
-        self._doubted = False
+        self._pose_estimator = kind(setup, model)
+        self._misfit_reported = False
         self._last: dict[str, tuple[float, float]] = {}
 
     def see(self, detections: Sequence[Detection], stamp: float) -> TrackedPositions:
-        """The sample of an image with these markers, stamped at a time (s)."""
+        """Return the positions from the markers of an image with a stamp (s)."""
         time = stamp - self.setup.delay
         counts = Counter(detection.number for detection in detections)
         once = {d.number: d for d in detections if counts[d.number] == 1}
         sharp = {n for n, detection in once.items() if detection.edge_width <= BLURRED}
         references = {n: once[n].corners for n in self.setup.reference if n in sharp}
-        watch = self._place.look(references)
-        if watch.pose is None:
-            return TrackedPositions(time, math.nan, math.nan, watch.problem, watch.news)
-        news = watch.news or self._doubt(watch.pose)
+        estimate = self._pose_estimator.update(references)
+        if estimate.pose is None:
+            return TrackedPositions(time, math.nan, math.nan, estimate.problem, estimate.event)
+        event = estimate.event or self._misfit_event(estimate.pose)
         fixes = {}
         for name, module in (("rear", self.setup.rear), ("front", self.setup.front)):
-            fix = self._fix(module, once, counts, watch.pose)
-            fixes[name] = self._believed(name, fix, time)
+            fix = self._fix(module, once, counts, estimate.pose)
+            fixes[name] = self._plausible(name, fix, time)
         reasons = [f"{name} marker {fix.reason}" for name, fix in fixes.items() if fix.reason]
         positions = fixes["rear"].position, fixes["front"].position
-        return TrackedPositions(time, *positions, "; ".join(reasons), news, watch.pose)
+        return TrackedPositions(time, *positions, "; ".join(reasons), event, estimate.pose)
 
-    def _doubt(self, pose: CameraPose) -> str:
-        """Told once where the reference markers fit their places less well than markers can."""
-        if self._doubted or pose.error_m < DOUBTFUL:
+    def _misfit_event(self, pose: CameraPose) -> str:
+        """Return a message, the first time that the reference markers fit their positions poorly."""
+        if self._misfit_reported or pose.error_m < DOUBTFUL:
             return ""
-        self._doubted = True
+        self._misfit_reported = True
         return (
-            f"the reference markers lie {pose.error_m * 1e3:.2f} mm ({pose.error:.1f} px) beside the places of the "
-            "setup file, which may put x1 and x2 off by some mm: measure the places again, or calibrate anew"
+            f"the reference markers are {pose.error_m * 1e3:.2f} mm ({pose.error:.1f} px) from their positions in the "
+            "setup file. x1 and x2 may be wrong by some mm: measure the positions again, or repeat the calibration"
         )
 
     def _fix(
@@ -97,9 +102,9 @@ class Tracker:
         counts: Counter[int],
         pose: CameraPose,
     ) -> Fix:
-        """The root of a module's fins, before its past is looked at."""
+        """Return the position of a module's fin root from this image alone."""
         if counts[module.number] > 1:
-            return Fix(math.nan, f"{module.number} is there {counts[module.number]} times")
+            return Fix(math.nan, f"{module.number} is visible {counts[module.number]} times")
         if module.number not in once:
             return Fix(math.nan, f"{module.number} is not found")
         fix = locate(self.setup, self.camera, pose, once[module.number])
@@ -107,14 +112,14 @@ class Tracker:
             return Fix(math.nan, f"{module.number} is {fix.reason}")
         return Fix(fix.position + module.offset - self.setup.origin)
 
-    def _believed(self, name: str, fix: Fix, time: float) -> Fix:
-        """A fix, unless the module cannot have come there since it was last seen."""
+    def _plausible(self, name: str, fix: Fix, time: float) -> Fix:
+        """Return the fix, rejected if the module cannot have moved there since its last position."""
         if fix.reason:
             return fix
         before, where = self._last.get(name, (-math.inf, fix.position))
         jump = abs(fix.position - where)
         elapsed = time - before
-        # A clock that was set back tells nothing about speed.
+        # After the clock was set back, the elapsed time is unknown.
         if elapsed >= 0.0 and jump > _PLAY + self.setup.max_speed * elapsed:
             return Fix(
                 math.nan, f"is {jump * 1e3:.0f} mm from where it was {elapsed * 1e3:.0f} ms before"

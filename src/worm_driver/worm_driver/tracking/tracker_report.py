@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tracker says about itself once a second (REP 107), without ROS."""
+"""Diagnostics of the tracker, once a second (REP 107), without ROS."""
 
 import math
 from collections import Counter
@@ -7,47 +7,47 @@ from collections import Counter
 from worm_driver.control.diagnostics import Level, Report
 from worm_driver.tracking.tracker import TrackedPositions
 
-_OFTEN = 0.1  # share of images without both modules from where a warning is given
+_OFTEN = 0.1  # share of images without both modules above which the level is WARN
 
 
 class TrackerReport:
-    """Counts what happens between two reports."""
+    """Counters of the images between two reports."""
 
     def __init__(self, source: str):
         self._source = source
         self._images = 0
         self._hidden: Counter[str] = Counter()
         self._error = math.nan
-        self._news = ""
-        self._trouble = "no image yet"
+        self._event = ""
+        self._problem = "no image yet"
 
     def count(self, sample: TrackedPositions) -> None:
-        """Takes what an image told."""
+        """Add the result of one image."""
         self._images += 1
-        self._trouble = ""
+        self._problem = ""
         if sample.reason:
             self._hidden[sample.reason] += 1
-        if sample.news:
-            self._news = sample.news
+        if sample.event:
+            self._event = sample.event
         if sample.pose is not None:
             self._error = sample.pose.error
 
-    def refuse(self, problem: str) -> bool:
-        """Takes why images cannot be used; returns whether that is new."""
-        new = problem != self._trouble
-        self._trouble = problem
+    def set_problem(self, problem: str) -> bool:
+        """Store why images cannot be used; return True if the problem is new."""
+        new = problem != self._problem
+        self._problem = problem
         return new
 
-    def take(self) -> Report:
-        """The report on what happened since the last one."""
+    def next_report(self) -> Report:
+        """Return the report on the images since the last one, and reset the counters."""
         hidden = sum(self._hidden.values())
         level, message = Level.OK, "ok"
-        if self._trouble:
-            level, message = Level.ERROR, self._trouble
+        if self._problem:
+            level, message = Level.ERROR, self._problem
         elif not self._images:
             level, message = Level.ERROR, "no image in the last second: is the camera running?"
-        elif self._news:
-            level, message = Level.WARN, self._news
+        elif self._event:
+            level, message = Level.WARN, self._event
         elif hidden > _OFTEN * self._images:
             level = Level.WARN
             message = (
@@ -58,6 +58,6 @@ class TrackerReport:
             ("hidden", str(hidden)),
             ("reprojection_error_px", f"{self._error:.3f}"),
         )
-        self._images, self._news = 0, ""
+        self._images, self._event = 0, ""
         self._hidden.clear()
         return Report("tracker: camera", level, message, self._source, values)

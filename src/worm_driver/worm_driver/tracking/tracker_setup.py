@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The setup file of the tracker: which markers hang where, read and checked before a single image is.
+"""Setup file of the tracker: markers, their positions and the camera, validated before any image is read.
 
 The pipe's frame is that of REP 103: x forward along the axis, y to the left, z up.
 """
@@ -15,7 +15,7 @@ import yaml
 from worm_driver.tracking.camera_model import CameraModel, load_camera_info
 from worm_driver.tracking.tracking_errors import SetupError
 
-#: Dictionaries by OpenCV's names, with the number of their markers.
+#: Marker dictionaries (OpenCV names) with their numbers of markers.
 DICTIONARIES = {
     **{f"DICT_{n}X{n}_{count}": count for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
     "DICT_ARUCO_ORIGINAL": 1024,
@@ -24,9 +24,10 @@ DICTIONARIES = {
     "DICT_APRILTAG_36h10": 2320,
     "DICT_APRILTAG_36h11": 587,
 }
-#: A single one gives the camera's direction to a degree or two only, which is a centimetre at the modules.
+#: A single marker determines the camera's direction to one or two degrees only, about a centimetre at the modules.
 FEWEST_REFERENCES = 2
-#: m; what is beyond is meant in mm: a marker's side and offset, a place beside the pipe's axis, and along it
+#: Largest marker side or offset, distance from the pipe's axis, and distance along it (m). Larger values are
+#: probably in mm.
 LARGEST_MARKER, LARGEST_SIDEWAYS, LARGEST_ALONG = 0.5, 3.0, 20.0
 
 _REQUIRED = (
@@ -39,7 +40,7 @@ POSES = ("fixed", "each_image")
 
 @dataclass(frozen=True)
 class ModuleMarker:
-    """The marker on a module. offset: m along x from the marker's centre to the root of the fins."""
+    """Marker on a module. offset: distance along x from the marker's centre to the fin root, m."""
 
     number: int
     offset: float
@@ -47,19 +48,19 @@ class ModuleMarker:
 
 @dataclass(frozen=True)
 class TrackerSetup:
-    """A rig.
+    """Validated setup of a tracker rig.
 
     Attributes:
         dictionary: a key of DICTIONARIES.
         marker_size: side of the black square, m.
-        rear, front: the modules' markers.
-        line: (y, z) of the line that the centres of the modules' markers move on, m.
-        reference: centre (x, y, z) of each marker that is fixed to the pipe, m, by its number.
-        camera: None where it comes with the images (camera_info: topic).
-        rate: of images without times, Hz; 0 where the file does not tell.
-        delay: from exposure to stamp, s.
+        rear, front: markers of the modules.
+        line: (y, z) of the line along which the markers' centres move, m.
+        reference: centre (x, y, z) of each marker fixed to the pipe, m, by marker number.
+        camera: calibration; None if it comes with the images (camera_info: topic).
+        rate: rate of images without times, Hz; 0 if not given.
+        delay: delay from exposure to stamp, s.
         pose: one of POSES.
-        max_speed: of a module, m/s; a marker that was faster is not believed.
+        max_speed: largest speed of a module, m/s; faster detections are rejected.
     """
 
     dictionary: str
@@ -76,12 +77,12 @@ class TrackerSetup:
 
     @property
     def origin(self) -> float:
-        """The x of the first reference marker (m), from which positions count."""
+        """Position x of the first reference marker (m), the zero of all positions."""
         return next(iter(self.reference.values()))[0]
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses a key that stands twice, of which YAML would drop the first without a word."""
+    """YAML loader that rejects duplicate keys, of which PyYAML would silently drop the first."""
 
 
 def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, Any]:
@@ -89,7 +90,7 @@ def _unique_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, A
     for key_node, _ in node.value:
         key = loader.construct_object(key_node, deep=True)
         if key in before:
-            raise SetupError(f"line {key_node.start_mark.line + 1}: {key} stands there twice")
+            raise SetupError(f"line {key_node.start_mark.line + 1}: duplicate key {key}")
         before.append(key)
     return yaml.SafeLoader.construct_mapping(loader, node, deep=True)
 
@@ -98,16 +99,17 @@ _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_
 
 
 def load_setup(path: Path) -> TrackerSetup:
-    """The rig of a setup file, with the calibration that it names.
+    """Read a setup file and the calibration that it names.
 
-    Raises SetupError: the file is missing or wrong; the message names the place and what is wrong there.
+    Raises:
+        SetupError: The file is missing or invalid. The message names the key and the problem.
     """
     try:
         content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except OSError as error:
         raise SetupError(f"{path}: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SetupError(f"{path}: no YAML: {' '.join(str(error).split())}") from None
+        raise SetupError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
     except SetupError as error:
         raise SetupError(f"{path}: {error}") from None
     try:
@@ -123,7 +125,7 @@ def _setup(content: Any, folder: Path) -> TrackerSetup:
         raise SetupError(f"marker_size_m must be above 0, not {size:g}")
     dictionary = keys["dictionary"]
     if dictionary not in DICTIONARIES:
-        raise SetupError(f"no dictionary {dictionary!r}: there are {', '.join(DICTIONARIES)}")
+        raise SetupError(f"unknown dictionary {dictionary!r}; use one of {', '.join(DICTIONARIES)}")
     line = _keys(keys["module_line"], "module_line", ("y_m", "z_m"), {})
     rear, front = (_module(keys[name], name) for name in ("rear", "front"))
     reference = _reference(keys["reference"])
@@ -155,7 +157,7 @@ def _keys(
     known = [*required, *optional]
     unknown = [key for key in content if key not in known]
     if unknown:
-        raise SetupError(f"{place}: unknown key {unknown[0]!r}; there are {', '.join(known)}")
+        raise SetupError(f"{place}: unknown key {unknown[0]!r}; the keys are {', '.join(known)}")
     missing = [key for key in required if key not in content]
     if missing:
         hint = " (the camera's calibration, see calibrate_camera)" * (missing[0] == "camera_info")
@@ -186,8 +188,8 @@ def _reference(content: Any) -> dict[int, tuple[float, float, float]]:
         )
     if len(places) < FEWEST_REFERENCES:
         raise SetupError(
-            f"reference: {FEWEST_REFERENCES} markers are needed, not {len(places)}: one alone gives the camera's "
-            "direction too roughly, and nothing would tell that it was moved"
+            f"reference: {FEWEST_REFERENCES} markers are needed, not {len(places)}: a single "
+            "marker does not determine the camera's direction, and camera motion could not be detected"
         )
     return places
 
@@ -212,26 +214,28 @@ def _check_numbers(
 
 
 def _check_places(size: float, reference: Mapping[int, tuple[float, float, float]]) -> None:
-    """No two markers in one place, and none so close that they were meant in other units."""
+    """Raise SetupError if two markers overlap, which also happens if their positions are not in m."""
     items = list(reference.items())
     for index, (number, place) in enumerate(items):
         for other, other_place in items[:index]:
             if math.dist(place, other_place) < size:
                 raise SetupError(
                     f"reference: {other} and {number} are {math.dist(place, other_place):g} m apart, closer than the "
-                    f"{size:g} m that a marker is wide: are the places in m?"
+                    f"{size:g} m width of a marker. Are the positions in m?"
                 )
 
 
 def _camera(content: Any, folder: Path) -> CameraModel | None:
     if not isinstance(content, str) or not content:
-        raise SetupError("camera_info must name a file, or be the word topic")
+        raise SetupError("camera_info must be the name of a file, or topic")
     return None if content == "topic" else load_camera_info(folder / content)
 
 
 def _marker_number(value: Any, place: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise SetupError(f"{place}: a marker's number is 0 or above, not {value!r}")
+        raise SetupError(
+            f"{place}: a marker number must be an integer of at least 0, not {value!r}"
+        )
     return value
 
 
@@ -260,11 +264,11 @@ def _positive(value: Any, place: str) -> float:
 def _not_negative(value: Any, place: str) -> float:
     number = _number(value, place)
     if number < 0.0:
-        raise SetupError(f"{place} must not be negative: {number:g}")
+        raise SetupError(f"{place} must not be negative, not {number:g}")
     return number
 
 
-def _choice(value: Any, place: str, words: tuple[str, ...]) -> str:
-    if value not in words:
-        raise SetupError(f"{place} must be one of {', '.join(words)}, not {value!r}")
+def _choice(value: Any, place: str, choices: tuple[str, ...]) -> str:
+    if value not in choices:
+        raise SetupError(f"{place} must be one of {', '.join(choices)}, not {value!r}")
     return str(value)

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong with a camera, its setup and its images; every message says what, where, and what to do."""
+"""Exceptions of the tracker. Each message names the problem, the place and the remedy."""
 
 from worm_driver.errors import DriverError
 
 
 class TrackingError(DriverError):
-    """Anything that makes tracking impossible."""
+    """Base class of the tracker's exceptions."""
 
 
 class SetupError(TrackingError):
-    """A setup file, or a camera's calibration, that cannot be used."""
+    """Invalid setup file or calibration."""
 
 
 class ImageError(TrackingError):
-    """An image, a film or a camera that cannot be read."""
+    """Unreadable image, video or camera."""
 
 
 class PoseError(TrackingError):
-    """The place of the camera cannot be told from the reference markers that are seen."""
+    """Camera pose that cannot be determined from the visible reference markers."""

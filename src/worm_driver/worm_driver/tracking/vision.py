@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that is asked of OpenCV: images in, corners of markers out, and the geometry of its camera models.
+"""OpenCV interface: marker detection, camera geometry, calibration, image files and drawing.
 
-The only importer of cv2. Images are arrays of shape (height, width), grey, unless said otherwise; pixels are (column,
-row) with (0, 0) in the middle of the first one.
+The only module that imports cv2. Images are grey arrays of shape (height, width) unless stated otherwise. Pixels are
+(column, row) with (0, 0) at the centre of the first pixel.
 """
 
 from collections.abc import Sequence
@@ -18,29 +18,31 @@ from worm_driver.tracking.tracking_errors import ImageError
 
 Image = NDArray[np.uint8]
 
-# A camera's images come one by one, and a second thread would only wait for the first.
+# Images arrive one by one, so that a second thread would have nothing to do.
 cv2.setNumThreads(1)
 
 _UNIT = np.eye(3)
 _EXACT = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-9)
 _PROFILE = np.linspace(-0.9, 0.9, 19)  # cells from an edge, inwards to outwards
-_ALONG = np.linspace(0.1, 0.9, 25)  # of an edge, clear of the corners, which blur rounds
-_FEWEST = 8  # of those points that must lie on a line
+_ALONG = np.linspace(
+    0.1, 0.9, 25
+)  # positions along an edge, away from the corners, which blur rounds
+_FEWEST = 8  # smallest number of those points that must lie on a line
 _LEAST_RISE = 12.0  # grey levels from the frame to the white
 _REFINEMENTS = 2
 _REJECTIONS = 3
-_USUAL = 0.1  # pixels, that a point is off its line by noise alone
-_BORDER = 2  # cells of the frame that a marker has beside its bits
+_USUAL = 0.1  # typical distance of a point from its line by noise alone, pixels
+_BORDER = 2  # cells of the frame, in addition to the bits
 
 
 @dataclass(frozen=True)
 class Detection:
-    """A marker in an image.
+    """Marker detected in an image.
 
     Attributes:
-        number: its id.
+        number: marker id.
         corners: pixels, shape (4, 2): top left, top right, bottom right, bottom left of the print.
-        edge_width: 10 to 90 % of its edges' rise, in cells of the marker; a sharp image is well below a half.
+        edge_width: width of the edges from 10 to 90 %, cells of the marker; well below 0.5 in a sharp image.
     """
 
     number: int
@@ -49,18 +51,18 @@ class Detection:
 
 
 class MarkerDetector:
-    """Finds the markers of one dictionary (OpenCV's name)."""
+    """Detector of the markers of one dictionary (OpenCV name)."""
 
     def __init__(self, dictionary: str):
         markers = _dictionary(dictionary)
         self._cells = markers.markerSize + _BORDER
         settings = cv2.aruco.DetectorParameters()
-        # One threshold, of a window that is wider than a cell of a marker of 40 pixels.
+        # One threshold window, wider than a cell of a marker of 40 pixels.
         settings.adaptiveThreshWinSizeMin = settings.adaptiveThreshWinSizeMax = 23
         self._detector = cv2.aruco.ArucoDetector(markers, settings)
 
     def detect(self, image: Image) -> list[Detection]:
-        """The markers in an image; one that is there twice stands there twice."""
+        """Return the markers in an image. A marker that is visible twice appears twice."""
         quadrilaterals, numbers, _ = self._detector.detectMarkers(image)
         if numbers is None:
             return []
@@ -69,7 +71,7 @@ class MarkerDetector:
         for _ in range(_REFINEMENTS):
             corners, widths = _refined(image, corners, self._cells)
         cell = np.hypot(*(first[:, 1] - first[:, 0]).T) / self._cells
-        # Where the edges lead away from what OpenCV found, they are not the marker's.
+        # Refined corners far from OpenCV's corners belong to other edges.
         lost = ~(np.abs(corners - first).max(axis=(1, 2)) < cell)
         corners[lost], widths[lost] = first[lost], np.inf
         return [
@@ -79,10 +81,11 @@ class MarkerDetector:
 
 
 def _refined(image: Image, corners: Array, cells: int) -> tuple[Array, Array]:
-    """Corners where lines through the four edges meet, shape (markers, 4, 2), and how wide the edges are (cells).
+    """Return refined corners, shape (markers, 4, 2), and the width of the edges, cells.
 
-    An edge is where the grey level is half way between the frame and the white beside it, which blur does not move; a
-    line through many such points is several times as exact as OpenCV's own corners, which blur draws inwards.
+    A corner is the intersection of lines through adjacent edges. An edge point is where the grey level is half way
+    between the frame and the white around it, which blur does not move. A line through many such points is several
+    times more accurate than OpenCV's corners, which blur moves inwards.
     """
     sides = np.roll(corners, -1, axis=1) - corners
     lengths = np.hypot(sides[..., 0], sides[..., 1])
@@ -101,7 +104,7 @@ def _refined(image: Image, corners: Array, cells: int) -> tuple[Array, Array]:
 
 
 def _shares(profiles: Array) -> Array:
-    """Profiles from 0 (the frame) to 1 (the white beside it); NaN where there is no rise."""
+    """Return profiles scaled from 0 (the frame) to 1 (the white around it); NaN where there is no edge."""
     low, high = profiles[:3].mean(axis=0), profiles[-3:].mean(axis=0)
     rise = np.where(high - low > _LEAST_RISE, high - low, np.nan)
     shares: Array = (profiles - low) / rise
@@ -109,7 +112,7 @@ def _shares(profiles: Array) -> Array:
 
 
 def _crossings(shares: Array) -> Array:
-    """Where profiles first rise above a half, cells, shape (along, …); NaN where they do not."""
+    """Return the positions where profiles first exceed 0.5, cells, shape (along, …); NaN where they do not."""
     above = shares > 0.5
     index = np.clip(above.argmax(axis=0), 1, len(_PROFILE) - 1)
     before, after = (np.take_along_axis(shares, index[None] - back, axis=0)[0] for back in (1, 0))
@@ -120,9 +123,9 @@ def _crossings(shares: Array) -> Array:
 
 
 def _lines(places: Array) -> tuple[Array, Array]:
-    """Offset and slope of a line through each edge's points (along, …), without those that lie off it.
+    """Return offset and slope of a robust line through each edge's points (along, …).
 
-    NaN where too few are left.
+    Outliers are rejected. The result is NaN where too few points remain.
     """
     good = np.isfinite(places)
     d = np.where(good, places, 0.0)
@@ -141,7 +144,7 @@ def _lines(places: Array) -> tuple[Array, Array]:
 
 
 def _meetings(begin: Array, end: Array) -> Array:
-    """The corners of four lines in turn, shape (markers, 4, 2): each line meets the one before it."""
+    """Return the intersections of each line with the previous one, shape (markers, 4, 2)."""
     start, along = begin, end - begin
     other, across = np.roll(begin, 1, axis=1), np.roll(along, 1, axis=1)
     # start + s * along = other + r * across
@@ -153,7 +156,7 @@ def _meetings(begin: Array, end: Array) -> Array:
 
 
 def _rises(shares: Array) -> Array:
-    """Cells from 10 to 90 % of each marker's edges, the wider of its two directions, from the area of the rise."""
+    """Return the width of each marker's edges from 10 to 90 %, cells: the larger of its two directions."""
     there = np.isfinite(shares)
     count = np.maximum(there.sum(axis=1), 1)
     mean = np.where(there, shares, 0.0).sum(axis=1) / count  # (profile, marker, side)
@@ -170,7 +173,7 @@ def _rises(shares: Array) -> Array:
 
 
 def project(camera: CameraModel, points: Array, rotation: Array, shift: Array) -> Array:
-    """Pixels, shape (n, 2), of points (n, 3) in m that the camera sees at rotation @ point + shift."""
+    """Return the pixels, shape (n, 2), of points (n, 3) in m at rotation @ point + shift in the optical frame."""
     turn = cv2.Rodrigues(rotation)[0]
     distortion = np.array(camera.distortion)
     places = points.reshape(-1, 1, 3)
@@ -182,7 +185,7 @@ def project(camera: CameraModel, points: Array, rotation: Array, shift: Array) -
 
 
 def directions(camera: CameraModel, pixels: Array) -> Array:
-    """(x/z, y/z), shape (n, 2), of what is seen at pixels; NaN where the lens model has no inverse."""
+    """Return the ray directions (x/z, y/z), shape (n, 2), of pixels; NaN where the lens model has no inverse."""
     distortion = np.array(camera.distortion)
     image_points = np.ascontiguousarray(pixels, float).reshape(-1, 1, 2)
     if camera.model == "equidistant":
@@ -201,9 +204,9 @@ def directions(camera: CameraModel, pixels: Array) -> Array:
 
 
 def poses(points: Array, rays: Array) -> list[tuple[Array, Array]]:
-    """Rotation and shift of each camera that may have seen points (n, 3) at directions (n, 2), refined.
+    """Return rotation and shift of each camera pose that maps points (n, 3) to directions (n, 2), refined.
 
-    Points in a plane may have been seen from two places: both are returned (IPPE, Collins and Bartoli 2014).
+    Coplanar points can have two solutions; both are returned (IPPE, Collins and Bartoli 2014).
     """
     centre = points.mean(axis=0)
     _, spread, axes = np.linalg.svd(points - centre)
@@ -211,7 +214,7 @@ def poses(points: Array, rays: Array) -> list[tuple[Array, Array]]:
     if np.linalg.det(axes) < 0.0:
         axes[2] = -axes[2]
     own = (points - centre) @ axes.T
-    # IPPE fails where the vanishing line is exactly parallel to an axis; SQPNP knows one of the two poses only.
+    # IPPE fails where the vanishing line is exactly parallel to an axis; SQPNP returns only one of the two poses.
     methods = [cv2.SOLVEPNP_SQPNP]
     if flat:
         own[:, 2] = 0.0
@@ -236,7 +239,7 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def marker_cells(dictionary: str, number: int) -> NDArray[np.bool_]:
-    """A marker's cells with its frame, shape (n, n), row by row from the top; true is white."""
+    """Return a marker's cells including its frame, shape (n, n), row by row from the top; true is white."""
     markers = _dictionary(dictionary)
     side = markers.markerSize + _BORDER
     cells: NDArray[np.bool_] = cv2.aruco.generateImageMarker(markers, number, side) > 0
@@ -247,12 +250,12 @@ def marker_cells(dictionary: str, number: int) -> NDArray[np.bool_]:
 
 
 class Board:
-    """A ChArUco board: a chessboard with a marker in each white square, so that a part of it is enough.
+    """ChArUco board: a chessboard with a marker in each white square, usable when partly visible.
 
     Args:
-        columns, rows: of squares.
-        square: side of a square, m; the markers' is 0.72 of it.
-        dictionary: of the markers.
+        columns, rows: numbers of squares.
+        square: side of a square, m; the side of a marker is 0.72 of it.
+        dictionary: dictionary of the markers.
     """
 
     def __init__(self, columns: int, rows: int, square: float, dictionary: str):
@@ -262,13 +265,13 @@ class Board:
         self._detector = cv2.aruco.CharucoDetector(self._board)
 
     def draw(self, pixels_per_square: int) -> Image:
-        """The board as an image."""
+        """Return the board as an image."""
         columns, rows = self._board.getChessboardSize()
         size = columns * pixels_per_square, rows * pixels_per_square
         return np.asarray(self._board.generateImage(size), np.uint8)
 
     def find(self, image: Image) -> tuple[Array, Array]:
-        """The inner corners seen in an image: on the board (n, 3) in m, and in the image (n, 2) in pixels."""
+        """Return the visible inner corners: on the board (n, 3) in m and in the image (n, 2) in pixels."""
         corners, numbers, _, _ = self._detector.detectBoard(image)
         if numbers is None or len(numbers) == 0:
             return np.empty((0, 3)), np.empty((0, 2))
@@ -278,7 +281,7 @@ class Board:
 
 @dataclass(frozen=True)
 class Calibration:
-    """A camera and how well it fits: rms and that of each view (pixels), deviation of the focal length (pixels)."""
+    """Calibrated camera with its rms error, the error of each view and the focal length's deviation, all in pixels."""
 
     camera: CameraModel
     error: float
@@ -289,11 +292,11 @@ class Calibration:
 def calibrate(
     views: Sequence[tuple[Array, Array]], size: tuple[int, int], model: str
 ) -> Calibration:
-    """The camera that has seen a board's corners.
+    """Calibrate a camera from views of a board.
 
     Args:
-        views: as `Board.find` returns them.
-        size: of the images (width, height), pixels.
+        views: results of `Board.find`.
+        size: image size (width, height), pixels.
         model: plumb_bob or rational_polynomial.
     """
     flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
@@ -317,7 +320,7 @@ def calibrate(
 
 
 def read_image(path: Path) -> Image:
-    """An image file, grey. Raises ImageError."""
+    """Read an image file as grey. Raises ImageError."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise ImageError(f"{path} cannot be read as an image")
@@ -325,15 +328,15 @@ def read_image(path: Path) -> Image:
 
 
 def decode_image(data: bytes) -> Image:
-    """A JPEG, PNG or other image file's bytes, grey. Raises ImageError."""
+    """Decode the bytes of a JPEG, PNG or other image file as grey. Raises ImageError."""
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
     if image is None:
-        raise ImageError(f"{len(data)} bytes are no image")
+        raise ImageError(f"{len(data)} bytes cannot be decoded as an image")
     return np.asarray(image, np.uint8)
 
 
 def write_image(path: Path, image: Image) -> None:
-    """Writes an image file, grey or (height, width, 3) blue, green, red; its name's ending decides the form."""
+    """Write an image, grey or (height, width, 3) blue, green, red, in the format of the file name's extension."""
     if not cv2.imwrite(str(path), image):
         raise ImageError(f"{path} cannot be written")
 
@@ -354,9 +357,10 @@ _CHANNELS = {"mono8": 1, "bgr8": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4} | dict.fr
 
 
 def grey(data: NDArray[np.uint8], height: int, width: int, step: int, encoding: str) -> Image:
-    """The pixels of a sensor_msgs/Image, whose rows are step bytes apart, as a grey image.
+    """Return the pixels of a sensor_msgs/Image, whose rows are step bytes apart, as a grey image.
 
-    Raises ImageError: the encoding is none of those of 8 bits that cameras send, or the data are too few.
+    Raises:
+        ImageError: The encoding is not supported, or the data are truncated.
     """
     if encoding not in _CHANNELS:
         raise ImageError(
@@ -365,7 +369,7 @@ def grey(data: NDArray[np.uint8], height: int, width: int, step: int, encoding: 
     used = width * _CHANNELS[encoding]
     if step < used or len(data) < height * step:
         raise ImageError(
-            f"an image of {width} x {height} in {encoding} with {len(data)} bytes is cut off"
+            f"an image of {width} x {height} in {encoding} with {len(data)} bytes is truncated"
         )
     rows = data[: height * step].reshape(height, step)[:, :used]
     if encoding == "mono8":
@@ -374,8 +378,8 @@ def grey(data: NDArray[np.uint8], height: int, width: int, step: int, encoding: 
     return np.asarray(cv2.cvtColor(pixels, _TO_GREY[encoding]), np.uint8)
 
 
-class Film:
-    """A film file or a V4L2 camera, image by image. Raises ImageError where it cannot be opened."""
+class VideoSource:
+    """Video file or V4L2 camera, read image by image. Raises ImageError if it cannot be opened."""
 
     def __init__(self, source: str):
         self._source = source
@@ -383,16 +387,20 @@ class Film:
         backend = cv2.CAP_V4L2 if device else cv2.CAP_FFMPEG
         self._capture = cv2.VideoCapture(source, backend)
         if not self._capture.isOpened():
-            hint = "is it plugged in, and in use by nothing else?" if device else "is it a film?"
+            hint = (
+                "is it connected, and not in use by another program?"
+                if device
+                else "is it a video?"
+            )
             raise ImageError(f"{source} cannot be opened: {hint}")
 
     @property
     def rate(self) -> float:
-        """Images per second as the film tells, 0 where it does not."""
+        """Frame rate stored in the video, Hz; 0 if unknown."""
         return float(self._capture.get(cv2.CAP_PROP_FPS))
 
-    def ask_for(self, width: int, height: int, rate: float) -> None:
-        """Asks a camera for a size and a rate (Hz, 0: its own); it may give another."""
+    def request_format(self, width: int, height: int, rate: float) -> None:
+        """Request an image size and a rate (Hz, 0: default) from a camera, which may use others."""
         self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, width)
         self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height)
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
@@ -400,16 +408,16 @@ class Film:
             self._capture.set(cv2.CAP_PROP_FPS, rate)
 
     def read(self) -> tuple[Image, float] | None:
-        """The next image, grey, and its time (s) in the film; None at the end."""
-        there, image = self._capture.read()
-        if not there:
+        """Return the next image, grey, and its time (s) in the video; None at the end."""
+        success, image = self._capture.read()
+        if not success:
             return None
         time = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) * 1e-3
         plain = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         return np.asarray(plain, np.uint8), time
 
     def close(self) -> None:
-        """Lets go of it."""
+        """Close the file or device."""
         self._capture.release()
 
 
@@ -420,7 +428,7 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Label:
-    """An outline with a text at its first point; colour is (blue, green, red)."""
+    """Outline with a text at its first point; colour is (blue, green, red)."""
 
     outline: Array
     text: str
@@ -428,7 +436,7 @@ class Label:
 
 
 def draw(image: Image, labels: Sequence[Label], title: Sequence[str]) -> Image:
-    """An image in colour with outlines and texts, and lines of text in its corner."""
+    """Return a colour image with labels, and lines of text in its corner."""
     drawn = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     for label in labels:
         points = np.round(label.outline * 16).astype(np.int32)

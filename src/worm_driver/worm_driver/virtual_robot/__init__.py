@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A worm robot without hardware: servo bus and power sensor byte for byte, and a worm behind them."""
+"""Virtual worm robot: servo bus and power sensor at byte level, and a plant that moves."""

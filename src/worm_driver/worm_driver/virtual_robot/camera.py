@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A camera above the pipe: positions of both modules, with noise, occlusions and latency."""
+"""Position sensor of the virtual robot: a camera with noise, occlusions and latency."""
 
 import math
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from worm_driver.virtual_robot.virtual_settings import TrackerSettings
 
 @dataclass(frozen=True)
 class TrackerSample:
-    """Positions (m) at the time of exposure (s), NaN where a marker is hidden.
+    """Positions (m) at the time of exposure (s); NaN while a marker is hidden.
 
-    available: s, when the camera hands the sample out.
+    available: time at which the sample can be read, s.
     """
 
     time: float
@@ -22,7 +22,7 @@ class TrackerSample:
 
 
 class Tracker:
-    """Exposes at a fixed rate. Zero is where the rear module starts."""
+    """Camera with a fixed rate. Positions are relative to the rear module's start."""
 
     def __init__(self, settings: TrackerSettings, random: Random) -> None:
         self._settings = settings
@@ -32,14 +32,14 @@ class Tracker:
         self.next_exposure = 0.0
 
     def expose(self, time: float, rear: float, front: float) -> TrackerSample:
-        """A sample of the true positions (m) at a time (s)."""
+        """Return a sample of the true positions (m) at a time (s)."""
         self._exposures += 1
         self.next_exposure = self._exposures / self._settings.rate
         positions = [self._see(marker, time, true) for marker, true in enumerate((rear, front))]
         return TrackerSample(time, positions[0], positions[1], time + self._settings.latency)
 
     def _see(self, marker: int, time: float, true: float) -> float:
-        # Both are drawn each time, so that an occlusion does not shift the noise after it.
+        # Both numbers are drawn each time, so that an occlusion does not change the noise after it.
         starts = self._random.random() < self._settings.occlusion_rate / self._settings.rate
         noise = self._random.gauss(0.0, self._settings.noise)
         if starts and time >= self._hidden_until[marker]:

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a camera beside the pipe sees of the virtual robot, as images.
+"""Rendered camera images of the virtual robot.
 
-Geometry of its own, which shares nothing with the tracker that looks at the images: for each pixel the ray through it
-is followed to the plane of the prints, and the print is averaged over the pixel and over the exposure. A print is a
-pattern of constant cells, so both averages are differences of its integral and exact for what lies square to the
-pixels: an edge is where it is, not at the next sample.
+The geometry shares no code with the tracker that processes the images. Each pixel's ray is intersected with the plane
+of the prints, and the print is averaged over the pixel and over the exposure. A print consists of constant cells, so
+that both averages are differences of its integral: edges are exact to a fraction of a pixel, without sampling.
 """
 
 from collections.abc import Mapping
@@ -24,16 +23,16 @@ Window = tuple[slice, slice]
 
 DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_camera.yaml")))
 
-_QUIET = 1.0  # cells of white around a print
+_QUIET = 1.0  # width of the white margin around a print, cells
 _PAPER, _INK = 1.0, 0.07  # reflectance
 _MODULE, _WALL, _BACKGROUND = 0.38, 0.55, 0.72
-_MODULE_SIZE = (0.048, 0.062)  # m along x and z, of the part of a module that the camera sees
-_UNDISTORTIONS = 25  # fixed-point iterations, to well below a thousandth of a pixel
+_MODULE_SIZE = (0.048, 0.062)  # visible part of a module along x and z, m
+_UNDISTORTIONS = 25  # fixed-point iterations; the error is well below a thousandth of a pixel
 
 
 @dataclass(frozen=True)
 class ModulePrint:
-    """The marker on a module and its distance (m) to the fins' root."""
+    """Marker on a module and its distance (m) to the fin root."""
 
     marker: int
     offset: float
@@ -41,7 +40,7 @@ class ModulePrint:
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """The file's values without their units, see config/virtual_camera.yaml."""
+    """Settings of the camera in SI units, see config/virtual_camera.yaml."""
 
     width: int
     height: int
@@ -81,7 +80,7 @@ _KEYS = {
 
 
 def load_camera_settings(path: Path | None = None) -> CameraSettings:
-    """The settings of a file, None: the installed one. Raises SettingsError."""
+    """Read the settings of a file (None: the installed one). Raises SettingsError."""
     return read_settings(DEFAULT_FILE if path is None else path, _camera)
 
 
@@ -90,14 +89,14 @@ def _camera(content: Any) -> CameraSettings:
         raise SettingsError("expected a mapping of names to values")
     values = {_KEYS.get(str(key), str(key)): value for key, value in content.items()}
     known = {field.name for field in fields(CameraSettings)}
-    odd = sorted(known.symmetric_difference(values))
-    if odd:
-        problem = "unknown name" if odd[0] in values else "there is no"
-        raise SettingsError(f"{problem} {odd[0]!r}")
+    different = sorted(known.symmetric_difference(values))
+    if different:
+        problem = "unknown key" if different[0] in values else "missing key"
+        raise SettingsError(f"{problem} {different[0]!r}")
     try:
         return CameraSettings(**{name: _value(name, value) for name, value in values.items()})
     except (KeyError, TypeError, ValueError) as error:
-        raise SettingsError(f"a value is not of the kind that it must be: {error}") from error
+        raise SettingsError(f"a value has the wrong type: {error}") from error
 
 
 def _value(name: str, value: Any) -> Any:
@@ -115,23 +114,23 @@ def _value(name: str, value: Any) -> Any:
 
 
 def framed(rows: list[str]) -> Array:
-    """Reflectance of a print's cells, row by row from the top: bits in a black frame in a white margin."""
+    """Return the reflectance of a print's cells, row by row from the top, with black frame and white margin."""
     bits = np.array([[float(bit) for bit in row] for row in rows])
     return _INK + (_PAPER - _INK) * np.pad(np.pad(bits, 1), 1, constant_values=1.0)
 
 
 class Pattern:
-    """A print of cells (sizes along u and v in m) in its own plane, centred at (0, 0), u to the right, v up."""
+    """Print of rectangular cells (sizes along u and v in m) in its plane, centred at (0, 0), u right, v up."""
 
     def __init__(self, cells: Array, cell: tuple[float, float]) -> None:
         rows, columns = cells.shape
         self.half = (columns * cell[0] / 2.0, rows * cell[1] / 2.0)
         self._cell = cell
-        # The integral over all that lies left of and below a corner of the cells, in cells.
+        # Integral over the area to the left of and below each corner of the cells, in cells.
         self._sums = np.pad(np.cumsum(np.cumsum(cells[::-1], axis=0), axis=1), ((1, 0), (1, 0)))
 
     def average(self, u: Array, v: Array, du: Array, dv: Array) -> tuple[Array, Array]:
-        """Mean reflectance of its part of each rectangle du x dv (m) around (u, v), and its share of the area."""
+        """Return mean reflectance and area share of the print in each rectangle du x dv (m) around (u, v)."""
         left, right = (self._along(u + sign * du / 2.0, 0) for sign in (-1, 1))
         low, high = (self._along(v + sign * dv / 2.0, 1) for sign in (-1, 1))
         inside = (right - left) * (high - low)
@@ -149,7 +148,7 @@ class Pattern:
         return np.clip((place + self.half[axis]) / self._cell[axis], 0.0, count)
 
     def _at(self, column: Array, row: Array) -> Array:
-        """The integral, which is bilinear within each cell."""
+        """Return the integral, which is bilinear within each cell."""
         c = np.minimum(column.astype(int), self._sums.shape[1] - 2)
         r = np.minimum(row.astype(int), self._sums.shape[0] - 2)
         fc, fr = column - c, row - r
@@ -160,7 +159,7 @@ class Pattern:
 
 
 class Footprints(NamedTuple):
-    """What pixels see of a plane: centre (x, z) and size (m) of each, all of shape (rows, columns)."""
+    """Footprints of pixels on a plane: centre (x, z) and size (m), each of shape (rows, columns)."""
 
     x: Array
     z: Array
@@ -175,7 +174,7 @@ def _put(
     centre: tuple[float, float],
     sweep: float,
 ) -> None:
-    """Puts a pattern at (x, z) into a scene of the same pixels; sweep: m that it moves along x meanwhile."""
+    """Draw a pattern at (x, z) into a scene; sweep: its motion along x during the exposure, m."""
     u, v = footprints.x - centre[0], footprints.z - centre[1]
     near = (np.abs(u) < pattern.half[0] + footprints.width + sweep) & (
         np.abs(v) < pattern.half[1] + footprints.height
@@ -190,10 +189,7 @@ def _put(
 
 
 class VirtualCamera:
-    """Renders images of the rig with the modules at given places.
-
-    seed: of the sensor's noise.
-    """
+    """Renderer of the rig's images for given module positions. seed: seed of the sensor noise."""
 
     def __init__(self, settings: CameraSettings, seed: int = 0) -> None:
         self.settings = settings
@@ -209,13 +205,13 @@ class VirtualCamera:
         share = np.clip(self._empty, 0.0, 255.0) / np.float32(255.0)
         dark, bright = np.float32(settings.noise_dark), np.float32(settings.noise_bright)
         self._noisiness = dark + (bright - dark) * share
-        # Part of a longer row of random numbers, from another place on in each image.
+        # Each image uses a different part of this array of random numbers.
         self._noise = self._random.standard_normal(2 * self._empty.size, np.float32)
 
-    # --- what does not move -----------------------------------------------------------------------
+    # --- static scene -----------------------------------------------------------------------------
 
     def _pixel_rays(self) -> Array:
-        """Direction of each pixel's ray in the pipe's frame, shape (height, width, 3)."""
+        """Return the direction of each pixel's ray in the pipe's frame, shape (height, width, 3)."""
         s = self.settings
         column, row = np.meshgrid(np.arange(s.width, dtype=float), np.arange(s.height, dtype=float))
         bent_x, bent_y = (column - s.centre[0]) / s.focal, (row - s.centre[1]) / s.focal
@@ -229,7 +225,7 @@ class VirtualCamera:
         return np.stack([x, y, np.ones_like(x)], axis=2) @ self._orientation()
 
     def _orientation(self) -> Array:
-        """Rows are the optical axes (right, down, forward) in the pipe's frame."""
+        """Return the optical axes (right, down, forward) in the pipe's frame as rows."""
         s = self.settings
         forward = np.array([
             -np.sin(s.yaw) * np.cos(s.pitch_angle), np.cos(s.yaw) * np.cos(s.pitch_angle), np.sin(s.pitch_angle),
@@ -240,13 +236,13 @@ class VirtualCamera:
         return np.array([right, np.cross(forward, right), forward])
 
     def _plane(self, y: float, window: Window) -> tuple[Array, Array]:
-        """The x and z (m) of what each pixel of a window sees in a plane at y."""
+        """Return x and z (m) of each pixel of a window in a plane at y."""
         rays, camera = self._rays[window], self.settings.position
         along = (y - camera[1]) / rays[..., 1]
         return camera[0] + along * rays[..., 0], camera[2] + along * rays[..., 2]
 
     def _window(self, centre: tuple[float, float, float], half: tuple[float, float]) -> Window:
-        """The pixels that may see a rectangle of half sizes (m) in a plane at y."""
+        """Return the pixels that can contain a rectangle of half sizes (m) in a plane at y."""
         s, axes, (x, y, z) = self.settings, self._orientation(), centre
         corners = np.array(
             [[x + a * half[0], y, z + b * half[1]] for a in (-1, 1) for b in (-1, 1)]
@@ -270,14 +266,14 @@ class VirtualCamera:
         return s.light * (1.0 + s.light_slope[0] * across) * (1.0 + s.light_slope[1] * down)
 
     def _acrylic(self) -> tuple[Array, Array]:
-        """What the pipe's front wall lets through, and the grey levels that its reflections add."""
+        """Return the transmission of the pipe's front wall and the grey levels of its reflections."""
         s = self.settings
         x, z = self._plane(-s.pipe_radius, (slice(None), slice(None)))
         within = np.abs(z) < s.pipe_radius
         ridge = 0.5 + 0.5 * np.cos(2.0 * np.pi * x / s.ridge_pitch)
         gain = np.where(within, 1.0 - (1.0 - s.ridge_transmission) * ridge**4, 1.0)
         streaks = sum(np.exp(-(((z - height) / 0.0012) ** 2)) for height in s.glare_heights)
-        # Each ridge breaks the lamps' reflection into a chain of bright spots.
+        # The ridges split the lamps' reflections into chains of bright spots.
         glare = s.glare * np.asarray(streaks) * (0.35 + 0.65 * ridge**2)
         return gain, np.where(within, glare, 0.0)
 
@@ -294,12 +290,12 @@ class VirtualCamera:
             _put(part, self.footprints(y, window), self._prints[number], (x, z), 0.0)
         return scene
 
-    # --- what moves -------------------------------------------------------------------------------
+    # --- moving parts -----------------------------------------------------------------------------
 
     def image(self, path: Array) -> Image:
-        """An image, shape (height, width), 8 bit grey.
+        """Return an image, shape (height, width), 8 bit grey.
 
-        path: x1 and x2 (m) in the middle of equal parts of the exposure, shape (parts, 2); NaN: out of sight.
+        path: x1 and x2 (m) at the centres of equal parts of the exposure, shape (parts, 2); NaN if hidden.
         """
         levels = self._empty.copy()
         for column, module in enumerate((self.settings.rear, self.settings.front)):
@@ -309,7 +305,7 @@ class VirtualCamera:
         return self._digitise(levels)
 
     def _show(self, levels: NDArray[np.float32], number: int, centres: Array) -> None:
-        """Puts a module into the image, averaged over its places (m) during the exposure."""
+        """Draw a module, averaged over its positions (m) during the exposure."""
         y, z = self.settings.module_line
         middle, sweep = float(centres.mean()), float(np.ptp(centres))
         part = sweep / max(len(centres) - 1, 1)
@@ -328,18 +324,18 @@ class VirtualCamera:
         levels[window] = self._exposed(sums / len(centres), window)
 
     def footprints(self, y: float, window: Window) -> Footprints:
-        """What the pixels of a window see of a plane at y (m)."""
+        """Return the footprints of a window's pixels on a plane at y (m)."""
         x, z = self._plane(y, window)
         spread = self.settings.pixel_spread
         widths = spread * np.abs(np.gradient(x, axis=1)), spread * np.abs(np.gradient(z, axis=0))
         return Footprints(x, z, *widths)
 
     def _exposed(self, scene: Array, window: Window = (slice(None), slice(None))) -> Array:
-        """Grey levels of a scene's reflectance."""
+        """Return the grey levels of a scene's reflectance."""
         return scene * self._light[window] * self._gain[window] + self._glare[window]
 
     def _digitise(self, levels: NDArray[np.float32]) -> Image:
-        """With the sensor's noise, in whole grey levels."""
+        """Return the image with sensor noise, in whole grey levels."""
         start = int(self._random.integers(self._noise.size - levels.size))
         noise = self._noise[start : start + levels.size].reshape(levels.shape)
         levels += self._noisiness * noise
@@ -347,15 +343,18 @@ class VirtualCamera:
         return np.clip(levels, 0.0, 255.0, out=levels).astype(np.uint8)
 
 
-_PARTS = 3  # of an exposure
+_PARTS = 3  # number of equal parts of an exposure
 
 
 def exposure_path(
     exposure: tuple[int, float, float], before: tuple[int, float, float] | None, duration: float
 ) -> Array:
-    """Places during an exposure, as `VirtualCamera.image` takes them, from those in its middle and the one before.
+    """Return the positions during an exposure, as `VirtualCamera.image` expects them.
 
-    exposure, before: stamp (ns), x1 and x2 (m); duration: s.
+    Args:
+        exposure: stamp (ns), x1 and x2 (m) at the middle of this exposure.
+        before: the same of the previous exposure; None for the first one.
+        duration: duration of the exposure, s.
     """
     places = np.array(exposure[1:])
     speeds = np.zeros(2)

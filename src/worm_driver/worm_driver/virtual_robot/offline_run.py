@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of the virtual robot without a process, many times faster than real time.
+"""Offline runs of the virtual robot, many times faster than real time.
 
-The same servos, worm, sensor and camera as behind the bus, driven as a driver drives them at
-100 Hz, but by register instead of by packet. For identification and for benchmarks, which need
-hundreds of runs of robots with seeded parameters.
+The same servos, plant, sensor and camera as in the process, driven at 100 Hz through registers instead of packets.
+Identification and benchmarks use them for hundreds of runs of robots with random parameters.
 """
 
 import math
@@ -13,14 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_driver.gait.gait_limits import Gait
 from worm_driver.virtual_robot.camera import TrackerSample
-from worm_driver.virtual_robot.plant import FORWARD, BodyParameters
+from worm_driver.virtual_robot.plant import FORWARD
 from worm_driver.virtual_robot.servo.control_table import XM430_W350
 from worm_driver.virtual_robot.servo.motor import PULSES_PER_RADIAN
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings
 from worm_driver.virtual_robot.wire.ina219_chip import BUS, CONFIGURATION, POWER, SHUNT
+from worm_msgs.robot_parameters import RobotParameters
 
 Array = NDArray[np.float64]
 
@@ -35,12 +36,14 @@ _TORQUE_ENABLE = XM430_W350.registers["torque_enable"]
 
 @dataclass(frozen=True)
 class Run:
-    """What the instruments of a lab saw of one run, and what was true. Times in s from its start.
+    """Measurements of one run, and the true parameters. Times are in s from the start of the run.
 
-    onset: when the gait began. servo_time, goal_ticks, encoder_ticks: the first cable servo, pulses
-    from its start, positive as its sign says. tracker_time, rear_position, front_position: m, NaN
-    while a marker is hidden. power_time, bus_voltage (V), current (A): fresh conversions only.
-    truth: the parameters of the robot that ran.
+    Attributes:
+        onset: start of the gait.
+        servo_time, goal_ticks, encoder_ticks: first cable servo, pulses from its start in the direction of its sign.
+        tracker_time, rear_position, front_position: camera, m; NaN while a marker is hidden.
+        power_time, bus_voltage, current: new conversions of the power sensor, V and A.
+        truth: true parameters of the robot.
     """
 
     onset: float
@@ -53,12 +56,12 @@ class Run:
     power_time: Array
     bus_voltage: Array
     current: Array
-    truth: BodyParameters
+    truth: RobotParameters
 
 
 def sinusoid(stroke: float, frequency: float) -> Callable[[float], float]:
-    """The gait (eq:problem_formulation_gait): length change (m) over time (s)."""
-    return lambda time: -0.5 * stroke * (1.0 - math.cos(2.0 * math.pi * frequency * time))
+    """Return the commanded length change (m) of a gait over time (s) (eq:problem_formulation_gait)."""
+    return Gait(stroke, frequency).length_change
 
 
 def run_offline(
@@ -68,10 +71,14 @@ def run_offline(
     rest: float = 2.0,
     direction: int = FORWARD,
 ) -> Run:
-    """A run: a rest (s), then a command for a duration (s), then nothing more.
+    """Simulate a run: a rest (s), then a command for a duration (s).
 
-    command: length change (m) asked for at a time (s) since the onset, 0 at 0, contraction negative.
-    direction: plant.FORWARD or plant.REVERSE. All else comes from the settings with their seed.
+    Args:
+        settings: the robot, with its seed.
+        command: commanded length change (m) over the time (s) since the onset; 0 at time 0, contraction negative.
+        duration: duration of the command, s.
+        rest: rest before the onset, s.
+        direction: plant.FORWARD or plant.REVERSE.
     """
     robot = VirtualRobot(_with_fins_set(settings, direction))
     for servo in robot.servos:
@@ -102,14 +109,14 @@ def _with_fins_set(settings: RobotSettings, direction: int) -> RobotSettings:
 
 
 def _cable_ticks(servo: Servo, home: int) -> tuple[int, int]:
-    """Goal and encoder from where the servo started."""
+    """Return goal and encoder position relative to the start, pulses."""
     row = XM430_W350.registers["present_position"]
     position = row.decode(servo.read(row.address, row.size))
     return servo.memory["goal_position"] - home, position - home
 
 
 def _power_sample(robot: VirtualRobot, time: float) -> list[tuple[float, float, float]]:
-    """Time, bus voltage and current of the sensor's conversion, if it is a new one."""
+    """Return time, bus voltage and current of the sensor's conversion if it is new, else an empty list."""
     bus = robot.chip.read(BUS)
     if not bus & _READY:
         return []

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The worm in its pipe: fixed-step integration of the two-mass model and of what it leaves out.
+"""Plant of the virtual robot: fixed-step integration of the two-mass model with additional effects.
 
-The model's part follows the paper (eq:x1_ddot_full to eq:power_model) with parameters of its own.
-Beyond it: dry friction of both modules, fins whose threshold and stiffness differ from groove to groove, and,
-if it is asked for, a cable that gives: then its force drives the two masses, and load changes the length, which the
-model takes from the command alone. SI units; forward is +x; contraction is negative.
+The model follows the paper (eq:x1_ddot_full to eq:power_model) with its own parameters. Additional effects are dry
+friction of both modules, fins whose threshold and stiffness differ from groove to groove, and optionally a compliant
+cable. With a compliant cable, its force drives the two masses and the load changes the length; in the paper's model
+the length depends on the command alone. SI units; forward is +x; contraction is negative.
 
-The state keeps the centre of mass, y = x1 + M2/(M1+M2)*(L - L0): adding eq:x1_ddot_full and
+The state contains the centre of mass, y = x1 + M2/(M1+M2)*(L - L0): adding eq:x1_ddot_full and
 eq:x2_ddot_full leaves no second derivative of the length in its equation of motion.
 """
 
@@ -15,51 +15,30 @@ from dataclasses import dataclass
 from random import Random
 from typing import NamedTuple
 
+from worm_msgs.robot_parameters import RobotParameters
+
 FORWARD = 1
 REVERSE = -1
-LOOSE = 0  # the fins stand in between: neither bar touches the wall
+LOOSE = 0  # the fins are between their two angles: neither bar touches the wall
 
-_GROOVES = 512  # number of different grooves before their scatter repeats
-_SLOW = 1e-3  # m/s below which dry friction fades, so that rest is rest
-
-
-@dataclass(frozen=True)
-class BodyParameters:
-    """True values of the paper's parameters, under its keys (see the parameter file)."""
-
-    rear_mass: float
-    front_mass: float
-    unstressed_length: float
-    initial_length: float
-    bellows_stiffness: float
-    bellows_damping: float
-    viscous_friction: float
-    pitch: float
-    engaged_stiffness: float
-    disengaged_stiffness: float
-    switching_threshold: float
-    clearance: float
-    time_constant: float
-    gain: float
-    slack: float
-    idle_power: float
-    power_factor: float
+_GROOVES = 512  # number of different grooves; the pattern repeats after them
+_SLOW = 1e-3  # m/s; dry friction is regularised below this speed, so that the robot can rest
 
 
 @dataclass(frozen=True)
 class PlantEffects:
-    """What the model leaves out.
+    """Effects that the paper's model does not contain.
 
-    dry_friction: N for each module. threshold_scatter: m, standard deviation of the switching
-    threshold from groove to groove. stiffness_scatter: relative standard deviation of the fins'
-    stiffness. The transmission takes its slack up when the cable is first pulled beyond
-    slack_engagement (m), and gives it back when the cable rests for slack_release (s).
-    cable_stiffness: N/m, of the cable with its servo and transmission, pulled at the modules; such a cable
-    cannot push. The body's gain and time constant then have no meaning: k_cable/(k_cable + k_b) and
-    c_b/(k_cable + k_b) take their place. 0: the length follows the command alone, as in the paper.
+    Attributes:
+        threshold_scatter: standard deviation of the switching threshold from groove to groove, m.
+        stiffness_scatter: relative standard deviation of the fin stiffness from groove to groove.
+        slack_engagement: cable displacement at which the slack is taken up, m.
+        slack_release: rest time after which the slack returns, s.
+        cable_stiffness: stiffness of cable, servo and transmission, N/m; 0 means rigid, as in the paper. A
+            compliant cable cannot push. It replaces gain and time constant by k_cable/(k_cable + k_b) and
+            c_b/(k_cable + k_b).
     """
 
-    dry_friction: float
     threshold_scatter: float
     stiffness_scatter: float
     slack_engagement: float
@@ -68,19 +47,25 @@ class PlantEffects:
 
 
 class Grooves(NamedTuple):
-    """Scatter of the grooves that one fin pair sees: thresholds (m) and stiffness factors."""
+    """Switching thresholds (m) and stiffness factors of the grooves for one fin pair."""
 
     thresholds: tuple[float, ...]
     stiffness: tuple[float, ...]
 
 
 class PlantState(NamedTuple):
-    """State of the worm; lengths are changes from the initial length.
+    """State of the plant.
 
-    rear_groove and front_groove count anchors in pitches; slack_taken tells whether the
-    transmission's slack is taken up; cable_rest is how long (s) the cable has been still at its
-    start; cable_force (N) is positive when the cable pulls; mechanical_power (W) is what the
-    cable puts in, never negative.
+    Attributes:
+        length_change: body length minus the initial length, m.
+        length_rate: its derivative, m/s.
+        centre: centre of mass coordinate y, m.
+        centre_velocity: its derivative, m/s.
+        rear_groove, front_groove: anchors in units of the pitch.
+        slack_taken: True while the slack of the transmission is taken up.
+        cable_rest: time for which the cable has rested at its start, s.
+        cable_force: cable force, N; positive when the cable pulls.
+        mechanical_power: power of the cable, W; never negative.
     """
 
     length_change: float
@@ -95,8 +80,8 @@ class PlantState(NamedTuple):
     mechanical_power: float
 
 
-def make_grooves(parameters: BodyParameters, effects: PlantEffects, seed: int) -> Grooves:
-    """The scatter of a pipe, from a seed."""
+def make_grooves(parameters: RobotParameters, effects: PlantEffects, seed: int) -> Grooves:
+    """Return random grooves for a seed."""
     random = Random(seed)
     mean = parameters.switching_threshold
     thresholds = tuple(random.gauss(mean, effects.threshold_scatter) for _ in range(_GROOVES))
@@ -108,23 +93,23 @@ def make_grooves(parameters: BodyParameters, effects: PlantEffects, seed: int) -
 
 @dataclass(frozen=True)
 class Plant:
-    """A worm in a pipe. step_s: s, 1 ms or finer."""
+    """Robot in a pipe. step_s: integration step, s; at most 1 ms."""
 
-    parameters: BodyParameters
+    parameters: RobotParameters
     effects: PlantEffects
     rear_grooves: Grooves
     front_grooves: Grooves
     step_s: float
 
     def at_rest(self) -> PlantState:
-        """The start: x1 = 0, both anchors in the grooves nearest to their fins."""
+        """Return the initial state: x1 = 0, both anchors in the grooves nearest to their fins."""
         p = self.parameters
         front = round(p.initial_length / p.pitch)
         force = p.bellows_stiffness * (p.unstressed_length - p.initial_length)
         return PlantState(0.0, 0.0, 0.0, 0.0, 0, front, False, 0.0, force, 0.0)
 
     def put_back(self, state: PlantState) -> PlantState:
-        """A worm, however long it is, that somebody has put where it started, its fins straight."""
+        """Return the state after the robot was put back to its start, with straight fins and unchanged length."""
         p = self.parameters
         share = p.front_mass / (p.rear_mass + p.front_mass)
         return state._replace(
@@ -135,17 +120,19 @@ class Plant:
         )
 
     def positions(self, state: PlantState) -> tuple[float, float]:
-        """x1 and x2 (m)."""
+        """Return x1 and x2 (m)."""
         p = self.parameters
         share = p.front_mass / (p.rear_mass + p.front_mass)
         rear = state.centre - share * state.length_change
         return rear, rear + p.initial_length + state.length_change
 
     def step(self, state: PlantState, cable: float, laws: tuple[int, int]) -> PlantState:
-        """The state a step later.
+        """Return the state one step later.
 
-        cable: m, what the servos have wound of the cable since the start, contraction negative.
-        laws: direction in which the rear and the front fins let the robot slide.
+        Args:
+            state: the present state.
+            cable: cable displacement since the start, m; contraction is negative.
+            laws: directions in which the rear and the front fins slide (FORWARD, REVERSE or LOOSE).
         """
         if self.effects.cable_stiffness > 0.0:
             return self._pulled(state, cable, laws)
@@ -180,13 +167,14 @@ class Plant:
         )
 
     def electrical_power(self, state: PlantState) -> float:
-        """Power (W) at the source (eq:power_model), without noise."""
+        """Return the power (W) at the source (eq:power_model), without noise."""
         return self.parameters.idle_power + self.parameters.power_factor * state.mechanical_power
 
     def _pulled(self, state: PlantState, cable: float, laws: tuple[int, int]) -> PlantState:
-        """The state a step later of two masses that a cable's force pulls together (eq:x1_ddot_full, eq:x2_ddot_full).
+        """Return the state one step later with a compliant cable (eq:x1_ddot_full, eq:x2_ddot_full).
 
-        Springs, dampers and frictions enter implicitly. A cable that would push is slack, and its force nothing.
+        Springs, dampers and friction are integrated implicitly. A cable that would have to push is slack: its force
+        is zero.
         """
         p, h = self.parameters, self.step_s
         taken, cable_rest = self._slack(state, cable)
@@ -196,8 +184,9 @@ class Plant:
         share = p.front_mass / (p.rear_mass + p.front_mass)
         v1 = state.centre_velocity - share * state.length_rate
         v2 = v1 + state.length_rate
-        rear = p.rear_mass / h, p.rear_mass * v1 / h - rear_force, self._drag(v1)
-        front = p.front_mass / h, p.front_mass * v2 / h - front_force, self._drag(v2)
+        drag1, drag2 = self._drags(v1, v2)
+        rear = p.rear_mass / h, p.rear_mass * v1 / h - rear_force, drag1
+        front = p.front_mass / h, p.front_mass * v2 / h - front_force, drag2
         preload = p.bellows_stiffness * (p.unstressed_length - p.initial_length)
         bellows = p.bellows_stiffness * state.length_change - preload
         stiffness = self.effects.cable_stiffness
@@ -226,10 +215,12 @@ class Plant:
             max(-force * rate, 0.0),
         )
 
-    def _drag(self, velocity: float) -> float:
-        """Friction over velocity, viscous and dry, N·s/m."""
-        return self.parameters.viscous_friction + self.effects.dry_friction / (
-            abs(velocity) + _SLOW
+    def _drags(self, v1: float, v2: float) -> tuple[float, float]:
+        """Return viscous and dry friction of the rear and the front module divided by velocity, N·s/m."""
+        p = self.parameters
+        return (
+            p.viscous_friction + p.rear_dry_friction / (abs(v1) + _SLOW),
+            p.viscous_friction + p.front_dry_friction / (abs(v2) + _SLOW),
         )
 
     def _slack(self, state: PlantState, cable: float) -> tuple[bool, float]:
@@ -239,7 +230,7 @@ class Plant:
         return state.slack_taken and cable_rest < self.effects.slack_release, cable_rest
 
     def _actuate(self, length_change: float, cable: float, *, taken: bool) -> tuple[float, float]:
-        """Length change and its rate a step later (eq:slack_clip, eq:first_order_actuation)."""
+        """Return length change and rate one step later (eq:slack_clip, eq:first_order_actuation)."""
         p = self.parameters
         effective = min(cable, -p.slack if taken else 0.0)
         goal = p.gain * effective
@@ -249,23 +240,23 @@ class Plant:
     def _push(
         self, state: PlantState, length_rate: float, fin_forces: float
     ) -> tuple[float, float]:
-        """Velocity of the centre of mass a step later, and the drag (N*s/m) on the rear module.
+        """Return the velocity of the centre of mass one step later and the drag of the rear module (N*s/m).
 
-        Both frictions, viscous and dry, enter implicitly: no step is too long for them.
+        Viscous and dry friction are integrated implicitly, which is stable for any step.
         """
         p = self.parameters
         mass = p.rear_mass + p.front_mass
         share = p.front_mass / mass
         v1 = state.centre_velocity - share * length_rate
         v2 = v1 + length_rate
-        drag1, drag2 = self._drag(v1), self._drag(v2)
+        drag1, drag2 = self._drags(v1, v2)
         pull = (drag1 * share - drag2 * (1.0 - share)) * length_rate - fin_forces
         inertia = mass / self.step_s
         velocity = (inertia * state.centre_velocity + pull) / (inertia + drag1 + drag2)
         return velocity, drag1
 
     def _fin(self, x: float, groove: int, law: int, grooves: Grooves) -> tuple[int, float]:
-        """Groove of the anchor (eq:A1_switch) and force on the fin (eq:fin_force_piecewise)."""
+        """Return the anchor's groove (eq:A1_switch) and the fin force (eq:fin_force_piecewise)."""
         p = self.parameters
         if law == LOOSE:
             return round(x / p.pitch), 0.0

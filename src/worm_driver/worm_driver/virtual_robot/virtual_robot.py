@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole virtual robot on a clock of its own: servos, worm, power sensor, camera, faults.
+"""Virtual robot: servos, plant, power sensor, camera and faults on a common simulated clock.
 
-Time is an argument: the process passes wall-clock time, a test or a rehearsal any other. With the
-same settings and the same bytes at the same times everything repeats exactly.
+Time is an argument. The same settings and the same bytes at the same times give exactly the same results.
 """
 
+import math
 from collections import deque
+from dataclasses import replace
 from random import Random
 
 from worm_driver.virtual_robot.camera import Tracker, TrackerSample
@@ -13,7 +14,6 @@ from worm_driver.virtual_robot.plant import (
     FORWARD,
     LOOSE,
     REVERSE,
-    BodyParameters,
     Plant,
     make_grooves,
 )
@@ -38,14 +38,15 @@ from worm_driver.virtual_robot.wire.i2c_line import I2cLine
 from worm_driver.virtual_robot.wire.ina219_chip import AdcNoise, Ina219
 from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
 from worm_driver.virtual_robot.wire.virtual_bus import ServoBus, Transmission
+from worm_msgs.robot_parameters import RobotParameters
 
-_HOUSEKEEPING = 0.005  # s between looks at faults
-_SUPERVISION = 0.050  # s between the servos' looks at their protections
-_TOO_HOT = 100.0  # degC that the fault of that name adds
+_HOUSEKEEPING = 0.005  # s between updates of faults
+_SUPERVISION = 0.050  # s between the servos' checks of their protections
+_TOO_HOT = 100.0  # degC; temperature rise of the overheating fault
 
 
 class VirtualRobot:
-    """A robot that starts at time 0 (s), at rest, with torque off."""
+    """Virtual robot that starts at time 0 (s), at rest, with torque off."""
 
     def __init__(self, settings: RobotSettings, board: FaultBoard | None = None) -> None:
         self.settings = settings
@@ -86,7 +87,7 @@ class VirtualRobot:
             self._random(f"servo {item.id}"),
         )
 
-    # --- what the outside does ------------------------------------------------------------------
+    # --- interface ------------------------------------------------------------------------------
 
     @property
     def time(self) -> float:
@@ -94,27 +95,27 @@ class VirtualRobot:
         return self._steps * self.settings.step
 
     def advance(self, time: float) -> None:
-        """Lets everything happen until a time (s)."""
+        """Simulate until a time (s)."""
         last = int(time / self.settings.step + 1e-9)
         while self._steps < last:
             self._step()
 
     def receive(self, data: bytes, time: float, baud_rate: int | None = None) -> list[Transmission]:
-        """What the servos answer to bytes sent at a time (s) with a rate (bit/s; None: theirs)."""
+        """Return the servos' answers to bytes sent at a time (s) and baud rate (bit/s; None: the correct one)."""
         self.advance(time)
         return self._bus.feed(data, time, baud_rate)
 
     def transact(self, request: Request, time: float) -> Answer:
-        """What the power sensor's line answers to a transaction at a time (s)."""
+        """Return the power sensor's answer to a transaction at a time (s)."""
         self.advance(time)
         return self._i2c.transact(request, time)
 
     def take_samples(self, time: float) -> list[TrackerSample]:
-        """The camera's samples that have become available by a time (s)."""
-        taken = []
+        """Remove and return the camera samples that are available at a time (s)."""
+        samples = []
         while self._samples and self._samples[0].available <= time:
-            taken.append(self._samples.popleft())
-        return taken
+            samples.append(self._samples.popleft())
+        return samples
 
     # --- one step -------------------------------------------------------------------------------
 
@@ -131,13 +132,19 @@ class VirtualRobot:
         self.state = self.plant.step(self.state, self.cable_change, self.laws)
         self._measure_power(time)
         if time >= self._tracker.next_exposure:
-            self._samples.append(self._tracker.expose(time, *self.plant.positions(self.state)))
+            self._samples.append(self._expose(time))
         if time >= self._next_housekeeping:
             self._keep_house(time)
 
+    def _expose(self, time: float) -> TrackerSample:
+        sample = self._tracker.expose(time, *self.plant.positions(self.state))
+        if self.board.active(faults.OCCLUDED, time) is None:
+            return sample
+        return replace(sample, rear_position=math.nan, front_position=math.nan)
+
     @property
     def cable_change(self) -> float:
-        """Cable (m) that the servos have paid out since the start; wound in is negative."""
+        """Cable displacement since the start, m; negative when wound in."""
         wound = sum(
             item.sign * (servo.shaft_angle - item.start_angle) * item.spool_radius
             for item, servo in self._cable
@@ -151,7 +158,7 @@ class VirtualRobot:
             self.laws = (self._law("rear"), self._law("front"))
 
     def _law(self, module: str) -> int:
-        """The direction that all fins of a module agree on."""
+        """Return the sliding direction of a module; LOOSE if its fins differ."""
         laws = {self._fin_law(item, servo) for item, servo in self._fins if item.module == module}
         return laws.pop() if len(laws) == 1 else LOOSE
 
@@ -166,7 +173,7 @@ class VirtualRobot:
         power = self.plant.electrical_power(self.state)
         power = max(power + self._ripple.gauss(0.0, supply.power_noise), 0.0)
         current = power / self.bus_voltage + self._extra_current
-        # The voltage follows the current a step later, which settles within a few steps.
+        # The voltage uses the current of the previous step; this converges within a few steps.
         self.bus_voltage = max(supply.voltage - supply.resistance * current, 0.5 * supply.voltage)
         shunt = current * self.settings.power_sensor.shunt
         self.chip.advance(time, shunt, self.bus_voltage)
@@ -212,8 +219,8 @@ class VirtualRobot:
             self.chip.power_on()
 
 
-def body_of(settings: RobotSettings) -> BodyParameters:
-    """What is true of the robot that these settings make."""
+def body_of(settings: RobotSettings) -> RobotParameters:
+    """Return the true parameters of the robot with these settings."""
     if settings.parameter_spread > 0:
         return perturbed(settings.body, settings.parameter_spread, Random(f"{settings.seed} body"))
     return settings.body
@@ -226,7 +233,7 @@ def _make_plant(settings: RobotSettings) -> Plant:
 
 
 def _eeprom(servo_id: int, line: LineSettings, mode: int) -> dict[str, int]:
-    """EEPROM values, raw, as a lab sets its servos up."""
+    """Return the raw EEPROM values of a servo that is set up for the robot."""
     return {
         "id": servo_id,
         "baud_rate": BAUD_RATES.index(line.baud_rate),

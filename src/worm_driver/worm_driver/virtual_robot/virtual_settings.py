@@ -1,23 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual robot's file: one frozen dataclass per section, read and checked."""
+"""Settings file of the virtual robot: one frozen dataclass per section, validated."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, Field, dataclass, fields, replace
 from importlib.resources import files
 from pathlib import Path
 from random import Random
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 import yaml
 
-from worm_driver.virtual_robot.plant import BodyParameters, PlantEffects
+from worm_driver.virtual_robot.plant import PlantEffects
 from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, MODELS, ServoModel
 from worm_driver.virtual_robot.wire.packet import HIGHEST_ID
+from worm_msgs.robot_parameters import ROWS, RobotParameters
 
 DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_robot.yaml")))
 
-# What a ruler and a scale tell stays where it is when a seed moves the parameters.
+# Parameters that a ruler or a scale measures are not perturbed by the seed.
 _MEASURED = ("rear_mass", "front_mass", "unstressed_length", "initial_length", "pitch")
 _SUFFIXES = ("_N_per_m", "_s", "_m", "_N", "_rad", "_ohm", "_V", "_W", "_Hz")
 
@@ -25,7 +26,7 @@ T = TypeVar("T")
 
 
 class SettingsError(ValueError):
-    """A virtual robot that cannot be; the message names the place and what is wrong there."""
+    """Invalid settings; the message names the key and the problem."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ class RobotSettings:
 
     seed: int
     step: float
-    body: BodyParameters
+    body: RobotParameters
     effects: PlantEffects
     line: LineSettings
     cable_servos: tuple[CableServoSettings, ...]
@@ -113,12 +114,13 @@ class RobotSettings:
         return replace(self, seed=seed)
 
 
-def perturbed(body: BodyParameters, spread: float, random: Random) -> BodyParameters:
+def perturbed(body: RobotParameters, spread: float, random: Random) -> RobotParameters:
     """The parameters that only an identification tells, moved by a relative spread (log-normal)."""
     moved = {
         field.name: getattr(body, field.name) * math.exp(random.gauss(0.0, spread))
         for field in fields(body)
-        if field.name not in _MEASURED
+        if field.default
+        and field.name not in _MEASURED  # without effects that the paper's model lacks
     }
     return replace(body, **moved)
 
@@ -143,7 +145,7 @@ def read_settings(path: Path, build: Callable[[Any], T]) -> T:
 def _robot(content: Any) -> RobotSettings:
     top = _names(content, "the file")
     sections: dict[str, Any] = {
-        "body": BodyParameters,
+        "body": RobotParameters,
         "effects": PlantEffects,
         "line": LineSettings,
         "supply": SupplySettings,
@@ -179,7 +181,7 @@ def _section(kind: type[T], content: Any, place: str) -> T:
 
 
 def _names(content: Any, place: str) -> dict[str, Any]:
-    """A mapping whose names have lost their units."""
+    """Return a mapping without the unit suffixes of its names."""
     if not isinstance(content, Mapping):
         raise SettingsError(f"{place} must be a mapping of names to values")
     return {_without_unit(str(name)): value for name, value in content.items()}
@@ -191,16 +193,22 @@ def _without_unit(name: str) -> str:
 
 def _build(kind: type[T], values: dict[str, Any], place: str) -> T:
     wanted = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
+    types = get_type_hints(kind)
     unknown = sorted(set(values) - set(wanted))
     if unknown:
         raise SettingsError(f"{place}: unknown name {unknown[0]!r} ({', '.join(wanted)})")
-    needed = {name for name, field in wanted.items() if field.default is MISSING}
+    needed = {name for name, field in wanted.items() if _is_needed(field)}
     missing = sorted(needed - set(values))
     if missing:
         raise SettingsError(f"{place}: {missing[0]!r} is missing")
     for name, value in values.items():
-        values[name] = _checked(value, wanted[name].type, f"{place}: {name}")
+        values[name] = _checked(value, types[name], f"{place}: {name}")
     return kind(**values)
+
+
+def _is_needed(field: Field[Any]) -> bool:
+    """Return whether a file must have a value: all without a default, and of the body what the paper's robot has."""
+    return field.default is MISSING or (field.name in ROWS and bool(field.default))
 
 
 def _checked(value: Any, kind: Any, place: str) -> Any:
@@ -216,9 +224,14 @@ def _checked(value: Any, kind: Any, place: str) -> Any:
 
 
 def _check(robot: RobotSettings) -> None:
-    for field in fields(BodyParameters):
-        if getattr(robot.body, field.name) <= 0:
-            raise SettingsError(f"body: {field.name} must be positive")
+    for key, row in ROWS.items():
+        value = getattr(robot.body, key)
+        if getattr(RobotParameters, key) and value <= 0:
+            raise SettingsError(f"body: {key} must be positive")
+        if not row["low"] <= value <= row["high"]:
+            raise SettingsError(
+                f"body: {key} is {value:g} {row['unit']}; use {row['low']:g} to {row['high']:g} {row['unit']}"
+            )
     if not 0 < robot.step <= 0.001:
         raise SettingsError("step_s must be above 0 and at most 0.001")
     if robot.line.baud_rate not in BAUD_RATES:
@@ -233,7 +246,7 @@ def _check(robot: RobotSettings) -> None:
 def _check_shared_line(
     servos: Sequence[CableServoSettings | FinServoSettings], voltage: float
 ) -> None:
-    """One line and one supply (V) for all."""
+    """Raise SettingsError unless all servos can share one bus and one supply (V)."""
     if len({servo.id for servo in servos}) != len(servos):
         raise SettingsError("two servos have the same id")
     for servo in servos:

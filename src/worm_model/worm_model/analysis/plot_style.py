@@ -75,18 +75,21 @@ COMMANDED_INPUT, EFFECTIVE_INPUT = f"commanded {symbol('u_cmd')}", f"effective {
 
 
 def finish(axes: Axes, ylabel: str, note: str = "") -> None:
-    """Unit, grid, a note on the left above the axes, and the legend on the right above them, where it hides nothing."""
+    """Add unit, grid, a note on the left above the axes and the legend on the right above them.
+
+    With a note, the legend has rows of three, so that both fit next to each other.
+    """
     axes.set_ylabel(ylabel)
     axes.grid(visible=True, linewidth=0.4)
     axes.set_axisbelow(True)
     axes.margins(x=0.01)
     if note:
         axes.set_title(note, loc="left", fontsize="small")
-    legend_above(axes)
+    legend_above(axes, 3 if note else 5)
 
 
 def legend_above(axes: Axes, columns: int = 5) -> None:
-    """The legend in rows above the axes, if there is anything to explain."""
+    """Put the legend in rows above the axes, if there is anything to explain."""
     handles, _ = axes.get_legend_handles_labels()
     if handles:
         axes.legend(

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +16,12 @@ from worm_model.analysis.run_metrics import (
     root_mean_square,
 )
 from worm_model.arrays import Array
-from worm_model.run import RUNNING, STOPPING, Run
+from worm_model.run import RUNNING, SAME_ONSET_NS, STOPPING, Run
 from worm_model.simulation.quadrature import accumulated
 from worm_model.twin.offline_replay import Replay, Series
 from worm_model.twin.records import Event, Health
+
+RESUMED_AFTER_NS = 500_000_000  # of a cycle's end, within which a live twin has stored its memory
 
 
 @dataclass(frozen=True)
@@ -43,29 +44,37 @@ class CycleReport:
     """One cycle of the gait.
 
     Attributes:
+        number: in its run, from 1 on.
         start: s since the recording's first sample.
-        grooves: grooves that the twin's rear anchor gained in it, along +x.
+        grooves: grooves that the twin's rear anchor gained in it, along +x; NaN where the recording begins in it.
         measured_grooves: displacement of the rear module as the tracker saw it, in pitches.
         residuals: over the cycle.
         complete: whether the recording holds all of it.
+        not_judged: why the twin did not judge it; empty where it did.
     """
 
+    number: int
     start: float
     grooves: float
     measured_grooves: float
     residuals: Residuals
     complete: bool
+    not_judged: str = ""
 
 
 @dataclass(frozen=True)
 class RunReport:
-    """One run of a recording; ``health`` is the worst in it, ``events`` are at times in s since the first sample."""
+    """One run of a recording; ``health`` is the worst in it, ``events`` are at times in s since the first sample.
+
+    ``not_judged`` says why nothing of it could be judged, and is empty otherwise.
+    """
 
     played: PlayedGait
     onset: float
     cycles: tuple[CycleReport, ...]
     events: tuple[tuple[float, Event], ...]
     health: Health
+    not_judged: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,6 +107,12 @@ def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
     )
 
 
+def _first(run: Run) -> int:
+    """Stamp (ns) of the first sample of an instrument."""
+    series = (run.commanded, run.measured, run.tracker, run.power)
+    return int(min((s.stamp.min() for s in series if len(s.stamp)), default=run.origin))
+
+
 def _last(run: Run) -> int:
     lasts = [s.stamp[-1] for s in (run.commanded, run.measured, run.tracker) if len(s.stamp)]
     return int(max(lasts, default=run.origin))
@@ -120,7 +135,9 @@ def _run_report(
     """A run; ``until`` (ns) is when the next one begins."""
     onset, end, period = played.onset, run_end(run, played), 1e9 * played.gait.period
     count = max(math.ceil((end - onset) / period - 1e-6), 0)
+    recorded = min(max(math.floor((_first(run) - onset) / period), 0), count)
     borders = [onset + round(k * period) for k in range(count + 1)]
+    unusable = replay.unusable.get(played.run or onset, "")
     stamp = replay.residuals["stamp_ns"]
     inside = (stamp >= onset) & (stamp <= end)
     health = replay.residuals["health"][inside]
@@ -133,10 +150,12 @@ def _run_report(
         played=played,
         onset=(onset - run.origin) * 1e-9,
         cycles=tuple(
-            _cycle(run, replay, (first, last), pitch, end) for first, last in pairwise(borders)
+            _cycle(run, replay, (onset, number), (borders[number - 1], borders[number]), pitch, end)
+            for number in range(recorded + 1, count + 1)
         ),
         events=events,
-        health=Health(int(health.max(initial=0))),
+        health=Health.UNKNOWN if unusable else Health(int(health.max(initial=0))),
+        not_judged=unusable,
     )
 
 
@@ -174,19 +193,40 @@ def _energy(run: Run, start: int, end: int) -> float:
     return float(accumulated(time, values)[-1])
 
 
-def _cycle(run: Run, replay: Replay, span: tuple[int, int], pitch: float, end: int) -> CycleReport:
+def _cycle(
+    run: Run,
+    replay: Replay,
+    identity: tuple[int, int],
+    span: tuple[int, int],
+    pitch: float,
+    end: int,
+) -> CycleReport:
+    """A cycle by the onset of its run (ns) and its number, over a span in ns; the run ends at ``end``."""
     first, last = span
+    cut_off = ""
+    if first < _first(run):
+        cut_off = "the recording begins in it"
+    elif last > end:
+        cut_off = "it was not played, or not recorded, to its end"
+    said = (c.not_judged for c in replay.cycles if _is_close((c.onset_ns, c.number), identity))
+    states = replay.states
     displacement = _at(run.tracker.stamp, run.tracker.rear_position, last) - _at(
         run.tracker.stamp, run.tracker.rear_position, first
     )
-    states = replay.states
     return CycleReport(
+        number=identity[1],
         start=(first - run.origin) * 1e-9,
-        grooves=_grooves_at(states, last) - _grooves_at(states, first),
+        grooves=_grooves_at(states, last) - _grooves_at(states, first, replay.resumed_ns),
         measured_grooves=displacement / pitch,
         residuals=_residuals(replay.residuals, first, last),
-        complete=last <= end,
+        complete=not cut_off,
+        not_judged=cut_off or next(said, ""),
     )
+
+
+def _is_close(closed: tuple[int, int], identity: tuple[int, int]) -> bool:
+    """Whether (onset in ns, number) is that of a cycle: a driver says the onset once a cycle, through two clocks."""
+    return closed[1] == identity[1] and abs(closed[0] - identity[0]) <= SAME_ONSET_NS
 
 
 def _at(stamp: NDArray[np.int64], values: Array, when: int) -> float:
@@ -198,7 +238,14 @@ def _at(stamp: NDArray[np.int64], values: Array, when: int) -> float:
     return float(np.interp(0.0, (stamp - when) * 1e-9, values))
 
 
-def _grooves_at(states: Series, when: int) -> float:
-    """Rear groove of the twin at a stamp, as of the last state until then."""
-    row = int(np.searchsorted(states["stamp_ns"], when, side="right")) - 1
-    return float(states["rear_groove"][row]) if row >= 0 else 0.0
+def _grooves_at(states: Series, when: int, resumed: int = 0) -> float:
+    """Rear groove of the twin at a stamp, of the first state from then on: a groove that was missed is known by then.
+
+    Just before the stamp at which a stored memory was ``resumed``, of the first state after that: others count from
+    another groove. NaN without any state.
+    """
+    if 0 <= resumed - when <= RESUMED_AFTER_NS:
+        when = resumed + 1
+    rows = len(states["stamp_ns"])
+    row = min(int(np.searchsorted(states["stamp_ns"], when)), rows - 1)
+    return float(states["rear_groove"][row]) if rows else math.nan

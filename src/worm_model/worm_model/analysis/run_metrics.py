@@ -101,12 +101,7 @@ def played_gaits(states: GaitStates) -> list[PlayedGait]:
 def _played_gait(states: GaitStates, rows: NDArray[np.int64]) -> PlayedGait:
     row = int(rows[-1])
     try:
-        gait = Gait(
-            float(states.stroke[row]),
-            float(states.frequency[row]),
-            int(states.direction[row]),
-            float(states.margin[row]),
-        )
+        gait = states.gait(row)
     except GaitError as error:
         raise RecordingError(f"the recording holds a gait that is none: {error}") from None
     later = states.stamp > states.stamp[row]
@@ -134,17 +129,22 @@ def _state_after(states: GaitStates, after: int, stopping: NDArray[np.int64]) ->
     return STOPPING if stopped and state != FAULT else state
 
 
-def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:
-    """First and last of the averaged cycles, counted from 1: the last three whole ones that were played and recorded.
-
-    Where nothing is left of a first cycle, it is (1, 1).
-    """
+def completed_cycles(run: Run, played: PlayedGait) -> int:
+    """How many whole cycles were played, and recorded up to their end."""
     stamps = (
         run.tracker.stamp[np.isfinite(run.tracker.rear_position)],
         run.power.stamp[np.isfinite(run.power.valid_power)],
     )
     ends = [int(stamp[-1]) for stamp in stamps if stamp.size]
-    last = max(played.whole_cycles_until(min(ends, default=_FOREVER)), 1)
+    return played.whole_cycles_until(min(ends, default=_FOREVER))
+
+
+def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:
+    """First and last of the averaged cycles, counted from 1: the last three whole ones that were played and recorded.
+
+    Without a completed cycle it is (1, 1), over which there is no speed and no power: see `completed_cycles`.
+    """
+    last = max(completed_cycles(run, played), 1)
     return max(last - AVERAGED_CYCLES, 0) + 1, last
 
 

@@ -101,7 +101,7 @@ def _series(run: Run) -> Iterator[tuple[Stamps, dict[str, Column]]]:
         },
     )
     quantities = {"position_rad": joints.position, "velocity_rad_s": joints.velocity}
-    quantities["effort"] = joints.effort  # A or a ratio, as the model of the servo has it
+    quantities["effort"] = joints.effort  # N*m; in older bags A or a ratio
     yield (
         joints.stamp,
         {

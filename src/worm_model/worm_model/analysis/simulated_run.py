@@ -141,5 +141,4 @@ def simulated_run(gait: Gait, parameters: Parameters, cycles: int, rate: float) 
     trajectory = simulate(gait, parameters, cycles)
     time = np.arange(int(trajectory.duration * rate * (1.0 + 1e-12)) + 1) / rate
     time = np.minimum(time, trajectory.duration)
-    command = -0.5 * gait.stroke * (1.0 - np.cos(2.0 * np.pi * gait.frequency * time))
-    return SimulatedRun(gait, parameters, cycles, time, command, trajectory.at(time))
+    return SimulatedRun(gait, parameters, cycles, time, gait.command(time), trajectory.at(time))

@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags: the only modules that know MCAP and rosbag2. Everyone else sees typed arrays and records.
+"""Reading, writing, recording and recovery of bags in MCAP and other rosbag2 formats.
 
-`opening.open_bag` gives a `bag.Bag`, whose messages are iterated lazily, whoever wrote it; `run_reader.read_run` gives
-the worm's topics as arrays (`worm_model.run.Run`); `bag_writer.new_bag` writes a whole bag,
-`recorder.BagRecorder` one that survives its writer; `recovery.recover` mends.
-Whatever is wrong with a bag is a `bag_errors.BagError` of one line, or a line for whoever opened it: what is read is
-right, or refused, or told.
+Only these modules know the file formats; all other packages use typed arrays and records.
+
+`opening.open_bag` returns a `bag.Bag` for any supported format, whose messages are iterated lazily.
+`run_reader.read_run` returns the worm's topics as arrays (`worm_model.run.Run`), and `run_writer` writes them.
+
+- `formats`: MCAP, sqlite3, metadata.yaml, message definitions, CDR. `bag_writer.new_bag` writes a complete bag.
+- `recording`: `recorder.BagRecorder` writes a bag that stays readable if the recorder is killed.
+- `recovery`: `recovery.recover` saves every readable message of a damaged bag.
+- `operations`: cut, join, clean, export, import, play.
+
+Defects of a bag raise a `bag_errors.BagError` with a message of one line, or pass one line to the caller's `notify`.
 """

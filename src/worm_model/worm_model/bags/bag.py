@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag, whoever wrote it: rosbag2 directories and bare files, MCAP and what else rosbags can read."""
+"""Abstract bag for reading, whatever its format: rosbag2 directories and single files, MCAP or other storages."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.cdr import check_length
-from worm_model.bags.message_block import Message, Messages, Topic
-from worm_model.bags.message_types import PACKAGE, with_definition
+from worm_model.bags.formats.cdr import check_length
+from worm_model.bags.formats.message_block import Message, Messages, Topic
+from worm_model.bags.formats.message_types import PACKAGE, with_definition
 
 Notify = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class MetadataRecord:
-    """Text by key, under a name that several records of a bag may share."""
+    """Metadata record: text by key, under a name. Several records of a bag may have the same name."""
 
     name: str
     values: tuple[tuple[str, str], ...]
@@ -28,7 +28,7 @@ class MetadataRecord:
 
 @dataclass(frozen=True)
 class AttachedFile:
-    """A file that is kept inside a bag."""
+    """File stored inside a bag."""
 
     name: str
     media_type: str
@@ -36,16 +36,16 @@ class AttachedFile:
 
 
 class Bag(ABC):
-    """A bag that is open for reading; a context manager.
+    """Bag that is open for reading; a context manager.
 
     Attributes:
-        path: directory or file that the bag was opened by.
-        channels: topics with their layouts; one whose layout changes occurs several times.
-        start, end: least and greatest log time, ns since the epoch; 0 in an empty bag.
-        records: all metadata records in their order, those that several files repeat once: a recording has one
+        path: directory or file from which the bag was opened.
+        channels: topics with their layouts; a topic whose layout changes occurs several times.
+        start, end: smallest and largest log time, ns since the epoch; 0 in an empty bag.
+        records: all metadata records in their order, without the repetitions in further files. A recording has one
             ``worm_gait`` for each gait that was run.
-        notify: told in one line what is odd about the bag.
-        topics: by name, with the layout that was last and the messages of all.
+        notify: called with one line for each inconsistency of the bag.
+        topics: topics by name, with the last layout and the number of messages of all layouts.
     """
 
     def __init__(
@@ -66,25 +66,25 @@ class Bag(ABC):
 
     @abstractmethod
     def attachments(self) -> Iterator[AttachedFile]:
-        """Files kept inside the bag, such as the parameter file of the run."""
+        """Yield the files stored inside the bag, such as the parameter file of the run."""
 
     @abstractmethod
     def _blocks(self, topics: frozenset[str]) -> Iterator[Messages]:
-        """Messages of some topics by rising log time, lazily."""
+        """Yield the messages of some topics in order of log time, lazily."""
 
     @abstractmethod
     def close(self) -> None:
         """Close the files."""
 
     def define(self, definitions: Path | None) -> None:
-        """Take definitions for topics that carry none, and tell which.
+        """Use external definitions for topics that contain none, and report these topics.
 
         Args:
-            definitions: folder with the ``.msg`` files of worm_msgs as they were at the recording; None: what is
-                installed is taken later, for each topic that is decoded.
+            definitions: folder with the ``.msg`` files of worm_msgs from the time of the recording. None: the
+                installed definitions are used later, for each topic that is decoded.
 
         Raises:
-            BagError: what is in the folder is incomplete, or another type by its hash.
+            BagError: A definition in the folder is incomplete, or its hash shows that it is another type.
         """
         bare = [c for c in self.channels if c.count and not c.definition]
         defined = [c for c in bare if definitions and _is_defined(c, definitions)]
@@ -117,23 +117,23 @@ class Bag(ABC):
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Metadata by name, such as ``worm_run``, the last record of each; empty where the format has none."""
+        """Metadata by name, such as ``worm_run``, the last record of each; empty if the format has none."""
         return {record.name: dict(record.values) for record in self.records}
 
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[Message]:
-        """Messages by rising log time, lazily: memory does not grow with the bag.
+        """Yield the messages in order of log time, lazily, so that memory does not grow with the bag.
 
         Args:
-            topics: only these; None: all.
+            topics: names of the topics to read; None: all.
 
         Raises:
-            BagError: a topic does not exist, or the file turns out to be damaged.
+            BagError: A topic does not exist, or the file is damaged.
         """
         for block in self.blocks(topics):
             yield from block
 
     def blocks(self, topics: Iterable[str] | None = None) -> Iterator[Messages]:
-        """As `messages`, many at a time: each block begins no earlier than the one before it ends."""
+        """Yield the messages in blocks, like `messages`. Each block begins no earlier than the previous one ends."""
         wanted = frozenset(self.topics if topics is None else topics)
         unknown = sorted(wanted - self.topics.keys())
         if unknown:
@@ -144,7 +144,7 @@ class Bag(ABC):
         return map(self._defined, blocks) if self._given else blocks
 
     def _defined(self, block: Messages) -> Messages:
-        """The messages with the definitions that were given, which must fit."""
+        """Return the messages with the external definitions. Raises BagError if these do not fit."""
         taken = np.array([channel in self._given for channel in block.channels], bool)
         channels = tuple(self._given.get(channel, channel) for channel in block.channels)
         defined = replace(block, channels=channels)
@@ -154,7 +154,7 @@ class Bag(ABC):
 
 
 def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
-    """Topics by name, with the layout that was last and the messages of all."""
+    """Return the topics by name, with the last layout and the number of messages of all layouts."""
     topics: dict[str, Topic] = {}
     for channel in sorted(channels, key=lambda c: c.name):
         known = topics.get(channel.name)
@@ -164,7 +164,7 @@ def _by_name(channels: Iterable[Topic]) -> dict[str, Topic]:
 
 
 def _is_defined(channel: Topic, definitions: Path) -> bool:
-    """Whether a folder of worm_msgs' definitions has that of a topic."""
+    """Return True if a folder of worm_msgs' definitions contains that of a topic."""
     package, _, kind = channel.type_name.partition("/msg/")
     return package == PACKAGE and (definitions / f"{kind}.msg").is_file()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exceptions of everything that has to do with bags."""
+"""Exceptions of all operations on bags."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from worm_model.errors import InputError
 
 
 class BagError(InputError):
-    """A bag cannot be read or written; the message is one line that says what is wrong and what to do."""
+    """Bag that cannot be read or written; the message is one line with the reason and the remedy."""
 
 
 class ExistsError(BagError):
-    """What should be written exists already; nothing is overwritten."""
+    """Existing output; nothing is overwritten."""
 
 
 class DefinitionError(BagError):
-    """A message definition is missing, cannot be read, or is not that of a message."""
+    """Message definition that is missing, cannot be read, or does not match a message."""
 
 
 class UnwritableError(OSError):
-    """The system does not let a bag be written where it should be; the message is one line."""
+    """Location where the operating system does not permit to write a bag; the message is one line."""

@@ -1,33 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which bags there are below a folder, and which of them were recovered from another, by their names."""
+"""Search for the bags below a folder; recovered bags are matched to their sources by name."""
 
 from __future__ import annotations
 
 import os
 import re
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 
-from worm_model.errors import InputError
+from worm_model.bags.bag_errors import BagError
+from worm_model.errors import InputError, printable
 
 METADATA_FILE = "metadata.yaml"
 STORAGE = (".mcap", ".db3")
 _COPY = re.compile(r"(?P<source>.+)_recovered(?:_(?P<number>\d+))?")
 
 
+def check_readable(path: Path) -> None:
+    """Raise `BagError` unless a path is a file or a folder; to open a named pipe would block for ever."""
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        raise BagError(f"{path} does not exist; give the folder or the file of a bag") from None
+    except OSError as error:  # loop of symbolic links, or no permission
+        raise BagError(f"{path} cannot be opened: {error.strerror}") from None
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        kind = "a named pipe" if stat.S_ISFIFO(mode) else "a device or a socket"
+        raise BagError(f"{path} is {kind}; give the folder or the file of a bag")
+
+
 def recovered_path(bag: Path, number: int = 1) -> Path:
-    """Where a bag is recovered to; ``pipe_0.25Hz`` and ``pipe_0.30Hz`` do not meet."""
+    """Return the path to which a bag is recovered; it differs for ``pipe_0.25Hz`` and ``pipe_0.30Hz``."""
     return bag.with_name(f"{_plain(bag)}_recovered{'' if number == 1 else f'_{number}'}")
 
 
 def bags_below(folder: Path) -> dict[Path, list[Path]]:
-    """All bags below a folder, or the one that it is, by name, each with what was recovered from it, the last one last.
+    """Return all bags below a folder, sorted by path, each with its recovered copies, the highest number last.
 
-    A bag is a folder with a metadata.yaml, a folder with files that are named after it, as a killed recorder leaves
-    them, or a file by itself. Raises `InputError` if there is none.
+    A bag is a folder with a metadata.yaml, a folder with files that have its name, as a killed recorder leaves them,
+    or a single file. A folder that is itself a bag is the only result. Raises `InputError` if there is no bag.
     """
-    if not folder.exists():
-        raise InputError(f"{folder}: does not exist; name a folder that holds bags, or a bag")
+    check_readable(folder)
     bags = [folder] if folder.is_file() else _walked(folder)
     if not bags:
         raise InputError(
@@ -37,12 +51,12 @@ def bags_below(folder: Path) -> dict[Path, list[Path]]:
 
 
 def name_below(folder: Path, bag: Path) -> str:
-    """What a bag is called in a table of a folder's bags, or of the one bag that the folder is."""
+    """Return the name of a bag in a table of a folder's bags; the folder may be the bag itself."""
     return str(bag.relative_to(folder)) if bag != folder else bag.name
 
 
 def mark_of(bag: Path) -> str:
-    """What tells that a bag is the one of before: names, sizes and times of its files."""
+    """Return a text that changes when the bag changes: names, sizes and times of its files."""
     files = [bag] if bag.is_file() else sorted(file for file in bag.iterdir() if file.is_file())
     stats = [(file.name, file.stat()) for file in files]
     return " ".join(f"{name}:{stat.st_size}:{stat.st_mtime_ns}" for name, stat in stats)
@@ -52,8 +66,8 @@ def _walked(folder: Path) -> list[Path]:
     bags: list[Path] = []
     for place, inner, names in os.walk(folder):
         path = Path(place)
-        files = [path / name for name in names if name.endswith(STORAGE)]
-        split = re.compile(rf"{re.escape(path.resolve().name)}_\d+\.\w+")
+        files = [f for name in names if name.endswith(STORAGE) and (f := path / name).is_file()]
+        split = re.compile(rf"{re.escape(printable(path.resolve().name))}_\d+\.\w+")
         if METADATA_FILE in names or (files and all(split.fullmatch(f.name) for f in files)):
             bags.append(path)
             inner.clear()
@@ -72,7 +86,7 @@ def _with_copies(bags: Sequence[Path]) -> dict[Path, list[Path]]:
     source_of = {copy: source for _, source, copy in copies}
     copies_of: dict[Path, list[Path]] = {bag: [] for bag in bags if bag not in source_of}
     for _, source, copy in sorted(copies):
-        while source in source_of:  # a copy that was recovered in its turn
+        while source in source_of:  # a copy of which another copy was recovered
             source = source_of[source]
         copies_of[source].append(copy)
     return copies_of

@@ -1,31 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opens a bag, and recovers it first if it was not closed."""
+"""Opening of bags, with recovery of those that were not closed."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path, PurePath
 from typing import Any
 
 from worm_model.bags.bag import Bag, Notify
 from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
-from worm_model.bags.bag_metadata import custom_data, read_metadata
-from worm_model.bags.finding import METADATA_FILE, recovered_path
-from worm_model.bags.mcap_bag import McapBag, McapFile
-from worm_model.bags.message_types import PACKAGE
-from worm_model.bags.recorder import STATE, UNFINISHED
-from worm_model.bags.recovery import (
+from worm_model.bags.finding import (
+    METADATA_FILE,
+    STORAGE,
+    check_readable,
+    recovered_path,
+)
+from worm_model.bags.formats.bag_metadata import custom_data, read_metadata
+from worm_model.bags.formats.message_types import PACKAGE
+from worm_model.bags.formats.rosbags_bag import RosbagsBag
+from worm_model.bags.formats.stored_bag import StoredBag, StoredFile
+from worm_model.bags.recovery.recovery import (
+    LOSS,
+    RECOVERY_RECORD,
     SOURCE,
     SOURCE_SHA256,
     fingerprint,
-    mcap_files,
+    is_unfinished,
     named,
     open_files,
+    open_whole,
     recover,
+    storage_files,
     undeclared,
 )
-from worm_model.bags.rosbags_bag import RosbagsBag
+from worm_model.errors import printable
 
 _log = logging.getLogger("worm_model.bags")
 
@@ -33,17 +42,17 @@ _log = logging.getLogger("worm_model.bags")
 def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None = None) -> Bag:
     """Open a bag for reading.
 
-    A bag that was not closed (killed recorder, full disk, power cut) or is spoilt is recovered into a new one beside
-    it, which is opened instead; the old one is left as it is.
+    A bag that was not closed (killed recorder, full disk, power cut) or is damaged is recovered into a new bag next
+    to it. The new bag is opened instead; the old one is not changed.
 
     Args:
-        path: a rosbag2 directory, or one file of it (``.mcap``, ``.db3``).
-        notify: told in one line when the bag had to be recovered, and what in it contradicts itself.
-        definitions: as `Bag.define` takes it.
+        path: a rosbag2 directory, or one of its files (``.mcap``, ``.db3``).
+        notify: called with one line if the bag was recovered or is inconsistent.
+        definitions: folder of message definitions, see `Bag.define`.
 
     Raises:
-        BagError: it is missing, empty, foreign, damaged beyond recovery, or still being recorded; or the definitions
-            do not fit.
+        BagError: The bag is missing, empty, of a foreign format, damaged beyond recovery, or still being recorded; or
+            the definitions do not fit.
     """
     if definitions is not None and not any(definitions.glob("*.msg")):
         raise BagError(
@@ -59,35 +68,44 @@ def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None
 
 
 def _open(path: Path, notify: Notify) -> Bag:
-    if not path.exists():
-        raise BagError(f"{path} does not exist")
+    bag = _open_as_it_is(path, notify)
+    for record in bag.records:
+        if record.name == RECOVERY_RECORD and bag.path == path:  # otherwise reported in _instead
+            values = dict(record.values)
+            notify(f"{path} was recovered from {values.get(SOURCE)}: {values.get(LOSS)}")
+    return bag
+
+
+def _open_as_it_is(path: Path, notify: Notify) -> Bag:
+    check_readable(path)
     if path.is_file():
-        if path.suffix == ".db3":
-            return RosbagsBag(path, notify)
-        return _open_mcap(path, [path], notify)
+        return _open_stored(path, [path], notify)
     if not (path / METADATA_FILE).exists():
         return _open_without_metadata(path, notify)
     content = read_metadata(path)
     files = _named_files(path, content)
-    if content.get("storage_identifier") != "mcap" or content.get("compression_mode"):
+    if content.get("compression_mode"):
         return _compared(RosbagsBag(path, notify), files)
     if is_unfinished(content):
         return _recovered(path, notify)
-    return _compared(_open_mcap(path, files, notify), files)
+    return _compared(_open_stored(path, files, notify), files)
 
 
 def _open_without_metadata(path: Path, notify: Notify) -> Bag:
-    if any(path.glob("*.mcap")):
+    if any(entry.suffix in STORAGE for entry in path.iterdir()):
         return _recovered(path, notify)
     content = ", ".join(sorted(entry.name for entry in path.iterdir())) or "nothing"
     raise BagError(
-        f"{path} is not a bag: it has neither {METADATA_FILE} nor an MCAP file (found: {content})"
+        f"{path} is not a bag: it has neither {METADATA_FILE} nor a file *.mcap or *.db3 (found: {content})"
     )
 
 
-def is_unfinished(content: Mapping[str, Any]) -> bool:
-    """Whether a bag's metadata says that its recorder has not closed it."""
-    return custom_data(content).get(STATE) == UNFINISHED
+def is_unclosed(path: Path) -> bool:
+    """Return True if a folder is a bag that its recorder has not closed."""
+    try:
+        return is_unfinished(read_metadata(path))
+    except BagError:
+        return any(path.glob("*.mcap"))  # killed before its metadata.yaml was written
 
 
 def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
@@ -99,60 +117,70 @@ def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
         raise BagError(f"{path} names {twice[0]} twice in its {METADATA_FILE}; name it once")
     missing = [name for name in names if not (path / name).is_file()]
     if missing:
-        raise BagError(f"{path} lacks {', '.join(missing)}, which its {METADATA_FILE} names")
+        raise BagError(
+            f"{path} lacks {', '.join(missing)}, which its {METADATA_FILE} names; save the other files with: "
+            f"worm_model recover {path}"
+        )
     return [path / name for name in names]
 
 
 def _compared(bag: Bag, files: Sequence[Path]) -> Bag:
-    """The bag; a difference to what its metadata.yaml declares, the files among it, is told."""
+    """Return the bag; report files and messages that differ from its metadata.yaml."""
     beside = sorted({file.name for file in bag.path.glob("*.mcap")} - {file.name for file in files})
-    if beside and files[0].parent == bag.path:  # not where the bag had to be recovered
+    if beside and files[0].parent == bag.path:  # not for a recovered bag
         bag.notify(f"{bag.path}: {', '.join(beside)} not read: {METADATA_FILE} names no such file")
     counts = {topic.name: topic.count for topic in bag.topics.values()}
-    for topic, missing in undeclared(bag.path, counts):
+    for topic, missing in undeclared(bag.path, counts).items():
         bag.notify(
-            f"{bag.path}: {METADATA_FILE} tells of {counts.get(topic, 0) + missing} messages of {topic}, "
+            f"{bag.path}: {METADATA_FILE} declares {counts.get(topic, 0) + missing} messages of {topic}, "
             f"the bag holds {counts.get(topic, 0)}"
         )
     return bag
 
 
-def _open_mcap(path: Path, paths: Sequence[Path], notify: Notify) -> Bag:
-    files, unreadable = open_files(paths)
-    if _sound(files, unreadable):
+def _open_stored(path: Path, paths: Sequence[Path], notify: Notify) -> Bag:
+    files, unreadable = open_files(paths, open_whole)
+    if not unreadable and all(file.contents.sound for file in files):
         for file in files:
             for complaint in file.contents.complaints:
                 notify(f"{file.path}: {complaint}")
-        return McapBag(path, files, notify)
+        return StoredBag(path, files, notify)
     _close(files)
     return _recovered(path, notify)
 
 
 def _recovered(path: Path, notify: Notify) -> Bag:
-    """The bag that an unclosed one was, or is now, recovered into."""
+    """Return the recovered copy of an unclosed or damaged bag; recover the bag if there is none."""
     path = named(path)
     content = _content(path)
     number = 1
     while (target := recovered_path(path, number)).exists():
         if _is_recovery(target, path, content):
-            notify(f"{path} was not closed; reading {target}, into which it was recovered before")
-            return _open(target, notify)
+            return _instead(path, target, notify, "reading what was recovered before")
         number += 1
     try:
         report = recover(path, target)
     except ExistsError:
-        return _recovered(path, notify)  # by another process, at the same time
+        return _recovered(path, notify)  # another process recovers it at the same time
     except UnwritableError as error:
         raise BagError(
-            f"{path} was not closed, and {error}; "
+            f"{path} was not closed, or is damaged, and {error}; "
             f"recover it elsewhere: worm_model recover {path} --output FOLDER"
         ) from None
-    notify(f"{path} was not closed, or is spoilt; recovered {report}")
-    return _open(target, notify)
+    return _instead(path, target, notify, f"{report.messages} messages were recovered")
+
+
+def _instead(path: Path, target: Path, notify: Notify, outcome: str) -> Bag:
+    """Return the recovered copy of a bag; report it and its stored loss in one line."""
+    lines: list[str] = []
+    bag = _open(target, lines.append)
+    notify("; ".join([f"{path} was not closed, or is damaged: {outcome} ({target})", *lines]))
+    bag.notify = notify
+    return bag
 
 
 def _content(path: Path) -> str:
-    files, _ = open_files(mcap_files(path))
+    files, _ = open_files(storage_files(path), open_whole)
     content = fingerprint(files)
     _close(files)
     return content
@@ -163,21 +191,17 @@ def _is_recovery(target: Path, source: Path, content: str) -> bool:
         custom = custom_data(read_metadata(target))
     except BagError:
         return False
-    return (custom.get(SOURCE), custom.get(SOURCE_SHA256)) == (source.name, content)
+    return (custom.get(SOURCE), custom.get(SOURCE_SHA256)) == (printable(source.name), content)
 
 
-def _close(files: Sequence[McapFile]) -> None:
+def _close(files: Sequence[StoredFile]) -> None:
     for file in files:
         file.close()
 
 
 def are_sound(paths: Sequence[Path]) -> bool:
-    """Whether MCAP files can be read as they are."""
-    files, unreadable = open_files(paths)
-    sound = _sound(files, unreadable)
+    """Return True if the files of a bag can be read without recovery."""
+    files, unreadable = open_files(paths, open_whole)
+    sound = not unreadable and all(file.contents.sound for file in files)
     _close(files)
     return sound
-
-
-def _sound(files: Sequence[McapFile], unreadable: Sequence[object]) -> bool:
-    return not unreadable and all(file.contents.sound for file in files)

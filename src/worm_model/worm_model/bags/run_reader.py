@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the worm's topics of a bag into arrays."""
+"""Conversion of the worm's topics in a bag to arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields
 from functools import partial
 from typing import Any
@@ -13,24 +14,25 @@ from numpy.typing import NDArray
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.cdr import ColumnBuilder, Columns
-from worm_model.bags.message_block import Topic
+from worm_model.bags.formats.cdr import ColumnBuilder, Columns
+from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.worm_topics import SERIES, TYPES, find_topic, path_of
+from worm_model.gait import GAIT_DEFAULTS
 from worm_model.run import Run
 
 RUN_TOPICS = tuple(SERIES)
 
 
 def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -> Run:
-    """The worm's samples in a bag.
+    """Return the worm's samples in a bag.
 
     Args:
         bag: an open bag.
-        namespace: of the robot; empty: the one there is.
-        names: of RUN_TOPICS, those that are read.
+        namespace: namespace of the robot; empty: the only one in the bag.
+        names: topics to read, from RUN_TOPICS.
 
     Raises:
-        BagError: the bag holds several robots, none of the topics, or something that cannot be decoded.
+        BagError: The bag has several robots, none of the topics, or data that cannot be decoded.
     """
     topic_of = {name: find_topic(bag.topics.values(), name, namespace) for name in names}
     topics = {name: topic for name, topic in topic_of.items() if topic is not None}
@@ -42,16 +44,20 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
         for name, columns in read_columns(bag, list(topics.values())).items()
     }
     samples = {name: columns[topic.name] for name, topic in topics.items()}
-    stamps = [_stamp(c) for c in samples.values()]
+    stamps = []
+    for name, topic in topics.items():
+        with _located(bag, topic):
+            stamps.append(_stamp(samples[name]))
     for topic, stamp in zip(topics.values(), stamps, strict=True):
         if backwards := np.count_nonzero(np.diff(stamp) < 0):
             bag.notify(
                 f"{bag.path}: stamps of {topic.name} go back {backwards} times: runs that were merged, "
                 "several publishers, or a clock that was set"
             )
-    series = {
-        attribute: _series(kind, samples.get(name)) for name, (attribute, kind) in SERIES.items()
-    }
+    series = {}
+    for name, (attribute, kind) in SERIES.items():
+        with _located(bag, topics.get(name)):
+            series[attribute] = _series(kind, samples.get(name))
     if series["gait_state"].mixed:
         raise BagError(
             f"{bag.path}: runs of gaits overlap, as where recordings were merged or two drivers published at once: "
@@ -60,8 +66,17 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
     return Run(origin=int(min((s.min() for s in stamps if len(s)), default=0)), **series)
 
 
+@contextmanager
+def _located(bag: Bag, topic: Topic | None) -> Iterator[None]:
+    """Prefix the message of a BagError with the bag and the topic."""
+    try:
+        yield
+    except BagError as error:
+        raise BagError(f"{bag.path}: {topic.name if topic else 'a topic'}: {error}") from None
+
+
 def _tell_odd_topics(bag: Bag, topics: Mapping[str, Topic | None], namespace: str) -> None:
-    """Tell which topics have the worm's names but other types, and whether several robots could be mixed."""
+    """Report topics with a worm's name but another type, and topics under several namespaces."""
     for name, topic in topics.items():
         ending = f"{namespace.rstrip('/')}/{name}"
         others = [t for t in bag.topics.values() if t.count and f"/{t.name}".endswith(ending)]
@@ -77,10 +92,10 @@ def _tell_odd_topics(bag: Bag, topics: Mapping[str, Topic | None], namespace: st
 
 
 def namespace_of(bag: Bag) -> str:
-    """Namespace of the robot in a bag, such as ``/worm``; empty for the root.
+    """Return the namespace of the robot in a bag, such as ``/worm``; empty for the root.
 
     Raises:
-        BagError: the bag holds several robots, or none.
+        BagError: The bag has several robots, or none.
     """
     for name in RUN_TOPICS:
         topic = find_topic(bag.topics.values(), name)
@@ -95,10 +110,10 @@ def _none_of_the_worms(bag: Bag, where: str = "") -> BagError:
 
 
 def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
-    """All fields of some topics of a bag as columns, by topic name.
+    """Return all fields of some topics of a bag as columns, by topic name.
 
     Raises:
-        BagError: a topic cannot be decoded.
+        BagError: A topic cannot be decoded.
     """
     builders = {topic.name: ColumnBuilder() for topic in topics}
     for block in bag.blocks(builders):
@@ -108,9 +123,9 @@ def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
 
 
 def _samples(bag: Bag, name: str, columns: Columns) -> Columns:
-    """Columns without the messages that repeat the one before them, and without those that hold an infinite number.
+    """Return the columns without repeated messages and without those with an infinite number; report both.
 
-    The former are those of a recording that was merged with itself; both are told.
+    Messages repeat their predecessor in a recording that was merged with itself.
     """
     numbers = {path: v for path, v in columns.numbers.items() if v.dtype != object}
     if not numbers:
@@ -155,12 +170,15 @@ def _numbers(columns: Columns, path: str, kind: type = np.float64) -> NDArray[An
         )
     values = columns.numbers[path]
     if values.dtype == object:
-        raise BagError(f"{path} is not in all messages, or not of one length: the layout changes")
+        raise BagError(
+            f"{path} is missing in some of its messages, or differs in length: its type changes within the bag; cut "
+            "the bag where it does: worm_model bags trim --help"
+        )
     return values.astype(kind)
 
 
 def _series(kind: type[Any], columns: Columns | None) -> Any:
-    """Samples of a kind of `worm_model.run`."""
+    """Return the columns as samples of a class of `worm_model.run`."""
     nothing = kind()
     if columns is None or not columns.numbers:
         return nothing
@@ -170,16 +188,20 @@ def _series(kind: type[Any], columns: Columns | None) -> Any:
             arrays[field.name] = _READERS[field.name](columns)
         else:
             number = getattr(nothing, field.name).dtype.type
-            arrays[field.name] = _numbers(columns, path_of(field.name), number)
+            read = _numbers
+            if field.name in _ABSENT:
+                read = partial(_numbers_or_default, default=_ABSENT[field.name])
+            arrays[field.name] = read(columns, path_of(field.name), number)
     return kind(**arrays)
 
 
-def _run_numbers(columns: Columns) -> NDArray[np.int64]:
-    """Numbers of the runs; 0, unknown, in messages of before they had one."""
-    values = columns.numbers.get("run", np.zeros(len(columns.numbers["state"]), np.int64))
+def _numbers_or_default(columns: Columns, path: str, kind: type, default: float) -> NDArray[Any]:
+    """Return the numbers of a field, with a default for messages from before the field existed."""
+    size = len(next(iter(columns.numbers.values())))
+    values = columns.numbers.get(path, np.full(size, default))
     if values.dtype == object:
-        values = np.where(values == None, 0, values)  # noqa: E711 - element by element
-    return values.astype(np.int64)
+        values = np.where(values == None, default, values)  # noqa: E711 - element by element
+    return values.astype(kind)
 
 
 def _joint_names(columns: Columns) -> tuple[str, ...]:
@@ -189,9 +211,11 @@ def _joint_names(columns: Columns) -> tuple[str, ...]:
     return tuple(str(texts[0]) for texts in names)
 
 
+#: fields that messages of older recordings lack, with their defaults; run 0 means no run number
+_ABSENT: Mapping[str, Any] = {**GAIT_DEFAULTS, "run": 0}
 _READERS: Mapping[str, Callable[[Columns], Any]] = {
     "stamp": _stamp,
     "onset": partial(_stamp, path="onset"),
-    "run": _run_numbers,
     "names": _joint_names,
+    "content": lambda columns: np.array(columns.texts["content"], object),
 }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes a run's arrays as the messages that the driver and the tracker publish."""
+"""Conversion of a run's arrays to the messages that the driver and the tracker publish."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_writer import BagFiles, new_bag
-from worm_model.bags.cdr import defined_message, encode
-from worm_model.bags.message_block import Message, Topic
-from worm_model.bags.message_types import topic_of, with_definition
+from worm_model.bags.formats.bag_writer import BagFiles, new_bag
+from worm_model.bags.formats.cdr import defined_message, encode
+from worm_model.bags.formats.message_block import Message, Topic
+from worm_model.bags.formats.message_types import topic_of, with_definition
 from worm_model.bags.worm_topics import SERIES, TYPES, offered_qos, path_of
 from worm_model.run import Run, Stamps
 
@@ -27,10 +27,10 @@ LENGTH_SOURCES = {"commanded": 0, "cable": 1, "estimated": 2, "measured": 3}  # 
 
 
 def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
-    """Append a run's samples by rising stamp; each is taken to be received and sent at its stamp.
+    """Append a run's samples in order of stamp; publish and log time are equal to the stamp.
 
     Raises:
-        BagError: the definitions of worm_msgs are not installed.
+        BagError: The definitions of worm_msgs are not installed.
     """
     series = []
     for name, (attribute, _) in SERIES.items():
@@ -48,13 +48,15 @@ def write_run(writer: BagFiles, run: Run, namespace: str = "/worm") -> None:
 def stamped_messages(
     topic: Topic, stamp: Stamps, numbers: Numbers, texts: Mapping[str, Any] | None = None
 ) -> list[Message]:
-    """Messages of a type with a header by rising stamp (ns since the epoch), received and sent at their stamps.
+    """Return messages of a type with a header, in order of stamp; publish and log time are equal to the stamp.
 
     Args:
-        numbers, texts: as `cdr.encode` takes them.
+        topic: topic of the messages.
+        stamp: stamps, ns since the epoch, shape (n,).
+        numbers, texts: values of the fields, see `cdr.encode`.
 
     Raises:
-        BagError: a stamp is from before the epoch, or the type has no such field.
+        BagError: A stamp is before the epoch, or the type has no such field.
     """
     if len(stamp) and stamp.min() < 0:
         raise BagError(f"a {topic.type_name} is from before 1970, which no bag can hold")
@@ -69,14 +71,16 @@ def stamped_messages(
 def write_beside(
     bag: Bag, output: Path, topics: Sequence[str], messages: Sequence[Iterable[Message]]
 ) -> None:
-    """Write a bag with a bag's messages and others in between; the same ones give the same bytes.
+    """Write a bag with messages of another bag and additional ones; the same input gives the same bytes.
 
     Args:
-        topics: of the bag, those that are kept.
-        messages: of each further topic, by rising log time; at equal times they come behind the bag's.
+        bag: source of the existing messages.
+        output: the new bag.
+        topics: names of the topics of ``bag`` to include.
+        messages: messages of each additional topic in order of log time; at equal times they follow those of ``bag``.
 
     Raises:
-        BagError: the output exists, or a topic has no definition.
+        BagError: The output exists, or a topic has no definition.
     """
     kept = [with_definition(channel) for channel in bag.channels if channel.name in topics]
     with new_bag(output) as writer:
@@ -88,7 +92,7 @@ def write_beside(
 
 
 def _columns(samples: Any) -> dict[str, Any]:
-    """The fields of a series, but for its stamps, as the message has them."""
+    """Return the fields of a series except its stamps, by their names in the message."""
     names = [field.name for field in fields(samples) if field.name not in ("stamp", "onset")]
     numbers = {path_of(name): getattr(samples, name) for name in names}
     if hasattr(samples, "onset"):

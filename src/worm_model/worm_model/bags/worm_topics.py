@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The worm's topics in a bag: found by the end of their name and their type, under any namespace."""
+"""Names and types of the worm's topics, which are found in a bag under any namespace."""
 
 from __future__ import annotations
 
@@ -7,8 +7,16 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.message_block import Topic
-from worm_model.run import GaitStates, JointSamples, LengthSamples, PowerSamples, TrackerSamples
+from worm_model.bags.formats.message_block import Topic
+from worm_model.gait import GAIT_UNITS
+from worm_model.run import (
+    GaitStates,
+    JointSamples,
+    LengthSamples,
+    MemorySamples,
+    PowerSamples,
+    TrackerSamples,
+)
 
 BODY_LENGTH = "worm_msgs/msg/BodyLength"
 TRACKER = "worm_msgs/msg/Tracker"
@@ -18,6 +26,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 TWIN_STATE = "worm_msgs/msg/TwinState"
 TWIN_RESIDUALS = "worm_msgs/msg/TwinResiduals"
 TWIN_EVENT = "worm_msgs/msg/TwinEvent"
+TWIN_MEMORY = "worm_msgs/msg/TwinMemory"
 
 TYPES = {
     "body_length/commanded": BODY_LENGTH,
@@ -32,9 +41,10 @@ TYPES = {
     "twin/state": TWIN_STATE,
     "twin/residuals": TWIN_RESIDUALS,
     "twin/events": TWIN_EVENT,
+    "twin/memory": TWIN_MEMORY,
 }
 
-#: of a run, by topic: where `worm_model.run.Run` has its samples, and of what kind they are
+#: attribute of `worm_model.run.Run` and class of its samples, by topic
 SERIES: Mapping[str, tuple[str, type[Any]]] = {
     "gait_state": ("gait_state", GaitStates),
     "body_length/commanded": ("commanded", LengthSamples),
@@ -44,9 +54,10 @@ SERIES: Mapping[str, tuple[str, type[Any]]] = {
     "tracker": ("tracker", TrackerSamples),
     "power": ("power", PowerSamples),
     "joint_states": ("joint_states", JointSamples),
+    "twin/memory": ("memory", MemorySamples),
 }
 
-LATCHED = frozenset({"gait_state"})  # published once, for those who come later
+LATCHED = frozenset({"gait_state", "twin/memory"})  # published once, also for later subscribers
 TWIN_INPUTS = (
     "gait_state",
     "body_length/commanded",
@@ -54,16 +65,17 @@ TWIN_INPUTS = (
     "tracker",
     "power",
 )
+REPLAY_INPUTS = (*TWIN_INPUTS, "twin/memory")  # topics that a replay reads
 TWIN_TOPICS = ("body_length/estimated", "twin/state", "twin/residuals", "twin/events")
 
 
 def path_of(field: str) -> str:
-    """Where a message has a field of the samples, which is called the same."""
-    return f"gait.{field}" if field in ("stroke", "frequency", "direction", "margin") else field
+    """Return the path in a message of a field of the samples."""
+    return f"gait.{field}" if field in GAIT_UNITS else field
 
 
 def offered_qos(name: str) -> str:
-    """QoS with which one of the worm's topics (a key of TYPES) is published, as a bag's channel says it (YAML)."""
+    """Return the QoS of one of the worm's topics (a key of TYPES), as YAML like in a bag's channel."""
     forever = "{sec: 9223372036, nsec: 854775807}"
     return (
         "- history: keep_last\n"
@@ -79,15 +91,15 @@ def offered_qos(name: str) -> str:
 
 
 def find_topic(topics: Iterable[Topic], name: str, namespace: str = "") -> Topic | None:
-    """The topic that carries one of the worm's names (a key of TYPES), or None.
+    """Return the topic with one of the worm's names (a key of TYPES), or None.
 
     Args:
-        topics: of a bag.
+        topics: topics of a bag.
         name: relative name, such as ``body_length/measured``.
-        namespace: only in this one, such as ``/worm``; empty: in whichever there is.
+        namespace: namespace of the topic, such as ``/worm``; empty: any.
 
     Raises:
-        BagError: several topics fit, as when a bag holds two robots.
+        BagError: Several topics match, for example if a bag contains two robots.
     """
     ending = f"{namespace.rstrip('/')}/{name}" if namespace else f"/{name}"
     longer = tuple(f"/{other}" for other in TYPES if other.endswith(f"/{name}"))

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +17,22 @@ from worm_model.analysis.run_metrics import (
     END_TOLERANCE_NS,
     PlayedGait,
     RecordingError,
+    Window,
     accumulated_energy,
     averaged_cycles,
+    completed_cycles,
     early_end,
     mean_rate,
 )
 from worm_model.bags.bag import Bag
-from worm_model.bags.bag_metadata import read_metadata
 from worm_model.bags.finding import METADATA_FILE
+from worm_model.bags.formats.bag_metadata import read_metadata
 from worm_model.bags.opening import are_sound, is_unfinished, open_bag
-from worm_model.bags.run_manifest import RUN_RECORD, recorded_parameters
+from worm_model.bags.recording.run_manifest import RUN_RECORD, recorded_parameters
+from worm_model.bags.recovery.recovery import storage_files
 from worm_model.bags.run_reader import read_run
-from worm_model.bags.worm_topics import TWIN_INPUTS
-from worm_model.commands.bag_table import CLOSED, DAMAGED, OPEN
+from worm_model.bags.worm_topics import REPLAY_INPUTS
+from worm_model.commands.bag_table import CLOSED, COLUMNS, DAMAGED, OPEN
 from worm_model.parameters import Parameters, load_parameters
 from worm_model.run import Run, utc_of
 from worm_model.simulation.simulator import cost_of_transport
@@ -42,17 +47,17 @@ def state_of_bag(path: Path) -> tuple[str, str]:
         not (path / METADATA_FILE).is_file() or is_unfinished(read_metadata(path))
     ):
         return OPEN, f"it is being recorded, or its recorder was killed: {RECOVER}"
-    files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
-    if not files or files[0].suffix != ".mcap" or are_sound(files):
+    is_compressed = path.is_dir() and bool(read_metadata(path).get("compression_mode"))
+    if is_compressed or are_sound(storage_files(path)):
         return CLOSED, ""
-    return DAMAGED, f"parts of it are spoilt: {RECOVER}"
+    return DAMAGED, f"parts of it are damaged: {RECOVER}"
 
 
 def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
     """A row for each run of a closed bag; one without a run says so. Raises `InputError` if it cannot be read."""
     remarks: list[str] = []
     with open_bag(path, remarks.append) as bag:
-        run = read_run(bag, names=TWIN_INPUTS)
+        run = read_run(bag, names=REPLAY_INPUTS)
         values = load_parameters(parameters) if parameters else _own_parameters(bag)
         record = bag.metadata.get(RUN_RECORD, {})
         span = (bag.end - bag.start) * 1e-9
@@ -63,7 +68,8 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
     if not reports:
         said = "; ".join(["no gait was run", *notes, *remarks])
         return [{"start": utc_of(start), "duration_s": span, "notes": said}]
-    return [_row(run, replay, report, values, [*notes, *remarks]) for report in reports]
+    figures = [RunFigures(run, replay, report, values, [*notes, *remarks]) for report in reports]
+    return [{column.key: column.value(f) for column in COLUMNS} for f in figures]
 
 
 def _own_parameters(bag: Bag) -> Parameters:
@@ -71,33 +77,91 @@ def _own_parameters(bag: Bag) -> Parameters:
     return Parameters() if content is None else content.parameters
 
 
-def _row(
-    run: Run, replay: Replay, report: RunReport, p: Parameters, notes: list[str]
-) -> dict[str, Any]:
-    played = report.played
-    gait = played.gait
-    first, last = averaged_cycles(run, played)
-    window = played.cycle_window(first, last)
-    speed = _rate(window, (run.tracker.stamp, run.tracker.rear_position), "position")
-    speed *= gait.direction
-    power = _rate(window, accumulated_energy((run.power.stamp, run.power.valid_power)), "power")
-    states = replay.states
-    after = states["groove_phase"][states["stamp_ns"] >= played.onset]
-    cost = float(cost_of_transport(speed, power, p.mass)) if speed > 0.0 else math.nan
-    early = early_end(run, played)
-    return {
-        "start": utc_of(played.onset),
-        "duration_s": sum(cycle.complete for cycle in report.cycles) * gait.period,
-        "gait": asdict(gait),
-        "cycles": played.whole_cycles_until(_last(run, played)),
-        "groove_phase": float(after[0]) if after.size else math.nan,
-        "grooves_per_cycle": speed / gait.frequency / p.pitch,
-        "speed": speed,
-        "power": power,
-        "cost_of_transport": cost,
-        "health": report.health.name.lower(),
-        "notes": "; ".join(filter(None, [early, *notes])),
-    }
+@dataclass(frozen=True)
+class RunFigures:
+    """Figures of a run, from which `bag_table.COLUMNS` takes its values; NaN where one cannot be computed."""
+
+    run: Run
+    replay: Replay
+    report: RunReport
+    parameters: Parameters
+    remarks: Sequence[str]
+
+    @property
+    def played(self) -> PlayedGait:
+        """The gait, from its onset to its end."""
+        return self.report.played
+
+    @property
+    def start(self) -> str:
+        """UTC of the onset."""
+        return utc_of(self.played.onset)
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the complete cycles."""
+        return sum(cycle.complete for cycle in self.report.cycles) * self.played.gait.period
+
+    @property
+    def cycles(self) -> int:
+        """Number of cycles that were played."""
+        return self.played.whole_cycles_until(_last(self.run, self.played))
+
+    @property
+    def groove_phase(self) -> float:
+        """Groove phase at the onset, m."""
+        states = self.replay.states
+        after = states["groove_phase"][states["stamp_ns"] >= self.played.onset]
+        return float(after[0]) if after.size else math.nan
+
+    @cached_property
+    def speed(self) -> float:
+        """Mean speed along the gait's direction, m/s."""
+        tracker = self.run.tracker
+        rate = _rate(self._window, (tracker.stamp, tracker.rear_position), "position")
+        return rate * self.played.gait.direction
+
+    @cached_property
+    def power(self) -> float:
+        """Mean power, W."""
+        power = self.run.power
+        return _rate(self._window, accumulated_energy((power.stamp, power.valid_power)), "power")
+
+    @property
+    def grooves_per_cycle(self) -> float:
+        """Displacement of a cycle in pitches."""
+        return self.speed / self.played.gait.frequency / self.parameters.pitch
+
+    @property
+    def cost_of_transport(self) -> float:
+        """Cost of transport, 1."""
+        if not self.speed > 0.0:
+            return math.nan
+        return float(cost_of_transport(self.speed, self.power, self.parameters.mass))
+
+    @property
+    def notes(self) -> str:
+        """Why the run ended early or was not judged, what was noted, and remarks on the bag."""
+        early = early_end(self.run, self.played)
+        return "; ".join(filter(None, [early, *_not_judged(self.report), *self.remarks]))
+
+    @cached_property
+    def _window(self) -> Window | None:
+        """The averaged cycles; None where none was completed."""
+        first, last = averaged_cycles(self.run, self.played)
+        completed = completed_cycles(self.run, self.played)
+        return self.played.cycle_window(first, last) if completed else None
+
+
+def _not_judged(report: RunReport) -> list[str]:
+    """Why the twin judged nothing of a run, or not all of its complete cycles."""
+    if report.not_judged:
+        return [f"not judged: {report.not_judged}"]
+    return [
+        f"cycle {cycle.number} not judged: {cycle.not_judged}"
+        for cycle in report.cycles
+        if cycle.complete and cycle.not_judged
+    ]
 
 
 def _last(run: Run, played: PlayedGait) -> int:
@@ -106,8 +170,10 @@ def _last(run: Run, played: PlayedGait) -> int:
     return int(np.max(run.commanded.stamp, initial=0))
 
 
-def _rate(window: Any, samples: Any, name: str) -> float:
-    """NaN where the instrument did not see the averaged cycles."""
+def _rate(window: Window | None, samples: Any, name: str) -> float:
+    """NaN where no cycle was completed, or the instrument did not see the averaged ones."""
+    if window is None:
+        return math.nan
     try:
         return mean_rate(samples, window, name)
     except RecordingError:

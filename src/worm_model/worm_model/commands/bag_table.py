@@ -7,8 +7,9 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,53 @@ from worm_model.errors import InputError
 Row = dict[str, Any]
 
 CLOSED, OPEN, DAMAGED = "closed", "not closed", "damaged"
-NUMBERS = (
-    *("groove_phase", "grooves_per_cycle", "speed", "power", "cost_of_transport"),
-    *("duration_s", "cycles"),
+MISSING = "–"
+FIGURES_VERSION = 3  # raise it where a figure is computed otherwise
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the table: all that a new one needs is a row of COLUMNS.
+
+    Attributes:
+        key: of the value in a row, and in `--json`.
+        title: in the table for people; empty: it is not shown there.
+        value: from the `bag_runs.RunFigures` of a run.
+        text: of the value, which is not None.
+    """
+
+    key: str
+    title: str
+    value: Callable[[Any], Any]
+    text: Callable[[Any], str] = str
+
+
+def _number(scale: float, decimals: int) -> Callable[[float], str]:
+    return lambda value: MISSING if math.isnan(value) else f"{scale * value:.{decimals}f}"
+
+
+def gait_text(gait: Mapping[str, Any] | None) -> str:
+    """The gait of a row in words, empty where it has none."""
+    if gait is None:
+        return ""
+    way = "" if gait["direction"] > 0 else " reverse"
+    return f"{1e3 * gait['stroke']:.1f} mm {gait['frequency']:.3f} Hz{way}"
+
+
+COLUMNS = (
+    Column("start", "start", lambda run: run.start, lambda start: str(start)[:19]),
+    Column("duration_s", "s", lambda run: run.duration_s, _number(1.0, 1)),
+    Column("gait", "gait", lambda run: asdict(run.played.gait), gait_text),
+    Column("cycles", "cycles", lambda run: run.cycles, _number(1.0, 0)),
+    Column("groove_phase", "φ mm", lambda run: run.groove_phase, _number(1e3, 2)),
+    Column("grooves_per_cycle", "grooves", lambda run: run.grooves_per_cycle, _number(1.0, 2)),
+    Column("speed", "mm/s", lambda run: run.speed, _number(1e3, 2)),
+    Column("power", "W", lambda run: run.power, _number(1.0, 2)),
+    Column("cost_of_transport", "COT", lambda run: run.cost_of_transport, _number(1.0, 1)),
+    Column("health", "health", lambda run: run.report.health.name.lower()),
+    Column("notes", "", lambda run: run.notes),
 )
-INDEX_VERSION = 2  # of a row's content: raise it where a figure is computed otherwise
+STATE = "state"  # of the files: a column, too, but not one of a run
 
 
 def bag_rows(
@@ -50,7 +93,8 @@ def bag_rows(
 
 def _index_file(folder: Path, parameters: str) -> Path:
     content = Path(parameters).read_bytes() if parameters else b""
-    name = f"{INDEX_VERSION}\n{folder.resolve()}\n".encode() + content
+    keys = [column.key for column in COLUMNS]
+    name = f"{FIGURES_VERSION} {keys}\n".encode() + os.fsencode(folder.resolve()) + b"\n" + content
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
     return home / "worm_model" / f"bags-{hashlib.sha256(name).hexdigest()[:16]}.json"
 
@@ -75,61 +119,35 @@ def _keep(index: Path, content: dict[str, Any]) -> None:
 
 def _read(bag: Path, parameters: str) -> list[Row]:
     """The rows of a bag; one that cannot be read as it is has one that says why, and is left as it is."""
-    from worm_model.bags.run_manifest import ManifestError
+    from worm_model.bags.recording.run_manifest import ManifestError
     from worm_model.commands.bag_runs import rows_of_bag, state_of_bag
 
-    empty: Row = {"start": None, "gait": None, **dict.fromkeys(NUMBERS), "health": None}
+    empty: Row = {column.key: None for column in COLUMNS}
     try:
         state, reason = state_of_bag(bag)
         if state != CLOSED:
-            return [{**empty, "state": state, "notes": reason}]
-        return [{**empty, "state": CLOSED, **row} for row in rows_of_bag(bag, parameters)]
+            return [{**empty, STATE: state, "notes": reason}]
+        return [{**empty, STATE: CLOSED, **row} for row in rows_of_bag(bag, parameters)]
     except (InputError, OSError) as error:
         state = CLOSED if isinstance(error, ManifestError) else DAMAGED
-        return [{**empty, "state": state, "notes": " ".join(str(error).split())}]
-
-
-def gait_text(row: Row) -> str:
-    """The gait of a row in words, empty where it has none."""
-    gait = row["gait"]
-    if gait is None:
-        return ""
-    way = "" if gait["direction"] > 0 else " reverse"
-    return f"{1e3 * gait['stroke']:.1f} mm {gait['frequency']:.3f} Hz{way}"
+        return [{**empty, STATE: state, "notes": " ".join(str(error).split())}]
 
 
 def describe(rows: Sequence[Row], folder: Path) -> str:
     """The table for people."""
-    head = ("bag", "start", "s", "gait", "cycles", "φ mm", "grooves", "mm/s", "W", "COT", "health")
-    lines = [head]
+    shown = [column for column in COLUMNS if column.title]
+    lines = [["bag", *(column.title for column in shown)]]
     notes = []
     for row in rows:
-        bag = Path(row["bag"])
-        name = name_below(folder, bag)
-        lines.append(
-            (
-                name,
-                (row["start"] or "–")[:19],
-                _number(row["duration_s"], 1.0, 1),
-                gait_text(row) or "–",
-                _number(row["cycles"], 1.0, 0),
-                _number(row["groove_phase"], 1e3, 2),
-                _number(row["grooves_per_cycle"], 1.0, 2),
-                _number(row["speed"], 1e3, 2),
-                _number(row["power"], 1.0, 2),
-                _number(row["cost_of_transport"], 1.0, 1),
-                row["health"] or row["state"],
-            )
-        )
+        name = name_below(folder, Path(row["bag"]))
+        values = {**row, "health": row["health"] or row[STATE]}
+        cells = (MISSING if values[c.key] is None else c.text(values[c.key]) for c in shown)
+        lines.append([name, *cells])
         if row["notes"]:
             notes.append(f"{name}: {row['notes']}")
-    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     table = [
         "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()
         for line in lines
     ]
     return "\n".join([*table, *dict.fromkeys(notes)])
-
-
-def _number(value: float | None, scale: float, decimals: int) -> str:
-    return "–" if value is None or math.isnan(value) else f"{scale * value:.{decimals}f}"

@@ -120,8 +120,8 @@ def _info(options: argparse.Namespace) -> None:
 
 
 def _trim(options: argparse.Namespace) -> None:
-    from worm_model.bags.cutting import trim
     from worm_model.bags.opening import open_bag
+    from worm_model.bags.operations.cutting import trim
 
     if (options.run is None) == (options.start is None and options.end is None):
         raise InputError("give --start, --end or both, or --run")
@@ -152,8 +152,8 @@ def _spans(bag: Bag) -> list[tuple[int, int]]:
 
 
 def _split(options: argparse.Namespace) -> None:
-    from worm_model.bags.cutting import trim
     from worm_model.bags.opening import open_bag
+    from worm_model.bags.operations.cutting import trim
 
     output = new_file(options.output)
     with open_bag(options.bag, notifier("bags split")) as bag:
@@ -167,8 +167,8 @@ def _split(options: argparse.Namespace) -> None:
 
 
 def _merge(options: argparse.Namespace) -> None:
-    from worm_model.bags.cutting import merge
     from worm_model.bags.opening import open_bag
+    from worm_model.bags.operations.cutting import merge
 
     output = new_file(options.output)
     with ExitStack() as stack:
@@ -185,8 +185,8 @@ def _written(options: argparse.Namespace, content: dict[str, Any]) -> None:
 
 
 def _clean(options: argparse.Namespace) -> None:
-    from worm_model.bags.cleaning import clean_bag
     from worm_model.bags.opening import open_bag
+    from worm_model.bags.operations.cleaning import clean_bag
 
     output = new_file(options.output)
     with open_bag(options.bag, notifier("bags clean"), options.definitions) as bag:

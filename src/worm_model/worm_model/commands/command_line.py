@@ -15,8 +15,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from worm_model.errors import InputError
-from worm_model.gait import FORWARD, REVERSE
+from worm_model.errors import InputError, printable
+from worm_model.gait import (
+    FORWARD,
+    GAIT_DEFAULTS,
+    GAIT_MEANINGS,
+    GAIT_UNITS,
+    REVERSE,
+)
 
 __all__ = [
     "BAD_INPUT",
@@ -47,6 +53,18 @@ class Parser(argparse.ArgumentParser):
         self.add_argument(
             name, type=number, default=default, metavar=unit, help=f"{meaning}{suffix}", **more
         )
+
+    def add_gait(self, *, required: bool = False) -> None:
+        """Add an option for each field of a gait; ``required``: those without a default must be given."""
+        for name, unit in GAIT_UNITS.items():
+            if name == "direction":
+                self.add_direction()
+                continue
+            needed = required and name not in GAIT_DEFAULTS
+            meaning = GAIT_MEANINGS[name] + (f" in {unit}" if unit != "1" else "")
+            metavar = unit.upper() if unit != "1" else "X"
+            option = f"--{name.replace('_', '-')}"
+            self.add_number(option, metavar, meaning, GAIT_DEFAULTS.get(name), required=needed)
 
     def add_direction(self) -> None:
         """Adds --direction."""
@@ -144,7 +162,7 @@ def notifier(program: str) -> Callable[[str], None]:
     """What tells a line on standard error, after the program's name."""
 
     def notify(line: str) -> None:
-        sys.stderr.write(f"{program}: {line}\n")
+        sys.stderr.write(f"{program}: {printable(line)}\n")
 
     return notify
 
@@ -191,7 +209,7 @@ def print_result(options: argparse.Namespace, content: dict[str, Any], text: str
     if options.json:
         print_json(content)
     else:
-        sys.stdout.write(f"{text}\n")
+        sys.stdout.write(f"{printable(text)}\n")
 
 
 def print_json(content: Any) -> None:

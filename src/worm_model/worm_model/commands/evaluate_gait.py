@@ -15,7 +15,7 @@ from worm_model.commands.command_line import (
     new_file,
     print_result,
 )
-from worm_model.gait import FORWARD, Gait
+from worm_model.gait import FORWARD, gait_of
 from worm_model.parameters import Parameters, load_parameters
 
 if TYPE_CHECKING:
@@ -37,8 +37,8 @@ def gait_json(result: GaitResult) -> dict[str, float]:
     }
 
 
-def describe(result: GaitResult) -> str:
-    """A gait for people; the groove phase always stands beside the speed, which holds for it alone."""
+def describe(result: GaitResult, cycles: int = 5) -> str:
+    """Return the lines that describe a gait after so many cycles; its speed holds for its groove phase alone."""
     gait = result.gait
     way = "forward" if gait.direction == FORWARD else "reverse"
     return "\n".join(
@@ -50,7 +50,7 @@ def describe(result: GaitResult) -> str:
             f"power              {result.power:.4f} W",
             f"cost of transport  {result.cost_of_transport:.2f}",
             f"grooves per cycle  {result.grooves_per_cycle:.3f} "
-            f"({result.switches} switches of an anchor in five cycles)",
+            f"({result.switches} switches of an anchor in {cycles} cycles)",
         ]
     )
 
@@ -61,10 +61,7 @@ def _parser() -> Parser:
         description="Speed, power and cost of transport of a gait: five cycles from the start, the "
         "last three averaged.",
     )
-    parser.add_number("--stroke", "M", "contraction stroke in m")
-    parser.add_number("--frequency", "HZ", "frequency in Hz")
-    parser.add_number("--margin", "M", "robustness margin in m", 0.0)
-    parser.add_direction()
+    parser.add_gait()
     parser.add_argument("--gaits", metavar="IN.csv", help="evaluate a table of gaits instead")
     parser.add_argument("--output", metavar="OUT.csv", help="where the table's results go")
     parser.add_json()
@@ -94,7 +91,7 @@ def _evaluate(options: argparse.Namespace) -> None:
         raise InputError("--output is for the results of --gaits; one gait is printed")
     if options.stroke is None or options.frequency is None:
         raise InputError("give --stroke and --frequency, or --gaits IN.csv --output OUT.csv")
-    gait = Gait(options.stroke, options.frequency, options.direction, options.margin)
+    gait = gait_of(options)
     from worm_model.simulation.simulator import evaluate_gait
 
     result = evaluate_gait(gait, parameters)

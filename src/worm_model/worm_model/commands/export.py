@@ -15,10 +15,17 @@ from typing import Any
 from worm_model.analysis.run_table import run_table
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.whole_folder import new_folder
 from worm_model.bags.opening import open_bag
+from worm_model.bags.operations.tables import (
+    MOST_ELEMENTS,
+    TEXT,
+    Kind,
+    Rows,
+    find_tables,
+    read_tables,
+)
 from worm_model.bags.run_reader import RUN_TOPICS, read_run
-from worm_model.bags.tables import MOST_ELEMENTS, TEXT, Kind, Rows, find_tables, read_tables
-from worm_model.bags.whole_folder import new_folder
 from worm_model.bags.worm_topics import TYPES
 from worm_model.commands.command_line import (
     DONE,

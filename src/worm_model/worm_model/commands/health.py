@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.identification.drift import ADVICE, FEWEST_BAGS, Chart, State, chart_of
-from worm_model.identification.drift_estimates import BagEstimates, LeftOut, estimate_bags
+from worm_model.identification.drift_estimates import BagEstimates, ExcludedBag, estimate_bags
 from worm_model.identification.drift_figure import draw_health
 from worm_model.parameters import UNITS, load_parameter_file
 
@@ -59,7 +60,7 @@ def _health(options: argparse.Namespace) -> None:
 
 
 def health_json(
-    bags: Sequence[BagEstimates], left_out: Sequence[LeftOut], charts: Sequence[Chart]
+    bags: Sequence[BagEstimates], left_out: Sequence[ExcludedBag], charts: Sequence[Chart]
 ) -> dict[str, Any]:
     """The JSON object of the command line, SI units."""
     return {
@@ -69,9 +70,7 @@ def health_json(
             {
                 "bag": bag.name,
                 "start": bag.date,
-                "stroke": bag.gait.stroke,
-                "frequency": bag.gait.frequency,
-                "direction": bag.gait.direction,
+                **{name: value for name, value in asdict(bag.gait).items() if name != "margin"},
                 "estimates": {key: e.as_dict() for key, e in bag.estimates.items()},
                 "remarks": bag.remarks,
             }
@@ -106,7 +105,7 @@ def _chart_json(chart: Chart, bags: Sequence[BagEstimates]) -> dict[str, Any]:
 
 
 def describe(
-    bags: Sequence[BagEstimates], left_out: Sequence[LeftOut], charts: Sequence[Chart]
+    bags: Sequence[BagEstimates], left_out: Sequence[ExcludedBag], charts: Sequence[Chart]
 ) -> str:
     """The verdicts for people."""
     used = "1 bag" if len(bags) == 1 else f"{len(bags)} bags"
@@ -159,7 +158,7 @@ def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]
     return remarks
 
 
-def _named(bag: LeftOut) -> str:
+def _named(bag: ExcludedBag) -> str:
     """The reason with the bag's name once."""
     return bag.reason if bag.name in bag.reason else f"{bag.name}: {bag.reason}"
 

@@ -7,7 +7,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from worm_model.bags.lab_logs import LabSettings
+from worm_model.bags.operations.lab_logs import LabSettings
 from worm_model.commands.command_line import (
     InputError,
     Parser,

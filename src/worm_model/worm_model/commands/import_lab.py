@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from worm_model.bags.bag_writer import new_bag
-from worm_model.bags.lab_logs import LabRun, LabSettings, read_lab_run
+from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.operations.lab_logs import LabRun, LabSettings, read_lab_run
 from worm_model.bags.run_writer import write_run
 from worm_model.commands.command_line import (
     InputError,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: makes a whole bag of one that was not closed."""
+"""Command line: makes a whole bag of one that was not closed or is damaged."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from worm_model.bags.recovery import recover
+from worm_model.bags.recovery.recovery import recover
 from worm_model.commands.command_line import Parser, executable, new_file, print_result
 
 
 def _parser() -> Parser:
     parser = Parser(
         prog="recover",
-        description="Writes what is intact of a bag into a new one, metadata.yaml included. The old "
-        "one is left as it is.",
+        description="Writes every message of a bag that can still be read to a new bag. The old bag is not changed.",
     )
-    parser.add_argument("bag", type=Path, metavar="BAG", help="bag directory, or an MCAP file")
+    parser.add_argument(
+        "bag", type=Path, metavar="BAG", help="bag directory, or a file *.mcap or *.db3"
+    )
     parser.add_argument("--output", metavar="BAG2", help="the new bag (default: BAG_recovered)")
     parser.add_json()
     return parser
@@ -25,11 +26,7 @@ def _parser() -> Parser:
 
 def _recover(options: argparse.Namespace) -> None:
     report = recover(options.bag, new_file(options.output) if options.output else None)
-    content = asdict(report) | {
-        "bag": str(report.bag),
-        "damaged_chunks": len(report.lost),
-        "undeclared": dict(report.undeclared),
-    }
+    content = asdict(report) | {"bag": str(report.bag), "loss": report.loss}
     print_result(options, content, str(report))
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -19,12 +20,14 @@ from worm_model.analysis.replay_metrics import (
     report_replay,
 )
 from worm_model.bags.bag import Bag
-from worm_model.bags.message_block import Message
-from worm_model.bags.message_types import parse_ahead, topic_of
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.message_block import Message
+from worm_model.bags.formats.message_types import parse_ahead, topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.bags.run_writer import stamped_messages, write_beside
 from worm_model.bags.worm_topics import (
+    REPLAY_INPUTS,
     SERIES,
     TWIN_INPUTS,
     TWIN_TOPICS,
@@ -159,6 +162,7 @@ def _run_json(run: RunReport) -> dict[str, Any]:
         "cycles": [_cycle_json(cycle) for cycle in run.cycles],
         "events": [_event_json(*event) for event in run.events],
         "health": run.health.name.lower(),
+        "not_judged": run.not_judged,
     }
 
 
@@ -174,10 +178,12 @@ def _event_json(time: float, event: Event) -> dict[str, Any]:
 
 def _cycle_json(cycle: CycleReport) -> dict[str, Any]:
     return {
+        "number": cycle.number,
         "start": cycle.start,
         "grooves": cycle.grooves,
         "measured_grooves": cycle.measured_grooves,
         "complete": cycle.complete,
+        "not_judged": cycle.not_judged,
         **asdict(cycle.residuals),
     }
 
@@ -186,22 +192,16 @@ def describe(
     report: ReplayReport, dropped: Mapping[str, int], duration: float, elapsed: float
 ) -> str:
     """The report for people; ``dropped`` samples by why."""
-    total = report.residuals
-    lines = [
-        f"x1      {1e3 * total.x1_rmse:8.3f} mm rms, {1e3 * total.x1_residual:+.3f} mm mean",
-        f"length  {1e3 * total.length_rmse:8.3f} mm rms, {1e3 * total.length_residual:+.3f} mm mean",
-        f"power   {total.power_rmse:8.3f} W  rms, {total.power_residual:+.3f} W  mean",
-        f"energy  {100 * report.energy_error:+8.2f} % of what was measured",
-    ]
+    lines = _total_lines(report)
     for number, run in enumerate(report.runs, 1):
         gait = run.played.gait
         lines.append(
             f"run {number} of {len(report.runs)}: {1e3 * gait.stroke:.1f} mm at {gait.frequency:.3f} Hz "
-            f"{'forward' if gait.direction > 0 else 'reverse'}, {run.health.name.lower()} at worst"
+            f"{'forward' if gait.direction > 0 else 'reverse'}, {_health(run)}"
         )
         lines.append("cycle  start s  grooves (measured)  x1 mm   length mm  power W  (rms)")
         events = [event for _, event in run.events]
-        lines += [_cycle_line(count, cycle, events) for count, cycle in enumerate(run.cycles, 1)]
+        lines += [_cycle_line(cycle, events) for cycle in run.cycles]
         lines += [f"  {time:.2f} s  {event.text}" for time, event in run.events]
     if dropped:
         why = ", ".join(f"{count} {name}" for name, count in dropped.items())
@@ -210,13 +210,54 @@ def describe(
     return "\n".join(lines)
 
 
-def _cycle_line(number: int, cycle: CycleReport, events: Sequence[Event]) -> str:
-    part = cycle.residuals
-    codes = ", ".join(event.code.replace("_", " ") for event in events if event.cycle == number)
+def _total_lines(report: ReplayReport) -> list[str]:
+    """Residuals of the whole recording, or why there are none."""
+    total = report.residuals
+    energy = 100 * report.energy_error
+    rows = (
+        ("x1", total.x1_rmse, "{:8.3f} mm rms, {:+.3f} mm mean", 1e3, total.x1_residual),
+        (
+            "length",
+            total.length_rmse,
+            "{:8.3f} mm rms, {:+.3f} mm mean",
+            1e3,
+            total.length_residual,
+        ),
+        ("power", total.power_rmse, "{:8.3f} W  rms, {:+.3f} W  mean", 1.0, total.power_residual),
+        ("energy", energy, "{:+8.2f} % of what was measured", 1.0, math.nan),
+    )
+    return [
+        f"{name:6}  "
+        + (
+            text.format(scale * value, scale * mean)
+            if math.isfinite(value)
+            else f"not compared: {_SOURCES[name]} during the gait"
+        )
+        for name, value, text, scale, mean in rows
+    ]
+
+
+_SOURCES = {
+    "x1": "no position of the tracker was recorded",
+    "length": "no measured length was recorded",
+    "power": "no power was recorded",
+    "energy": "no power was recorded",
+}
+
+
+def _health(run: RunReport) -> str:
     return (
-        f"{number:5}  {cycle.start:7.2f}  {cycle.grooves:7.0f} ({cycle.measured_grooves:8.2f})  "
+        f"not judged: {run.not_judged}" if run.not_judged else f"{run.health.name.lower()} at worst"
+    )
+
+
+def _cycle_line(cycle: CycleReport, events: Sequence[Event]) -> str:
+    part = cycle.residuals
+    codes = ", ".join(e.code.replace("_", " ") for e in events if e.cycle == cycle.number)
+    return (
+        f"{cycle.number:5}  {cycle.start:7.2f}  {cycle.grooves:7.0f} ({cycle.measured_grooves:8.2f})  "
         f"{1e3 * part.x1_rmse:6.2f}  {1e3 * part.length_rmse:9.2f}  {part.power_rmse:7.2f}"
-        f"{'' if cycle.complete else '  (cut off)'}{f'  {codes}' if codes else ''}"
+        f"{f'  not judged: {cycle.not_judged}' if cycle.not_judged else ''}{f'  {codes}' if codes else ''}"
     )
 
 
@@ -240,10 +281,11 @@ def _replay(options: argparse.Namespace) -> None:
     parameters = load_parameters(options.parameters)
     output = new_file(options.output) if options.output else None
     warm_up.main()  # neither compiling nor parsing definitions is replaying
-    parse_ahead(TYPES[name] for name in (*TWIN_INPUTS, *TWIN_TOPICS))
+    parse_ahead(TYPES[name] for name in (*REPLAY_INPUTS, *TWIN_TOPICS))
     begin = time.perf_counter()
     with open_bag(options.bag, _notify, options.definitions) as bag:
-        run = read_run(bag, options.namespace, TWIN_INPUTS)
+        run = read_run(bag, options.namespace, REPLAY_INPUTS)
+        _check_drive(run, bag)
         followed = _follow(run, parameters, bag, output, options.namespace)
         duration = (bag.end - bag.start) * 1e-9
     report = report_replay(run, followed, parameters.pitch)
@@ -255,11 +297,20 @@ def _replay(options: argparse.Namespace) -> None:
     )
 
 
+def _check_drive(run: Run, bag: Bag) -> None:
+    """Raises `BagError` where nothing tells of the body's length, which drives the twin."""
+    if not (len(run.commanded.stamp) or len(run.measured.stamp)):
+        raise BagError(
+            f"{bag.path}: the twin cannot follow it: it has no body_length/commanded and no body_length/measured; "
+            "record them, with gait_state"
+        )
+
+
 def _follow(
     run: Run, parameters: Parameters, bag: Bag, output: Path | None, namespace: str
 ) -> Replay:
     times = received(bag, namespace, run)
-    replay = replay_run(run, parameters, received=times)
+    replay = replay_run(run, parameters)
     for notice in replay.notices:
         _notify(notice.text)
     if output is not None:

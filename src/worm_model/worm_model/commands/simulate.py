@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: what a gait does over time, as a table, a figure or a bag."""
+"""Command line: a gait over time, as a table, a figure, an animation or a bag."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 from worm_model.commands.command_line import (
     InputError,
     Parser,
+    ProgressLine,
     executable,
     new_file,
     print_result,
 )
 from worm_model.commands.evaluate_gait import describe, gait_json
-from worm_model.gait import Gait
+from worm_model.gait import Gait, gait_of
 from worm_model.parameters import load_parameters
 
 if TYPE_CHECKING:
@@ -27,24 +28,31 @@ CYCLES = 5  # the paper's protocol
 MOST_SAMPLES = 10_000_000
 MOST_CYCLES = 1000
 FIGURES = (".png", ".pdf", ".svg")
+ANIMATIONS = (".gif", ".mp4")
+RATE_HZ = 100.0
+FRAME_RATE_HZ = 12.5  # of an animation
 
 
 def _parser() -> Parser:
     parser = Parser(
         prog="simulate",
-        description="Positions, anchors, length, cable force, power and energy of a gait over time, from rest. The "
-        "ending of --output decides: a table (.csv), a figure (.png, .pdf, .svg), or a recording (.mcap) as "
-        "instruments without errors would make it, after two seconds of rest, for all that reads recordings.",
+        description="Simulate a gait from rest. The ending of --output selects the form: a table of positions, "
+        "anchors, length, cable force, power and energy (.csv), a figure of them (.png, .pdf, .svg), an animation "
+        "of the robot in its pipe in real time (.gif, or .mp4 where ffmpeg is installed), or a recording (.mcap) as "
+        "perfect instruments would make it, after two seconds of rest.",
     )
-    parser.add_number("--stroke", "M", "contraction stroke in m", required=True)
-    parser.add_number("--frequency", "HZ", "frequency in Hz", required=True)
-    parser.add_number("--margin", "M", "robustness margin in m", 0.0)
-    parser.add_direction()
+    parser.add_gait(required=True)
     parser.add_argument(
         "--cycles", type=int, default=CYCLES, metavar="N", help=f"from rest (default: {CYCLES})"
     )
-    parser.add_number("--rate", "HZ", "samples a second", 100.0)
-    parser.add_argument("--output", required=True, metavar="FILE", help="which must not exist")
+    parser.add_number(
+        "--rate",
+        "HZ",
+        f"samples a second (default: {RATE_HZ:g}), or frames a second of an animation (default: {FRAME_RATE_HZ:g})",
+    )
+    parser.add_argument(
+        "--output", required=True, metavar="FILE", help="a file that does not exist"
+    )
     parser.add_json()
     parser.add_parameters()
     return parser
@@ -66,11 +74,17 @@ def _write_figure(run: SimulatedRun, path: Path) -> None:
     save_figure(figure_of(run), path)
 
 
+def _write_animation(run: SimulatedRun, path: Path) -> None:
+    from worm_model.analysis.gait_animation import write_animation
+
+    write_animation(run, path, ProgressLine("frames"))
+
+
 def _write_recording(run: SimulatedRun, path: Path) -> None:
-    """A bag's one file; anchors and forces are in the topic in which a twin tells them."""
-    from worm_model.bags.bag_writer import new_bag
-    from worm_model.bags.message_types import topic_of
-    from worm_model.bags.run_manifest import RUN_RECORD
+    """Write the single file of a bag; anchors and forces are in the topic of the twin's state."""
+    from worm_model.bags.formats.bag_writer import new_bag
+    from worm_model.bags.formats.message_types import topic_of
+    from worm_model.bags.recording.run_manifest import RUN_RECORD
     from worm_model.bags.run_writer import stamped_messages, write_run
     from worm_model.bags.worm_topics import TYPES, offered_qos
 
@@ -88,31 +102,46 @@ def _write_recording(run: SimulatedRun, path: Path) -> None:
 def _writer_of(path: Path) -> Callable[[SimulatedRun, Path], None]:
     writers = {".csv": _write_table, ".mcap": _write_recording}
     writers |= dict.fromkeys(FIGURES, _write_figure)
+    writers |= dict.fromkeys(ANIMATIONS, _write_animation)
     if path.suffix.lower() not in writers:
         raise InputError(f"--output {path}: end its name in {', '.join(writers)}")
     return writers[path.suffix.lower()]
 
 
-def _run(options: argparse.Namespace) -> None:
-    gait = Gait(options.stroke, options.frequency, options.direction, options.margin)
-    if not 1 <= options.cycles <= MOST_CYCLES:
-        raise InputError(f"--cycles {options.cycles}: 1 to {MOST_CYCLES} can be simulated")
-    samples = options.cycles * gait.period * options.rate
+def _checked_rate(options: argparse.Namespace, gait: Gait, output: Path) -> float:
+    """Return the samples a second; raise `InputError` if so many samples or frames cannot be written."""
+    animated = output.suffix.lower() in ANIMATIONS
+    rate: float = options.rate
+    if rate is None:
+        rate = FRAME_RATE_HZ if animated else RATE_HZ
+    samples = options.cycles * gait.period * rate
     if not 1.0 <= samples <= MOST_SAMPLES:
         raise InputError(
-            f"--rate {options.rate:g}: {samples:.0f} samples; 1 to {MOST_SAMPLES} can be written"
+            f"--rate {rate:g}: {samples:.0f} samples; 1 to {MOST_SAMPLES} can be written"
         )
+    if animated:
+        from worm_model.analysis.gait_animation import check_animation
+
+        check_animation(output, rate, samples)
+    return rate
+
+
+def _run(options: argparse.Namespace) -> None:
+    gait = gait_of(options)
+    if not 1 <= options.cycles <= MOST_CYCLES:
+        raise InputError(f"--cycles {options.cycles}: 1 to {MOST_CYCLES} can be simulated")
     output = new_file(options.output)
     write = _writer_of(output)
+    rate = _checked_rate(options, gait, output)
     parameters = load_parameters(options.parameters)
     from worm_model.analysis.simulated_run import simulated_run
     from worm_model.simulation.simulator import AVERAGED, evaluate_gait
 
-    run = simulated_run(gait, parameters, options.cycles, options.rate)
+    run = simulated_run(gait, parameters, options.cycles, rate)
     figures = evaluate_gait(gait, parameters, options.cycles, min(AVERAGED, options.cycles))
     write(run, output)
     content = {"output": str(output), "samples": int(run.time.size), **gait_json(figures)}
-    text = f"{describe(figures)}\n{run.time.size} samples written to {output}"
+    text = f"{describe(figures, options.cycles)}\n{run.time.size} samples written to {output}"
     print_result(options, content, text)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From bags to parameters: the identification of the paper's Section V, stage by stage.
+"""Identification of all parameters from bags, by the stages of the paper's Section V.
 
-Each stage is a file and can be called alone; `worm_model.identification.stages` calls them in order.
+Each stage is a module and can be called alone; `worm_model.identification.stages` runs them in order.
 """

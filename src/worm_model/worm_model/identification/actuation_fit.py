@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 5: slack δ_s, gain K and time constant τ from commanded against realised ΔL (eq:actuation_identification_cost).
+"""Stage 5: slack δ_s, gain K and time constant τ to commanded and measured ΔL (eq:actuation_identification_cost).
 
-Beside the three, each run has nuisances: its initial length L0, by how much the camera's clock is off the
-servo's, and when the slack was taken up (at the first pull in the model, a little later on a robot).
+Each run also has nuisance parameters: its initial length L0, the offset between the clocks of camera and servo, and the
+time at which the slack is taken up (at the first pull in the model, a little later on a robot).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from worm_model.identification.observed_run import Recording
 from worm_model.identification.robust import noise_of
 from worm_model.simulation.kernel.actuation_law import Actuator, respond_at
 
-CLOCK_SPREAD = 0.02  # s, standard deviation of the offset before the data are seen: clocks, and the servo's delay
-LATEST_ENGAGEMENT = 0.25  # s after the onset
-ENGAGEMENT_SPREAD = 0.05  # s
-LEAST_NOISE = 2e-5  # m, of a length: that of a perfect camera
+CLOCK_SPREAD = 0.02  # s, prior standard deviation of the offset: clocks, and the servo's delay
+LATEST_ENGAGEMENT = 0.25  # s after the onset, upper bound
+ENGAGEMENT_SPREAD = 0.05  # s, prior standard deviation
+LEAST_NOISE = 2e-5  # m, lower bound of the noise of a measured length
 KEYS = ("slack", "gain", "time_constant")
-START = (0.008, 0.86, 0.155)  # the paper's
+START = (0.008, 0.86, 0.155)  # values of the paper
 SHARED = (
     Quantity(1e-5, 0.0, 0.05),  # slack, m
     Quantity(1e-3, 0.05, 5.0),  # gain
@@ -34,11 +34,16 @@ SHARED = (
 
 @dataclass(frozen=True)
 class ActuationFit:
-    """``slack`` m, ``gain``, ``time_constant`` s, and the nuisances of each run.
+    """Fitted parameters and nuisance parameters.
 
-    ``initial_length`` m, ``clock_offset`` s and ``engagement`` s, each (runs,); ``residuals`` of each run in m.
-
-    A positive clock offset means that the camera's stamps are early: a sample stamped t was taken at t + offset.
+    Attributes:
+        slack, gain, time_constant: m, 1, s.
+        initial_length: L0 of each run, m, shape (runs,).
+        clock_offset: offset of the camera's clock in each run, s, shape (runs,). Positive offsets mean early stamps: a
+            sample with stamp t was measured at t + offset.
+        engagement: time at which the slack is taken up in each run, s, shape (runs,).
+        residuals: residuals of each run, m.
+        solution: solution of the least-squares problem.
     """
 
     slack: float
@@ -52,7 +57,7 @@ class ActuationFit:
 
     @property
     def values(self) -> Array:
-        """(slack, gain, time constant)."""
+        """Slack, gain and time constant, shape (3,)."""
         return np.array([getattr(self, key) for key in KEYS])
 
 
@@ -63,7 +68,7 @@ def predicted_length_change(
     clock_offset: float = 0.0,
     engagement: float = 0.0,
 ) -> Array:
-    """ΔL in m at the camera's ``times`` (n,) in s, ascending, under (δ_s, K, τ); 0 before the engagement (s)."""
+    """Return ΔL (m) at the camera's ascending ``times`` (n,) in s for (δ_s, K, τ); 0 before the engagement (s)."""
     slack, gain, time_constant = map(float, values)
     length_change = np.empty(len(times))
     respond_at(
@@ -79,12 +84,15 @@ def predicted_length_change(
 
 
 def fitted_samples(recording: Recording) -> NDArray[np.bool_]:
-    """Which camera samples count: both markers seen, while commands are known."""
+    """Return a mask of the camera samples to fit: both markers visible and the command known."""
     return np.isfinite(recording.length) & (recording.camera_time <= recording.command_time[-1])
 
 
 def actuation_problem(recordings: Sequence[Recording], known_noise: float = 0.0) -> Problem:
-    """Residuals of the measured lengths in units of the camera's noise, which the data tell unless it is known (m)."""
+    """Return the least-squares problem of the measured lengths.
+
+    Residuals are in units of the camera's noise, which is estimated from the data unless ``known_noise`` (m) is given.
+    """
     samples = [fitted_samples(recording) for recording in recordings]
     noise = [known_noise or max(noise_of(r.length), LEAST_NOISE) for r in recordings]
 
@@ -108,9 +116,12 @@ def fit_actuation(
     start: ActuationFit | None = None,
     weights: Sequence[Array] | None = None,
 ) -> ActuationFit:
-    """Fits the three parameters to all recordings at once, by default from the paper's values.
+    """Fit the three parameters to all recordings.
 
-    ``weights`` are those of every run's `fitted_samples`.
+    Args:
+        recordings: the runs.
+        start: start of the fit; default: the values of the paper.
+        weights: weights of each run's `fitted_samples`; default: 1.
     """
     if start is None:
         shared = np.array(START)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 5 as a whole: δ_s, K and τ with intervals from a bootstrap, over runs or, of few runs, over their cycles."""
+"""Stage 5: δ_s, K and τ with intervals from a bootstrap over runs, or over cycles if there are few runs."""
 
 from __future__ import annotations
 
@@ -18,27 +18,38 @@ from worm_model.identification.actuation_fit import (
     fit_actuation,
     fitted_samples,
 )
-from worm_model.identification.block_least_squares import clock_deviations, normal_equations, told
-from worm_model.identification.estimate import Estimate, if_told, not_told, quantile
+from worm_model.identification.block_least_squares import (
+    clock_deviations,
+    informative,
+    normal_equations,
+)
+from worm_model.identification.estimate import Estimate, if_identifiable, not_identifiable, quantile
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
 from worm_model.parameters import PAPER
 
 USUAL = (PAPER.slack, PAPER.gain, PAPER.time_constant)
-CLOCK = 1  # of a run's nuisances
-LEAST_INFORMATION = 1e-9  # of a parameter's step, in squares of the camera's noise
-NO_BEARING = "it has no bearing on these runs"
-AT_BOUND = "the fit stands at the edge of what it may be, where no interval holds"
-FEWEST_RUNS = 4  # for a bootstrap over runs
-LEAST_STEP = 1e-9  # m, that is no rounding of a computation
-LEAST_FRACTION = 0.02  # of a step by which rounded commands may seem to differ from whole ones
+CLOCK = 1  # index of the clock offset in a run's nuisance parameters
+LEAST_INFORMATION = 1e-9  # information on a parameter's step, in units of the squared camera noise
+NO_BEARING = "it has no effect on these runs"
+AT_BOUND = "the fit is at a bound, where no interval is valid"
+FEWEST_RUNS = 4  # smallest number of runs for a bootstrap over runs
+LEAST_STEP = 1e-9  # m; smaller steps are rounding errors
+LEAST_FRACTION = (
+    0.02  # largest deviation of quantised commands from whole steps, relative to a step
+)
 
 
 @dataclass(frozen=True)
 class ActuationResult:
-    """``slack`` m, ``gain``, ``time_constant`` s; ``correlation`` (3, 3) of these; ``fit`` has the nuisances.
+    """Result of stage 5.
 
-    ``clock_deviation`` (runs,) s, of the fit's clock offsets, NaN where the data tell none.
+    Attributes:
+        slack, gain, time_constant: estimates, m, 1, s.
+        correlation: correlation of the three estimates, shape (3, 3).
+        fit: the fit, with the nuisance parameters.
+        clock_deviation: standard deviations of the clock offsets, s, shape (runs,); NaN where the data do not determine
+            the offset.
     """
 
     slack: Estimate
@@ -52,7 +63,7 @@ class ActuationResult:
 def identify_actuation(
     recordings: Sequence[Recording], random: np.random.Generator
 ) -> ActuationResult:
-    """The three parameters of all runs."""
+    """Estimate the three parameters from all runs; ``random`` draws the bootstrap weights."""
     fit = fit_actuation(recordings)
     labels = _units(recordings)
     units = int(max(label.max() for label in labels)) + 1
@@ -69,27 +80,27 @@ def identify_actuation(
     problem = actuation_problem(recordings)
     matrix, _ = normal_equations(problem, fit.solution)
     slack, gain, time_constant = (
-        _told(estimate, entry, float(matrix[entry, entry]))
+        _checked(estimate, entry, float(matrix[entry, entry]))
         for entry, estimate in enumerate((slack, gain, time_constant))
     )
-    clocks = told(clock_deviations(problem, fit.solution, CLOCK), CLOCK_SPREAD)
+    clocks = informative(clock_deviations(problem, fit.solution, CLOCK), CLOCK_SPREAD)
     return ActuationResult(slack, gain, time_constant, correlation(refits), fit, clocks)
 
 
-def _told(estimate: Estimate, entry: int, information: float) -> Estimate:
-    """The estimate unless its interval is open, it has no ``information``, or it is at a bound of the bootstrap."""
+def _checked(estimate: Estimate, entry: int, information: float) -> Estimate:
+    """Return the estimate; not identifiable without ``information``, at a bound, or with an open interval."""
     bounds = SHARED[entry]
     if information * bounds.step**2 < LEAST_INFORMATION:
-        return not_told(estimate.value, NO_BEARING)
+        return not_identifiable(estimate.value, NO_BEARING)
     if not bounds.low < estimate.value < bounds.high:
-        return not_told(estimate.value, AT_BOUND)
-    return if_told(estimate, USUAL[entry])
+        return not_identifiable(estimate.value, AT_BOUND)
+    return if_identifiable(estimate, USUAL[entry])
 
 
 def command_resolution(recording: Recording) -> float:
-    """Step in m in which the command was recorded; 0 if it was not rounded.
+    """Return the quantisation step of the recorded command in m; 0 if it was not quantised.
 
-    Where a servo's goal is counted in ticks, its zero may be off by half of one, in every run alike.
+    A servo's goal is quantised to ticks, so that its zero has an error of up to half a tick, equal in all runs.
     """
     steps = np.abs(np.diff(recording.command))
     steps = steps[steps > LEAST_STEP]
@@ -101,13 +112,13 @@ def command_resolution(recording: Recording) -> float:
 
 
 def _widened(estimate: Estimate, half: float) -> Estimate:
-    """The interval with an independent half-width added."""
+    """Return the estimate with an independent half-width added to its interval."""
     added = float(np.hypot(estimate.spread, half))
     return Estimate(estimate.value, estimate.value - added, estimate.value + added)
 
 
 def _units(recordings: Sequence[Recording]) -> list[NDArray[np.int64]]:
-    """For every sample that is fitted, the number of its unit: its run or its cycle."""
+    """Return the bootstrap unit (run or cycle) of every fitted sample of each recording."""
     times = [r.camera_time[fitted_samples(r)] for r in recordings]
     if len(recordings) >= FEWEST_RUNS:
         return [np.full(time.size, index) for index, time in enumerate(times)]

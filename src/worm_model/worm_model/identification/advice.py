@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which further run would shrink the widest interval most.
+"""Recommendation of the next run: the gait that would shrink the widest interval most.
 
-For gaits over the admissible box a run of five ridges is computed with the exact model, and what a recording of it
-would tell is added to what is known: the information of its residuals by the parameters, the run's own
-nuisances taken out.
+For each candidate gait the exact model computes a run of five ridges. The Fisher information of its residuals on the
+parameters, with the run's nuisance parameters marginalised, is added to the present information.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ from worm_model.simulation.simulator import simulate
 
 STROKES = (0.05, 0.07, 0.09)  # m
 FREQUENCIES = (0.08, 0.12, 0.2, 0.3, 0.4)  # Hz
-MOST_CYCLES = 12  # after which a gait that has not passed five ridges is no candidate
+MOST_CYCLES = 12  # a gait that needs more cycles for five ridges is no candidate
 CAMERA_RATE, COMMAND_RATE, POWER_RATE = 30.0, 100.0, 50.0  # Hz
-REST = 2.0  # s
+REST = 2.0  # s, before the onset
 STAGES = {
     "locomotion": ("viscous_friction", "switching_threshold"),
     "actuation": ACTUATION,
@@ -53,7 +52,7 @@ NO_RUN_HELPS = {
 
 
 def advise(result: Identification) -> str:
-    """What to measure next: which interval is widest relative to its value, and what would shrink it most, in words."""
+    """Return which interval is widest relative to its value, and which measurement would shrink it most."""
     sought = [key for keys in STAGES.values() for key in keys]
     vague = [key for key in sought if not result.estimates[key].identifiable]
     if vague:
@@ -66,28 +65,30 @@ def advise(result: Identification) -> str:
     key = max(width, key=lambda k: width[k])
     head = f"the widest interval is that of {key} (±{100 * width[key]:.1f} %)"
     if key in NO_RUN_HELPS:
-        return f"{head}; no run would shrink it: {NO_RUN_HELPS[key]}"
+        return f"{head}; further runs would not shrink it: {NO_RUN_HELPS[key]}"
     stage = next(name for name, keys in STAGES.items() if key in keys)
     best = _best_gait(result, stage, key)
     if best is None:
-        return f"{head}; no gait tried passes {RIDGES} ridges"
+        return f"{head}; none of the candidate gaits passes {RIDGES} ridges"
     gait, shrunk = best
-    text = f"{head}; of {len(STROKES) * len(FREQUENCIES)} gaits tried, one more run at {gait.stroke:g} m and "
+    text = f"{head}; of {len(STROKES) * len(FREQUENCIES)} candidate gaits, one more run at {gait.stroke:g} m and "
     text += f"{gait.frequency:g} Hz would shrink it most, to {100 * shrunk:.0f} % of its width"
     if stage == "locomotion" and _limited_by_grooves(result, key):
-        text += "; grooves that differ limit it: start from other ridges, or run past more of them"
+        text += (
+            "; differences between grooves limit it: start at other ridges, or pass more of them"
+        )
     if _inherited(result, key) > 0.5:
-        text += "; most of it comes from what was given and from the bench tests: measure these more exactly"
+        text += "; given values and bench tests contribute most of it: measure them more accurately"
     return text
 
 
 def _relative_spread(estimate: Estimate, key: str) -> float:
-    """Of its value, or of the paper's if that is more: a slack of next to nothing is not vague."""
+    """Return the half-width relative to the value, or to a tenth of the paper's value if that is larger."""
     return estimate.spread / max(abs(estimate.value), 0.1 * getattr(PAPER, key))
 
 
 def _inherited(result: Identification, key: str) -> float:
-    """Which part of a variance further runs leave as it is: that of earlier stages, and of what was given."""
+    """Return the share of the variance that further runs do not reduce: earlier stages and given values."""
     if key in STAGES["energy"]:
         share = result.energy.inherited[STAGES["energy"].index(key)]
     elif key in STAGES["locomotion"]:
@@ -109,7 +110,7 @@ def _limited_by_grooves(result: Identification, key: str) -> bool:
 
 
 def _best_gait(result: Identification, stage: str, key: str) -> tuple[Gait, float] | None:
-    """(gait, to what share it shrinks the interval), None if no gait gets past the ridges."""
+    """Return the best gait and the ratio by which it shrinks the interval; None if no gait passes the ridges."""
     keys = STAGES[stage]
     entry = keys.index(key)
     inherited = _inherited(result, key)
@@ -140,7 +141,7 @@ def _covariance(result: Identification, stage: str) -> Array:
 
 
 def recorded(gait: Gait, result: Identification) -> Recording | None:
-    """What the instruments would see of a gait over five ridges without noise; None if it does not get that far."""
+    """Return the noise-free recording of a gait over five ridges; None if it does not pass them."""
     parameters = result.parameters
     trajectory = simulate(gait, parameters, MOST_CYCLES)
     camera = np.arange(0.0, trajectory.duration, 1.0 / CAMERA_RATE)
@@ -166,7 +167,7 @@ def recorded(gait: Gait, result: Identification) -> Recording | None:
 
 
 def _information(result: Identification, stage: str, recording: Recording) -> Array:
-    """(k, k) of the stage's parameters, in inverse squares of their units."""
+    """Return the information matrix (k, k) of the stage's parameters, in inverse squared units."""
     if stage == "actuation":
         noise = float(np.median([np.std(r) for r in result.actuation.fit.residuals]))
         problem = actuation_problem([recording], noise)
@@ -215,7 +216,7 @@ def _marginal(
     count: int,
     weights: Sequence[Array] | None = None,
 ) -> Array:
-    """Information on the first ``count`` shared parameters, all others unknown."""
+    """Return the information on the first ``count`` shared parameters, with all others marginalised."""
     matrix, _ = normal_equations(problem, evaluate(problem, shared, own), weights)
     cross = matrix[:count, count:]
     information: Array = (

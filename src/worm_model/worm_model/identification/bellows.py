@@ -18,9 +18,12 @@ FEWEST_POINTS = 5
 
 @dataclass(frozen=True)
 class BellowsFit:
-    """A straight line through the test: ``stiffness`` N/m, ``offset`` N at no compression (the load cell's zero).
+    """Straight line through the bellows test.
 
-    ``compression``, ``force`` (n,) are the test's samples.
+    Attributes:
+        stiffness: estimate, N/m.
+        offset: force at zero compression (the load cell's zero), N.
+        compression, force: samples of the test, m and N, shape (n,).
     """
 
     stiffness: Estimate
@@ -30,17 +33,23 @@ class BellowsFit:
 
 
 def fit_bellows(compression: Array, force: Array) -> BellowsFit:
-    """Least squares without outliers; the interval is that of Student's t, exact for white noise.
+    """Fit a straight line by least squares without outliers.
 
-    Where residuals resemble their neighbours (hysteresis), it is that of as many independent ones as they are worth.
-    The load cell's scale is taken as true. ``compression`` m and ``force`` N, (n,) each, in the order in which
-    they were taken. Raises `IdentificationError` if no stiffness comes out.
+    The interval is that of Student's t, exact for white noise. For correlated residuals (hysteresis) the number of
+    samples is replaced by the effective number of independent ones. The load cell's scale factor is assumed correct.
+
+    Args:
+        compression: m, shape (n,), in the order of measurement.
+        force: N, shape (n,).
+
+    Raises:
+        IdentificationError: There are too few points, or the stiffness is not positive.
     """
     known = np.isfinite(compression) & np.isfinite(force)
     x, y = compression[known], force[known]
     if x.size < FEWEST_POINTS or np.ptp(x) <= 0.0:
         raise IdentificationError(
-            f"bellows test: {x.size} usable points at different compressions, {FEWEST_POINTS} are needed"
+            f"bellows test: {x.size} usable points at different compressions; at least {FEWEST_POINTS} are needed"
         )
     used = np.ones(x.size, bool)
     for _ in range(10):
@@ -52,7 +61,7 @@ def fit_bellows(compression: Array, force: Array) -> BellowsFit:
         used = keep
     if slope <= 0.0:
         raise IdentificationError(
-            "bellows test: the force falls with compression; give compression and force as positive"
+            "bellows test: the force decreases with compression; record both with positive signs"
         )
     freedom = int(used.sum()) - 2
     worth = dependence(residual[used])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust least squares over several runs: shared parameters, and nuisances that each run has for itself.
+"""Robust least squares over several runs, with shared parameters and nuisance parameters of each run.
 
-Levenberg–Marquardt on normal equations whose structure is known (a run's residuals depend on the shared
-parameters and on that run's nuisances only), with Huber weights. `scipy.optimize.least_squares` does the
-same twenty times slower, and a bootstrap needs hundreds of fits.
+Levenberg–Marquardt with Huber weights on structured normal equations: a run's residuals depend only on the shared
+parameters and on its own nuisance parameters. `scipy.optimize.least_squares` takes twenty times as long, and a
+bootstrap needs hundreds of fits.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from worm_model.arrays import Array
 
 Residuals = Callable[[int, Array, Array], Array]
 
-HUBER = 2.5  # scales beyond which a residual counts by its size, not by its square
+HUBER = 2.5  # residuals above this count by their absolute value instead of their square
 MOST_ITERATIONS = 40
 MOST_DAMPING = 1e6
-NARROW = 0.15  # of the derivatives' steps, once the wide ones lead no further
-TOLD = 0.5  # of what was assumed before the data: a deviation above it is mostly the assumption
-TOLERANCE = 1e-6  # relative decrease of the cost at which a fit has arrived
+NARROW = 0.15  # factor on the steps of the derivatives after the wide steps make no progress
+INFORMATIVE = 0.5  # ratio to the prior deviation above which an estimate is mostly prior
+TOLERANCE = 1e-6  # relative decrease of the cost at which a fit has converged
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A shared parameter or a nuisance: ``step`` of its numerical derivative, bounds, and a normal prior.
+    """Parameter: step of its numerical derivative, bounds ``low`` and ``high``, and a normal prior.
 
     ``spread`` is the prior's standard deviation around ``centre``; infinite without a prior.
     """
@@ -42,9 +42,13 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Problem:
-    """``residuals(run, shared (s,), own (q,))`` in units of the noise; ``own`` holds a row of q nuisances a run.
+    """Least-squares problem.
 
-    ``jumps`` says that the residuals may jump, so that a derivative over a wide step may be worth nothing.
+    Attributes:
+        residuals: function (run, shared (s,), own (q,)) that returns residuals in units of the noise.
+        shared: shared parameters.
+        own: nuisance parameters of each run.
+        jumps: True if the residuals are discontinuous, so that a derivative over a wide step may be useless.
     """
 
     residuals: Residuals
@@ -55,7 +59,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """``shared`` (s,), ``own`` (runs, q), the ``residuals`` of every run, and the robust ``cost``."""
+    """Solution: ``shared`` (s,), ``own`` (runs, q), the ``residuals`` of each run, and the robust ``cost``."""
 
     shared: Array
     own: Array
@@ -64,7 +68,7 @@ class Solution:
 
 
 def with_fixed(problem: Problem, entry: int, value: float) -> Problem:
-    """The problem without a shared parameter, which is held at a value."""
+    """Return the problem with one shared parameter fixed at a value."""
 
     def residuals(run: int, shared: Array, own: Array) -> Array:
         return problem.residuals(run, np.insert(shared, entry, value), own)
@@ -80,7 +84,7 @@ def solve(
     weights: Sequence[Array] | None = None,
     iterations: int = MOST_ITERATIONS,
 ) -> Solution:
-    """The minimum next to a start; ``weights`` are those of the samples of every run, by default 1."""
+    """Return the local minimum near a start; ``weights`` of the samples of each run are 1 by default."""
     state = evaluate(problem, np.array(shared, float), np.array(own, float), weights)
     damping, width = 1e-3, 1.0
     for _ in range(iterations):
@@ -91,7 +95,7 @@ def solve(
         if gained <= TOLERANCE * state.cost:
             if width < 1.0 or not problem.jumps:
                 break
-            width = NARROW  # perhaps a jump lies between the points of the differences
+            width = NARROW  # a discontinuity may lie between the points of the differences
     return state
 
 
@@ -103,9 +107,9 @@ def _best_step(
     damping: float,
     weights: Sequence[Array] | None,
 ) -> tuple[Solution, float]:
-    """(state after a step that lowers the cost, next damping); the same state if there is none.
+    """Return the state after a step that lowers the cost (or the same state), and the next damping.
 
-    What stands at a bound and is pushed against it stays there.
+    Parameters at a bound whose gradient points outside are fixed.
     """
     free = _free(problem, state, gradient)
     part = matrix[np.ix_(free, free)]
@@ -146,7 +150,7 @@ def _clipped(values: Array, quantities: Sequence[Quantity]) -> Array:
 def evaluate(
     problem: Problem, shared: Array, own: Array, weights: Sequence[Array] | None = None
 ) -> Solution:
-    """The state at given parameters."""
+    """Return the state at given parameters."""
     residuals = tuple(problem.residuals(run, shared, own[run]) for run in range(len(problem.own)))
     cost = sum(
         float(np.sum(_huber(r) if weights is None else weights[run] * _huber(r)))
@@ -163,7 +167,7 @@ def _huber(residuals: Array) -> Array:
 
 
 def prior_cost(values: Sequence[float] | Array, quantities: Sequence[Quantity]) -> float:
-    """Of values that stray from the centres of their priors."""
+    """Return the cost of the deviations from the priors."""
     return sum(
         ((value - quantity.centre) / quantity.spread) ** 2
         for value, quantity in zip(values, quantities, strict=True)
@@ -173,9 +177,10 @@ def prior_cost(values: Sequence[float] | Array, quantities: Sequence[Quantity]) 
 def normal_equations(
     problem: Problem, state: Solution, weights: Sequence[Array] | None = None, width: float = 1.0
 ) -> tuple[Array, Array]:
-    """(matrix, gradient) of half the cost, shared parameters first, then run after run; priors included.
+    """Return matrix and gradient of half the cost, including priors.
 
-    ``width`` multiplies the steps of the numerical derivatives.
+    Shared parameters come first, then the nuisance parameters of each run. ``width`` multiplies the steps of the
+    numerical derivatives.
     """
     count, (runs, own_count) = len(problem.shared), state.own.shape
     size = count + runs * own_count
@@ -198,7 +203,7 @@ def normal_equations(
 
 
 def inverse(matrix: Array) -> Array:
-    """Of a symmetric matrix whose entries are of very different sizes."""
+    """Return the inverse of a symmetric matrix with entries of very different magnitude."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     unit = np.outer(scale, scale)
     inverted: Array = np.linalg.pinv(matrix * unit, hermitian=True) * unit
@@ -206,10 +211,10 @@ def inverse(matrix: Array) -> Array:
 
 
 def _jacobian(problem: Problem, state: Solution, run: int, width: float) -> Array:
-    """Of a run's residuals by the shared parameters and its own nuisances, by central differences.
+    """Return the Jacobian of a run's residuals by shared and nuisance parameters, by central differences.
 
-    One-sided ones would not do: parameters that can hardly be told apart (η and a stiffness that all grooves
-    share) would look as if they could, by their curvatures' difference. At a bound there is no choice.
+    One-sided differences are not accurate enough: almost collinear parameters (η and a stiffness common to all grooves)
+    would appear separable because their curvatures differ. At a bound the difference is one-sided.
     """
     values = np.concatenate([state.shared, state.own[run]])
     quantities = [*problem.shared, *problem.own[run]]
@@ -227,9 +232,9 @@ def _jacobian(problem: Problem, state: Solution, run: int, width: float) -> Arra
 def clock_deviations(
     problem: Problem, solution: Solution, entry: int, weights: Sequence[Array] | None = None
 ) -> Array:
-    """(runs,) standard deviations in s of the nuisance ``entry`` of each run.
+    """Return the standard deviations (s), shape (runs,), of the nuisance parameter ``entry`` of each run.
 
-    From the curvature of the cost, which does not jump in an offset; all other parameters are open.
+    They follow from the curvature of the cost, which is continuous in a clock offset, with all other parameters free.
     """
     matrix, _ = normal_equations(problem, solution, weights)
     own = solution.own.shape[1]
@@ -237,6 +242,6 @@ def clock_deviations(
     return deviation
 
 
-def told(deviation: Array, prior: float) -> Array:
-    """The deviations, NaN where the data tell hardly more than the ``prior`` one."""
-    return np.where(deviation <= TOLD * prior, deviation, np.nan)
+def informative(deviation: Array, prior: float) -> Array:
+    """Return the deviations; NaN where the data add little to the ``prior`` deviation."""
+    return np.where(deviation <= INFORMATIVE * prior, deviation, np.nan)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""By how much a camera stamps too late: the tracker's ``delay_s``, as far as runs tell it.
+"""Delay of the camera's stamps (the tracker's ``delay_s``), estimated from runs.
 
-The fit of the actuation tells by how much the length lags behind the command beyond what the body explains. Part of
-that is the servo, which follows its goals; its encoder tells how late. The rest is the camera.
+The actuation fit estimates the lag of the length behind the command that the body does not explain. The servo's lag
+behind its goals, measured by its encoder, is one part of it. The remainder is the camera's delay.
 """
 
 from __future__ import annotations
@@ -14,29 +14,29 @@ from scipy.optimize import least_squares
 
 from worm_model.arrays import Array
 from worm_model.identification.actuation_stage import ActuationResult
-from worm_model.identification.estimate import Estimate, half_of_mean, not_told, quantile
+from worm_model.identification.estimate import Estimate, half_of_mean, not_identifiable, quantile
 from worm_model.identification.observed_run import Recording
 
-LONGEST_LAG = 0.2  # s, of a servo that follows its goals
-STAMPED = 3e-3  # s, to which a driver's stamps of goals and encoders are believed
-NOTHING = "no run tells the camera's clock"
+LONGEST_LAG = 0.2  # s, upper bound of a servo's lag
+STAMPED = 3e-3  # s, assumed accuracy of the driver's stamps of goals and encoders
+NOTHING = "no run determines the camera's clock offset"
 NO_ENCODER = (
-    "the length lags by {:.1f} ms behind the command: the camera stamps so much too late, or the servo follows its "
-    "goals so late; record body_length/cable to tell them apart"
+    "the length lags {:.1f} ms behind the command. Either the camera's stamps are late or the servo lags its goals; "
+    "record body_length/cable to separate the two"
 )
 PROPOSED = "add {:+.4f} s to delay_s in the tracker's setup file"
-NONE_NEEDED = "delay_s of the tracker's setup file may stay as it is"
+NONE_NEEDED = "delay_s in the tracker's setup file needs no change"
 
 
 def camera_delay(recordings: Sequence[Recording], actuation: ActuationResult) -> Estimate:
-    """The delay in s that is still in the camera's stamps, with what to do about it; of the mean over runs."""
+    """Return the remaining delay (s) of the camera's stamps, mean over runs, with a note on the correction."""
     known = np.isfinite(actuation.clock_deviation)
     if not known.any():
-        return not_told(float("nan"), NOTHING)
+        return not_identifiable(float("nan"), NOTHING)
     late = -actuation.fit.clock_offset[known]
     lag = np.array([servo_lag(r) for r, t in zip(recordings, known, strict=True) if t])
     if not np.isfinite(lag).all():
-        return not_told(float("nan"), NO_ENCODER.format(1e3 * late.mean()))
+        return not_identifiable(float("nan"), NO_ENCODER.format(1e3 * late.mean()))
     delays = late - lag
     deviation = float(np.mean(actuation.clock_deviation[known])) / np.sqrt(delays.size)
     if delays.size > 1:
@@ -50,7 +50,7 @@ def camera_delay(recordings: Sequence[Recording], actuation: ActuationResult) ->
 
 
 def servo_lag(recording: Recording) -> float:
-    """By how many s the servo's encoder is behind its goals; NaN where it was not recorded."""
+    """Return the lag (s) of the servo's encoder behind its goals; NaN if it was not recorded."""
     if not recording.cable.size:
         return float("nan")
 

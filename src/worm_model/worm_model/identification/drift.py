@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether parameters walk away from bag to bag: control charts of estimates, one a bag, in the order of time.
+"""Drift of parameters from bag to bag: control charts with one estimate per bag, in the order of time.
 
 Charts for individual measurements with sensitizing rules, as in D. C. Montgomery, Introduction to Statistical
 Quality Control (chapters on Shewhart charts and on individual measurements).
@@ -18,15 +18,15 @@ from worm_model.arrays import Array
 from worm_model.identification.estimate import Estimate, quantile
 from worm_model.parameters import ParameterFile
 
-FEWEST_BAGS = 5  # from which moving ranges make limits
+FEWEST_BAGS = 5  # smallest number of bags for limits from moving ranges
 ONE_SIDE = 8  # bags in a row on one side of the centre
 MONOTONE = 6  # bags in a row, each above, or each below, the one before
-SIGMAS = 3.0  # from the centre to a limit
-INDIVIDUALS = 2.66  # SIGMAS / 1.128: from the mean moving range of two to a limit
+SIGMAS = 3.0  # distance of a limit from the centre, standard deviations
+INDIVIDUALS = 2.66  # SIGMAS / 1.128: distance of a limit from the centre, mean moving ranges of two
 
 
 class State(str, Enum):
-    """What a chart says."""
+    """State of a chart."""
 
     WITHIN = "within limits"
     OUT = "out of limits"
@@ -35,7 +35,7 @@ class State(str, Enum):
 
 
 class Rule(str, Enum):
-    """What a chart was found to break."""
+    """Rule of a control chart."""
 
     LIMIT = "beyond a control limit"
     ONE_SIDE = f"at least {ONE_SIDE} in a row on one side"
@@ -44,10 +44,13 @@ class Rule(str, Enum):
 
 @dataclass(frozen=True)
 class Limits:
-    """Control limits ``low``, ``high`` in the parameter's unit; ``source`` in words.
+    """Control limits in the parameter's unit.
 
-    ``middle_low`` to ``middle_high`` is where the parameter itself is thought to lie; a point where the bags' own mean
-    is the centre. ``resolution`` is by how much a single bag may be off (95 %).
+    Attributes:
+        low, high: control limits.
+        middle_low, middle_high: interval of the parameter itself; equal if the centre is the mean of the bags.
+        resolution: half-width of a single bag's 95 % interval.
+        source: origin of the limits, as text.
     """
 
     low: float
@@ -59,12 +62,12 @@ class Limits:
 
     @property
     def centre(self) -> float:
-        """The middle of the band."""
+        """Centre of the interval of the parameter."""
         return 0.5 * (self.middle_low + self.middle_high)
 
     @property
     def mirrored(self) -> Limits:
-        """The limits of the values with the opposite sign."""
+        """Limits of the negated values."""
         return replace(
             self,
             low=-self.high,
@@ -76,7 +79,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Signal:
-    """A ``rule`` that the bags from index ``first`` to ``last`` break, upwards (``direction`` 1) or downwards (−1)."""
+    """Violation of a ``rule`` by the bags ``first`` to ``last``, upwards (``direction`` 1) or downwards (−1)."""
 
     rule: Rule
     first: int
@@ -86,9 +89,13 @@ class Signal:
 
 @dataclass(frozen=True)
 class Chart:
-    """One parameter over the bags: ``value``, ``low``, ``high`` (bags,), NaN where a bag could not tell it.
+    """Control chart of one parameter.
 
-    ``limits`` is None with too few bags; ``signals`` in the order of the bags where they begin.
+    Attributes:
+        key: key of the parameter.
+        value, low, high: estimates with 95 % bounds, shape (bags,); NaN where not identifiable.
+        limits: control limits; None with too few bags.
+        signals: violations, ordered by their first bag.
     """
 
     key: str
@@ -100,7 +107,7 @@ class Chart:
 
     @property
     def state(self) -> State:
-        """The verdict; what trends may be out of its limits as well."""
+        """State of the chart; a trending parameter may also be out of its limits."""
         rules = {signal.rule for signal in self.signals}
         if rules - {Rule.LIMIT}:
             return State.TRENDING
@@ -110,29 +117,29 @@ class Chart:
 
     @property
     def began(self) -> int | None:
-        """Index of the bag with which the move in the latest ``direction`` began; None without trouble.
+        """Index of the bag at which the latest drift began; None without a violation.
 
-        A drift drags the bags' mean along, so that bags from before it lie beyond the opposite limit: these are not
-        where it began.
+        A drift also moves the mean of the bags, so that earlier bags can violate the opposite limit. Only violations in
+        the latest ``direction`` count.
         """
         moved = [signal.first for signal in self.signals if signal.direction == self.direction]
         return min(moved, default=None)
 
     @property
     def direction(self) -> int:
-        """Where it went last: 1 up, −1 down, 0 nowhere."""
+        """Direction of the latest violation: 1 up, −1 down, 0 none."""
         return max(self.signals, key=lambda signal: signal.last).direction if self.signals else 0
 
     @property
     def advice(self) -> str:
-        """What a lab should look at; empty without trouble."""
+        """Recommended inspection; empty without a violation."""
         return ADVICE[self.key][self.direction] if self.signals else ""
 
 
 def chart_of(key: str, estimates: Sequence[Estimate], known: ParameterFile) -> Chart:
-    """The chart of a parameter of ``ADVICE`` from one estimate a bag, in the order of time.
+    """Return the chart of a parameter of ``ADVICE`` from one estimate per bag, in the order of time.
 
-    Limits are those of the parameter file where it has an interval for the key, else those of the bags themselves.
+    The limits come from the parameter file if it has an interval for the key, else from the bags.
     """
     rows = [(e.value, e.low, e.high) if e.identifiable else (np.nan,) * 3 for e in estimates]
     value, low, high = np.array(rows, dtype=float).reshape(-1, 3).T
@@ -147,16 +154,16 @@ def chart_of(key: str, estimates: Sequence[Estimate], known: ParameterFile) -> C
 
 
 def _resolution(half: Array) -> float:
-    """The median of what the bags' own 95 % intervals reach to each side; 0 if none has an end."""
+    """Return the median half-width of the bags' 95 % intervals; 0 if none is finite."""
     ends = half[np.isfinite(half)]
     return float(np.median(ends)) if ends.size else 0.0
 
 
 def limits_of_file(interval: tuple[float, float], resolution: float) -> Limits:
-    """Limits around a 95 % ``interval`` for bags whose own 95 % intervals reach ``resolution`` to each side.
+    """Return limits from a 95 % ``interval`` of the parameter file and the bags' half-width ``resolution``.
 
-    A single bag tells less than all those that the file was made of: the two variances add, and the limits lie
-    three standard deviations of the sum from the middle of the file's interval.
+    The variances of the file's estimate and of a single bag add up. The limits are three standard deviations of the
+    sum from the centre of the file's interval.
     """
     centre, half = 0.5 * (interval[0] + interval[1]), 0.5 * (interval[1] - interval[0])
     reach = SIGMAS / quantile(np.inf) * float(np.hypot(half, resolution))
@@ -165,9 +172,10 @@ def limits_of_file(interval: tuple[float, float], resolution: float) -> Limits:
 
 
 def limits_of_bags(value: Array, resolution: float) -> Limits | None:
-    """X̄ ± 2.66·(mean moving range) of ``value`` (n,), NaN left out; None for fewer than five values.
+    """Return the limits X̄ ± 2.66·(mean moving range) of ``value`` (n,) without NaN; None for fewer than five values.
 
-    Ranges of few bags are small by chance at times: limits are never nearer than a bag's own 95 % ``resolution``.
+    Ranges of few bags can be small by chance. The limits are therefore at least one ``resolution`` (the half-width of a
+    bag's 95 % interval) from the centre.
     """
     known = value[np.isfinite(value)]
     if known.size < FEWEST_BAGS:
@@ -182,10 +190,10 @@ def limits_of_bags(value: Array, resolution: float) -> Limits | None:
 
 
 def find_signals(value: Array, limits: Limits) -> tuple[Signal, ...]:
-    """What ``value`` (n,) breaks; values that are NaN are skipped, as if their bags did not exist.
+    """Return the violations of ``value`` (n,); NaN values are skipped.
 
-    A run rule counts only if the bags can tell such a move: from the first to the last bag of a monotone run, or
-    from the middle to the mean of a run on one side.
+    A run rule counts only if the change exceeds the resolution of the bags: from first to last bag for a monotone run,
+    from the centre to the mean for a run on one side.
     """
     index = np.flatnonzero(np.isfinite(value))
     known = value[index]
@@ -197,7 +205,7 @@ def find_signals(value: Array, limits: Limits) -> tuple[Signal, ...]:
 
 
 def _broken(value: Array, limits: Limits) -> list[tuple[Rule, int, int]]:
-    """(rule, first, last) of what is broken upwards."""
+    """Return (rule, first, last) of each upward violation."""
     monotone = [
         (Rule.MONOTONE, a, b + 1)
         for a, b in _stretches(np.diff(value) > 0.0, MONOTONE - 1)
@@ -214,13 +222,13 @@ def _broken(value: Array, limits: Limits) -> list[tuple[Rule, int, int]]:
 
 
 def _stretches(broken: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:
-    """(first, last) of the longest stretches of True that count at least so many."""
+    """Return (first, last) of each maximal run of True with at least ``least`` entries."""
     edges = np.diff(np.concatenate([[0], broken.astype(int), [0]]))
     first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
     return [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a + 1 >= least]
 
 
-# By key and direction, what is the likely reason and what to do.
+# Likely cause and remedy by key and direction.
 ADVICE: Mapping[str, Mapping[int, str]] = {
     "viscous_friction": {
         1: "the pipe is dirty or the fins are worn and rub: clean the pipe, look at the fins",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each bag alone says of the parameters that may drift, by the stages of the identification."""
+"""Estimates of the drifting parameters from single bags, by the stages of the identification."""
 
 from __future__ import annotations
 
@@ -29,12 +29,20 @@ from worm_model.parameters import Parameters
 from worm_model.run import utc_of
 from worm_model.simulation.simulator import SimulationError
 
-SEED = 0  # of the resampled cycles: the same bags give the same intervals
+SEED = 0  # seed of the bootstrap, so that the same bags give the same intervals
 
 
 @dataclass(frozen=True)
 class BagEstimates:
-    """Of one bag: ``start`` in ns since the epoch, its ``gait``, ``estimates`` by key, and ``remarks`` in words."""
+    """Estimates from one bag.
+
+    Attributes:
+        name: name of the bag.
+        start: start of the bag, ns since the epoch.
+        gait: its gait.
+        estimates: estimates by key.
+        remarks: remarks on the data.
+    """
 
     name: str
     start: int
@@ -44,13 +52,13 @@ class BagEstimates:
 
     @property
     def date(self) -> str:
-        """Start in UTC to the second."""
+        """Start in UTC, to the second."""
         return utc_of(self.start)
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """A bag that tells nothing, and the ``reason``."""
+class ExcludedBag:
+    """Bag that was excluded, with the ``reason``."""
 
     name: str
     reason: str
@@ -61,13 +69,20 @@ def estimate_bags(
     parameters: Parameters,
     progress: Callable[[float], None] = lambda _done: None,
     definitions: Path | None = None,
-) -> tuple[tuple[BagEstimates, ...], tuple[LeftOut, ...]]:
-    """(bags by rising start, those that could not be used). What is not sought is given by ``parameters``.
+) -> tuple[tuple[BagEstimates, ...], tuple[ExcludedBag, ...]]:
+    """Estimate the drifting parameters from each bag.
 
-    ``definitions`` of messages are as `open_bag` takes them.
+    Args:
+        paths: the bags.
+        parameters: values of all other parameters.
+        progress: called with the completed share.
+        definitions: message definitions, as for `open_bag`.
+
+    Returns:
+        The estimates, ordered by start, and the excluded bags.
     """
     by_bag: dict[str, BagEstimates] = {}
-    left_out = []
+    excluded = []
     for done, path in enumerate(paths):
         progress(done / len(paths))
         try:
@@ -79,20 +94,20 @@ def estimate_bags(
                 raise IdentificationError(f"the same run as {by_bag[content].name}")
             by_bag[content] = estimate_bag(recording, start, parameters)
         except (BagError, GaitError, IdentificationError, SimulationError) as error:
-            left_out.append(LeftOut(path.name, str(error)))
+            excluded.append(ExcludedBag(path.name, str(error)))
         except InputError:
             raise
         except (ValueError, np.linalg.LinAlgError) as error:
-            # One bag that no check foresaw is no reason to say nothing of the others.
-            left_out.append(
-                LeftOut(path.name, f"its numbers cannot be fitted ({error}); look at them")
+            # An unforeseen problem in one bag must not prevent the evaluation of the others.
+            excluded.append(
+                ExcludedBag(path.name, f"the fit failed ({error}); check the bag's data")
             )
     progress(1.0)
-    return tuple(sorted(by_bag.values(), key=lambda bag: (bag.start, bag.name))), tuple(left_out)
+    return tuple(sorted(by_bag.values(), key=lambda bag: (bag.start, bag.name))), tuple(excluded)
 
 
 def _content(recording: Recording) -> str:
-    """What was seen, by which a run is known: an import may have invented its stamps."""
+    """Return a hash of the measurements, which identifies a run even if an import has invented its stamps."""
     digest = hashlib.sha256()
     for values in (recording.camera_time, recording.x1, recording.x2, recording.command):
         digest.update(np.ascontiguousarray(values).tobytes())
@@ -100,10 +115,11 @@ def _content(recording: Recording) -> str:
 
 
 def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> BagEstimates:
-    """The estimates of one recording that starts at ``start`` (ns since the epoch).
+    """Estimate the drifting parameters from one recording that starts at ``start`` (ns since the epoch).
 
-    Raises `IdentificationError` if the camera missed much of it, the body did not follow its command, its strides
-    contradict the pitch, or nothing explains its motion.
+    Raises:
+        IdentificationError: A marker was hidden for too long, the body did not follow its command, the strides
+            contradict the pitch, or the model does not fit the motion.
     """
     _check_seen(recording)
     length = measured_length(recording)
@@ -120,23 +136,23 @@ def estimate_bag(recording: Recording, start: int, parameters: Parameters) -> Ba
         "slack": actuation.slack,
         "idle_power": _idle_power(recording),
     }
-    said = tuple(remarks(recording, length, traverse))
-    return BagEstimates(recording.name, start, recording.gait, estimates, said)
+    notes = tuple(remarks(recording, length, traverse))
+    return BagEstimates(recording.name, start, recording.gait, estimates, notes)
 
 
 def _check_seen(recording: Recording) -> None:
-    """One run has no other to make up for what its camera did not see."""
+    """Raise IdentificationError if a marker was hidden for too long, as no other run can compensate."""
     time = recording.camera_time
     times = time[np.isfinite(recording.length) & (time > 0.0) & (time < recording.end)]
     gap = float(np.diff(np.concatenate([[0.0], times, [recording.end]])).max())
     if gap > LONGEST_GAP:
         raise IdentificationError(
             f"{recording.name}: a marker is hidden for {gap:.1f} s of the gait, {LONGEST_GAP:g} s at most are allowed; "
-            "record it anew in sight of the camera"
+            "record it again with both markers visible"
         )
 
 
 def _idle_power(recording: Recording) -> Estimate:
-    """Not identifiable in a bag whose power was not recorded at rest; the bag's other estimates stay."""
+    """Return the idle power; not identifiable if the power was not recorded at rest."""
     idle = idle_power_of(recording)
     return idle_power([idle]) or Estimate(np.nan, np.nan, np.nan, False, idle.warning)

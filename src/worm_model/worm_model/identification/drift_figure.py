@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws control charts: one a parameter, one point a bag."""
+"""Figure with one control chart per parameter and one point per bag."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from worm_model.analysis.plot_style import (
 from worm_model.identification.drift import Chart, Rule, State
 from worm_model.parameters import SYMBOLS, UNITS
 
-MOST_LABELS = 16  # names of bags along the axis
-SCALES = {"m": (1e3, "mm")}  # by unit: factor and unit that are drawn
+MOST_LABELS = 16  # largest number of bag names along the axis
+SCALES = {"m": (1e3, "mm")}  # displayed factor and unit by unit
 
 
 def draw_health(names: Sequence[str], charts: Sequence[Chart], path: Path) -> None:
-    """Writes the figure, its format by the name's ending; ``names`` of the bags in the charts' order."""
+    """Write the figure in the format of the file extension; ``names`` of the bags in the charts' order."""
     width = min(max(7.5, 2.5 + 0.55 * len(names)), 16.0)
     figure = new_figure(width, 1.9 * len(charts) + 1.2)
     rows = figure.subplots(len(charts), 1, sharex=True)
@@ -49,7 +49,7 @@ def _draw(axes: Axes, chart: Chart, names: Sequence[str]) -> None:
     bag = np.arange(chart.value.size)
     _draw_limits(axes, chart, scale)
     bars = scale * np.abs(np.vstack([chart.value - chart.low, chart.high - chart.value]))
-    bars[~np.isfinite(bars)] = 0.0  # an interval without an end has no bar
+    bars[~np.isfinite(bars)] = 0.0  # an open interval has no error bar
     axes.errorbar(
         bag, scale * chart.value, bars, fmt="o-", color=BLUE, ecolor=SKY, ms=5, lw=1.2, zorder=3
     )

@@ -2,8 +2,9 @@
 """Stage 7: bellows damping c_b and power factor α_P from accumulated energy (eq:energy_identification_cost).
 
 P = P_idle + α_P·max(−F_c·L̇, 0), or max(F_c, 0) in the place of F_c for a cable that cannot push, with
-F_c = H + k_b(L_free − L) − c_b·L̇ (eq:Fc): H, what friction and fin hold of the rear module, comes from the locomotion
-fit, L and L̇ from the measured length. The clock of the power sensor may be off the camera's: a nuisance of each run.
+F_c = H + k_b(L_free − L) − c_b·L̇ (eq:Fc). H, the force of inertia, friction and fin on the
+rear module, comes from the locomotion fit, L and L̇ from the measured length. The offset between the clocks of power
+sensor and camera is a nuisance parameter of each run.
 """
 
 from __future__ import annotations
@@ -25,20 +26,28 @@ from worm_model.identification.observed_run import Recording
 from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.quadrature import accumulated
 
-CLOCK_SPREAD = 0.02  # s
-SCALE = 0.05  # J, of a residual: beyond some of these a sample counts as an outlier
-INDEPENDENT = 20.0  # residuals that a run is worth: those of an accumulated energy wander and resemble their neighbours
+CLOCK_SPREAD = 0.02  # s, prior standard deviation of the clock offset
+SCALE = 0.05  # J, scale of a residual; samples beyond a few of these count as outliers
+INDEPENDENT = (
+    20.0  # effective number of independent residuals of a run, as accumulated energy is correlated
+)
 KEYS = ("bellows_damping", "power_factor")
-START = (860.0, 3.2)  # the paper's, rounded
+START = (860.0, 3.2)  # values of the paper, rounded
 SHARED = (Quantity(5.0, 0.0, 1e5), Quantity(0.01, 0.05, 50.0))
 
 
 @dataclass(frozen=True)
 class PowerRun:
-    """What the energy model needs of a run, over its five ridges.
+    """Data of one run over five ridges for the energy model.
 
-    ``time`` (n,) s on the camera's clock with ``rate`` L̇ m/s and ``static_force`` N, the cable force but for its
-    damping; ``power_time`` (m,) s and ``power`` (m,) W as measured; ``idle`` W; ``one_sided_cable``: the power's form.
+    Attributes:
+        name: name of the run.
+        time: time on the camera's clock, s, shape (n,).
+        rate: L̇, m/s, shape (n,).
+        static_force: cable force without the damping term, N, shape (n,).
+        power_time, power: measured power, s and W, shape (m,).
+        idle: idle power, W.
+        one_sided_cable: True for a cable that cannot push.
     """
 
     name: str
@@ -52,13 +61,13 @@ class PowerRun:
 
     @property
     def energy(self) -> Array:
-        """(m,) J, measured since the first of its samples."""
+        """Measured energy since the first power sample, J, shape (m,)."""
         return accumulated(self.power_time, self.power)
 
 
 @dataclass(frozen=True)
 class EnergyFit:
-    """``damping`` N·s/m and ``factor``; of each run ``clock_offset`` s and the ``residuals`` of energy in J."""
+    """Fitted ``damping`` (N·s/m) and ``factor``; ``clock_offset`` (s) and energy ``residuals`` (J) of each run."""
 
     damping: float
     factor: float
@@ -77,7 +86,7 @@ def power_run(
     *,
     one_sided_cable: bool,
 ) -> PowerRun:
-    """The part of a run from the onset to ``end`` s."""
+    """Return the part of a run from the onset to ``end`` (s)."""
     kept = time <= end
     during = (recording.power_time >= 0.0) & (recording.power_time <= min(end, time[kept][-1]))
     return PowerRun(
@@ -93,17 +102,17 @@ def power_run(
 
 
 def predicted_power(run: PowerRun, damping: float, factor: float) -> Array:
-    """Source power in W at ``run.time``."""
+    """Return the predicted source power (W) at ``run.time``."""
     force = run.static_force - damping * run.rate
     power: Array = run.idle + factor * cable_power(force, run.rate, run.one_sided_cable)
     return power
 
 
 def predicted_energy(run: PowerRun, damping: float, factor: float, offset: float = 0.0) -> Array:
-    """Energy in J at ``run.power_time``, from the first of them on; the sensor's stamps are early by ``offset`` s."""
+    """Return the predicted energy (J) since the first power sample; the sensor's stamps are early by ``offset`` (s)."""
     energy = accumulated(run.time, predicted_power(run, damping, factor))
     at = run.power_time + offset
-    # Beyond its ends the run idles.
+    # Outside of the run the power is the idle power.
     inside = np.interp(at, run.time, energy)
     idle = np.minimum(at - run.time[0], 0.0) + np.maximum(at - run.time[-1], 0.0)
     values = inside + run.idle * idle
@@ -111,7 +120,7 @@ def predicted_energy(run: PowerRun, damping: float, factor: float, offset: float
 
 
 def energy_problem(runs: Sequence[PowerRun], scale: float = SCALE) -> Problem:
-    """Residuals of the accumulated energy by (c_b, α_P) and each run's clock offset, in units of ``scale`` J."""
+    """Return the least-squares problem of (c_b, α_P) and the clock offsets; residuals in units of ``scale`` (J)."""
     measured = [run.energy for run in runs]
 
     def residuals(index: int, shared: Array, own: Array) -> Array:
@@ -129,9 +138,9 @@ def fit_energy(
     start: EnergyFit | None = None,
     damping: float | None = None,
 ) -> EnergyFit:
-    """Fits c_b and α_P, or α_P alone under a given ``damping``; ``weights`` (runs,), by default 1, are the runs'.
+    """Fit c_b and α_P, or only α_P for a given ``damping``.
 
-    Every run counts alike, however long.
+    All runs have equal weight, regardless of their duration, multiplied by ``weights`` (runs,), by default 1.
     """
     weight = np.ones(len(runs)) if weights is None else weights
     samples = [
@@ -156,6 +165,6 @@ def fit_energy(
 
 
 def unseen_energy(damping: float, factor: float) -> EnergyFit:
-    """The values as they are given, where no run was seen."""
+    """Return a fit with given values, for no runs."""
     nothing = Solution(np.array([damping, factor]), np.empty((0, 1)), (), 0.0)
     return EnergyFit(damping, factor, np.empty(0), (), nothing)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 7 as a whole: c_b and α_P with intervals from a bootstrap over runs.
+"""Stage 7: c_b and α_P with intervals from a bootstrap over runs.
 
-In every refit the runs are weighted anew, and what earlier stages and the ruler left open is drawn: k_b, L_free, and
-the locomotion fit with its friction and fins. One gait frequency cannot tell c_b from α_P (their effects are
-proportional), and is reported so.
+Each refit draws weights of the runs and values of k_b, L_free and the locomotion fit (with friction and fins) within
+their uncertainty. Gaits of a single frequency cannot separate c_b from α_P, whose effects are then proportional; the
+result reports this.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from worm_model.arrays import Array
-from worm_model.identification.block_least_squares import clock_deviations, evaluate, told
+from worm_model.identification.block_least_squares import clock_deviations, evaluate, informative
 from worm_model.identification.energy import (
     CLOCK_SPREAD,
     INDEPENDENT,
@@ -25,11 +25,11 @@ from worm_model.identification.energy import (
     predicted_energy,
     unseen_energy,
 )
-from worm_model.identification.estimate import VAGUE, Estimate, not_told
+from worm_model.identification.estimate import VAGUE, Estimate, not_identifiable
 from worm_model.identification.resampling import correlation, estimates, refitted, unit_weights
 from worm_model.parameters import Parameters
 
-LEAST_FREQUENCY_RATIO = 1.4  # of the fastest to the slowest gait
+LEAST_FREQUENCY_RATIO = 1.4  # smallest ratio of highest to lowest gait frequency
 FEWEST_RUNS = 2
 LEAST_SCATTER = 1e-6  # J
 NO_POWER = (
@@ -39,11 +39,15 @@ NO_POWER = (
 
 @dataclass(frozen=True)
 class EnergyResult:
-    """``bellows_damping`` N·s/m and ``power_factor``; ``fit`` has the nuisances.
+    """Result of stage 7.
 
-    ``correlation`` (2, 2) of the two; ``inherited``: which part of their variances comes from what earlier stages and
-    the ruler left open. Without ``identifiable`` estimates, ``fit`` holds c_b at the given value.
-    ``clock_deviation`` (runs,) s, of the fit's clock offsets, NaN where the data tell none.
+    Attributes:
+        bellows_damping, power_factor: estimates, N·s/m and 1.
+        correlation: correlation of the two, shape (2, 2).
+        inherited: shares of their variances that come from earlier stages and given values.
+        fit: the fit with the nuisance parameters; c_b is the given value if the estimates are not identifiable.
+        clock_deviation: standard deviations of the clock offsets, s, shape (runs,); NaN where the data do not determine
+            the offset.
     """
 
     bellows_damping: Estimate
@@ -62,11 +66,15 @@ def identify_energy(
     random: np.random.Generator,
     hindrance: str = "",
 ) -> EnergyResult:
-    """Both parameters of all runs.
+    """Estimate both parameters from all runs.
 
-    ``forces`` draws the static forces (n,) in N of every run; ``frequencies`` in Hz are those of the runs;
-    ``parameters`` have c_b, and α_P where no run was seen;
-    ``hindrance`` says why no interval would be honest, if so.
+    Args:
+        runs: the runs.
+        frequencies: gait frequency of each run, Hz.
+        forces: draws the static forces (n,) of each run, N.
+        parameters: given c_b, and given α_P if there are no runs.
+        random: source of the bootstrap.
+        hindrance: reason why no interval would be valid; empty if there is none.
     """
     note = hindrance or _why_not(runs, frequencies)
     if note:
@@ -78,7 +86,7 @@ def identify_energy(
     def refit(index: int, weight: Array) -> Array:
         drawn = forces(np.random.default_rng(seeds[index]))
         moved = [
-            replace(run, static_force=force[: run.time.size])  # on to where the run was left
+            replace(run, static_force=force[: run.time.size])  # up to the end of the run
             for run, force in zip(runs, drawn, strict=True)
         ]
         solution = fit_energy(moved, weight, fit)
@@ -88,9 +96,9 @@ def identify_energy(
     alike = np.ones(len(runs))
     inherited = refitted(lambda index: refit(index, alike)).var(axis=0) / refits.var(axis=0)
     damping, factor = estimates(np.array([fit.damping, fit.factor]), refits, len(runs))
-    identifiable = [e.spread <= VAGUE * e.value for e in (damping, factor)]  # False of NaN too
+    identifiable = [e.spread <= VAGUE * e.value for e in (damping, factor)]  # False for NaN as well
     if not all(identifiable):
-        return _given(runs, parameters, "the runs leave it open by more than half its value")
+        return _given(runs, parameters, "its interval is wider than half its value")
     shares = (min(float(inherited[0]), 1.0), min(float(inherited[1]), 1.0))
     return EnergyResult(damping, factor, correlation(refits), shares, fit, _clocks(runs, fit))
 
@@ -99,17 +107,19 @@ def _why_not(runs: Sequence[PowerRun], frequencies: Sequence[float]) -> str:
     if not runs:
         return NO_POWER
     if len(runs) < FEWEST_RUNS:
-        return "one run cannot tell c_b from α_P; record gaits of several frequencies"
+        return "one run cannot separate c_b from α_P; record gaits of several frequencies"
     if max(frequencies) < LEAST_FREQUENCY_RATIO * min(frequencies):
         frequency_range = " to ".join(
             f"{f:g}" for f in sorted({min(frequencies), max(frequencies)})
         )
-        return f"gaits of {frequency_range} Hz cannot tell c_b from α_P; record another frequency"
+        return (
+            f"gaits of {frequency_range} Hz cannot separate c_b from α_P; record another frequency"
+        )
     return ""
 
 
 def _given(runs: Sequence[PowerRun], parameters: Parameters, note: str) -> EnergyResult:
-    """c_b stays as given; the factor that goes with it is fitted, if it can be, but is no more certain than c_b is."""
+    """Return a result with the given c_b and the fitted α_P, both not identifiable."""
     damping, nothing = parameters.bellows_damping, float("nan")
     fit = (
         fit_energy(runs, damping=damping)
@@ -117,8 +127,8 @@ def _given(runs: Sequence[PowerRun], parameters: Parameters, note: str) -> Energ
         else unseen_energy(damping, parameters.power_factor)
     )
     return EnergyResult(
-        not_told(damping, note),
-        not_told(fit.factor, f"{note}; fitted under the given c_b" if runs else note),
+        not_identifiable(damping, note),
+        not_identifiable(fit.factor, f"{note}; fitted for the given c_b" if runs else note),
         np.full((2, 2), nothing),
         (nothing, nothing),
         fit,
@@ -127,7 +137,7 @@ def _given(runs: Sequence[PowerRun], parameters: Parameters, note: str) -> Energ
 
 
 def _clocks(runs: Sequence[PowerRun], fit: EnergyFit) -> Array:
-    """By what is left over in each run, and by how far its idle power, held in the fit, may be off."""
+    """Return the standard deviations of the clock offsets from residuals and uncertainty of the idle power."""
     if not runs:
         return np.empty(0)
     scatter = np.maximum([np.sqrt(np.mean(r**2)) for r in fit.residuals], LEAST_SCATTER)
@@ -142,7 +152,7 @@ def _clocks(runs: Sequence[PowerRun], fit: EnergyFit) -> Array:
     by_idle = [
         _shift_by_idle(run, fit, offset) for run, offset in zip(runs, fit.clock_offset, strict=True)
     ]
-    return told(
+    return informative(
         np.hypot(
             clock_deviations(problem, solution, 0, weights), idle_deviation * np.array(by_idle)
         ),
@@ -151,7 +161,7 @@ def _clocks(runs: Sequence[PowerRun], fit: EnergyFit) -> Array:
 
 
 def _shift_by_idle(run: PowerRun, fit: EnergyFit, offset: float) -> float:
-    """By how many s a fitted offset moves for a watt of idle power too much: a ramp of energy looks like a shift."""
+    """Return the change of the fitted offset per error of idle power, s/W: a ramp of energy resembles a shift."""
     sides = [
         predicted_energy(run, fit.damping, fit.factor, offset + half) for half in (-5e-4, 5e-4)
     ]

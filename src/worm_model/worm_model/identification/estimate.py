@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An estimate with its 95 % interval, and how one is made of a cost that was followed to both sides."""
+"""Estimates with 95 % intervals, and profile likelihood."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from scipy.stats import t as student
 from worm_model.arrays import Array
 
 CONFIDENCE = 0.95
-MOST_STEPS = 12  # by which a profile looks for its end
-NARROW = 0.03  # of an end's distance, between whose bounds it is found: where a cost jumps it meets no value
-VAGUE = 0.5  # half-width relative to the value from which a number would pretend
-LEFT_OPEN = (
-    "the data leave it open by more than half its value; add runs that go further or at other gaits"
+MOST_STEPS = 12  # largest number of evaluations of a profile
+NARROW = (
+    0.03  # relative bracket at which the search ends; a discontinuous cost may never equal the rise
 )
+VAGUE = 0.5  # largest half-width of a useful interval, relative to the value
+LEFT_OPEN = "its interval is wider than half its value; add longer runs or runs with other gaits"
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """``value`` and 95 % bounds ``low``, ``high`` in the parameter's unit.
+    """Estimated ``value`` with 95 % bounds ``low`` and ``high`` in the parameter's unit.
 
-    What the data cannot tell is not ``identifiable``: then the bounds are NaN, the value is one that was given or
-    that goes with what was given or with nearly anything else, and ``note`` says which and why.
+    If the data do not determine the parameter, ``identifiable`` is False and the bounds are NaN. The value is then a
+    given one, depends on given ones, or is only the best fit; ``note`` states which and why.
     """
 
     value: float
@@ -36,7 +36,7 @@ class Estimate:
     note: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """As the machine-readable output has it; with the note if there is one."""
+        """Return the entry for machine-readable output, with the note if it is not empty."""
         return {name: value for name, value in asdict(self).items() if name != "note" or value}
 
     @property
@@ -46,29 +46,31 @@ class Estimate:
 
 
 def quantile(degrees: float) -> float:
-    """How many standard deviations 95 % intervals reach to each side, for so many degrees of freedom."""
+    """Return the half-width of a 95 % interval in standard deviations for given degrees of freedom."""
     return float(student.ppf(0.5 + 0.5 * CONFIDENCE, max(degrees, 1.0)))
 
 
 def half_of_mean(values: Array) -> float:
-    """By how much the 95 % interval of the mean of some values (n,), two at least, reaches to each side."""
+    """Return the half-width of the 95 % interval of the mean of at least two values (n,)."""
     return quantile(values.size - 1) * float(values.std(ddof=1) / np.sqrt(values.size))
 
 
-def not_told(value: float, note: str) -> Estimate:
-    """A value without bounds, and why."""
+def not_identifiable(value: float, note: str) -> Estimate:
+    """Return an estimate without bounds; ``note`` states why."""
     return Estimate(value, float("nan"), float("nan"), False, note)
 
 
-def if_told(estimate: Estimate, usual: float = 0.0, note: str = LEFT_OPEN) -> Estimate:
-    """The estimate, or one that is not identifiable where its interval is open or too wide to mean anything.
+def if_identifiable(estimate: Estimate, usual: float = 0.0, note: str = LEFT_OPEN) -> Estimate:
+    """Return the estimate, marked as not identifiable if its interval is open or too wide.
 
-    Too wide is more than half of the value, or of what is ``usual`` if that is more: a slack of 0 ± 0.1 mm is told.
+    An interval is too wide if its half-width exceeds half the value, or half the ``usual`` value if that is larger: a
+    slack of 0 ± 0.1 mm is identifiable.
     """
-    narrow = estimate.spread <= VAGUE * max(
-        abs(estimate.value), usual
-    )  # False if it is infinite or NaN
-    return estimate if narrow or not estimate.identifiable else not_told(estimate.value, note)
+    # The comparison is False if the spread is infinite or NaN.
+    narrow = estimate.spread <= VAGUE * max(abs(estimate.value), usual)
+    return (
+        estimate if narrow or not estimate.identifiable else not_identifiable(estimate.value, note)
+    )
 
 
 def follow_profile(
@@ -78,10 +80,19 @@ def follow_profile(
     guess: float,
     reach: float = np.inf,
 ) -> float:
-    """Where a profile has risen by ``rise`` above its minimum at ``best``, on the side of ``guess`` (an offset).
+    """Return where a profile exceeds its minimum by ``rise``, on one side of ``best``.
 
-    ``cost`` is the cost above the minimum, no farther than ``reach`` from ``best``. The profile is taken for a
-    parabola from one step to the next. Infinite if it never rises that far; where it jumps, the far side of the jump.
+    Each step assumes a parabola.
+
+    Args:
+        cost: cost above the minimum as a function of the parameter.
+        best: position of the minimum.
+        rise: required rise of the cost.
+        guess: first offset from ``best``; its sign selects the side.
+        reach: largest offset to evaluate.
+
+    Returns:
+        The position; infinite if the cost never rises that far. At a discontinuity, its far side.
     """
     offset, low, high = min(abs(guess), reach), 0.0, np.inf
     for _ in range(MOST_STEPS):

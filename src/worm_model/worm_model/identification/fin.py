@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 3: clearance δ_c and stiffnesses k_eng, k_dis from the fin test (eq:fin_force_piecewise).
 
-A broken line with two knees is fitted. The sign convention is found out: the stiffer side is the engaging one,
-whichever sign the test gave it, and a force that is counted as reaction is turned round.
+The fit is a piecewise linear force with two knees. The sign convention is detected: the stiffer side is the engaging
+one, and a force recorded as reaction is negated.
 """
 
 from __future__ import annotations
@@ -14,25 +14,30 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
 from worm_model.arrays import Array
-from worm_model.identification.estimate import Estimate, follow_profile, if_told, quantile
+from worm_model.identification.estimate import Estimate, follow_profile, if_identifiable, quantile
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.robust import SIGMA_PER_MAD, dependence
 
 COLUMNS = ("displacement_m", "force_N")
 KEYS = ("clearance", "engaged_stiffness", "disengaged_stiffness")
 FEWEST_POINTS = 12
-TOO_VAGUE = "the fin test leaves it open by more than half its value; repeat it with more points"
-ANISOTROPY = 1.15  # between the stiffnesses, below which a test does not tell which side engages
-SIGNIFICANT = 3.0  # standard deviations from which the test stand's zero counts as off
+TOO_VAGUE = (
+    "its interval from the fin test is wider than half its value; repeat the test with more points"
+)
+ANISOTROPY = 1.15  # smallest ratio of the stiffnesses that determines the engaging side
+SIGNIFICANT = 3.0  # standard deviations above which the test stand has a zero offset
 
 
 @dataclass(frozen=True)
 class FinFit:
-    """``clearance`` m, ``engaged_stiffness`` and ``disengaged_stiffness`` N/m.
+    """Result of the fin test.
 
-    ``covariance`` (3, 3) of the three in this order; ``centre`` m, where the test's zero lies from the middle of
-    the clearance; ``engages`` −1 or +1, the sign of displacement that engages; ``displacement``, ``force`` (n,) the
-    test's samples, the force turned where it was counted against the displacement.
+    Attributes:
+        clearance, engaged_stiffness, disengaged_stiffness: estimates, m, N/m, N/m.
+        covariance: covariance of the three, shape (3, 3).
+        centre: centre of the clearance in the test's coordinate, m.
+        engages: sign of the displacement that engages, −1 or +1.
+        displacement, force: samples, m and N, shape (n,); the force is negated if it was recorded as reaction.
     """
 
     clearance: Estimate
@@ -46,11 +51,11 @@ class FinFit:
 
     @property
     def values(self) -> Array:
-        """(clearance, engaged, disengaged stiffness)."""
+        """Clearance, engaged and disengaged stiffness, shape (3,)."""
         return np.array([getattr(self, key).value for key in KEYS])
 
     def force_at(self, displacement: Array) -> Array:
-        """The fitted force in N at displacements (m,) in m."""
+        """Return the fitted force (N) at displacements (m), shape (m,)."""
         low, high = self.engaged_stiffness.value, self.disengaged_stiffness.value
         if self.engages > 0:
             low, high = high, low
@@ -58,7 +63,7 @@ class FinFit:
 
 
 def _force(values: Array, x: Array) -> Array:
-    """Force of (clearance, stiffness below, stiffness above, centre)."""
+    """Return the force for (clearance, stiffness below, stiffness above, centre)."""
     clearance, below, above, centre = values
     deflection = x - centre
     return below * np.minimum(deflection + 0.5 * clearance, 0.0) + above * np.maximum(
@@ -67,17 +72,23 @@ def _force(values: Array, x: Array) -> Array:
 
 
 def fit_fin(displacement: Array, force: Array, engages: int = 0) -> FinFit:
-    """The broken line with the least robust squares; ``engages`` −1 or +1 states the engaging sign, 0 finds it.
+    """Fit the piecewise linear force by robust least squares.
 
-    ``displacement`` m and ``force`` N, (n,) each. The clearance lies around the test's zero, as in the paper, unless
-    that zero is plainly off. Raises `IdentificationError` if the test does not show two stiffnesses, or not which
-    of them engages.
+    The clearance is centred at the test's zero, as in the paper, unless the zero offset is significant.
+
+    Args:
+        displacement: m, shape (n,).
+        force: N, shape (n,).
+        engages: sign of the displacement that engages, −1 or +1; 0 detects it.
+
+    Raises:
+        IdentificationError: The test does not show two stiffnesses, or not which of them engages.
     """
     known = np.isfinite(displacement) & np.isfinite(force)
     x, y = displacement[known], force[known]
     if x.size < FEWEST_POINTS or x.min() >= 0.0 or x.max() <= 0.0:
         raise IdentificationError(
-            f"fin test: {x.size} usable points; {FEWEST_POINTS} are needed, on both sides of 0"
+            f"fin test: {x.size} usable points; at least {FEWEST_POINTS} are needed, on both sides of 0"
         )
     reaction = bool(np.polyfit(x, y, 1)[0] < 0.0)
     line = _BrokenLine(x, -y if reaction else y)
@@ -105,14 +116,14 @@ def _engaging_side(values: Array) -> int:
         raise IdentificationError("fin test: no force beyond the clearance on one of its sides")
     if max(below / above, above / below) < ANISOTROPY:
         raise IdentificationError(
-            f"fin test: {below:.0f} N/m below 0 and {above:.0f} N/m above: which side engages cannot be told; "
-            "say so with --fin-engages"
+            f"fin test: {below:.0f} N/m below 0 and {above:.0f} N/m above do not show which side engages; "
+            "set it with --fin-engages"
         )
     return -1 if below > above else 1
 
 
 class _BrokenLine:
-    """Robust fits of (clearance, stiffness below, stiffness above, centre) to a test."""
+    """Robust fit of (clearance, stiffness below, stiffness above, centre) to a test."""
 
     def __init__(self, x: Array, y: Array) -> None:
         self.x, self.y = x, y
@@ -121,7 +132,7 @@ class _BrokenLine:
         self.noise = max(SIGMA_PER_MAD * float(np.median(np.abs(y - _force(start, x)))), 1e-9)
 
     def start(self) -> Array:
-        """The best of a grid of clearances: the knees' cost has several valleys."""
+        """Return the best of a grid of clearances, as the cost has several local minima."""
         x, y = self.x, self.y
         tried = []
         for clearance in np.linspace(0.02, 1.9, 48) * min(-x.min(), x.max()):
@@ -133,7 +144,7 @@ class _BrokenLine:
         return min(tried, key=lambda pair: pair[0])[1]
 
     def fit(self, start: Array, free: list[bool]) -> tuple[Array, Array]:
-        """(values (4,), covariance (4, 4)) with some entries free, the others as in the start."""
+        """Return values (4,) and covariance (4, 4) of a fit with some free entries; the others keep their start."""
         index = np.flatnonzero(free)
         result = self._solve(start, index)
         values = start.copy()
@@ -145,7 +156,7 @@ class _BrokenLine:
         return values, covariance
 
     def interval(self, values: Array, covariance: Array, entry: int) -> Estimate:
-        """An entry's 95 % interval: where the cost, the other entries refitted, has risen enough."""
+        """Return an entry's 95 % interval from the profile of the cost."""
         free = [k for k in range(4) if k != entry and covariance[k, k] > 0.0]
         freedom = max(self.x.size - len(free) - 1, 1)
         best = self._solve(values, np.array(free))
@@ -160,7 +171,7 @@ class _BrokenLine:
         reach = tail * float(np.sqrt(covariance[entry, entry]))
         value = float(values[entry])
         low, high = (follow_profile(cost, value, rise, sign * reach) for sign in (-1.0, 1.0))
-        return if_told(Estimate(value, low, high), note=TOO_VAGUE)
+        return if_identifiable(Estimate(value, low, high), note=TOO_VAGUE)
 
     def _solve(self, start: Array, index: NDArray[np.intp]) -> OptimizeResult:
         def residuals(free: Array) -> Array:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which code a result came from: a fingerprint of the source files that an identification imports, and of no others."""
+"""Fingerprint of the source files that an identification imports."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ VERSION = "0.1.0"
 
 
 def code_version() -> str:
-    """Version of the package, and the fingerprint."""
+    """Return the version of the package and the fingerprint."""
     digest = hashlib.sha256()
     for file in imported_files(PACKAGE, ENTRY):
         digest.update(str(file.relative_to(PACKAGE)).encode() + file.read_bytes())
@@ -22,7 +22,7 @@ def code_version() -> str:
 
 
 class _OwnModules(ModuleFinder):
-    """Follows the imports of one package alone: what lies beside it, as in site-packages, is not its code."""
+    """Module finder restricted to one package, without its neighbours in site-packages."""
 
     def __init__(self, package: Path) -> None:
         super().__init__([str(package.parent)])
@@ -35,7 +35,7 @@ class _OwnModules(ModuleFinder):
 
 
 def imported_files(package: Path, entry: str) -> list[Path]:
-    """The source files of a package that one of them imports, itself included, directly or not, sorted."""
+    """Return the sorted source files of a package that an entry file imports, directly or indirectly."""
     finder = _OwnModules(package)
     finder.run_script(str(package / entry))
     files = (getattr(module, "__file__", None) for module in finder.modules.values())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cable force but for its damping, along every run, and draws of it within what earlier stages left open."""
+"""Cable force without its damping term along each run, and draws of it within its uncertainty."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ from worm_model.parameters import Parameters
 
 @dataclass(frozen=True)
 class Forces:
-    """F_c + c_b·L̇ = H + k_b(L_free − L) of every run in N, on the times of its length.
+    """Forces F_c + c_b·L̇ = H + k_b(L_free − L) of each run at the times of its length.
 
-    ``holding``: H of the best fit and of fits that are one standard deviation off, each a list over runs;
-    ``change``: ΔL in m; ``initial_length`` (runs,) m; stiffness and free length with their standard deviations.
+    Attributes:
+        holding: H (N) of the best fit and of fits one standard deviation away, for each run.
+        change: ΔL of each run, m.
+        initial_length: L0 of each run, m, shape (runs,).
+        stiffness, stiffness_deviation: k_b with standard deviation, N/m.
+        free_length, free_length_deviation: L_free with standard deviation, m.
     """
 
     holding: tuple[tuple[Array, ...], ...]
@@ -33,7 +37,7 @@ class Forces:
     free_length_deviation: float
 
     def of(self, indices: Sequence[int]) -> Forces:
-        """Of some of the runs."""
+        """Return the forces of some of the runs."""
         return replace(
             self,
             holding=tuple(tuple(fit[index] for index in indices) for fit in self.holding),
@@ -43,11 +47,11 @@ class Forces:
 
     @property
     def best(self) -> list[Array]:
-        """Of the best fit."""
+        """Forces of the best fit, N."""
         return self._force(list(self.holding[0]), self.stiffness, self.free_length)
 
     def draw(self, random: np.random.Generator) -> list[Array]:
-        """One of the forces that are as likely."""
+        """Draw forces (N) from their distribution."""
         size = random.standard_normal(len(self.holding) - 1)
         holding = [
             best
@@ -77,7 +81,7 @@ def forces_of(
     stiffness: Estimate,
     reference: ReferenceValues,
 ) -> Forces:
-    """What the locomotion fit, the bellows' ``stiffness`` and the ruler say of the force."""
+    """Return the forces from the locomotion fit, the bellows' ``stiffness`` and the reference values."""
     fits = [(parameters, locomotion.fit), *locomotion.variants, (parameters, locomotion.stiffer)]
     holding = tuple(holding_forces(traverses, values, fit) for values, fit in fits)
     free_length = reference.estimate("unstressed_length")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of each run under what the others say, next to those of the paper's table."""
+"""Leave-one-out errors of each run, and its errors with the paper's table."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from worm_model.identification.run_selection import Run
 from worm_model.parameters import PAPER, Parameters
 
 ITERATIONS = 4
-FEWEST = 2  # runs, of which one can be left out
+FEWEST = 2  # smallest number of runs for leaving one out
 
 
 def run_errors(run: Run, parameters: Parameters, clock_offset: float) -> Errors:
-    """Of one run; ``clock_offset`` s is by how much the camera is behind the servo, as other runs tell."""
+    """Return the errors of one run; ``clock_offset`` (s) of the camera behind the servo is that of other runs."""
     prediction = predict(run.recording, run.traverse, parameters, clock_offset)
     return errors(run.recording, run.traverse, prediction)
 
@@ -37,12 +37,12 @@ def leave_one_out(
     power_runs: Sequence[PowerRun],
     energy: EnergyResult,
 ) -> tuple[dict[str, Errors], dict[str, Errors]]:
-    """Errors by run: (under what the others say, empty with one run; under the paper's table).
+    """Return the errors by run with the parameters of the other runs, and with the paper's table.
 
-    Stages 4 to 7 are done without each run in turn, from the fit to all of them.
-    Where the runs do not tell c_b it stays as it is. Three things are not done anew: the forces under which
-    the energy is fitted and the scatter of the grooves are those of the fit to all runs, and a run's length is
-    smoothed by a fit to that run itself. Both columns get the camera's clock offset that the other runs tell.
+    Stages 4 to 7 are repeated without each run in turn, starting from the fit to all runs. c_b is fixed if it is not
+    identifiable. Three quantities are not estimated again: the forces in the energy fit and the scatter of the grooves
+    are those of the fit to all runs, and a run's length is smoothed with a fit to that run. Both results use the
+    camera's clock offset from the other runs. With a single run the first result is empty.
     """
     if len(runs) < FEWEST:
         offset = float(actuation.clock_offset.mean())

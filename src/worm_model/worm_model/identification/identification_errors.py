@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exception of the identification."""
+"""Exception of the identification."""
 
 from __future__ import annotations
 
@@ -7,4 +7,4 @@ from worm_model.errors import InputError
 
 
 class IdentificationError(InputError):
-    """Recordings or bench tests from which nothing can be identified; one line that says what and what to do."""
+    """Recordings or bench tests that cannot be used; one line with the problem and the remedy."""

@@ -41,7 +41,7 @@ _WIDTH = 6.4  # inches
 
 
 def all_figures(result: Identification) -> Iterator[tuple[str, Figure]]:
-    """(name, figure) one after the other, so that only one is in memory."""
+    """Yield name and figure, one after the other, so that only one is in memory."""
     if result.bellows is not None:
         yield "bellows", bellows_figure(result.bellows)
     if result.fin is not None:
@@ -56,7 +56,7 @@ def all_figures(result: Identification) -> Iterator[tuple[str, Figure]]:
 
 
 def bellows_figure(fit: BellowsFit) -> Figure:
-    """Force over compression and the line through it."""
+    """Plot force over compression with the fitted line."""
     figure = new_figure(_WIDTH, 3.2)
     axes = figure.subplots()
     axes.plot(fit.compression * MM, fit.force, **SAMPLES, label="measured")
@@ -69,7 +69,7 @@ def bellows_figure(fit: BellowsFit) -> Figure:
 
 
 def fin_figure(fit: FinFit) -> Figure:
-    """Force over displacement and the broken line, its knees marked."""
+    """Plot force over displacement with the fitted piecewise linear force and its knees."""
     figure = new_figure(_WIDTH, 3.6)
     axes = figure.subplots()
     axes.plot(fit.displacement * MM, fit.force, **SAMPLES, label="measured")
@@ -90,12 +90,14 @@ def fin_figure(fit: FinFit) -> Figure:
 
 
 def search_figure(result: Identification) -> Figure:
-    """J_loc over the switching threshold: the least over all frictions of the grid, and where the fit ended."""
+    """Plot J_loc over the switching threshold (minimum over friction) with the fitted interval."""
     landscape = result.locomotion.landscape
     figure = new_figure(_WIDTH, 3.2)
     axes = figure.subplots()
     best = np.sqrt(landscape.cost.min(axis=0)) * MM
-    axes.semilogy(landscape.threshold * MM, best, **MEASURED, label="least over η, no dry friction")
+    axes.semilogy(
+        landscape.threshold * MM, best, **MEASURED, label="minimum over η, no dry friction"
+    )
     estimate = result.locomotion.switching_threshold
     axes.axvspan(
         estimate.low * MM,
@@ -110,7 +112,7 @@ def search_figure(result: Identification) -> Figure:
 
 
 def _motion(run: Run, prediction: RunPrediction, pitch: float) -> Figure:
-    """x1 measured, and predicted under the measured length."""
+    """Plot measured x1 and its prediction from the measured length."""
     time, x1 = run.traverse.time, run.traverse.x1
     residual = x1 - np.interp(time, prediction.time, prediction.x1)
     return motion_figure(
@@ -125,7 +127,7 @@ def _motion(run: Run, prediction: RunPrediction, pitch: float) -> Figure:
 
 
 def _length(run: Run, prediction: RunPrediction, slack: float) -> Figure:
-    """ΔL measured and predicted from the command; commanded and effective input."""
+    """Plot measured ΔL, its prediction from the command, and commanded and effective input."""
     recording = run.recording
     change = recording.length - run.length.initial_length
     time, command = recording.command_time, recording.command
@@ -143,7 +145,7 @@ def _length(run: Run, prediction: RunPrediction, slack: float) -> Figure:
 
 
 def energy_of_run(run: Run, prediction: RunPrediction) -> Figure:
-    """Source power and accumulated energy, measured and predicted, and their difference."""
+    """Plot measured and predicted source power and energy, and the energy difference."""
     time, power = measured_power(run.recording, run.traverse)
     expected = np.interp(time, prediction.time, prediction.energy)
     measured, expected = accumulated(time, power), expected - expected[:1]

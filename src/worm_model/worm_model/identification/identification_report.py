@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report of an identification: one page of Markdown and the figures beside it."""
+"""Report of an identification: one page of Markdown with figures."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from worm_model.parameters import PAPER, SYMBOLS, UNITS
 
 PAGE = "report.md"
 FIGURES = "figures"
-FIGURES_HEADING = "Figures"  # the last one of the page
-# What tables are written in: unit, factor from SI
+FIGURES_HEADING = "Figures"  # last heading of the page
+# Displayed unit and factor by SI unit
 SHOWN = {"m": ("mm", 1e3)}
 # Columns of errors: field, factor from SI, format
 ERROR_COLUMNS = (
@@ -42,9 +42,10 @@ def write_report(
     folder: Path,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Path:
-    """Writes report.md and figures/* (PNG and PDF) into a folder that does not exist yet; returns the page's path.
+    """Write report.md and figures/* (PNG and PDF) into a new folder and return the page's path.
 
-    Raises FileExistsError rather than overwrite anything.
+    Raises:
+        FileExistsError: The folder exists.
     """
     folder.mkdir(parents=True)
     pictures = folder / FIGURES
@@ -62,19 +63,19 @@ def write_report(
 
 
 def text_of(result: Identification, advice: str, figures: list[str]) -> str:
-    """The page."""
+    """Return the page as Markdown."""
     parts = [
         "# Identification",
         _summary(result),
         "## Parameters\n\n" + parameter_table(result.estimates),
         _open_ends(result, advice),
-        "## Left out one by one\n\n"
-        "Each run under the parameters that the *other* runs give, next to the paper's table; the exact model "
-        "without any nuisance but the run's own initial length, both columns with the clock offset between camera and "
-        "servo that the other runs tell. x1 is predicted under the measured length, ΔL from the command; root mean "
-        "squares over the five ridges, the energy's error at their end. Not done anew without the run: its smoothed "
-        "length (a fit to this run itself), the scatter of the grooves, and the forces under which the others' energy "
-        "is fitted.\n\n" + error_table(result.held_out, result.paper),
+        "## Held-out errors\n\n"
+        "Errors of each run with the parameters identified from the *other* runs, in brackets with the paper's table. "
+        "Predictions use the exact model with the run's own initial length and the clock offset between camera and "
+        "servo from the other runs. x1 is predicted from the measured length, ΔL from the command. Errors are rms "
+        "values over the five ridges; the energy error is that at their end. Three quantities still depend on the run "
+        "itself: its smoothed length, the scatter of the grooves, and the forces in the energy fit.\n\n"
+        + error_table(result.held_out, result.paper),
     ]
     if result.validation:
         parts.append("## Validation runs\n\n" + error_table(result.validation, {}))
@@ -97,7 +98,7 @@ def _summary(result: Identification) -> str:
 
 
 def parameter_table(estimates: Mapping[str, Estimate]) -> str:
-    """All parameters with their intervals, next to the paper's table."""
+    """Return a table of all parameters with intervals and the paper's values."""
     lines = [
         "| | | value | 95 % interval | unit | paper | |",
         "| --- | --- | ---: | :---: | --- | ---: | --- |",
@@ -120,7 +121,7 @@ def parameter_table(estimates: Mapping[str, Estimate]) -> str:
 
 
 def _decimals(estimate: Estimate, factor: float) -> int:
-    """As many as the interval's width leaves meaning to: two digits of its half."""
+    """Return the number of decimals that shows two digits of the half-width."""
     half = (
         estimate.spread * factor if estimate.identifiable else abs(estimate.value * factor) / 10.0
     )
@@ -135,14 +136,14 @@ def _open_ends(result: Identification, advice: str) -> str:
         f"{SYMBOLS.get(a, a)} and {SYMBOLS.get(b, b)} {rho:+.2f}"
         for a, b, rho in correlations(result)
     ]
-    together = f"Estimates that move together (correlation): {'; '.join(pairs)}." if pairs else ""
-    return "\n\n".join(part for part in (together, f"What next: {advice}.") if part)
+    together = f"Strongly correlated estimates: {'; '.join(pairs)}." if pairs else ""
+    return "\n\n".join(part for part in (together, f"Recommended measurement: {advice}.") if part)
 
 
 def error_table(errors: Mapping[str, Errors], paper: Mapping[str, Errors]) -> str:
-    """Errors of each run; in brackets those of the paper's table."""
+    """Return a table of the errors of each run, in brackets those with the paper's table."""
     if not errors:
-        return "One run alone: none can be left out."
+        return "Held-out errors need at least two runs."
     lines = [
         "| run | x1 (mm) | ΔL (mm) | power (W) | energy (%) |",
         "| --- | ---: | ---: | ---: | ---: |",
@@ -158,20 +159,20 @@ def error_table(errors: Mapping[str, Errors], paper: Mapping[str, Errors]) -> st
 
 
 def _number(form: str, value: float) -> str:
-    return form.format(value) if np.isfinite(value) else "not seen"
+    return form.format(value) if np.isfinite(value) else "unknown"
 
 
 def nuisance_text(result: Identification) -> str:
-    """Friction, scatter and weights that are no parameters, and each run's own numbers."""
+    """Return the text on nuisance parameters, with a table of each run's values."""
     locomotion, scatter = result.locomotion, result.locomotion.fit.scatter
     head = (
         "Without dry friction, as J_loc is printed, "
         f"η = {locomotion.as_printed[0]:.1f} N·s/m and p_sw = {locomotion.as_printed[1] * 1e3:.2f} mm. "
-        f"Grooves differ by {scatter.threshold * 1e3:.3f} mm "
-        f"in threshold and {scatter.stiffness * 100:.1f} % in stiffness (standard deviations). When the slack is taken "
-        f"up, the rear module has {1.0 - locomotion.onset:.2f} of its share of the body's first rate (1: the centre of "
-        "mass rests, as of a robot at rest; 0: the rear module rests, as the paper's initial values have it). "
-        f"Residuals of x1 weigh {locomotion.inflation:.2f} times white noise of the camera.\n\n"
+        f"The standard deviations between grooves are {scatter.threshold * 1e3:.3f} mm "
+        f"of the threshold and {scatter.stiffness * 100:.1f} % of the stiffness. When the slack is taken up, the rear "
+        f"module has {1.0 - locomotion.onset:.2f} of its share of the initial rate (1: the centre of mass is at rest; "
+        "0: the rear module is at rest, the paper's initial condition). "
+        f"The variance of x1's residuals is {locomotion.inflation:.2f} times that of the camera's white noise.\n\n"
     )
     lines = [
         "| run | L0 (mm) | P_idle (W) | camera behind servo (ms) | power behind camera (ms) | five ridges |",
@@ -189,17 +190,17 @@ def nuisance_text(result: Identification) -> str:
 
 
 def delay_text(delay: Estimate) -> str:
-    """What the clocks say of the tracker's delay."""
+    """Return the text on the tracker's delay."""
     if not delay.identifiable:
-        return f"Delay of the camera: not told; {delay.note}."
+        return f"Delay of the camera: not identified; {delay.note}."
     low, value, high = (1e3 * x for x in (delay.low, delay.value, delay.high))
     return f"Delay of the camera: {value:.1f} ms ({low:.1f} … {high:.1f}); {delay.note}."
 
 
 def _milliseconds(offset: float, deviation: float) -> str:
-    """A clock offset with its 95 % interval, if the data tell it."""
+    """Return a clock offset with its 95 % interval, if identified."""
     if not np.isfinite(deviation):
-        return "not told"
+        return "not identified"
     return f"{offset * 1e3:+.1f} ± {quantile(np.inf) * deviation * 1e3:.1f}"
 
 

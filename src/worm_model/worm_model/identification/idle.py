@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 6: idle power P_idle of each run from its first ten samples (eq:Pidle_est).
 
-The rule means something only if the robot rests through them. A slow sensor, or one that starts with the gait, bills
-motion as idle power: then the samples before the onset alone are used, and a run without any says nothing.
+The rule requires that the robot rests during these samples. With a slow sensor, or one that starts with the gait, some
+of them contain motion; then only the samples before the onset are used. A run without such samples gives no estimate.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from worm_model.identification.observed_run import Recording
 
 SAMPLES = 10
 FEWEST_SAMPLES = 3
-SETTLED = 5.0  # standard errors by which the ten may differ from all samples at rest
-LEAST_DIFFERENCE = 0.02  # relative, that is worth a warning
+SETTLED = 5.0  # largest difference of the ten from all samples at rest, standard errors
+LEAST_DIFFERENCE = 0.02  # smallest relative difference for a warning
 NO_IDLE = "no run has power samples at rest: record at least 2 s before the gait starts"
 
 
 @dataclass(frozen=True)
 class IdlePower:
-    """``value`` W of a run, NaN if it never rested in sight of the sensor; ``deviation`` W of that mean."""
+    """Idle power of a run: ``value`` (W, NaN if unknown) and standard ``deviation`` of the mean (W)."""
 
     value: float
     deviation: float
@@ -32,7 +32,7 @@ class IdlePower:
 
 
 def idle_power_of(recording: Recording) -> IdlePower:
-    """Mean of the run's first ten samples, as far as they were taken at rest."""
+    """Return the mean of those of the run's first ten samples that were measured at rest."""
     first = recording.power[:SAMPLES]
     resting = recording.power_time[:SAMPLES] < 0.0
     count = int(resting.sum())
@@ -40,8 +40,8 @@ def idle_power_of(recording: Recording) -> IdlePower:
         return IdlePower(
             np.nan,
             np.nan,
-            f"{recording.name}: {count} of the first ten power samples were taken at rest: no idle power from "
-            "this run; start the sensor before the gait",
+            f"{recording.name}: {count} of the first ten power samples were measured at rest, so that the run "
+            "gives no idle power; start the sensor before the gait",
         )
     value = float(first[resting].mean())
     deviation = float(first[resting].std(ddof=1) / np.sqrt(count))
@@ -65,7 +65,7 @@ def idle_power_of(recording: Recording) -> IdlePower:
 
 
 def idle_power(runs: Sequence[IdlePower]) -> Estimate | None:
-    """The mean over runs; with one run the interval is that of its samples. None if no run rested."""
+    """Return the mean over runs, None if no run rested; for a single run the interval is that of its samples."""
     known = [run for run in runs if np.isfinite(run.value)]
     if not known:
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads what identification is given: bags or a lab's folder, and the bench tests."""
+"""Inputs of the identification: bags or a lab's folder, and the bench tests."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from worm_model.arrays import Array
-from worm_model.bags.lab_logs import LabError, LabSettings, read_columns, read_lab_run
 from worm_model.bags.opening import open_bag
+from worm_model.bags.operations.lab_logs import LabError, LabSettings, read_columns, read_lab_run
 from worm_model.bags.run_reader import read_run
 from worm_model.identification import bellows, fin
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.observed_run import Recording, recordings_of
 from worm_model.run import utc_of
 
-RUN_FILE = "camera.csv"  # by which a run of a lab is known
+RUN_FILE = "camera.csv"  # file that marks a run of a lab
 BELLOWS_FILE, FIN_FILE = "bellows.csv", "fin.csv"
 EPOCH = 10**9  # ns; logs of a lab carry no date, and a stamp of 0 means "unknown"
 LOGS = LabSettings(epoch=EPOCH)
@@ -37,7 +37,7 @@ _BLOCK = 1 << 20
 
 @dataclass(frozen=True)
 class BenchTest:
-    """A table of two columns, ``x`` and ``y`` (n,) each, in SI units; the ``checksum`` of its file."""
+    """Table of two columns ``x`` and ``y``, shape (n,), in SI units, with the ``checksum`` of its file."""
 
     x: Array
     y: Array
@@ -46,9 +46,9 @@ class BenchTest:
 
 @dataclass(frozen=True)
 class Inputs:
-    """The recordings and the bench tests, None where there is none; ``folder`` of a lab, None for bags.
+    """Recordings and bench tests (None if missing).
 
-    ``remarks`` in words on what was found but not used.
+    ``folder`` is the lab's folder, None for bags. ``remarks`` name data that were found but not used.
     """
 
     recordings: tuple[Recording, ...]
@@ -65,10 +65,19 @@ def read_inputs(
     definitions: Path | None = None,
     logs: LabSettings = LOGS,
 ) -> Inputs:
-    """Bags, and a lab's folders or runs of them; one lab's own bench tests are used unless others are named.
+    """Read bags and folders or runs of a lab.
 
-    ``definitions`` of messages are as `open_bag` takes them, ``logs`` holds what a lab's logs do not say. Raises
-    `IdentificationError`, or `worm_model.bags.bag_errors.BagError`, if something cannot be read.
+    The bench tests of a single lab are used unless others are given.
+
+    Args:
+        paths: bags, folders of a lab or single runs of it.
+        bellows_file, fin_file: bench tests.
+        definitions: message definitions, as for `open_bag`.
+        logs: settings that the lab's logs do not contain.
+
+    Raises:
+        IdentificationError: A file is missing or invalid.
+        BagError: A bag cannot be read.
     """
     recordings = tuple(read_recordings(paths, definitions, logs))
     _check_names(recordings)
@@ -84,13 +93,13 @@ def read_inputs(
         folder,
         (
             *([SEVERAL_LABS.format(", ".join(lab.name for lab in labs))] if len(labs) > 1 else []),
-            *_told(recordings),
+            *_grouped_remarks(recordings),
         ),
     )
 
 
-def _told(recordings: Sequence[Recording]) -> list[str]:
-    """The remarks of recordings, each once, behind the names that it is of."""
+def _grouped_remarks(recordings: Sequence[Recording]) -> list[str]:
+    """Return each remark once, prefixed by the names of its recordings."""
     names: dict[str, list[str]] = {}
     for recording in recordings:
         for remark in recording.remarks:
@@ -105,7 +114,7 @@ def _told(recordings: Sequence[Recording]) -> list[str]:
 def read_recordings(
     paths: Sequence[Path], definitions: Path | None = None, logs: LabSettings = LOGS
 ) -> list[Recording]:
-    """The runs in bags and in a lab's folders, each of which may hold several, in the order of their names there."""
+    """Read all runs in bags and a lab's folders, which may contain several each, ordered by name."""
     recordings = []
     for path in paths:
         if is_lab_folder(path):
@@ -116,25 +125,25 @@ def read_recordings(
 
 
 def _lab_of(path: Path) -> Path:
-    """Where a lab keeps what its runs have in common: beside a run, in a folder of runs."""
+    """Return the folder with a lab's common files: the parent of a run, or the folder of runs itself."""
     folder = path.resolve()
     return folder.parent if (folder / RUN_FILE).is_file() else folder
 
 
 def is_lab_folder(path: Path) -> bool:
-    """Whether a path holds a lab's runs rather than being a bag."""
+    """Return True if a path is a folder with a lab's runs, not a bag."""
     return path.is_dir() and bool(run_folders(path))
 
 
 def run_folders(folder: Path) -> list[Path]:
-    """Folders of a lab's runs, by name; the folder itself if it is one."""
+    """Return the folders of a lab's runs, ordered by name; the folder itself if it is a run."""
     if (folder / RUN_FILE).is_file():
         return [folder]
     return sorted(file.parent for file in folder.glob(f"*/{RUN_FILE}"))
 
 
 def _read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
-    """The runs in a bag."""
+    """Read the runs in a bag."""
     with open_bag(path, definitions=definitions) as bag:
         run = read_run(bag, names=TOPICS)
         start = bag.start
@@ -144,21 +153,21 @@ def _read_bag(path: Path, definitions: Path | None) -> tuple[Recording, ...]:
 
 
 def read_lab_recording(folder: Path, logs: LabSettings = LOGS) -> Recording:
-    """The run in a lab's folder."""
+    """Read the run in a lab's folder."""
     try:
         lab = read_lab_run(folder, logs)
     except LabError as error:
         raise IdentificationError(str(error)) from None
     if lab.gait is None:
         raise IdentificationError(
-            f"{folder}: no runs.json tells the gait; add one with stroke_m and frequency_Hz of each run"
+            f"{folder}: the gait is unknown; add a runs.json with stroke_m and frequency_Hz of each run"
         )
     recording = recordings_of(lab.run, folder.resolve().name, lab.checksums)[0]
     return replace(recording, remarks=(*lab.transmission.remarks, *recording.remarks))
 
 
 def read_bench_test(path: Path, columns: tuple[str, str]) -> BenchTest:
-    """A bench test of two columns, in any order of its rows."""
+    """Read a bench test of two columns."""
     try:
         table = read_columns(path, columns)
     except LabError as error:
@@ -167,7 +176,7 @@ def read_bench_test(path: Path, columns: tuple[str, str]) -> BenchTest:
 
 
 def _checksum(path: Path) -> str:
-    """SHA-256 of a file."""
+    """Return the SHA-256 of a file."""
     digest = hashlib.sha256()
     with path.open("rb") as stream:
         while block := stream.read(_BLOCK):

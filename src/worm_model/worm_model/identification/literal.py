@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's own procedure, to compare with: J_loc, J_act and J_E exactly as printed, least squares, no nuisances.
+"""The paper's procedure, for comparison: least squares of J_loc, J_act and J_E as printed, without nuisance parameters.
 
-All instruments share one clock, L0 is what the camera sees at rest, the pitch is as given, grooves are alike, there is
-no dry friction, every sample counts the same, and nothing tells how far to trust the result. J_loc jumps where a groove
-is gained or lost, so it is searched over a grid first; the paper does not say how it was minimised.
+All instruments share one clock, L0 is the measured length at rest, the pitch is as given, all grooves are equal, there
+is no dry friction, all samples have equal weight, and there are no intervals. J_loc is discontinuous where a groove is
+gained or lost; it is therefore evaluated on a grid first. The paper does not state how it was minimised.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from worm_model.identification.locomotion import (
     least_threshold,
 )
 from worm_model.identification.observed_run import Recording
-from worm_model.parameters import Parameters
+from worm_model.parameters import NOT_OF_PAPER, Parameters
 from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.quadrature import accumulated
 from worm_model.simulation.simulator import Locomotion, SimulationError
 from worm_model.simulation.smoothing import smooth
 
-THRESHOLD_STEP = 2.5e-4  # m, of the grid
-REFINED = 3  # best points of the grid from which a simplex starts
-LOST = 1.0  # m², cost of a run whose anchors switch without end
+THRESHOLD_STEP = 2.5e-4  # m, step of the grid
+REFINED = 3  # number of best grid points that are refined by a simplex search
+LOST = 1.0  # m², cost of a run whose anchors switch infinitely often
 
 
 @dataclass(frozen=True)
 class _Traverse:
-    """A run over five ridges: ``time`` (n,) s, ``x1`` and ``change`` (n,) m where both markers were seen, ``L0`` m."""
+    """Run over five ridges: ``time`` (s), ``x1`` and ``change`` (m), shape (n,), where both markers were visible."""
 
     recording: Recording
     time: Array
@@ -55,13 +55,17 @@ class _Traverse:
 def literal(
     inputs: Inputs, known: Parameters, progress: Callable[[str, float], None] = lambda *_: None
 ) -> tuple[Parameters, dict[str, float]]:
-    """(parameters by the paper's costs, and its form of the power; the least costs: J_loc and J_act in m², J_E in J²).
+    """Minimise the paper's costs with the paper's power model.
 
-    Those of bench tests and ``known`` ones stay as given.
+    Parameters from bench tests and ``known`` ones are fixed.
 
-    Raises `IdentificationError` if no run shows power.
+    Returns:
+        The parameters, and the minimal costs: J_loc and J_act in m², J_E in J².
+
+    Raises:
+        IdentificationError: No run has power samples.
     """
-    paper = known.replace(rear_dry_friction=0.0, front_dry_friction=0.0, one_sided_cable=False)
+    paper = known.replace(**dict.fromkeys(NOT_OF_PAPER, 0.0), one_sided_cable=False)
     p = _with_bench(inputs, paper)
     runs = [_traverse(recording, p.pitch) for recording in inputs.recordings]
     p = p.replace(initial_length=float(np.mean([run.initial_length for run in runs])))
@@ -113,7 +117,7 @@ def _model(run: _Traverse, p: Parameters) -> Locomotion:
 def _locomotion(
     runs: Sequence[_Traverse], p: Parameters, progress: Callable[[float], None]
 ) -> tuple[Array, float]:
-    """(η, p_sw) and J_loc (eq:locomotion_identification_cost)."""
+    """Return (η, p_sw) and J_loc (eq:locomotion_identification_cost)."""
     samples = sum(run.time.size for run in runs)
 
     def cost(values: Array) -> float:
@@ -157,7 +161,7 @@ def _locomotion(
 
 
 def _actuation(runs: Sequence[_Traverse]) -> tuple[Array, float]:
-    """(δ_s, K, τ) and J_act (eq:actuation_identification_cost)."""
+    """Return (δ_s, K, τ) and J_act (eq:actuation_identification_cost)."""
 
     def residuals(values: Array) -> Array:
         return np.concatenate(
@@ -171,7 +175,7 @@ def _actuation(runs: Sequence[_Traverse]) -> tuple[Array, float]:
 
 
 def _energy(runs: Sequence[_Traverse], p: Parameters) -> tuple[Array, float]:
-    """(c_b, α_P) and J_E (eq:energy_identification_cost), each run with its own idle power."""
+    """Return (c_b, α_P) and J_E (eq:energy_identification_cost), with the idle power of each run."""
     tables = [_power_table(run, p.replace(bellows_damping=0.0)) for run in runs]
 
     def residuals(values: Array) -> Array:
@@ -189,7 +193,7 @@ def _energy(runs: Sequence[_Traverse], p: Parameters) -> tuple[Array, float]:
 
 
 def _power_table(run: _Traverse, p: Parameters) -> tuple[Array, Array, Array, Array, float]:
-    """At the power samples over five ridges: time, L̇ of the smoothed length, F_c without damping, power; idle power."""
+    """Return time, L̇ of the smoothed length, F_c without damping and power at the power samples, and idle power."""
     recording = run.recording
     length = smooth(np.concatenate([[0.0], run.time]), np.concatenate([[0.0], run.change]))
     known = np.isfinite(length.value) & np.isfinite(length.rate)

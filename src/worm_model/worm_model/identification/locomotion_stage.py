@@ -23,7 +23,7 @@ from worm_model.identification.block_least_squares import (
     solve,
     with_fixed,
 )
-from worm_model.identification.estimate import Estimate, follow_profile, if_told, quantile
+from worm_model.identification.estimate import Estimate, follow_profile, if_identifiable, quantile
 from worm_model.identification.grooves import (
     MEANS,
     GrooveFit,
@@ -147,9 +147,9 @@ def identify_locomotion(
     )
     progress(1.0)
     return LocomotionResult(
-        viscous_friction=if_told(friction, PAPER.viscous_friction),
-        switching_threshold=if_told(threshold, PAPER.switching_threshold),
-        pitch=if_told(pitch),
+        viscous_friction=if_identifiable(friction, PAPER.viscous_friction),
+        switching_threshold=if_identifiable(threshold, PAPER.switching_threshold),
+        pitch=if_identifiable(pitch),
         dry_friction=(
             _dry_estimate(fit.means[REAR_DRY], deviation[REAR_DRY]),
             _dry_estimate(fit.means[FRONT_DRY], deviation[FRONT_DRY]),
@@ -170,7 +170,7 @@ def _dry_estimate(value: float, deviation: float) -> Estimate:
     """By the curvature of the cost, which has no jumps in dry friction as small as this; no less than nothing."""
     reach = NORMAL * float(deviation)
     estimate = Estimate(float(value), max(float(value) - reach, 0.0), float(value) + reach)
-    return if_told(estimate, USUAL_DRY)
+    return if_identifiable(estimate, USUAL_DRY)
 
 
 def refit(

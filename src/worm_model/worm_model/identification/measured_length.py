@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The measured body length as a function of time, smoothed in a stated way, with its rate.
+"""Measured body length and its rate as smooth functions of time.
 
-A filter that is wide enough to still the camera's noise would round off the corners that the slack makes.
-So only the difference between the measured length and what the run's own actuation fit says is smoothed (a
-parabola through the samples within ± HALF_WINDOW, `simulation.smoothing`), and the fit is added again: where the
-model is right nothing is lost, where it is wrong the camera has the last word, at the filter's pace. The rate
-is treated alike. Gaps are bridged by the fit.
+A filter wide enough for the camera's noise would smooth the corners that the slack causes. Therefore only the
+difference between the measured length and the run's actuation fit is smoothed (a parabola through the samples within
+± HALF_WINDOW, `simulation.smoothing`), and the fit is added back. Where the model is correct nothing is lost; where it
+is wrong the result follows the camera with the filter's bandwidth. The rate is treated in the same way. Gaps are
+filled by the fit.
 """
 
 from __future__ import annotations
@@ -25,17 +25,21 @@ from worm_model.identification.robust import OUTLIER, scale_of
 from worm_model.simulation.smoothing import smooth
 
 HALF_WINDOW = 2.0  # s
-GRID_STEP = 0.008  # s, of the smoothed length: a tenth of the fastest relaxation of a fin
-FINE_STEP = 0.001  # s, for the rate of the actuation fit
+GRID_STEP = 0.008  # s, step of the smoothed length: a tenth of the fastest time constant of a fin
+FINE_STEP = 0.001  # s, step for the rate of the actuation fit
 
 
 @dataclass(frozen=True)
 class MeasuredLength:
-    """ΔL of a run on the camera's clock, from the onset on in steps of ``step`` s.
+    """Length change ΔL of a run on the camera's clock, from the onset on.
 
-    ``time``, ``length_change``, ``rate`` (n,): s, m, m/s, at rest at the first; ``initial_length`` m and
-    ``initial_spread``, the standard deviation of its mean at rest; ``misfit`` (samples,) m: measured minus the run's
-    own actuation fit; ``outliers`` (samples,): which lengths were left out.
+    Attributes:
+        step: time step, s.
+        time, length_change, rate: s, m, m/s, shape (n,); at rest at the first step.
+        initial_length: L0, m.
+        initial_spread: standard deviation of the mean length at rest, m.
+        misfit: measured length minus the run's actuation fit, m, shape (samples,).
+        outliers: mask of the excluded lengths, shape (samples,).
     """
 
     step: float
@@ -49,14 +53,14 @@ class MeasuredLength:
 
 
 def measured_length(recording: Recording) -> MeasuredLength:
-    """Smooths the length of a run that follows its command, however roughly."""
+    """Smooth the length of a run whose body follows its command at least roughly."""
     fit = fit_actuation([recording])
     offset, engagement = float(fit.clock_offset[0]), float(fit.engagement[0])
 
     def modelled(times: Array) -> Array:
         return predicted_length_change(recording, fit.values, times, offset, engagement)
 
-    # The gait begins on the servo's clock, at −offset on the camera's.
+    # The onset is on the servo's clock, at −offset on the camera's.
     start = engagement - offset
     steps = np.arange(int((recording.end - start) / GRID_STEP) + 1, dtype=np.float64)
     time: Array = start + GRID_STEP * steps
@@ -65,7 +69,7 @@ def measured_length(recording: Recording) -> MeasuredLength:
     kept = np.where(outliers | (recording.camera_time < start - HALF_WINDOW), np.nan, misfit)
     smoothed = smooth(recording.camera_time, kept, at=time, before=HALF_WINDOW, after=HALF_WINDOW)
     value, rate = _bridged(smoothed.value), _bridged(smoothed.rate)
-    fade = np.minimum((time - start) / HALF_WINDOW, 1.0)  # from rest, which L0 stands for
+    fade = np.minimum((time - start) / HALF_WINDOW, 1.0)  # L0 is the length at rest
     rest = recording.length[recording.at_rest & ~outliers]
     half = 0.5 * FINE_STEP
     steepness = (modelled(time + half) - modelled(np.maximum(time - half, start))) / np.where(
@@ -84,7 +88,7 @@ def measured_length(recording: Recording) -> MeasuredLength:
 
 
 def _bridged(values: Array) -> Array:
-    """What is missing in a gap, on a straight line between its ends."""
+    """Return values with gaps filled by linear interpolation."""
     present = np.isfinite(values)
     if not present.any():
         return np.zeros_like(values)

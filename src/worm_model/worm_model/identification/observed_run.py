@@ -120,7 +120,7 @@ def recording_of(run: Run, name: str) -> Recording:
 def _recording(run: Run, row: int, name: str) -> Recording:
     """Of the gait whose first message of being played is a row of the states."""
     states = run.gait_state
-    gait = Gait(float(states.stroke[row]), float(states.frequency[row]), int(states.direction[row]))
+    gait = replace(states.gait(row), margin=0.0)
     onset = int(states.onset[row])
     first, last = _span(states, row)
 
@@ -191,8 +191,7 @@ def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
     """By how many s the commanded lengths begin later than the onset that was announced."""
 
     def misfit(shift: Array) -> Array:
-        phase = 2.0 * np.pi * gait.frequency * np.maximum(time - shift[0], 0.0)
-        return 1e3 * (command + 0.5 * gait.stroke * (1.0 - np.cos(phase)))
+        return 1e3 * (command - gait.command(np.maximum(time - shift[0], 0.0)))
 
     played = time < time[-1] - 0.25 * gait.period  # a run's last moments may be its stop
     fit = least_squares(

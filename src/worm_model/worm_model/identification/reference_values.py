@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 1: masses, pitch and unstressed length as given, with their uncertainty.
+"""Stage 1: given masses, pitch and unstressed length, with their uncertainty.
 
-They come from a parameter file, or from what a lab's README says in words such as ``M1 = 0.433 kg`` or
-``M1 = 0.433 ± 0.001 kg``. Bounds that are not given are those of a ruler and a scale.
+The source is a parameter file, or a lab's README with statements such as ``M1 = 0.433 kg`` or ``M1 = 0.433 ± 0.001
+kg``. Missing bounds are those of a ruler and a scale.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from worm_model.identification.estimate import Estimate, not_told
+from worm_model.identification.estimate import Estimate, not_identifiable
 from worm_model.parameters import KEYS, PAPER, ParameterFile, Parameters
 
 MEASURED = ("rear_mass", "front_mass", "unstressed_length", "pitch")
-# 95 % bounds to each side where none are given: a kitchen scale, a ruler, a ruler over many ridges
+# Default half-widths of the 95 % bounds: a kitchen scale, a ruler, a ruler over many ridges
 READING = {
     "rear_mass": 1e-3,
     "front_mass": 1e-3,
@@ -32,15 +32,20 @@ _UNIT = r"(kg|g|mm|m)\b"
 _STATEMENT = re.compile(
     rf"\b(M1|M2|L_free|d)\s*=\s*{_NUMBER}\s*(?:{_UNIT})?(?:\s*(?:±|\+/-|\+-)\s*{_NUMBER}\s*{_UNIT})?"
 )
-NOT_SAID = "the paper"
+DEFAULT_SOURCE = "the paper"
 
 
 @dataclass(frozen=True)
 class ReferenceValues:
-    """``parameters`` from which identification starts, ``intervals`` as far as known, and the ``source`` in words.
+    """Given parameters with known intervals.
 
-    ``others``: the source of keys of which ``source`` says nothing. ``fitted_otherwise``: c_b and α_P were fitted with
-    another form of the power than the one that ``parameters`` asks for.
+    Attributes:
+        parameters: start values of the identification.
+        intervals: known 95 % intervals by key.
+        source: source of the values, as text.
+        others: sources of single keys, where they differ from ``source``.
+        fitted_otherwise: True if the given c_b and α_P were fitted with another power model than that of
+            ``parameters``.
     """
 
     parameters: Parameters
@@ -50,13 +55,13 @@ class ReferenceValues:
     fitted_otherwise: bool = False
 
     def with_one_sided_cable(self) -> ReferenceValues:
-        """The same for a fit of the power of a cable that cannot push."""
+        """Return the values for the power model of a cable that cannot push."""
         other = not self.parameters.one_sided_cable
-        asked = self.parameters.replace(one_sided_cable=True)
-        return replace(self, parameters=asked, fitted_otherwise=other)
+        parameters = self.parameters.replace(one_sided_cable=True)
+        return replace(self, parameters=parameters, fitted_otherwise=other)
 
     def estimate(self, key: str) -> Estimate:
-        """A value as given; what was neither measured nor given with bounds is not identifiable."""
+        """Return the given value; it is not identifiable if it was neither measured nor given with bounds."""
         value = float(getattr(self.parameters, key))
         note = f"as given by {self.others.get(key, self.source)}"
         if key in self.intervals:
@@ -65,16 +70,16 @@ class ReferenceValues:
         if key in MEASURED:
             reading = READING[key]
             return Estimate(value, value - reading, value + reading, True, note)
-        return not_told(value, note)
+        return not_identifiable(value, note)
 
 
 def reference_by_file(content: ParameterFile, source: str) -> ReferenceValues:
-    """What a parameter file says."""
+    """Return the reference values of a parameter file."""
     return ReferenceValues(content.parameters, content.intervals, source)
 
 
 def reference_by_folder(folder: Path) -> ReferenceValues:
-    """What the README of a lab's folder says, else the paper's values."""
+    """Return the values in the README of a lab's folder, else the paper's values."""
     readme = folder / README
     text = readme.read_text(encoding="utf-8", errors="replace") if readme.is_file() else ""
     values: dict[str, float] = {}
@@ -88,7 +93,7 @@ def reference_by_folder(folder: Path) -> ReferenceValues:
             half = float(bound) * _UNITS[bound_unit]
             intervals[key] = (values[key] - half, values[key] + half)
     if not values:
-        return ReferenceValues(PAPER, {}, NOT_SAID)
+        return ReferenceValues(PAPER, {}, DEFAULT_SOURCE)
     source = f"{README} of {folder.resolve().name}"
-    others = {key: NOT_SAID for key in KEYS if key not in values}
+    others = {key: DEFAULT_SOURCE for key in KEYS if key not in values}
     return ReferenceValues(PAPER.replace(**values), intervals, source, others)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an identification leaves behind: the parameter file of the nodes, and the machine-readable summary."""
+"""Outputs of an identification: parameter file and machine-readable summary."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from worm_model.identification.run_prediction import Errors
 from worm_model.identification.stages import Identification
 from worm_model.parameters import FORM, KEYS, MADE_BY, ParameterFile
 
-CORRELATED = 0.8  # correlations from here on are named
+CORRELATED = 0.8  # smallest reported correlation
 
 
 def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
-    """Values, intervals of what was identified or given with bounds, and where everything comes from."""
+    """Return values, intervals and provenance of all parameters."""
     intervals = {
         key: (float(e.low), float(e.high))
         for key, e in result.estimates.items()
@@ -53,7 +53,7 @@ def parameter_file(result: Identification, inputs: Inputs) -> ParameterFile:
 
 
 def summary(result: Identification) -> dict[str, Any]:
-    """The JSON object of the command line; numbers that are not known are NaN."""
+    """Return the JSON object of the command line; unknown numbers are NaN."""
     return {
         "parameters": {key: e.as_dict() for key, e in result.estimates.items()},
         FORM: result.parameters.one_sided_cable,
@@ -75,7 +75,7 @@ def summary(result: Identification) -> dict[str, Any]:
 
 
 def _clocks(result: Identification, index: int) -> dict[str, float]:
-    """Offsets in s with half-widths of their 95 % intervals, which are NaN where the data do not tell an offset."""
+    """Return clock offsets (s) with 95 % half-widths, NaN where the data do not determine the offset."""
     z = quantile(np.inf)
     power, power_deviation = result.power_clock(result.runs[index].name)
     return {
@@ -87,7 +87,7 @@ def _clocks(result: Identification, index: int) -> dict[str, float]:
 
 
 def nuisances(result: Identification) -> dict[str, Any]:
-    """What is no parameter of the model but was found on the way."""
+    """Return the nuisance parameters and intermediate results."""
     locomotion = result.locomotion
     return {
         "without_dry_friction": dict(
@@ -105,7 +105,7 @@ def nuisances(result: Identification) -> dict[str, Any]:
 
 
 def correlations(result: Identification) -> list[tuple[str, str, float]]:
-    """Pairs of estimates that move together, strongest first."""
+    """Return strongly correlated pairs of estimates, strongest first."""
     strong = [pair for pair in _correlated(result) if abs(pair[2]) >= CORRELATED]
     return sorted(strong, key=lambda pair: -abs(pair[2]))
 
@@ -117,7 +117,7 @@ def _correlated(result: Identification) -> list[tuple[str, str, float]]:
 
 
 def _of_parameters(result: Identification) -> dict[tuple[str, str], float]:
-    """Correlations of what is in a parameter file, as far as they are known."""
+    """Return the known correlations between the keys of a parameter file."""
     return {
         (a, b): round(rho, 4)
         for a, b, rho in _correlated(result)

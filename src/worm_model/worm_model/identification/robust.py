@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the stages share: robust scales, weights of samples, and least squares with nuisances of each run."""
+"""Robust statistics of the stages: scales, noise and correlation of residuals."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from numpy.typing import ArrayLike
 
 from worm_model.arrays import Array
 
-SIGMA_PER_MAD = 1.4826  # of a normal distribution
-OUTLIER = 5.0  # scales
+SIGMA_PER_MAD = (
+    1.4826  # ratio of standard deviation to median absolute deviation of a normal distribution
+)
+OUTLIER = 5.0  # residual of an outlier, in robust standard deviations
 MOST_MEMORY = 0.9
-ONE_SIDED = 1.645  # standard deviations of a correlation that white residuals exceed once in twenty
+ONE_SIDED = 1.645  # one-sided 95 % quantile of the normal distribution
 
 
 def scale_of(values: ArrayLike) -> float:
-    """Robust standard deviation (median absolute deviation) of the finite values; 0 without any."""
+    """Return the robust standard deviation (from the median absolute deviation) of the finite values; 0 if none."""
     array = np.asarray(values, dtype=float)
     finite = array[np.isfinite(array)]
     if not finite.size:
@@ -24,15 +26,15 @@ def scale_of(values: ArrayLike) -> float:
 
 
 def noise_of(values: ArrayLike) -> float:
-    """Standard deviation of white noise on a smooth signal, from second differences; the noise of `scale_of`."""
+    """Return the standard deviation of white noise on a smooth signal, from second differences."""
     return scale_of(np.diff(np.asarray(values, dtype=float), 2)) / np.sqrt(6.0)
 
 
 def dependence(residuals: Array) -> float:
-    """By what the variance of a fit is to be multiplied for residuals that resemble the one before them, at least 1.
+    """Return the factor on the variance of a fit for correlated residuals, at least 1.
 
-    A bench test has hysteresis, and its residuals (n,), in the order in which they were taken, then say less than as
-    many independent ones. As for a first-order autoregression; 1 where the correlation could be chance.
+    Hysteresis makes the residuals (n,) of a bench test, in the order of measurement, less informative than independent
+    ones. The factor is that of a first-order autoregression; it is 1 if the correlation is not significant.
     """
     r = residuals / max(scale_of(residuals), 1e-300)
     r = np.clip(r - np.median(r), -OUTLIER, OUTLIER)

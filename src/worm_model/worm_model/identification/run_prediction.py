@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a parameter set predicts of a run, and its errors: the exact model that the nodes use, no nuisance but L0."""
+"""Prediction of a run by a parameter set, and its errors, with the exact model and the run's L0."""
 
 from __future__ import annotations
 
@@ -21,10 +21,13 @@ from worm_model.simulation.smoothing import Smoothed
 
 @dataclass(frozen=True)
 class RunPrediction:
-    """What is expected along a run.
+    """Predicted quantities along a run.
 
-    At ``time`` (n,) s of the camera: ``x1`` m under the measured length, ``power`` W and ``energy`` J since the onset;
-    ``length_change`` (samples,) m from the command, at the camera's samples.
+    Attributes:
+        time: time on the camera's clock, s, shape (n,).
+        x1: rear position for the measured length, m, shape (n,).
+        power, energy: W and J since the onset, shape (n,).
+        length_change: ΔL for the command at the camera's samples, m, shape (samples,).
     """
 
     time: Array
@@ -36,9 +39,9 @@ class RunPrediction:
 
 @dataclass(frozen=True)
 class Errors:
-    """Root mean squares of x1 (m), ΔL (m) and power (W); ``energy_error`` relative at the end of the five ridges.
+    """Rms errors of x1 (m), ΔL (m) and power (W), and relative energy error at the end of the five ridges.
 
-    Power and energy are NaN where the power sensor did not see the run, energy also where it saw but a part.
+    Power and energy errors are NaN without power samples; the energy error also if they cover only a part of the run.
     """
 
     x1_rmse: float
@@ -50,10 +53,7 @@ class Errors:
 def predict(
     recording: Recording, traverse: Traverse, parameters: Parameters, clock_offset: float = 0.0
 ) -> RunPrediction:
-    """The prediction with the run's own initial length.
-
-    ``clock_offset`` s is by how much the camera's clock is behind the servo's, as far as that is known beforehand.
-    """
+    """Predict a run with its own initial length; ``clock_offset`` (s) is that of the camera behind the servo."""
     length = traverse.length
     values = parameters.replace(initial_length=length.initial_length)
     time, change, rate = length.time, length.length_change, length.rate
@@ -73,7 +73,7 @@ def predict(
 
 
 def errors(recording: Recording, traverse: Traverse, prediction: RunPrediction) -> Errors:
-    """What is left between prediction and measurement over the five ridges."""
+    """Return the errors of a prediction over the five ridges."""
     x1 = traverse.x1 - np.interp(traverse.time, prediction.time, prediction.x1)
     during = (recording.camera_time >= 0.0) & (recording.camera_time <= traverse.end)
     change = recording.length - traverse.length.initial_length - prediction.length_change
@@ -94,7 +94,7 @@ def _energy_error(time: Array, power: Array, prediction: RunPrediction) -> float
 
 
 def measured_power(recording: Recording, traverse: Traverse) -> tuple[Array, Array]:
-    """(times in s, W) of the power samples over the five ridges."""
+    """Return times (s) and values (W) of the power samples over the five ridges."""
     time = recording.power_time
     during = (time >= max(0.0, traverse.length.time[0])) & (time <= traverse.end)
     return time[during], recording.power[during]

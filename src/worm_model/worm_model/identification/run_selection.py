@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runs that identification uses, those that it is checked against, and what was seen in both."""
+"""Selection of the runs for fitting and validation, with remarks."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from worm_model.identification.measured_length import MeasuredLength, measured_l
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.quality import power_missing, remarks, starts_apart, usable
 
-OF_THE_MEAN = "of the mean; runs scatter around it by {:.3f} mm (standard deviation)"
-ONE_RUN = "as the camera saw this one run; how much runs differ is not known"
+OF_THE_MEAN = "interval of the mean; the standard deviation between runs is {:.3f} mm"
+ONE_RUN = "measured in this single run; the variation between runs is unknown"
 
 
 @dataclass(frozen=True)
 class Run:
-    """A run that was used: its recording, smoothed length, five ridges and idle power.
+    """Run used for fitting or validation: recording, smoothed length, five ridges and idle power.
 
-    ``powered``: whether its power was seen over the five ridges, so that it bears on c_b and α_P.
+    ``powered`` is True if the run has power samples over the five ridges and is used for c_b and α_P.
     """
 
     recording: Recording
@@ -35,14 +35,15 @@ class Run:
 
     @property
     def name(self) -> str:
-        """The run's name."""
+        """Name of the run."""
         return self.recording.name
 
 
 def prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], list[str]]:
-    """(the runs that can be used, what was seen in all of them).
+    """Return the usable runs and the remarks on all runs.
 
-    Raises `IdentificationError` if none can be used.
+    Raises:
+        IdentificationError: No run is usable.
     """
     lengths = [measured_length(recording) for recording in recordings]
     kept, warnings = usable(recordings, lengths)
@@ -59,9 +60,10 @@ def prepared(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], 
 
 
 def fitted_runs(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run], list[str]]:
-    """`prepared` runs, which all begin in the same grooves, or it is said.
+    """Return the usable runs and the remarks, with a warning if they start in different grooves.
 
-    Raises `IdentificationError` if none can be used.
+    Raises:
+        IdentificationError: No run is usable.
     """
     runs, warnings = prepared(recordings, pitch)
     warnings += starts_apart([run.recording for run in runs])
@@ -71,17 +73,18 @@ def fitted_runs(recordings: Sequence[Recording], pitch: float) -> tuple[list[Run
 def prepared_validation(
     recordings: Sequence[Recording], fitted: Sequence[Recording], pitch: float
 ) -> tuple[list[Run], list[str]]:
-    """The same of runs that were kept aside, which none of the fitted ones may be.
+    """Return the usable validation runs and the remarks.
 
-    Raises `IdentificationError` if one was fitted too, is named twice, or if none can be used.
+    Raises:
+        IdentificationError: A validation run is also fitted or appears twice, or no run is usable.
     """
     known = {_identity(recording): recording.name for recording in fitted}
     names: set[str] = set()
     for recording in recordings:
         if _identity(recording) in known:
             raise IdentificationError(
-                f"validation run {recording.name} is {known[_identity(recording)]}, which is fitted too: a run can "
-                "check only what it did not shape"
+                f"validation run {recording.name} is {known[_identity(recording)]}, which is also fitted; "
+                "remove it from one of the two lists"
             )
         if recording.name in names:
             raise IdentificationError(
@@ -95,12 +98,12 @@ def prepared_validation(
 
 
 def _identity(recording: Recording) -> tuple[str, ...]:
-    """By the contents of its files, by its name where there are none."""
+    """Return the checksums of a run's files, or its name if it has none."""
     return tuple(sorted(recording.sources.values())) or (recording.name,)
 
 
 def initial_length(runs: Sequence[Run]) -> Estimate:
-    """The mean over runs, with the interval of that mean; how far a run is from it is for the caller to tell too."""
+    """Return the mean L0 over runs with its interval; the note contains the variation between runs."""
     lengths = np.array([run.length.initial_length for run in runs])
     mean = float(lengths.mean())
     if lengths.size == 1:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All stages in the order of the paper's Section V, and what is left over when they are held against each run."""
+"""All stages of the identification in the order of the paper's Section V, with held-out errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from worm_model.identification.bellows import BellowsFit, fit_bellows
 from worm_model.identification.camera_delay import camera_delay
 from worm_model.identification.energy import PowerRun, power_run
 from worm_model.identification.energy_stage import EnergyResult, identify_energy
-from worm_model.identification.estimate import Estimate, not_told, quantile
+from worm_model.identification.estimate import Estimate, not_identifiable, quantile
 from worm_model.identification.fin import KEYS as FIN
 from worm_model.identification.fin import FinFit, fit_fin
 from worm_model.identification.forces import Forces, forces_of
@@ -43,32 +43,40 @@ from worm_model.parameters import FITTED_WITH_FORM, KEYS, Parameters
 
 Progress = Callable[[str, float], None]
 
-NO_FIN = (
-    "x1 tells its ratio to the fins' stiffness alone, fitted under the given one; add a fin test"
-)
-UNDER_GIVEN_FINS = "fitted under the given fins; add a fin test"
+NO_FIN = "x1 determines only its ratio to the fin stiffness; fitted for the given stiffness; add a fin test"
+UNDER_GIVEN_FINS = "fitted for the given fins; add a fin test"
 NOT_OF_PAPER = "not in the paper's model; without it η would be {:.1f} N·s/m"
 NO_BELLOWS = "no bellows test, and c_b and α_P depend on k_b"
-ONE_SIDED = "with a cable that cannot push, not to be held against the paper's"
+ONE_SIDED = "for a cable that cannot push, not comparable with the paper's value"
 OTHER_FORM = (
-    "these runs do not tell c_b and α_P ({}), and those given were fitted with a cable that pushes: leave "
-    "--one-sided-cable out, or add what is missing"
+    "these runs do not determine c_b and α_P ({}), and the given values were fitted with the paper's power model. Omit "
+    "--one-sided-cable, or add the missing data"
 )
-NO_FRICTION = "η is not told, and c_b and α_P depend on it"
+NO_FRICTION = "η is not identified, and c_b and α_P depend on it"
 SOFT_FIN = (
-    "fin test: the side that --fin-engages names is the softer one ({engaged:.0f} against {disengaged:.0f} N/m): a fin "
-    "that anchors is stiffer; is it the other sign?"
+    "fin test: the side that --fin-engages names is the softer one ({engaged:.0f} against {disengaged:.0f} N/m), but "
+    "an anchoring fin is stiffer; check the sign"
 )
 
 
 @dataclass(frozen=True)
 class Identification:
-    """Everything that came out.
+    """Result of an identification.
 
-    ``estimates`` of all keys and the ``parameters`` that they make; the results of the stages; ``held_out``: errors
-    of each run under what the others say (empty with one run); ``paper``: under the paper's table; ``validation``: of
-    further runs under ``parameters``; ``camera_delay`` s still in the camera's stamps; ``warnings`` in words.
-    ``power_runs`` are those of the runs whose power was seen.
+    Attributes:
+        estimates: estimates of all keys.
+        parameters: the resulting parameters.
+        reference: given values.
+        runs: runs that were used.
+        bellows, fin: bench tests, None if missing.
+        locomotion, actuation, energy: results of the stages.
+        power_runs: runs with power samples.
+        held_out: errors of each run with the parameters of the others; empty with one run.
+        paper: errors of each run with the paper's table.
+        validation: errors of the validation runs with ``parameters``.
+        camera_delay: remaining delay of the camera's stamps, s.
+        warnings: remarks on data and results.
+        seed: seed of the bootstrap.
     """
 
     estimates: Mapping[str, Estimate]
@@ -89,7 +97,7 @@ class Identification:
     seed: int
 
     def power_clock(self, name: str) -> tuple[float, float]:
-        """(offset in s, its standard deviation) of a run's power sensor behind the camera; NaN where not told."""
+        """Return offset and standard deviation (s) of a run's power sensor behind the camera; NaN if unknown."""
         for run, offset, deviation in zip(
             self.power_runs,
             self.energy.fit.clock_offset,
@@ -109,10 +117,13 @@ def identify(
     validation: Sequence[Recording] = (),
     progress: Progress = lambda _stage, _done: None,
 ) -> Identification:
-    """All parameters from recordings and bench tests; the same inputs and ``seed`` give the same numbers.
+    """Identify all parameters from recordings and bench tests.
 
-    c_b and α_P are fitted with the form of the power that the reference's parameters have. Raises
-    `worm_model.identification.identification_errors.IdentificationError` if the data do not suffice.
+    The same inputs and ``seed`` give the same numbers. c_b and α_P are fitted with the power model of the reference's
+    parameters.
+
+    Raises:
+        IdentificationError: The data do not suffice.
     """
     random = np.random.default_rng(seed)
     estimates = {key: reference.estimate(key) for key in KEYS}
@@ -125,7 +136,7 @@ def identify(
     )
     estimates["initial_length"] = initial_length(runs)
     idle = idle_power([run.idle for run in runs])
-    estimates["idle_power"] = idle or not_told(reference.parameters.idle_power, NO_IDLE)
+    estimates["idle_power"] = idle or not_identifiable(reference.parameters.idle_power, NO_IDLE)
     pitch_deviation = estimates["pitch"].spread / quantile(np.inf)
     check_pitch([run.recording for run in runs], reference.parameters.pitch, pitch_deviation)
     known = Known(_with_values(reference.parameters, estimates), pitch_deviation)
@@ -172,15 +183,15 @@ def _locomotion(
     fin: FinFit | None,
     progress: Progress,
 ) -> LocomotionResult:
-    """Stage 4; where it finds nothing, an odd bench test or runs that began elsewhere may be the reason."""
+    """Run stage 4; its error message includes possible causes in bench tests and starts of runs."""
     traverses = [run.traverse for run in runs]
     try:
         return identify_locomotion(
             traverses, known, fins, lambda done: progress("locomotion", done)
         )
     except IdentificationError as error:
-        odd = starts_apart([run.recording for run in runs])
-        raise IdentificationError("; ".join([str(error), *odd, *bench_warnings(fin)])) from None
+        apart = starts_apart([run.recording for run in runs])
+        raise IdentificationError("; ".join([str(error), *apart, *bench_warnings(fin)])) from None
 
 
 def _energy(
@@ -191,7 +202,7 @@ def _energy(
     reference: ReferenceValues,
     random: np.random.Generator,
 ) -> tuple[EnergyResult, list[PowerRun]]:
-    """Stage 7, on the forces that stage 4 left, of the runs whose power was seen."""
+    """Run stage 7 with the forces of stage 4, for the runs with power samples."""
     powered = [index for index, run in enumerate(runs) if run.powered]
     stiffness = estimates["bellows_stiffness"]
     forces = forces_of(
@@ -215,7 +226,7 @@ def _energy(
 
 
 def bench_warnings(fin: FinFit | None) -> list[str]:
-    """What is odd about the bench tests, in words."""
+    """Return warnings about the bench tests."""
     if fin is None or fin.engaged_stiffness.value >= fin.disengaged_stiffness.value:
         return []
     return [
@@ -233,7 +244,7 @@ def _bench_estimates(bellows: BellowsFit | None, fin: FinFit | None) -> dict[str
 
 
 def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> FinKnowledge | None:
-    """By the fin test, else by the bounds that were given, None if there are none."""
+    """Return the fin values from the fin test or the given bounds; None if there are neither."""
     if fin is not None:
         return FinKnowledge(fin.values, fin.covariance)
     known = [estimates[key] for key in FIN]
@@ -246,14 +257,14 @@ def _fin_knowledge(estimates: Mapping[str, Estimate], fin: FinFit | None) -> Fin
 def _locomotion_estimates(
     locomotion: LocomotionResult, estimates: Mapping[str, Estimate], fin: FinFit | None
 ) -> dict[str, Estimate]:
-    """Without a fin test x1 gives only the ratio of η to the fins' stiffness. The pitch is narrower than measured."""
+    """Return the estimates of stage 4; without a fin test only the ratio of η to the fin stiffness is identifiable."""
     friction, threshold = locomotion.viscous_friction, locomotion.switching_threshold
     note = NOT_OF_PAPER.format(locomotion.as_printed[0])
     dry = [replace(estimate, note=estimate.note or note) for estimate in locomotion.dry_friction]
     if _fin_knowledge(estimates, fin) is None:
-        friction = not_told(friction.value, NO_FIN)
-        threshold = not_told(threshold.value, UNDER_GIVEN_FINS)
-        dry = [not_told(estimate.value, NO_FIN) for estimate in dry]
+        friction = not_identifiable(friction.value, NO_FIN)
+        threshold = not_identifiable(threshold.value, UNDER_GIVEN_FINS)
+        dry = [not_identifiable(estimate.value, NO_FIN) for estimate in dry]
     pitch_estimate = estimates["pitch"]
     value, spread = 1e3 * pitch_estimate.value, 1e3 * pitch_estimate.spread
     note = f"from x1 over the ridges; {value:.2f} ± {spread:.2f} mm {pitch_estimate.note}"
@@ -268,7 +279,7 @@ def _locomotion_estimates(
 
 
 def _energy_estimates(energy: EnergyResult, reference: ReferenceValues) -> dict[str, Estimate]:
-    """c_b and α_P, which hold for one form of the power; raises `IdentificationError` if only the other's are known."""
+    """Return c_b and α_P for the selected power model. Raises IdentificationError if they are unknown for it."""
     fitted = dict(zip(FITTED_WITH_FORM, (energy.bellows_damping, energy.power_factor), strict=True))
     if not reference.parameters.one_sided_cable:
         return fitted
@@ -285,7 +296,7 @@ def _with_values(parameters: Parameters, estimates: Mapping[str, Estimate]) -> P
 
 
 def _power_runs(runs: Sequence[Run], forces: Forces, known: Parameters) -> list[PowerRun]:
-    """With each run's own idle power where it has one."""
+    """Return the data of the power runs, with each run's own idle power if known."""
     return [
         power_run(
             run.recording,

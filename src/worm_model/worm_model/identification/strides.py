@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What x1 alone says of the pitch, before anything is fitted: a robot advances by whole grooves from cycle to cycle.
+"""Plausibility check of the pitch from x1: a robot advances by whole grooves per cycle.
 
-Between two moments one period apart the rear module stands alike in its groove, so that what it advanced is n·d. That
-tells a pitch that was given wrongly, which all else would be fitted around: the front fin starts L0/d ≈ 17 grooves
-ahead of the rear one.
+At two times one period apart the rear module has the same position in its groove, so that the distance is n·d. This
+detects a wrong given pitch, which would bias all other estimates because the front fin starts L0/d ≈ 17 grooves ahead
+of the rear fin.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.observed_run import Recording
 
-# of a pitch from whole grooves, beyond which a fin was on its way at one of both moments
+# Largest deviation from whole grooves, in pitches; beyond it a fin was moving at one of the two times.
 SLIPPING = 0.15
-FEWEST = 20  # samples that tell something
-# of the pitch, three times what strides are off on a robot whose grooves are not alike
+FEWEST = 20  # smallest number of samples
+# Relative to the pitch: three times the error of strides on a robot with varying grooves.
 TOLERANCE = 0.008
 
 
 def pitch_of_strides(recording: Recording, pitch: float) -> float:
-    """Pitch (m) as the strides of a run have it, counted in grooves of about a ``pitch`` (m); NaN of too few."""
+    """Return the pitch (m) from a run's strides, given its approximate value; NaN if there are too few strides."""
     strides = _strides(recording)
     grooves = np.round(strides / pitch)
     whole = (grooves >= 1) & (np.abs(strides - grooves * pitch) < SLIPPING * pitch * grooves)
@@ -34,7 +34,7 @@ def pitch_of_strides(recording: Recording, pitch: float) -> float:
 
 
 def _strides(recording: Recording) -> NDArray[np.float64]:
-    """Advance over one period (m), from every camera sample on that lies between the first cycle and the last."""
+    """Return the advance over one period (m) after each camera sample between the first and the last cycle."""
     known = np.isfinite(recording.x1)
     time, x1 = recording.camera_time[known], recording.gait.direction * recording.x1[known]
     if time.size < FEWEST:
@@ -46,9 +46,10 @@ def _strides(recording: Recording) -> NDArray[np.float64]:
 
 
 def check_pitch(recordings: Sequence[Recording], pitch: float, deviation: float = 0.0) -> None:
-    """Refuses a pitch (m, as given to within a standard ``deviation``) that the strides of all runs contradict.
+    """Check a given pitch (m, with standard ``deviation``) against the strides of all runs.
 
-    Raises `IdentificationError`.
+    Raises:
+        IdentificationError: The strides contradict the pitch.
     """
     pitches = np.array([pitch_of_strides(recording, pitch) for recording in recordings])
     pitches = pitches[np.isfinite(pitches)]
@@ -57,6 +58,6 @@ def check_pitch(recordings: Sequence[Recording], pitch: float, deviation: float 
     median = float(np.median(pitches))
     if abs(median - pitch) > TOLERANCE * pitch + 3.0 * deviation:
         raise IdentificationError(
-            f"pitch: given as {1e3 * pitch:.2f} mm, but the rear module gains {1e3 * median:.2f} mm a groove: "
-            "measure the pitch anew (or the camera's scale), for nothing that is fitted under a wrong one holds"
+            f"pitch: given as {1e3 * pitch:.2f} mm, but the rear module gains {1e3 * median:.2f} mm per groove. "
+            "Measure the pitch again, and check the camera's scale; all other estimates depend on the pitch"
         )

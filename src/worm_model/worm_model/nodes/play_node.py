@@ -24,13 +24,13 @@ from std_srvs.srv import Trigger
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_metadata import first_qos_profile
-from worm_model.bags.cdr import Converter
-from worm_model.bags.message_block import Message, Topic
-from worm_model.bags.message_types import topic_of, with_definition
+from worm_model.bags.formats.bag_metadata import first_qos_profile
+from worm_model.bags.formats.cdr import Converter
+from worm_model.bags.formats.message_block import Message, Topic
+from worm_model.bags.formats.message_types import topic_of, with_definition
 from worm_model.bags.opening import open_bag
-from worm_model.bags.play_clock import Timeline
-from worm_model.bags.recording_session import is_latched
+from worm_model.bags.operations.play_clock import Timeline
+from worm_model.bags.recording.recording_session import is_latched
 from worm_model.commands.command_line import InputError, Parser, not_negative, number, run_command
 from worm_model.nodes.keyboard import keys_of_terminal, pressed
 from worm_model.nodes.raw_subscriptions import message_class
@@ -38,6 +38,7 @@ from worm_msgs.node_command import declare_none
 from worm_msgs.ros_process import own_arguments, ros_process
 
 LONGEST_WAIT_S = 0.005  # between two looks at services and keys
+REMINDER_S = 10.0  # between two lines that say who is waited for
 MATCHING_S = 3.0  # that a subscriber which cannot be connected is waited for
 ACKNOWLEDGED_S = 2.0  # that the last messages have to reach their subscribers
 VOLATILE_DEPTH = 1000  # of samples that may wait for a slow subscriber
@@ -91,6 +92,8 @@ class PlayNode(Node):
         self._subscribers: dict[str, tuple[int, int]] = {}
         self._changed = time.monotonic()  # when subscribers came or went
         self._wanted = not options.paused
+        self._awaited: list[str] = list(options.wait_for)
+        self._reminder = time.monotonic() + REMINDER_S
         self.finished = False
         self.published = 0
         for act in (self.pause, self.resume, self.step):
@@ -126,7 +129,7 @@ class PlayNode(Node):
         if converter.added:
             added = ", ".join(converter.added)
             self.get_logger().warning(
-                f"{channel.name}: the bag is from before {type_name} had {added}, played as zero or empty"
+                f"{channel.name}: the bag is from before {type_name} had {added}; played with its default"
             )
         return converter
 
@@ -163,7 +166,8 @@ class PlayNode(Node):
         if not self._begun:
             self.begin()
         wall = time.monotonic()
-        if self._timeline.paused and self._is_heard(wall) and self._wanted:
+        begins = self._timeline.paused and self._wanted
+        if begins and not self._is_awaiting(wall) and self._is_heard(wall):
             self._timeline = self._timeline.resume(wall)
         now_ns = self._timeline.at(wall)
         while not self._timeline.paused and self._pending and self._pending.log_time <= now_ns:
@@ -191,6 +195,22 @@ class PlayNode(Node):
         connected = all(reached >= known for reached, known in counts.values())
         patience = self._options.delay + (0.0 if connected else MATCHING_S)
         return wall >= self._changed + patience
+
+    def _is_awaiting(self, wall: float) -> bool:
+        """Return whether a node of --wait-for does not subscribe yet; log it now and then."""
+        if not self._awaited:
+            return False
+        listeners = {
+            (info.node_name, info.node_namespace)
+            for topic in self._publishers_by_topic
+            for info in self.get_subscriptions_info_by_topic(topic)
+        }
+        own = self.get_namespace()
+        self._awaited = [name for name in self._awaited if (name, own) not in listeners]
+        if self._awaited and wall >= self._reminder:
+            self._reminder = wall + REMINDER_S
+            self.get_logger().info(f"waiting for {', '.join(self._awaited)} to subscribe")
+        return bool(self._awaited)
 
     def _publish_next(self) -> None:
         assert self._pending is not None
@@ -304,6 +324,14 @@ def _parser() -> Parser:
         default=1.0,
         metavar="S",
         help="without a new subscriber, before the first message (default 1 s)",
+    )
+    parser.add_argument(
+        "--wait-for",
+        action="append",
+        default=[],
+        metavar="NODE",
+        help="before the first message, wait until this node of the namespace subscribes to a topic that is played; "
+        "may be repeated",
     )
     parser.add_argument(
         "--clock",

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Raw subscriptions to any topics, for recording.
 
-The subscriptions, and the recorder's services, are polled, not spun: an executor spends some 0.2 ms of Python a
-message, a look at a subscription that takes all that is waiting a hundredth of it, and the stamps come from the
-middleware, so that polling costs no accuracy. Of the services that a node has by itself it offers none, since nobody
-would answer.
+The subscriptions and the recorder's services, those of its parameters included, are polled, not spun: an executor
+spends some 0.2 ms of Python a message, a look at a subscription that takes all that is waiting a hundredth of it, and
+the stamps come from the middleware, so that polling costs no accuracy.
 """
 
 from __future__ import annotations
@@ -17,19 +16,17 @@ from dataclasses import replace
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.serialization import deserialize_message
-from rclpy.service import Service
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from worm_model.bags.bag_errors import BagError, DefinitionError
-from worm_model.bags.bag_metadata import dump_yaml
-from worm_model.bags.message_block import Message, Topic
-from worm_model.bags.message_loss import LossCounter
-from worm_model.bags.message_types import installed_definition
-from worm_model.bags.topic_selection import TopicSelection
+from worm_model.bags.formats.bag_metadata import dump_yaml
+from worm_model.bags.formats.message_block import Message, Topic
+from worm_model.bags.formats.message_types import installed_definition
+from worm_model.bags.recording.message_loss import LossCounter
+from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.bags.worm_topics import GAIT_STATE, TWIN_EVENT
 from worm_model.nodes.recording_qos import describe, subscription_qos
 from worm_model.run import INACTIVE
@@ -134,11 +131,7 @@ class RecordNode(Node):
     """
 
     def __init__(self, selection: TopicSelection, depth: int) -> None:
-        super().__init__(
-            "recorder",
-            start_parameter_services=False,  # nobody would answer: the node is not spun
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
+        super().__init__("recorder")
         declare_none(self)
         names = frozenset(map(self._full_name, selection.names))
         self._selection = replace(selection, names=names)
@@ -148,7 +141,6 @@ class RecordNode(Node):
         self._run, self._onset = 0, 0  # of the gait that was noted last
         self._noted = False
         self._drivers: dict[str, int] = {}  # the last state, by topic
-        self._offered: list[Service] = []
         self._settled = time.monotonic() + SETTLING_S
 
     def _full_name(self, name: str) -> str:
@@ -169,15 +161,18 @@ class RecordNode(Node):
             self.get_logger().info(f"{name}: {response.message}")
             return response
 
-        self._offered.append(self.create_service(Trigger, f"~/{name}", serve))
+        self.create_service(Trigger, f"~/{name}", serve)
 
     def serve(self) -> None:
-        """Answer what was asked for since the last look."""
-        for service in self._offered:
-            with service.handle:
-                request, header = service.handle.service_take_request(Trigger.Request)
-            if header is not None:
-                service.send_response(service.callback(request, Trigger.Response()), header)
+        """Answer the requests to all services of the node, its parameters' included, since the last call."""
+        for service in self.services:
+            kind = service.srv_type
+            while True:
+                with service.handle:
+                    request, header = service.handle.service_take_request(kind.Request)
+                if header is None:
+                    break
+                service.send_response(service.callback(request, kind.Response()), header)
 
     @property
     def missed(self) -> dict[str, int]:
@@ -301,10 +296,7 @@ def _describe_gait(state: Any) -> dict[str, str]:
     """A running gait as text; empty when none runs."""
     if state.state != state.RUNNING or state.gait.stroke <= 0.0:
         return {}
-    gait = {
-        key: repr(getattr(state.gait, key))
-        for key in ("stroke", "frequency", "direction", "margin")
-    }
+    gait = {key: repr(getattr(state.gait, key)) for key in state.gait.get_fields_and_field_types()}
     return gait | {
         "cycles": str(state.cycles),
         "onset_ns": str(state.onset.sec * 10**9 + state.onset.nanosec),

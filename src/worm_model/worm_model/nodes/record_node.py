@@ -12,13 +12,17 @@ from functools import partial
 from pathlib import Path
 
 from worm_model.bags.bag_errors import BagError, UnwritableError
-from worm_model.bags.bag_writer import COMPRESSIONS, WriteOptions
-from worm_model.bags.cleaning import Cleaner
-from worm_model.bags.message_block import Message
-from worm_model.bags.recorder import Manifest
-from worm_model.bags.recording_session import RecordingSession, SessionOptions
-from worm_model.bags.run_manifest import GAIT_RECORD, is_text, run_manifest
-from worm_model.bags.topic_selection import TopicSelection
+from worm_model.bags.formats.bag_writer import COMPRESSIONS, WriteOptions
+from worm_model.bags.formats.message_block import Message
+from worm_model.bags.operations.cleaning import Cleaner
+from worm_model.bags.recording.recorder import Manifest
+from worm_model.bags.recording.recording_session import (
+    RecordingSession,
+    SessionOptions,
+    after_crash,
+)
+from worm_model.bags.recording.run_manifest import GAIT_RECORD, is_text, run_manifest
+from worm_model.bags.recording.topic_selection import TopicSelection
 from worm_model.commands.command_line import (
     BAD_INPUT,
     DONE,
@@ -30,6 +34,7 @@ from worm_model.commands.command_line import (
     run_command,
 )
 from worm_model.nodes.raw_subscriptions import RecordNode
+from worm_msgs import readiness
 from worm_msgs.ros_process import Ending, own_arguments, ros_process
 
 POLL_S = 0.01
@@ -132,6 +137,12 @@ def _parser() -> Parser:
         "--to-rest",
         action="store_true",
         help="after Ctrl-C, go on until the driver has let go of the robot or is gone; Ctrl-C once more ends at once",
+    )
+    parser.add_argument(
+        "--after-crash",
+        action="store_true",
+        help="where OUTPUT is a bag that its recorder has not closed, record into OUTPUT_2, OUTPUT_3 and so on: for a "
+        "recorder that is started again after a crash",
     )
     parser.add_argument("--json", action="store_true", help="print the outcome as one JSON object")
     return parser
@@ -242,7 +253,7 @@ def _session_options(
 
     manifest()  # what is wrong with it is told before anything is made
     return SessionOptions(
-        output=arguments.output,
+        output=after_crash(arguments.output) if arguments.after_crash else arguments.output,
         manifest=manifest,
         write=WriteOptions(
             arguments.compression,
@@ -268,7 +279,12 @@ def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Ending) -
     for name in SERVICES:
         node.offer_service(name, getattr(session, name))
     kept = f"the last {options.ring_s:g} s for snapshots" if options.ring_s else "to"
+    if options.output != arguments.output:
+        node.get_logger().warning(
+            f"{arguments.output} was not closed by its recorder, and goes on in {options.output}"
+        )
     node.get_logger().info(f"recording {kept} {options.output}")
+    readiness.announce()
     recording = _Recording(node, session, cleaner)
     ended.again = recording.hurry
     end = partial(recording.to_rest, ended) if arguments.to_rest else ended

@@ -9,7 +9,7 @@ from typing import Any
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from worm_model.bags.bag_metadata import qos_profile
+from worm_model.bags.formats.bag_metadata import qos_profile
 
 
 def subscription_qos(offered: Sequence[QoSProfile], depth: int) -> QoSProfile:

@@ -9,11 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from worm_model.gait import Gait
 from worm_model.twin.forecast import Forecast
 from worm_model.twin.records import (
     NANOSECONDS,
@@ -22,7 +20,11 @@ from worm_model.twin.records import (
     Event,
     residual_message,
 )
-from worm_model.twin.samples import Kind
+from worm_model.twin.samples import (
+    GAIT_VALUES,
+    VALUES,
+    Kind,
+)
 from worm_model.twin.scene import FRAME
 from worm_model.twin.twin_settings import TwinSettings
 from worm_msgs.msg import (
@@ -32,10 +34,12 @@ from worm_msgs.msg import (
     Power,
     Tracker,
     TwinEvent,
+    TwinMemory,
     TwinResiduals,
     TwinState,
 )
 from worm_msgs.msg import Gait as GaitMessage
+from worm_msgs.parameter_rows import ParameterRow
 
 
 def nanoseconds(stamp: Any) -> int:
@@ -58,13 +62,13 @@ def gait_sample(message: Any) -> Row:
     """Of a GaitState."""
     stamp, gait = nanoseconds(message.header.stamp), message.gait
     identity = nanoseconds(message.onset), message.state, message.run, message.cycle
-    values = gait.stroke, gait.frequency, float(gait.direction), gait.margin
+    values = (float(getattr(gait, name)) for name in GAIT_VALUES)
     return (stamp, Kind.GAIT, *identity, stamp, *values)
 
 
 def _row(kind: int, message: Any, a: float, b: float = 0.0) -> Row:
     stamp = nanoseconds(message.header.stamp)
-    return (stamp, kind, 0, 0, 0, 0, stamp, a, b, 0.0, 0.0)
+    return (stamp, kind, 0, 0, 0, 0, stamp, a, b, *[0.0] * (len(VALUES) - 2))
 
 
 #: of urdf/worm.urdf: x1, and x2 - x1
@@ -120,6 +124,11 @@ def event_message(event: Event) -> TwinEvent:
     )
 
 
+def memory_message(stamp_ns: int, content: str) -> TwinMemory:
+    """A stored memory as TwinMemory."""
+    return TwinMemory(header=Header(stamp=time_message(stamp_ns)), content=content)
+
+
 def joint_state(row: Any) -> JointState:
     """Where the modules are, as the joints of urdf/worm.urdf (m); of a row of STATE_ROW."""
     rear = float(row["rear_position"])
@@ -136,11 +145,6 @@ def _filled(message: Any, row: Any, names: Sequence[str]) -> Any:
     for name in names:
         setattr(message, name, row[name].item())
     return message
-
-
-def gait_of(message: Any) -> Gait:
-    """Of a Gait; raises `worm_model.gait.GaitError`."""
-    return Gait(message.stroke, message.frequency, message.direction, message.margin)
 
 
 def fill_forecast(response: Any, prediction: Forecast) -> Any:
@@ -176,22 +180,11 @@ def fill_forecast(response: Any, prediction: Forecast) -> Any:
 PARAMETER_FILE = "parameter_file"
 
 
-def rows() -> list[tuple[str, Any, ParameterDescriptor]]:
-    """Name, default and descriptor of every parameter."""
-    text = "the model's parameters (YAML); empty: the paper's"
-    result: list[tuple[str, Any, ParameterDescriptor]] = [
-        (PARAMETER_FILE, "", ParameterDescriptor(description=text))
-    ]
-    for row in dataclasses.fields(TwinSettings):
-        limits = FloatingPointRange(
-            from_value=row.metadata["low"], to_value=row.metadata["high"], step=0.0
-        )
-        descriptor = ParameterDescriptor(
-            description=row.metadata["text"], floating_point_range=[limits]
-        )
-        default: Any = row.default
-        result.append((row.name, float(default), descriptor))
-    return result
+def rows() -> list[ParameterRow]:
+    """Return every parameter."""
+    file = ParameterRow(PARAMETER_FILE, "", "The model's parameters (YAML); empty: the paper's.")
+    settings = dataclasses.fields(TwinSettings)
+    return [file, *(ParameterRow(row.name, row.default, **row.metadata) for row in settings)]
 
 
 def settings_of(node: Any) -> TwinSettings:

@@ -26,7 +26,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from worm_model.gait import GaitError
+from worm_model.gait import (
+    GaitError,
+    gait_of,
+)
 from worm_model.nodes import twin_messages
 from worm_model.nodes.scene_markers import marker_array
 from worm_model.parameters import ParameterError, load_parameters
@@ -35,9 +38,11 @@ from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.records import Event, Severity, StateRecord
 from worm_model.twin.samples import SAMPLE, Kind
 from worm_model.twin.scene import LOST_S, Sighting, scene
+from worm_model.twin.stored_memory import StoringTimes, stored_memory
 from worm_model.twin.twin import Output, Twin
 from worm_model.twin.twin_status import report
-from worm_msgs.msg import BodyLength, TwinEvent, TwinResiduals, TwinState
+from worm_msgs import qos
+from worm_msgs.msg import BodyLength, TwinEvent, TwinMemory, TwinResiduals, TwinState
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import Ending, ending_at_once, spare_pauses
 from worm_msgs.srv import PredictGait
@@ -93,6 +98,8 @@ class TwinNode(Node):
         self._residuals = self.create_publisher(TwinResiduals, "twin/residuals", BURST)
         self._lengths = self.create_publisher(BodyLength, "body_length/estimated", BURST)
         self._events = self.create_publisher(TwinEvent, "twin/events", _LATCHED)
+        self._memories = self.create_publisher(TwinMemory, "twin/memory", qos.LATCHED)
+        self._storing = StoringTimes()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
@@ -119,6 +126,10 @@ class TwinNode(Node):
         samples = samples[np.argsort(samples["stamp"], kind="stable")]
         output = self._twin.advance(self._state, samples)
         self._publish(output)
+        if self._storing.is_due(self._state):
+            content = stored_memory(self._twin, self._state)
+            stamp = int(self._state.record["taken_ns"])
+            self._memories.publish(twin_messages.memory_message(stamp, content))
         if len(output.states):
             self._shown, self._moved = output.states[-1].copy(), self._heard
         if len(output.residuals):
@@ -133,9 +144,9 @@ class TwinNode(Node):
         convert: Callable[[Any], twin_messages.Row],
         group: CallbackGroup,
     ) -> Callable[[], list[twin_messages.Row]]:
-        qos = _LATCHED if topic == "gait_state" else DEPTH
+        profile = _LATCHED if topic == "gait_state" else DEPTH
         subscription = self.create_subscription(
-            kind, topic, lambda _: None, qos, callback_group=group
+            kind, topic, lambda _: None, profile, callback_group=group
         )
 
         def take() -> list[twin_messages.Row]:
@@ -195,7 +206,7 @@ class TwinNode(Node):
         self, request: PredictGait.Request, response: PredictGait.Response
     ) -> PredictGait.Response:
         try:
-            gait = twin_messages.gait_of(request.gait)
+            gait = gait_of(request.gait)
             prediction = forecast(self._twin, self._state, gait, request.horizon)
         except (GaitError, ForecastError) as error:
             response.success, response.message = False, str(error)

@@ -18,9 +18,12 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from worm_model.commands.command_line import InputError, Parser, run_command
-from worm_model.gait import GaitError
+from worm_model.gait import (
+    GaitError,
+    gait_of,
+)
 from worm_model.nodes.keyboard import keys_of_terminal, pressed
-from worm_model.nodes.twin_messages import gait_of, nanoseconds
+from worm_model.nodes.twin_messages import nanoseconds
 from worm_model.parameters import load_parameters
 from worm_model.twin.records import Activity, Health, LengthSource
 from worm_model.twin.watch_view import CLEAR, NAN, Trend, View, render
@@ -135,10 +138,11 @@ class WatchNode(Node):
         self._remember(view)
         if self._frozen:
             return
-        width = min(max(shutil.get_terminal_size().columns, LEAST_WIDTH), MOST_WIDTH)
+        terminal = shutil.get_terminal_size()
+        width = min(max(terminal.columns, LEAST_WIDTH), MOST_WIDTH)
         trend = Trend(tuple(self._differences), tuple(self._powers))
-        lines = render(view, self._pitch, width, trend)
-        lines += ["", KEYS if sys.stdin.isatty() else NO_KEYS]
+        lines = render(view, self._pitch, width, trend)[: max(terminal.lines - 2, 1)]
+        lines.append(KEYS if sys.stdin.isatty() else NO_KEYS)
         sys.stdout.write(CLEAR + "\n".join(lines) + "\n")
         sys.stdout.flush()
 

@@ -11,17 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_model.gait import Gait, GaitError
+from worm_model.gait import GAIT_DEFAULTS, Gait, GaitError, check_body
 from worm_model.parameters import KEYS, PAPER, ParameterError, Parameters
 from worm_model.simulation.kernel import whole_run as run
 from worm_model.simulation.kernel.mode import nearest_groove
 from worm_model.simulation.kernel.work import cable_power
+from worm_model.simulation.rows import GAIT_ROW, Rows, parameter_rows
 from worm_model.simulation.simulator import (
     AVERAGED,
     CYCLES,
     check_cycles,
     cost_of_transport,
-    parameter_row,
 )
 
 Array = NDArray[np.float64]
@@ -33,13 +33,10 @@ CHUNK = 256  # gaits that one thread takes at a time: some milliseconds
 class GaitTable:
     """Figures of many gaits, each field an array of the broadcast shape; see `simulator.GaitResult`.
 
-    Where the simulator gave up on a gait (chatter), its figures are NaN.
+    ``gait`` maps the fields of `Gait` to such arrays. Figures of a gait without an end (chatter) are NaN.
     """
 
-    stroke: Array
-    frequency: Array
-    direction: Array
-    margin: Array
+    gait: Mapping[str, Array]
     speed: Array
     power: Array
     cost_of_transport: Array
@@ -49,45 +46,54 @@ class GaitTable:
     switches: NDArray[np.int64]
 
 
-def _gait_rows(columns: list[Array]) -> Array:
-    rows = np.stack([column.ravel() for column in columns], axis=1)
-    lowest = rows.min(axis=0, initial=np.inf)
-    highest = rows.max(axis=0, initial=-np.inf)
-    if rows.shape[0] and not np.all(np.isfinite(rows)):
-        raise ValueError("gaits: every stroke, frequency, direction and margin must be finite")
-    if np.any(np.abs(rows[:, 2]) != 1.0):
+def _gait_rows(fields: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> Rows:
+    """Return the gaits as rows (n,) of GAIT_ROW; raises as `evaluate_gaits` does."""
+    rows = np.empty(int(np.prod(shape)), GAIT_ROW)
+    for name in GAIT_ROW.names or ():
+        rows[name] = np.broadcast_to(np.asarray(fields[name], dtype=float), shape).ravel()
+    if not len(rows):
+        return rows
+    if not all(np.all(np.isfinite(rows[name])) for name in GAIT_ROW.names or ()):
+        raise ValueError(f"gaits: every {', '.join(GAIT_ROW.names or ())} must be finite")
+    if np.any(np.abs(rows["direction"]) != 1.0):
         raise GaitError("direction: every direction must be 1 (forward) or -1 (reverse)")
-    if rows.shape[0]:  # the limits of a gait bound each column on its own: its extremes decide
-        for stroke, frequency, direction, margin in (lowest, highest):
-            Gait(stroke, frequency, int(direction), margin)
+    for extreme in (np.min, np.max):  # the limits of a gait bound each column on its own
+        Gait(**{name: extreme(rows[name]).item() for name in GAIT_ROW.names or ()})
     return rows
 
 
 def _parameter_rows(
     parameters: Parameters, overrides: Mapping[str, ArrayLike], shape: tuple[int, ...]
-) -> Array:
-    row = parameter_row(parameters)
+) -> Rows:
+    row = parameter_rows(parameters)
     if not overrides:
-        return row[np.newaxis]
+        return row
     unknown = sorted(set(overrides) - set(KEYS))
     if unknown:
         raise ParameterError(f"{unknown[0]}: no such parameter")
-    rows = np.tile(row, (int(np.prod(shape)), 1))
+    rows = np.tile(row, int(np.prod(shape)))
     for key, values in overrides.items():
-        rows[:, KEYS.index(key)] = np.broadcast_to(np.asarray(values, float), shape).ravel()
+        rows[key] = np.broadcast_to(np.asarray(values, float), shape).ravel()
     _check_rows(rows)
     return rows
 
 
-def _check_rows(rows: Array) -> None:
+def check_bodies(stroke: ArrayLike, initial_length: ArrayLike) -> None:
+    """Raise `GaitError` if a stroke (m) is not shorter than its body, of ``initial_length`` (m); they broadcast."""
+    strokes, lengths = np.broadcast_arrays(*np.atleast_1d(stroke, initial_length))
+    if strokes.size:
+        worst = np.unravel_index(np.argmax(strokes - lengths), strokes.shape)
+        check_body(float(strokes[worst]), float(lengths[worst]))
+
+
+def _check_rows(rows: Rows) -> None:
     """Raises `ParameterError` as `Parameters` does if a row is not admissible; extremes speak for all."""
-    threshold, clearance, pitch = (
-        rows[:, KEYS.index(key)] for key in ("switching_threshold", "clearance", "pitch")
-    )
-    suspects = [rows.argmin(axis=0), rows.argmax(axis=0)]
-    suspects += [np.argmin(2.0 * threshold - pitch), np.argmin(2.0 * threshold - clearance)]
-    for index in np.unique(np.hstack(suspects)):
-        Parameters(*rows[index, : len(KEYS)])
+    suspects = [pick(rows[key]) for key in KEYS for pick in (np.argmin, np.argmax)]
+    suspects += [
+        np.argmin(2.0 * rows["switching_threshold"] - rows[key]) for key in ("pitch", "clearance")
+    ]
+    for index in np.unique(suspects):
+        PAPER.replace(**{key: float(rows[key][index]) for key in KEYS})
 
 
 def evaluate_gaits(
@@ -100,42 +106,54 @@ def evaluate_gaits(
     cycles: int = CYCLES,
     averaged: int = AVERAGED,
     progress: Callable[[float], None] | None = None,
+    **further: ArrayLike,
 ) -> GaitTable:
     """Figures of every gait, as `simulator.evaluate_gait` gives them one by one.
 
-    ``stroke`` m, ``frequency`` Hz, ``margin`` m, ``direction`` ±1 and the values of ``overrides`` (parameter key
-    to array, SI) are broadcast against each other. ``progress`` is called with the fraction done, in the
-    calling thread; an exception it raises cancels the rest. Raises `GaitError`, `ParameterError` or
-    ValueError for values that are not admissible.
+    ``stroke`` m, ``frequency`` Hz, ``margin`` m, ``direction`` ±1, ``further`` fields of `Gait` (by default the gait's
+    own defaults) and the values of ``overrides`` (parameter key to array, SI) are broadcast against each other.
+    ``progress`` is called with the fraction done, in the calling thread; an exception it raises cancels the rest.
+    Strokes must be shorter than the body, but where ``overrides`` hold its length: a scenario may draw any.
+
+    Raises `GaitError`, `ParameterError` or ValueError for values that are not admissible.
     """
     check_cycles(cycles, averaged)
     overrides = overrides or {}
-    gaits = [np.asarray(column, dtype=float) for column in (stroke, frequency, direction, margin)]
-    shape = np.broadcast_shapes(*(g.shape for g in gaits), *map(np.shape, overrides.values()))
-    columns = [np.broadcast_to(column, shape) for column in gaits]
-    rows = _gait_rows(columns)
-    parameter_rows = _parameter_rows(parameters, overrides, shape)
-    results = np.empty((rows.shape[0], run.RESULT_COLUMNS))
-    _evaluate_rows(rows, parameter_rows, cycles, averaged, results, progress)
-    return _table(columns, parameter_rows, results, shape)
+    gaits = {"stroke": stroke, "frequency": frequency, "direction": direction, "margin": margin}
+    columns = _columns({**GAIT_DEFAULTS, **gaits, **further})
+    shape = np.broadcast_shapes(*map(np.shape, [*columns.values(), *overrides.values()]))
+    rows = _gait_rows(columns, shape)
+    parameters_of_rows = _parameter_rows(parameters, overrides, shape)
+    if "initial_length" not in overrides:
+        check_bodies(rows["stroke"], parameters.initial_length)
+    results = np.empty((len(rows), run.RESULT_COLUMNS))
+    _evaluate_rows(rows, parameters_of_rows, cycles, averaged, results, progress)
+    return _table(rows, parameters_of_rows, results, shape)
+
+
+def _columns(fields: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    unknown = sorted(set(fields) - set(GAIT_ROW.names or ()))
+    if unknown:
+        raise GaitError(f"{unknown[0]}: a gait has {', '.join(GAIT_ROW.names or ())}")
+    return {name: np.asarray(values, dtype=float) for name, values in fields.items()}
 
 
 def _evaluate_rows(
-    rows: Array,
-    parameter_rows: Array,
+    rows: Rows,
+    parameters_of_rows: Rows,
     cycles: int,
     averaged: int,
     results: Array,
     progress: Callable[[float], None] | None,
 ) -> None:
     """Fills the results."""
-    shared = parameter_rows.shape[0] == 1
+    shared = len(parameters_of_rows) == 1
 
     def work(part: slice) -> None:
-        own = parameter_rows if shared else parameter_rows[part]
+        own = parameters_of_rows if shared else parameters_of_rows[part]
         run.evaluate_many(rows[part], own, cycles, averaged, results[part])
 
-    _on_all_cores(work, rows.shape[0], progress)
+    _on_all_cores(work, len(rows), progress)
 
 
 def _on_all_cores(
@@ -166,43 +184,42 @@ def sample_cycle(
     parameters: Parameters,
     cycle: int,
     phases: ArrayLike,
+    **further: ArrayLike,
 ) -> tuple[Array, Array]:
     """(cable force F_c in N, source power in W) within a cycle of gaits from the start, as `simulator.simulate` has it.
 
     ``stroke`` m and ``frequency`` Hz of shape (n,); ``cycle`` counts from 0; ``phases`` (m,) in [0, 1], ascending, are
-    shares of it. Both results have the shape (n, m); NaN where the simulator gave up (chatter).
+    shares of it; ``further`` as in `evaluate_gaits`. Both results have the shape (n, m), NaN for a gait without an end
+    (chatter).
     """
-    gaits = np.broadcast_arrays(*np.atleast_1d(stroke, frequency, float(direction), 0.0))
-    rows = _gait_rows([np.asarray(column, dtype=float) for column in gaits])
-    shares, row = np.asarray(phases, dtype=float), parameter_row(parameters)
-    force, length_rate = np.empty((2, rows.shape[0], shares.size))
+    gaits = {"stroke": stroke, "frequency": frequency, "direction": direction}
+    columns = _columns({**GAIT_DEFAULTS, **gaits, **further})
+    rows = _gait_rows(columns, np.broadcast_shapes((1,), *map(np.shape, columns.values())))
+    shares, row = np.asarray(phases, dtype=float), parameter_rows(parameters)[0]
+    force, length_rate = np.empty((2, len(rows), shares.size))
 
     def work(part: slice) -> None:
         run.sample_many(rows[part], row, cycle, shares, force[part], length_rate[part])
 
-    _on_all_cores(work, rows.shape[0])
+    _on_all_cores(work, len(rows))
     mechanical = cable_power(force, length_rate, parameters.one_sided_cable)
     return force, parameters.idle_power + parameters.power_factor * mechanical
 
 
 def _table(
-    columns: list[Array], parameter_rows: Array, results: Array, shape: tuple[int, ...]
+    rows: Rows, parameters_of_rows: Rows, results: Array, shape: tuple[int, ...]
 ) -> GaitTable:
     def parameter(key: str) -> Array:
-        values = parameter_rows[:, KEYS.index(key)]
-        return np.broadcast_to(values, (results.shape[0],)).reshape(shape)
+        return np.broadcast_to(parameters_of_rows[key], (len(rows),)).reshape(shape)
 
-    stroke, frequency, direction, margin = columns
+    gait = {name: rows[name].reshape(shape) for name in GAIT_ROW.names or ()}
     advance = results[:, run.MEAN_ADVANCE].reshape(shape)
     power = results[:, run.MEAN_POWER].reshape(shape)
     pitch, initial_length = parameter("pitch"), parameter("initial_length")
-    speed = advance * frequency
+    speed = advance * gait["frequency"]
     mass = parameter("rear_mass") + parameter("front_mass")
     return GaitTable(
-        stroke=stroke,
-        frequency=frequency,
-        direction=direction,
-        margin=margin,
+        gait=gait,
         speed=speed,
         power=power,
         cost_of_transport=cost_of_transport(speed, power, mass),

@@ -7,16 +7,18 @@ import csv
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.errors import InputError
+from worm_model.gait import GAIT_COLUMNS, GAIT_DEFAULTS
 from worm_model.parameters import KEYS, Parameters
-from worm_model.simulation.batch import GaitTable, evaluate_gaits
+from worm_model.simulation.batch import GaitTable, check_bodies, evaluate_gaits
 
-REQUIRED = ("stroke_m", "frequency_Hz")
-OPTIONAL = ("margin_m", "L0_m", "direction")
+REQUIRED = tuple(column for name, column in GAIT_COLUMNS.items() if name not in GAIT_DEFAULTS)
+OPTIONAL = ("L0_m", *(GAIT_COLUMNS[name] for name in GAIT_DEFAULTS))
 RESULTS = ("speed_m_s", "power_W", "grooves_per_cycle", "switches_5_cycles")
 
 Columns = dict[str, NDArray[np.float64]]
@@ -79,15 +81,11 @@ def evaluate_table(
     overrides = {key: columns[key] for key in KEYS if key in columns}
     if "L0_m" in columns:
         overrides["initial_length"] = columns["L0_m"]
-    table = evaluate_gaits(
-        columns["stroke_m"],
-        columns["frequency_Hz"],
-        columns.get("margin_m", np.zeros(1)),
-        columns.get("direction", np.ones(1)),
-        parameters,
-        overrides,
-        progress=progress,
-    )
+    check_bodies(columns["stroke_m"], overrides.get("initial_length", parameters.initial_length))
+    gaits: dict[str, Any] = {
+        name: columns[column] for name, column in GAIT_COLUMNS.items() if column in columns
+    }
+    table = evaluate_gaits(**gaits, parameters=parameters, overrides=overrides, progress=progress)
     return overrides, table
 
 
@@ -96,12 +94,14 @@ def write_table(path: Path, table: GaitTable, overrides: Columns, parameters: Pa
     rows = table.speed.size
     length = np.broadcast_to(overrides.get("initial_length", parameters.initial_length), (rows,))
     further = {key: values for key, values in overrides.items() if key != "initial_length"}
+    gaits = {
+        GAIT_COLUMNS[name]: (values, ".0f" if name == "direction" else ".6f")
+        for name, values in table.gait.items()
+    }
     columns = {
-        "stroke_m": (table.stroke, ".6f"),
-        "frequency_Hz": (table.frequency, ".6f"),
-        "margin_m": (table.margin, ".6f"),
+        **{name: gaits.pop(name) for name in (*REQUIRED, "margin_m")},
         "L0_m": (length, ".6f"),
-        "direction": (table.direction, ".0f"),
+        **gaits,
         "speed_m_s": (table.speed, ".12e"),
         "power_W": (table.power, ".9e"),
         "grooves_per_cycle": (table.grooves_per_cycle, ".6f"),

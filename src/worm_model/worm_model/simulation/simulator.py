@@ -15,13 +15,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_model.gait import FORWARD, Gait
+from worm_model.gait import FORWARD, Gait, check_body
 from worm_model.parameters import PAPER, STANDARD_GRAVITY, Parameters
 from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.kernel import guard, march
 from worm_model.simulation.kernel import whole_run as run
 from worm_model.simulation.kernel.mode import Constants, Motion
 from worm_model.simulation.kernel.work import cable_power
+from worm_model.simulation.rows import gait_rows, parameter_rows
 
 Array = NDArray[np.float64]
 
@@ -62,11 +63,6 @@ def cost_of_transport(speed: ArrayLike, power: ArrayLike, mass: ArrayLike) -> Ar
     return np.where(speed_array > 0.0, cost, math.inf)
 
 
-def parameter_row(parameters: Parameters) -> Array:
-    """The values in the order of `Parameters`, one entry each, as the kernel takes them."""
-    return np.array(list(parameters.as_dict().values()), dtype=float)
-
-
 def check_cycles(cycles: int, averaged: int) -> None:
     """Raises ValueError unless 1 ≤ averaged ≤ cycles."""
     if not 1 <= averaged <= cycles:
@@ -78,20 +74,13 @@ def evaluate_gait(
 ) -> GaitResult:
     """Speed, power and grooves of a gait over the last ``averaged`` of ``cycles`` from the start.
 
-    Raises ValueError for an impossible number of cycles and `SimulationError` on chatter.
+    Raises `GaitError` for a stroke that the body cannot make, ValueError for an impossible number of cycles and
+    `SimulationError` on chatter.
     """
+    check_body(gait.stroke, parameters.initial_length)
     check_cycles(cycles, averaged)
     result = np.empty(run.RESULT_COLUMNS)
-    run.evaluate(
-        gait.stroke,
-        gait.frequency,
-        float(gait.direction),
-        gait.margin,
-        parameter_row(parameters),
-        cycles,
-        averaged,
-        result,
-    )
+    run.evaluate(gait_rows(gait)[0], parameter_rows(parameters)[0], cycles, averaged, result)
     if result[run.RUN_CHATTER]:
         raise SimulationError(f"{gait}: the anchors switch to and fro without end")
     advance, power = float(result[run.MEAN_ADVANCE]), float(result[run.MEAN_POWER])
@@ -209,17 +198,8 @@ class Trajectory:
 
     def _run(self, samples: Array, events: Array) -> Array:
         totals = np.zeros(march.TOTALS_SIZE)
-        run.run_gait(
-            self.gait.stroke,
-            self.gait.frequency,
-            float(self.gait.direction),
-            self.gait.margin,
-            parameter_row(self.parameters),
-            self.cycles,
-            totals,
-            samples,
-            events,
-        )
+        gait, parameters = gait_rows(self.gait)[0], parameter_rows(self.parameters)[0]
+        run.run_gait(gait, parameters, self.cycles, totals, samples, events)
         if totals[march.CHATTER]:
             raise SimulationError(f"{self.gait}: the anchors switch to and fro without end")
         return totals
@@ -251,9 +231,8 @@ def play_gait(
     samples[:, march.TIME] = _ascending(times, 0.0, math.inf)
     totals = np.zeros(march.TOTALS_SIZE)
     run.play_on(
-        gait.stroke,
-        gait.frequency,
-        parameter_row(parameters),
+        gait_rows(gait)[0],
+        parameter_rows(parameters)[0],
         _constants_of(parameters, gait.direction, 0.0),
         start.length_change,
         _motion_of(start),
@@ -274,7 +253,11 @@ def _motion_of(state: LocomotionState) -> Motion:
 
 
 def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -> Trajectory:
-    """The trajectory of a gait from the start: x1 = 0, v1 = 0, ΔL = 0, anchors on the lattice."""
+    """The trajectory of a gait from the start: x1 = 0, v1 = 0, ΔL = 0, anchors on the lattice.
+
+    Raises `GaitError` for a stroke that the body cannot make and ValueError for an impossible number of cycles.
+    """
+    check_body(gait.stroke, parameters.initial_length)
     check_cycles(cycles, cycles)
     return Trajectory(gait, parameters, cycles)
 
@@ -394,4 +377,4 @@ class Locomotion:
 @lru_cache(maxsize=16)
 def _constants_of(parameters: Parameters, direction: int, margin: float) -> Constants:
     """Of a few robots: a twin asks for them a hundred times a second."""
-    return run.constants_of(parameter_row(parameters), float(direction), margin)
+    return run.constants_of(parameter_rows(parameters)[0], float(direction), margin)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The digital twin: what follows a robot sample by sample (`worm_model.twin.core`), and what is made of it."""
+"""Digital twin: a core that follows a robot sample by sample (`worm_model.twin.core`), and the use of its results."""

@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The causes that can explain the last cycles of a run, weighed together: the one inference of the twin.
+"""Bayesian weighting of the causes that can explain the last cycles of a run.
 
-Data are the binned residuals of all cycles remembered. A sound robot is one whose parameters are not quite the twin's
-(the same in every cycle) and whose cycles differ a little. Against it stand: a change that lasts, from some moment
-on, of any size; a groove that a fin missed or gained, in one cycle or several running, where no tracker settled
-that; another length at rest since the beginning; and, so that nothing is named because all else fits still worse,
-something odd in one cycle alone. Each explains all instruments at once, or is worth less.
+All inference of the twin happens here. The data are the binned residuals of the remembered cycles. In the null
+hypothesis the robot is healthy: its parameters differ a little from the twin's, equally in every cycle, and its cycles
+scatter a little. These alternatives compete with it:
+
+- a lasting change of any size, from some moment on
+- a groove that a fin missed or gained, in one or more consecutive cycles, where no tracker has counted the grooves
+- another initial length since the beginning of the run
+- an unexplained deviation in a single cycle, so that no cause is reported only because all others fit even worse
+
+A cause must explain all instruments together, otherwise its weight decreases.
 """
 
 from __future__ import annotations
@@ -28,7 +33,7 @@ from worm_model.twin.signatures import BINS, FAULTS, L0_STEP_M, Signatures
 MISSED_REAR, MISSED_FRONT, GAINED = "missed_groove_rear", "missed_groove_front", "gained_groove"
 CABLE, SCALE, OFFSET, LENGTH = "cable_slip", "power_scale", "power_offset", "initial_length"
 FRICTION_UP, FRICTION_DOWN = "friction_up", "friction_down"
-ODD = "odd"  # no code: what is not known has none
+ODD = "odd"  # unexplained; TwinEvent has no code for it
 LASTING = {
     "gain": (CABLE, CABLE),
     "slip": (CABLE, CABLE),
@@ -40,19 +45,25 @@ GROOVES = {"rear": MISSED_REAR, "front": MISSED_FRONT}
 
 CHANGE = 0.004  # probability that a change of one kind begins in a cycle
 MISS, AGAIN, GAIN = 0.02, 0.3, 0.005  # that a fin misses, misses again, gains a groove
-WRONG_LENGTH, LENGTH_SPREAD_M = 0.01, 0.003  # that L0 is wrong, and by how much
-RIGHT = 0.95  # that a cycle gains what it should
-STRANGE = 0.001  # probability of something odd in a cycle
-STRANGE_SCATTER = (0.01, 0.002, 1.0)  # m, m, W by which it may be off
-ONSETS = (0.0, 0.25, 0.5, 0.75)  # phases of a cycle at which a change may begin
-BROAD = 4.0  # usual sizes that a change which was told may still have
-SHIFT = 1.0  # scatters by which all of a cycle is off
-THRESHOLDS = 0.5  # sound changes by which the grooves' thresholds differ from cycle to cycle
+WRONG_LENGTH, LENGTH_SPREAD_M = 0.01, 0.003  # probability that L0 is wrong; scatter, m
+RIGHT = 0.95  # probability that a cycle gains the predicted grooves
+STRANGE = 0.001  # probability of an unexplained deviation in a cycle
+STRANGE_SCATTER = (0.01, 0.002, 1.0)  # standard deviations of that deviation, m, m, W
+ONSETS = (0.0, 0.25, 0.5, 0.75)  # tested phases of a cycle at which a change begins
+BROAD = 4.0  # prior deviation of a reported change, in usual sizes
+SHIFT = 1.0  # common deviation of a whole cycle, in scatters
+THRESHOLDS = 0.5  # scatter of thresholds between cycles, relative to that of healthy robots
 
 
 @dataclass(frozen=True)
 class Told:
-    """What was told already, and is taken into account from then on; ``name`` as in the signatures, "" for a push."""
+    """Cause already reported, which later cycles account for.
+
+    Attributes:
+        name: name in the signatures, "missed" or "gained"; empty for a step that is not attributed to a fin.
+        cycle: cycle in which the cause begins.
+        phase: phase of the cycle at which it begins, 0 to 1.
+    """
 
     name: str
     cycle: int
@@ -60,9 +71,20 @@ class Told:
 
 
 class Candidate(NamedTuple):
-    """A cause since a cycle (and a phase of it), over a number of cycles, 0 for ever; ``fact`` if its size is known.
+    """Candidate cause, with its weight once it has been computed.
 
-    After it was weighed: ``weight``, its probability over that of a sound robot; ``size`` in usual ones, and deviation.
+    Attributes:
+        code: code of TwinEvent, or `ODD`.
+        name: name in the signatures.
+        cycle: first cycle of the cause.
+        log_prior: natural logarithm of its prior probability.
+        phase: phase of the first cycle at which it begins, 0 to 1.
+        cycles: number of cycles that it lasts, 0 without an end.
+        fact: True if its size is known to be 1.
+        error: error of L0, m.
+        weight: posterior probability divided by that of a healthy robot.
+        size: estimated size, in usual sizes.
+        deviation: standard deviation of the size.
     """
 
     code: str
@@ -81,12 +103,19 @@ class Candidate(NamedTuple):
 def weigh_causes(
     cycles: Sequence[CycleData], reported: Sequence[Told], signs: Signatures, *, length_seen: bool
 ) -> list[Candidate]:
-    """All candidates for the cycles remembered, weighed; a sound robot has the weight 1."""
+    """Return all candidates for the remembered cycles with their weights; a healthy robot has the weight 1.
+
+    Args:
+        cycles: the remembered cycles, ascending.
+        reported: causes already reported.
+        signs: signatures of gait and robot.
+        length_seen: True if an instrument measured L0, so that no other L0 is a candidate.
+    """
     data = Data(cycles, reported, signs)
     lasting = list(_lasting(cycles, signs))
     grooves = list(_grooves(cycles, reported, signs))
     tracked = any(cycle.step is not None for cycle in cycles)
-    # Power alone cannot exclude a miss.
+    # Without a tracker, another L0 is no candidate, because power alone cannot exclude a miss.
     lengths = list(_lengths(cycles, signs)) if tracked and not length_seen else []
     candidates = [*lasting, *grooves, *(candidate for candidate, _ in lengths)]
     causes = np.array(
@@ -124,13 +153,13 @@ def weigh_causes(
 
 
 def _is_impossible(candidate: Candidate, size: float, deviation: float) -> bool:
-    """Whether there would be less than no friction."""
+    """Return True if the candidate implies negative friction."""
     least = -1.0 / FAULTS["viscous_friction"]
     return candidate.name == "viscous_friction" and size + 2.0 * deviation < least
 
 
 class Data:
-    """The cycles, (cycles, channels times bins), their weights, and what even a sound robot shows."""
+    """Residuals of the cycles, shape (cycles, channels times bins), with their weights and nuisance directions."""
 
     def __init__(
         self, cycles: Sequence[CycleData], reported: Sequence[Told], signs: Signatures
@@ -151,14 +180,14 @@ class Data:
         self.nuisances = np.moveaxis(np.array(nuisances), 0, -1)
 
     def direction(self, candidate: Candidate) -> Array:
-        """What a candidate does, (cycles, channels times bins)."""
+        """Return the effect of a candidate at its usual size, shape (cycles, channels times bins)."""
         if not candidate.cycles:
             return self.lasting([candidate])[0]
         numbers = range(candidate.cycle, candidate.cycle + candidate.cycles)
         return self._grooves(candidate.name, candidate.code == GAINED, numbers)
 
     def lasting(self, causes: Sequence[Candidate | Told]) -> Array:
-        """What causes that stay do, (causes, cycles, channels times bins)."""
+        """Return the effects of lasting causes, shape (causes, cycles, channels times bins)."""
         changes = np.array([self.signs.lasting[cause.name] for cause in causes])
         since = np.array([self._bins_before(cause.cycle, cause.phase) for cause in causes])
         bins = np.arange(len(self.numbers) * BINS).reshape(-1, 1, BINS)
@@ -166,7 +195,10 @@ class Data:
         return whole.reshape(len(causes), *self.seen.shape)
 
     def odd(self) -> Array:
-        """Weights with each cycle in turn as it may be if something odd happened in it."""
+        """Return the weights with an unexplained deviation in each cycle in turn.
+
+        The shape is (cycles, cycles, channels times bins).
+        """
         strange = np.array(STRANGE_SCATTER).repeat(BINS) ** 2
         odd = np.repeat(self.weight[None], len(self.numbers), axis=0)
         for k, usual in enumerate(self.weight):
@@ -174,18 +206,19 @@ class Data:
         return odd
 
     def _of_the_run(self) -> Array:
-        """Changes that are the same in every cycle."""
+        """Return the deviations of a healthy robot's parameters, which are the same in every cycle."""
         sound = np.array(list(self.signs.sound.values())).reshape(-1, 1, CHANNELS * BINS)
         return sound.repeat(len(self.numbers), axis=1)
 
     def _of_a_cycle(self) -> Array:
-        """Changes of one cycle each."""
+        """Return the deviations that each cycle has independently."""
         channels = np.diag(np.array(SCATTER) * SHIFT).repeat(BINS, axis=1)
         thresholds = THRESHOLDS * self.signs.sound["switching_threshold"].ravel()
         changes = np.kron(np.eye(len(self.numbers)), np.vstack([channels, thresholds]))
         return np.asarray(changes, np.float64).reshape(-1, *self.seen.shape)
 
     def _told(self, reported: Sequence[Told]) -> Iterator[Array]:
+        """Yield the effects of the causes already reported."""
         for event in reported:
             if event.name in self.signs.lasting:
                 yield BROAD * self.lasting([event])[0]
@@ -197,12 +230,15 @@ class Data:
                     yield self._grooves(fin, True, [event.cycle])
 
     def _bins_before(self, number: int, phase: float) -> int:
-        """Bins of all cycles before a phase of one."""
+        """Return the number of bins before a phase of a cycle, counted over all remembered cycles."""
         before = bisect_left(self.numbers, number) * BINS
         return before + round(phase * BINS) if number in self.numbers else before
 
     def _grooves(self, fin: str, gained: bool, numbers: Iterable[int]) -> Array:  # noqa: FBT001
-        """What a fin does that misses or gains a groove in each of some cycles; it begins in the cycle before."""
+        """Return the effect of a fin that misses or gains a groove in each of the given cycles.
+
+        The effect begins in the cycle before.
+        """
         whole = np.zeros_like(self.seen)
         before, after = (self.signs.gained if gained else self.signs.missed)[fin]
         for number in numbers:
@@ -213,9 +249,9 @@ class Data:
 
 
 def _excess(values: Array, variance: Array) -> Array:
-    """By how much the cycles of a run differ more than they should, by channel, at least 1.
+    """Return the ratio of observed to expected variance between cycles for each channel, at least 1.
 
-    The lower median of what follows upon another: a change in the run is not taken for scatter.
+    It is the lower median over consecutive cycles, so that a single change in the run does not count as scatter.
     """
     excess = np.ones(CHANNELS)
     for channel in range(CHANNELS):
@@ -232,6 +268,7 @@ def _excess(values: Array, variance: Array) -> Array:
 
 
 def _lasting(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[Candidate]:
+    """Yield lasting causes that begin at each of `ONSETS` in each cycle."""
     prior = math.log(CHANGE / len(ONSETS))
     for name, change in signs.lasting.items():
         if change.any():
@@ -243,7 +280,7 @@ def _lasting(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[Candida
 def _grooves(
     cycles: Sequence[CycleData], reported: Sequence[Told], signs: Signatures
 ) -> Iterator[Candidate]:
-    """Grooves that a fin missed or gained in cycles running whose grooves nothing has settled."""
+    """Yield grooves that a fin missed or gained in consecutive cycles, except in cycles that are already settled."""
     settled = {cycle.number for cycle in cycles if cycle.step is not None and not cycle.gained}
     settled |= {event.cycle for event in reported if event.name in ("missed", "gained")}
     last = cycles[-1].number
@@ -259,6 +296,7 @@ def _grooves(
 
 
 def _lengths(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[tuple[Candidate, Array]]:
+    """Yield candidates with another L0, each with its effect on all cycles."""
     errors = np.array([length.error for length in signs.lengths])
     density = np.exp(-0.5 * (errors / LENGTH_SPREAD_M) ** 2)
     density *= WRONG_LENGTH / max(float(density.sum()), L0_STEP_M)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A cycle as the inference takes it: binned residuals with their variance, and what the tracker says of grooves.
+"""Data of one cycle for the inference: binned residuals, their variance, and the tracker's step.
 
-The tracker settles grooves: the mean position residual over the cycle's last part, where nothing but a step shows,
-tells by how much the robot is off. A step is taken out of the data; what it is, `worm_model.twin.diagnosis` decides.
+The tracker determines the number of grooves. In the last part of a cycle only a step changes the position residual, so
+its mean there is the step. The step is removed from the data, and `worm_model.twin.diagnosis` finds its cause.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ from worm_model.twin.core.memory import (
 )
 from worm_model.twin.signatures import BINS
 
-WINDOW = 0.15  # of a cycle, at its end
-STEADY_M = 0.001  # between both halves of that window, within which the robot is at rest
-SLIPPING_M = 0.0045  # the same, within which a fin is about to slip
-FEWEST = 3  # samples that make a mean
-STEP_M = 0.0015  # off at the end of a cycle, beyond which something made a step
-UNDERWAY = 0.15  # of a step, from which a position is on the way
-LEAD = 4  # bins before a step's middle in which it may have begun
+WINDOW = 0.15  # part of a cycle, at its end, in which the step is measured
+STEADY_M = 0.001  # largest difference between both halves of that window for a robot at rest
+SLIPPING_M = 0.0045  # the same for a fin that is about to slip
+FEWEST = 3  # smallest number of samples for a mean
+STEP_M = 0.0015  # residual at the end of a cycle above which there is a step
+UNDERWAY = 0.15  # part of a step above which a position is on the way
+LEAD = 4  # bins before the middle of a step in which it may have begun
 
-# What differs from cycle to cycle on a sound robot beside noise: m, m, W and of the power; first cycles more.
+# Scatter between cycles of a healthy robot in addition to noise: m, m, W, and relative to the power.
+# FIRST multiplies it in the first cycle of a motion.
 SCATTER = (0.0003, 0.0002, 0.04)
 POWER_SHARE = 0.015
 FIRST = (5.0, 2.0, 3.0)
@@ -44,9 +45,12 @@ FIRST = (5.0, 2.0, 3.0)
 
 @dataclass(frozen=True)
 class Step:
-    """The position's step in a cycle: by ``size`` m at the end, half of it reached at ``phase``; NaN: never.
+    """Step of the position residual in a cycle.
 
-    ``swift``: hardly any sample was seen on the way.
+    Attributes:
+        size: step at the end of the cycle, m.
+        phase: phase at which half of it is reached; NaN without a step.
+        swift: True if hardly any sample lies on the way.
     """
 
     size: float
@@ -55,16 +59,21 @@ class Step:
 
     @property
     def is_none(self) -> bool:
-        """Whether the position came out as predicted."""
+        """True if the position agrees with the prediction."""
         return abs(self.size) <= STEP_M
 
 
 @dataclass(frozen=True)
 class CycleData:
-    """Residuals (CHANNELS, BINS) without a step, and their variance, infinite where nothing was seen.
+    """Residuals of a cycle without its step.
 
-    ``watched``: a tracker saw the cycle's end; ``step`` is None where none did, or the step still went on; ``gained``
-    whole grooves along the gait's direction that were settled by it.
+    Attributes:
+        number: number of the cycle.
+        values: mean residuals, shape (CHANNELS, BINS).
+        variance: their variances, infinite without data, shape (CHANNELS, BINS).
+        step: the step; None without a tracker, or while the step is still in progress.
+        watched: True if a tracker saw the end of the cycle.
+        gained: whole grooves of the step along the gait's direction.
     """
 
     number: int
@@ -78,9 +87,15 @@ class CycleData:
 def cycle_data(
     number: int, sums: Array, noise: Array, power: Array, pitch: float, *, fresh: bool
 ) -> CycleData:
-    """Of the sums (PHASES, SUMS) of a cycle; ``noise`` (CHANNELS,) of a sample; ``power`` (BINS,) in W as predicted.
+    """Return the data of a cycle.
 
-    ``fresh`` is the first cycle of a motion, whose transient no two robots share.
+    Args:
+        number: number of the cycle.
+        sums: sums of its residuals, shape (PHASES, SUMS).
+        noise: noise of a sample, shape (CHANNELS,).
+        power: predicted power, W, shape (BINS,).
+        pitch: distance between two grooves, m.
+        fresh: True for the first cycle of a motion, whose transient differs between robots.
     """
     by_bin = sums.reshape(BINS, PHASES // BINS, -1).sum(axis=1)
     total = by_bin[:, [POSITION_SUM, LENGTH_SUM, POWER_SUM]].T
@@ -96,14 +111,17 @@ def cycle_data(
     watched = bool(sums[-round(WINDOW * PHASES) :, POSITION_COUNT].sum() >= FEWEST)
     step = _step(sums, values[POSITION], some[POSITION], pitch) if watched else None
     if step is None:
-        variance[POSITION] = np.inf  # nobody knows what it has become
+        variance[POSITION] = np.inf  # the position after an unknown step cannot be compared
     elif not step.is_none:
         variance[POSITION, max(int(step.phase * BINS) - LEAD, 0) :] = np.inf
     return CycleData(number, values, variance, step, watched)
 
 
 def _step(sums: Array, position: Array, some: NDArray[np.bool_], pitch: float) -> Step | None:
-    """The step at the end of a cycle; where a fin is about to slip or has just caught itself, the half at rest."""
+    """Return the step at the end of a cycle, or None while it is in progress.
+
+    Where a fin is about to slip or has just slipped, only the half of the window without motion counts.
+    """
     half = round(0.5 * WINDOW * PHASES)
     means = [
         float(part[:, POSITION_SUM].sum() / part[:, POSITION_COUNT].sum())
@@ -127,7 +145,7 @@ def _off_whole(size: float, pitch: float) -> float:
 
 
 def _located(sums: Array, position: Array, some: NDArray[np.bool_], size: float) -> Step:
-    """The step at the beginning of the bin from which it explains the positions best."""
+    """Return the step, placed at the beginning of the bin from which it best explains the positions."""
     tracked = sums[:, POSITION_COUNT] > 0
     share = sums[tracked, POSITION_SUM] / sums[tracked, POSITION_COUNT] / size
     underway = int(np.sum(np.abs(share - 0.5) < 0.5 - UNDERWAY))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What explains what was seen: decided once at each cycle's end, from the sums that the core kept of it.
+"""Diagnosis at the end of each cycle, from the sums that the core collects.
 
-`worm_model.twin.causes` weighs the causes; here it is decided what is told, and how the twin follows it. Where a
-tracker saw the cycle's end, it settles by how many grooves the robot is off; timing and power tell which fin it was.
-Something is told once no sound robot explains it (``SOUND_AT_MOST``): the cause, where one has a probability of
-``SURE``; else, if another cycle has not told them apart, the causes among which it cannot be decided.
+`worm_model.twin.causes` weighs the causes. This module decides which of them are reported, and how the twin adapts. If
+a tracker saw the end of the cycle, it determines by how many grooves the robot is off; timing and power determine the
+fin. A report is due when a healthy robot has at most the probability ``SOUND_AT_MOST``. It names the cause if one has
+at least the probability ``SURE``. If none has after another cycle, it lists the causes that remain possible.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from worm_model.twin.causes import (
     Told,
     weigh_causes,
 )
-from worm_model.twin.core.memory import LENGTH_COUNT, POSITION
-from worm_model.twin.cycle_data import STEP_M, CycleData, Step, cycle_data
+from worm_model.twin.core.memory import LENGTH_COUNT, POSITION, POSITION_COUNT, POSITION_SUM
+from worm_model.twin.cycle_data import STEP_M, WINDOW, CycleData, Step, cycle_data
 from worm_model.twin.signatures import (
     BINS,
     FAULTS,
@@ -55,26 +55,32 @@ CAMERA, ROBOT, NOTHING = "camera_moved", "robot_moved", ""
 
 REMEMBERED = 6  # cycles
 SOUND_AT_MOST, SURE = 0.05, 0.9  # probabilities
-MOVED = 0.002  # probability in a cycle that somebody moves the robot, or the camera
-MOST_GROOVES = 8  # by which somebody moves the robot
-LASTED = 0.5  # of a cycle, that a change must have lasted for before it is one that stays
-WHOLE_M = 0.0008  # scatter of a step by whole grooves
-CAMERA_M = 0.03  # usual step of a camera that was moved
-LENGTHS = 2  # cycles at least that L0 is told from
-TIMING = 0.06  # of a cycle, scatter of when a fin lets go
-ANY_TIME = 0.05  # share of misses that keep to no time
-MORE = 0.02  # that a fin which misses a groove misses the next one, too, in the same cycle
+MOVED = 0.002  # probability per cycle that a person moves the robot, or the camera
+MOST_GROOVES = 8  # largest number of grooves by which a person moves the robot
+LASTED = 0.5  # smallest part of a cycle after which a change counts as lasting
+WHOLE_M = 0.0008  # standard deviation of a step by whole grooves
+CAMERA_M = 0.03  # usual step of the positions when a camera is moved
+LENGTHS = 2  # smallest number of cycles from which L0 is estimated
+TIMING = 0.06  # standard deviation of the phase at which a fin slips
+ANY_TIME = 0.05  # share of missed grooves at an arbitrary phase
+MORE = 0.02  # probability that a fin misses the next groove of the same cycle, too
 SWIFT = {"camera": 0.97, "robot": 0.2, "fin": 0.05}  # probability that a step takes no time
-SLIGHT_M = 0.005  # a step below this is told once it has lasted for another cycle
+SLIGHT_M = 0.005  # smaller steps are reported only if they last for another cycle
 
 
 @dataclass(frozen=True)
 class CycleSeen:
-    """A cycle that is over: its number from 1 on, and its sums (PHASES, SUMS).
+    """Cycle that has ended.
 
-    ``noise`` (CHANNELS,) is that of a sample, in the channel's unit; ``parameters`` hold the run's L0;
-    ``length_seen`` whether an instrument gave it; ``blind_s`` how long nothing told of the length; ``joined`` whether
-    the twin came to the run in this cycle.
+    Attributes:
+        number: number of the cycle, from 1.
+        sums: sums of its residuals, shape (PHASES, SUMS).
+        gait: gait of the run.
+        parameters: parameters with the L0 of the run.
+        noise: noise of a sample in the channel's unit, shape (CHANNELS,).
+        length_seen: True if an instrument measured L0.
+        blind_s: time without any data about the length, s.
+        joined: True if the twin joined the run in this cycle.
     """
 
     number: int
@@ -89,11 +95,17 @@ class CycleSeen:
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found, and how the twin follows it.
+    """Result of the diagnosis, and how the twin adapts to it.
 
-    ``text`` for people; ``grooves`` along +x by which the robot turned out to be further, ``shift`` (m) by which the
-    tracker's zero does, ``initial_length`` L0 in m if that was found to be another; ``explains_position`` whether
-    it explains the position residuals so far.
+    Attributes:
+        code: code of TwinEvent, empty for plain information.
+        text: message for the operator.
+        cycle: cycle to which it refers.
+        probability: probability of the cause, NaN if not computed.
+        grooves: grooves along +x by which the robot is further than predicted.
+        shift: shift of the tracker's zero, m.
+        initial_length: new L0, m; NaN if it stays.
+        explains_position: True if it explains the position residuals so far.
     """
 
     code: str
@@ -108,12 +120,19 @@ class Finding:
 
 @dataclass(frozen=True)
 class History:
-    """What is remembered of a run: its last cycles, what was told, and what waits for another cycle.
+    """Remembered part of a run.
 
-    ``unplaced``: nothing has told where the robot stands (the twin came late, L0 was another); ``blind_s``: nothing was
-    known of the robot for so long, and no tracker has told since; ``slight``: a small step was seen that may be none;
-    ``doubt``: causes could not be told apart, ``doubted``: that was told. Counts of grooves by the tracker
-    (``missed``, ``extra``) and by power alone.
+    Attributes:
+        cycles: last cycles.
+        told: causes already reported.
+        unplaced: True if the robot's position is unknown, because the twin was late or L0 was wrong.
+        blind_s: time without data about the robot, s; 0 once a tracker has seen the end of a cycle.
+        slight: True if the last cycle had a small step that may be none.
+        doubt: True if several causes remained possible.
+        doubted: True if that was reported.
+        missed: grooves missed, by the tracker.
+        extra: grooves gained, by the tracker.
+        missed_by_power: grooves missed, by power alone.
     """
 
     cycles: tuple[CycleData, ...] = ()
@@ -129,7 +148,7 @@ class History:
 
 
 def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Finding]]:
-    """(history, findings) once a cycle is over."""
+    """Return the updated history and the findings at the end of a cycle."""
     driven = bool(np.mean(cycle.sums[:, LENGTH_COUNT] > 0) > 0.25)
     # L0 as measured differs from run to run by less than matters here.
     length = round(cycle.parameters.initial_length, 4)
@@ -148,7 +167,7 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
         blind_s=history.blind_s + cycle.blind_s,
     )
     history, data, findings = _place(history, cycle, data)
-    if cycle.joined or cycle.blind_s:  # nobody knows how it went
+    if cycle.joined or cycle.blind_s:  # the course of this cycle is unknown
         return replace(history, cycles=()), findings
     step = data.step
     if step is not None and not step.is_none:
@@ -168,17 +187,36 @@ def judge_cycle(history: History, cycle: CycleSeen) -> tuple[History, list[Findi
     return history, findings + others
 
 
+def explains(history: History, cycle: CycleSeen) -> bool:
+    """Return True if the twin's motion explains the positions of a cycle that `judge_cycle` has added to a history."""
+    step = history.cycles[-1].step if history.cycles else None
+    if step is not None and not step.is_none:
+        return False
+    seen = cycle.sums[:, POSITION_COUNT] > 0
+    if not seen.any():
+        return True
+    means = cycle.sums[seen, POSITION_SUM] / cycle.sums[seen, POSITION_COUNT]
+    return bool(np.sqrt(np.mean(means**2)) <= STEP_M)
+
+
+def off_at_end(cycle: CycleSeen) -> float:
+    """Return the mean position residual (m) over the last part of a cycle; NaN without tracker samples."""
+    last = cycle.sums[-round(WINDOW * len(cycle.sums)) :]
+    count = last[:, POSITION_COUNT].sum()
+    return float(last[:, POSITION_SUM].sum() / count) if count else math.nan
+
+
 def _weigh(history: History, cycle: CycleSeen, signs: Signatures) -> list[Candidate]:
     return weigh_causes(history.cycles, history.told, signs, length_seen=cycle.length_seen)
 
 
-# --- where the robot stands, after the twin came late or knew nothing for a time --------------------------
+# --- position of the robot after the twin was late or had no data for a time --------------------------
 
 
 def _place(
     history: History, cycle: CycleSeen, data: CycleData
 ) -> tuple[History, CycleData, list[Finding]]:
-    """Takes the tracker's word for where the robot stands, where nothing else could tell."""
+    """Reset the robot's position to the tracker's after a time without data about it."""
     if data.step is None or not (history.unplaced or history.blind_s):
         return history, data, []
     size, variance = data.step.size, data.variance.copy()
@@ -203,7 +241,7 @@ def _place(
 
 
 def _whole(size: float, cycle: CycleSeen) -> int:
-    """Grooves that a step (m) along +x is, 0 if it is not whole ones."""
+    """Return a step (m) along +x in grooves, 0 if it is not a whole number."""
     grooves = round(size / cycle.parameters.pitch)
     return grooves if abs(size - grooves * cycle.parameters.pitch) <= 4.0 * WHOLE_M else 0
 
@@ -218,7 +256,7 @@ def _settle(
     weighed: Sequence[Candidate],
     signs: Signatures,
 ) -> tuple[History, Finding | None]:
-    """What made the position's step: a fin, somebody who moved the robot, or the camera."""
+    """Attribute a step of the position to a fin, a person who moved the robot, or the camera."""
     shares = _shares_of_step(cycle, step, weighed, signs)
     best = max(shares, key=lambda code: shares[code])
     if best == NOTHING:
@@ -276,7 +314,7 @@ def _settle(
 def _shares_of_step(
     cycle: CycleSeen, step: Step, weighed: Sequence[Candidate], signs: Signatures
 ) -> dict[str, float]:
-    """Probability of each code that explains a step."""
+    """Return the probability of each code that can explain a step."""
     pitch, grooves = cycle.parameters.pitch, _whole(step.size, cycle)
     gained = grooves * cycle.gait.direction
     shares = dict.fromkeys((MISSED_REAR, MISSED_FRONT, MISSED, GAINED, ROBOT), 0.0)
@@ -301,12 +339,12 @@ def _shares_of_step(
 
 
 def _lets_go(position: Array, pitch: float) -> float:
-    """Phase at which a fin that missed a groove has lost half of it."""
+    """Return the phase at which the position residual of a missed groove reaches half a pitch."""
     return float(np.argmax(np.abs(position) > 0.5 * pitch)) / BINS
 
 
 def _evidence(weighed: Sequence[Candidate], code: str, fin: str, number: int) -> float:
-    """By how much power speaks for a fin's miss or gain in a cycle."""
+    """Return the Bayes factor of a fin's missed or gained groove in a cycle."""
     wanted = (code, fin, number, 1)
     matching = [c for c in weighed if (c.code, c.name, c.cycle, c.cycles) == wanted]
     return matching[0].weight / math.exp(matching[0].log_prior) if matching else 1.0
@@ -322,7 +360,7 @@ def _normal(value: float, spread: float) -> float:
 def _length(
     history: History, cycle_seen: CycleSeen, weighed: Sequence[Candidate]
 ) -> tuple[History, Finding | None]:
-    """L0 if all cycles since the beginning speak for another one, and against misses."""
+    """Return a new L0 as a finding if all cycles since the beginning support it, and not missed grooves."""
     lengths = [c for c in weighed if c.code == LENGTH]
     share = sum(c.weight for c in lengths) / (1.0 + sum(c.weight for c in weighed))
     settled = sum(cycle.step is not None for cycle in history.cycles)
@@ -351,14 +389,14 @@ def _length(
 def judge_causes(
     history: History, number: int, weighed: Sequence[Candidate]
 ) -> tuple[History, list[Finding]]:
-    """What no sound robot would show by the end of a cycle, beside steps that the tracker saw."""
+    """Return the updated history and the findings that a healthy robot does not explain, except the tracker's steps."""
     total = 1.0 + sum(c.weight for c in weighed)
     if 1.0 / total > SOUND_AT_MOST:
         return replace(history, doubt=False), []
     findings = []
     for cycle in history.cycles:
         if cycle.watched:
-            continue  # the tracker settles that
+            continue  # the tracker determines these grooves
         covering = [c for c in weighed if c.cycle <= cycle.number < c.cycle + c.cycles]
         shares = {
             code: _share((c for c in covering if c.code == code), total)
@@ -396,7 +434,7 @@ def judge_causes(
 
 
 def _known(reported: Iterable[Told], candidate: Candidate, names: set[str]) -> bool:
-    """Whether the same was told already; its beginning may now be known better."""
+    """Return True if the cause was already reported; its beginning may be known more precisely now."""
     return any(t.name in names and abs(t.cycle - candidate.cycle) <= 1 for t in reported)
 
 
@@ -408,7 +446,7 @@ def _by_code(candidates: Iterable[Candidate]) -> Mapping[str, list[Candidate]]:
 
 
 def _code(candidate: Candidate) -> str:
-    """The code, which for friction depends on the size."""
+    """Return the code, which for friction depends on the sign of the size."""
     return FRICTION_DOWN if candidate.code == FRICTION_UP and candidate.size < 0 else candidate.code
 
 
@@ -422,7 +460,7 @@ def _lasts(candidate: Candidate, code: str, share: float) -> Finding:
 
 
 def _size(candidate: Candidate) -> str:
-    """What a lasting cause says, with its size and twice the deviation."""
+    """Return the description of a lasting cause with its size and twice the deviation."""
     unit, scale, text = {
         "gain": ("%", 100.0 * FAULTS["gain"], "the gain of the body's answer changed by {}"),
         "slip": ("mm", 1e3 * SLIP_M, "the body is longer under the same command by {}"),
@@ -434,7 +472,7 @@ def _size(candidate: Candidate) -> str:
     return text.format(value) + CAUSES[candidate.code]
 
 
-#: what to think of, by code
+#: possible explanation by code
 CAUSES = {
     CABLE: ": a cable that slips, is slack or stretched",
     FRICTION_UP: "",

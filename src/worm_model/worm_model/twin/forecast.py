@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What if: a gait that would begin now, from the twin's present pose and length."""
+"""Forecast of a gait that would begin now, from the twin's current pose and length."""
 
 from __future__ import annotations
 
@@ -26,15 +26,23 @@ STEP_S = 0.02
 
 
 class ForecastError(ValueError):
-    """Nothing can be predicted; the message says why and what to do."""
+    """Raised if a gait cannot be predicted; the message has the reason and the remedy."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Figures of the gait from rest with its margin (``robust``) and without (``nominal``), and what comes next.
+    """Predicted values of a gait.
 
-    ``time`` (n,) in s from now; positions (n,) in m in the tracker's frame; ``power`` (n,) in W; ``energy`` in J;
-    ``grooves`` gained by the rear anchor along the gait's direction; ``groove_phase`` in m.
+    Attributes:
+        robust: result from rest with the gait's margin.
+        nominal: result from rest without the margin.
+        time: time from now, s, shape (n,).
+        rear_position: x1 in the tracker's frame, m, shape (n,).
+        front_position: x2 in the tracker's frame, m, shape (n,).
+        power: power, W, shape (n,).
+        energy: energy over the horizon, J.
+        grooves: grooves gained by the rear anchor along the gait's direction.
+        groove_phase: groove phase, m.
     """
 
     robust: GaitResult
@@ -49,7 +57,7 @@ class Forecast:
 
 
 def forecast(twin: Twin, state: TwinState, gait: Gait, horizon_s: float = HORIZON_S) -> Forecast:
-    """Predicts a gait; a horizon of 0 means ten seconds. Raises `ForecastError`."""
+    """Return the forecast of a gait; a horizon of 0 means ten seconds. Raises `ForecastError`."""
     horizon = horizon_s or HORIZON_S
     if not STEP_S <= horizon <= LONGEST_S:
         raise ForecastError(f"horizon: {horizon_s:g} s is not between {STEP_S} and {LONGEST_S:g} s")

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much better a cause explains what was seen than none does: normal noise, sizes integrated out.
+"""Bayes factors of causes against the null hypothesis, for normal noise, with the sizes integrated out.
 
-What was seen in k cycles of b bins, y (k, b), is taken as N a + c b' + x s + noise: N (k, b, m) are nuisances whose
-sizes a are standard normal, c (b,) the deviation of an offset of each bin that is the same in all cycles, x the
-direction of a cause and s its size, itself standard normal or known to be 1, the noise independent with a variance
-each. All integrals have a closed form (Woodbury's identity, that of Sherman and Morrison for each bin's offset); a
-datum that was not seen has the weight 0.
+The data of k cycles with b bins, y (k, b), are modelled as N a + c b' + x s + noise:
+
+- N (k, b, m) are the nuisance directions; their sizes a are standard normal.
+- c (b,) is the standard deviation of an offset of each bin that is the same in all cycles.
+- x is the direction of a cause. Its size s is standard normal or known to be 1.
+- The noise is independent, with a variance for each datum. A missing datum has the weight 0.
+
+All integrals have a closed form (Woodbury's identity, and that of Sherman and Morrison for the offset of each bin).
 """
 
 from __future__ import annotations
@@ -20,7 +23,13 @@ from worm_model.arrays import Array
 
 @dataclass(frozen=True)
 class Weighed:
-    """Of each cause (h,): natural logarithm of the Bayes factor against none, and the size's mean and deviation."""
+    """Result for each cause (h,).
+
+    Attributes:
+        evidence: natural logarithm of the Bayes factor against the null hypothesis.
+        size: posterior mean of the size.
+        deviation: posterior standard deviation of the size.
+    """
 
     evidence: Array
     size: Array
@@ -28,13 +37,13 @@ class Weighed:
 
 
 class Sound:
-    """What none of the causes explains: normal noise and the nuisances.
+    """Null hypothesis: normal noise and nuisances without any cause.
 
     Args:
-        measured: (k, b).
-        weight: (k, b), one over the variance of its noise.
-        nuisances: (k, b, m).
-        offsets: (b,), standard deviations of what is added to a bin in all cycles.
+        measured: data, shape (k, b).
+        weight: inverse variances of the noise, shape (k, b).
+        nuisances: nuisance directions, shape (k, b, m).
+        offsets: standard deviations of the offset that a bin has in all cycles, shape (b,).
     """
 
     def __init__(self, measured: Array, weight: Array, nuisances: Array, offsets: Array) -> None:
@@ -48,13 +57,13 @@ class Sound:
         self._match = self._weighted @ measured.ravel()
 
     def _weigh(self, vectors: Array) -> Array:
-        """Vectors (..., k, b), multiplied by the inverse covariance of noise and offsets."""
+        """Return vectors (..., k, b) multiplied by the inverse covariance of noise and offsets."""
         weighted = self._weight * vectors
         common = self._shared * weighted.sum(axis=-2)
         return np.asarray(weighted - self._weight * common[..., None, :])
 
     def weigh(self, causes: Array, known: NDArray[np.bool_]) -> Weighed:
-        """Weighs causes (h, k, b) against none; ``known`` (h,) where s is 1."""
+        """Return the evidence for causes (h, k, b); ``known`` (h,) is True where s is 1."""
         flat = causes.reshape(len(causes), -1)
         cross = flat @ self._weighted.T  # (h, m)
         solved = np.linalg.solve(self._inner, np.column_stack([self._match, cross.T]))
@@ -72,7 +81,7 @@ class Sound:
         )
 
     def weigh_noise(self, others: Array) -> Array:
-        """Logarithm of the Bayes factor of noise of other weights, each of ``others`` (h, k, b), against its own."""
+        """Return log Bayes factors of noise with each of the weights ``others`` (h, k, b) against the own weights."""
         own = self._log_density()
         return np.array(
             [
@@ -82,7 +91,7 @@ class Sound:
         )
 
     def _log_density(self) -> float:
-        """Of what was seen, but for a constant."""
+        """Return the logarithm of the data's marginal density, except for a constant."""
         explained = self._match @ np.linalg.solve(self._inner, self._match)
         distance = np.sum(self._measured * self._weigh(self._measured)) - explained
         spread = np.linalg.slogdet(self._inner)[1]

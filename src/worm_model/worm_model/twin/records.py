@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What comes out of the twin: records and their rows, stamps in integer nanoseconds.
+"""Records that the twin outputs, and the structured types of their rows. Stamps are integer nanoseconds.
 
-Field by field they are the messages TwinState, TwinResiduals and TwinEvent of worm_msgs; the node and the offline
-replay convert them, the core knows no ROS.
+The fields are those of the messages TwinState, TwinResiduals and TwinEvent of worm_msgs. The node and the offline
+replay convert them, because the core does not depend on ROS.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ NANOSECONDS = 1_000_000_000
 
 
 class LengthSource(enum.IntEnum):
-    """As in BodyLength."""
+    """Source of a body length, with the values of the message BodyLength."""
 
     COMMANDED = 0
     CABLE = 1
@@ -28,7 +28,7 @@ class LengthSource(enum.IntEnum):
 
 
 class Activity(enum.IntEnum):
-    """What the driver does, as in GaitState."""
+    """Activity of the driver, with the values of the message GaitState."""
 
     INACTIVE = 0
     IDLE = 1
@@ -39,12 +39,12 @@ class Activity(enum.IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> Activity:  # noqa: ARG003
-        """A state of a driver newer than this twin: nothing that it could follow."""
+        """Return INACTIVE for a state of a newer driver, because this twin cannot follow it."""
         return cls.INACTIVE
 
 
 class Health(enum.IntEnum):
-    """As in TwinResiduals."""
+    """Health of the robot, with the values of the message TwinResiduals."""
 
     UNKNOWN = 0
     HEALTHY = 1
@@ -54,7 +54,7 @@ class Health(enum.IntEnum):
 
 @dataclass(frozen=True)
 class StateRecord:
-    """The message TwinState: positions in the tracker's frame, SI."""
+    """Content of the message TwinState; positions in the tracker's frame, SI units."""
 
     stamp_ns: int
     length_source: LengthSource
@@ -78,7 +78,10 @@ class StateRecord:
 
 
 def row_type(record: type, more: Mapping[str, type] | None = None) -> np.dtype[np.void]:
-    """The numeric fields of a kind of record as a structured type: int64 where one is a whole number, else float64."""
+    """Return the numeric fields of a record class as a structured type.
+
+    Integer fields become int64, all others float64; strings are left out. ``more`` has additional fields.
+    """
     fields = {name: kind for name, kind in get_type_hints(record).items() if kind is not str}
     fields |= more or {}
     return np.dtype(
@@ -88,7 +91,7 @@ def row_type(record: type, more: Mapping[str, type] | None = None) -> np.dtype[n
 
 @dataclass(frozen=True)
 class ResidualRecord:
-    """The message TwinResiduals: measured minus predicted, NaN where there is no measurement."""
+    """Content of the message TwinResiduals: measured minus predicted, NaN without a measurement."""
 
     stamp_ns: int
     rear_position: float
@@ -103,7 +106,7 @@ class ResidualRecord:
 
 
 class Severity(enum.IntEnum):
-    """Of an event."""
+    """Severity of an event."""
 
     INFO = 0
     WARNING = 1
@@ -112,10 +115,10 @@ class Severity(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Event:
-    """The message TwinEvent: something that the operator should read.
+    """Content of the message TwinEvent: a notice for the operator.
 
-    ``code`` is one of those of TwinEvent, or empty for what is only worth a word; ``cycle`` and ``run`` are 0 where
-    they do not apply, ``probability`` is NaN where none was computed.
+    ``code`` is one of the codes of TwinEvent, or empty for plain information. ``cycle`` and ``run`` are 0 where they do
+    not apply. ``probability`` is NaN if it was not computed.
     """
 
     stamp_ns: int
@@ -128,9 +131,9 @@ class Event:
 
 
 STATE_ROW = row_type(StateRecord)
-#: what of a residual is published beside its stamp: what its health came from, its message has in words
+#: fields of a residual that are published, except the stamp; the message explains the health
 RESIDUAL_FIELDS = (row_type(ResidualRecord).names or ())[1:]
-#: a residual with its channels' sizes (in usual ones, NaN without a say) and levels, and the number of the warning
+#: row of a residual, with size (in usual sizes, NaN without data) and level of each channel, and the warning's number
 RESIDUAL_ROW = row_type(
     ResidualRecord,
     {
@@ -152,7 +155,7 @@ COMPLAINTS = {
 
 
 def residual_message(row: Any, warnings: Mapping[int, str]) -> str:
-    """What is wrong according to a row of RESIDUAL_ROW; ``warnings`` are the texts that it refers to by number."""
+    """Return the description of a row of RESIDUAL_ROW; ``warnings`` has the texts to which rows refer by number."""
     warning = [warnings[row["warning"]]] if row["warning"] in warnings else []
     warning += [
         f"{text} ({row[f'{name}_size']:.1f} times the usual residual)"

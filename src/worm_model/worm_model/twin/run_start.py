@@ -1,50 +1,65 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a run begins, and from what: rest pose, initial length, and how the run before left the fins.
+"""Start of a run: rest pose, initial length, and the state in which the previous run left the fins.
 
-At the onset all samples before it have been taken. x1 is where the tracker saw the rear module over the last
-``rest_s``, L0 the mean measured length of that span (else that of the run before, else the parameter). The first run
-starts with each module on its groove. After a run the fins stay where they are: the modules stand off their grooves
-by up to some millimetres, which another start would get wrong for the whole next run. While the cable rests the
-body takes its initial length again, and fins that are turned for the other direction find the nearest grooves. If it
-is seen shorter by what the slack costs, the transmission's slack is still taken up: L0 stays, and ΔL starts there.
+At the onset all earlier samples have been processed.
+
+- x1 is the tracker's position of the rear module over the last ``rest_s``.
+- L0 is the mean measured length of that span, otherwise that of the previous run, otherwise the parameter.
+- The first run starts with each module on its groove.
+- After a run the fins stay where they are, so that the modules are up to some millimetres off their grooves. Another
+  start would be wrong for the whole next run.
+- While the cable is at rest, the body returns to its initial length. Fins that are turned for the other direction move
+  to the nearest grooves.
+- If the body is shorter by the effect of the slack, the slack is still taken up. L0 then stays, and ΔL starts there.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from worm_model.gait import FORWARD, Gait, GaitError
+from worm_model.gait import (
+    FORWARD,
+    WAVEFORM,
+    Gait,
+    GaitError,
+    gait_of,
+)
 from worm_model.parameters import Parameters
-from worm_model.run import is_another_run
+from worm_model.run import SAME_ONSET_NS, is_another_run
 from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.simulator import Locomotion, LocomotionState, SimulationError
 from worm_model.twin.core.memory import NANOSECONDS, Memory
 from worm_model.twin.records import Activity
-from worm_model.twin.samples import Kind
+from worm_model.twin.samples import GAIT_VALUES, Kind
+from worm_model.twin.start_estimate import Start
 from worm_model.twin.twin_settings import TwinSettings
 
 PLAYING = (Activity.RUNNING, Activity.STOPPING)
-LATE_NS = 20_000_000  # an onset heard of later than this is worth a word
-PLAUSIBLE_M = 0.02  # between a measured length at rest and the parameter's
-TAKEN_UP = 0.35  # of what the slack costs, by which a body whose slack is taken up may be off
-FEWEST = 5  # samples that make a mean
-# before the onset, as its stamp and the instruments' come from different clocks
+LATE_NS = 20_000_000  # delay of an onset beyond which it is reported
+PLAUSIBLE_M = 0.02  # largest difference between a measured length at rest and the parameter
+TAKEN_UP = 0.35  # tolerance for a body whose slack is taken up, relative to the effect of the slack
+FEWEST = 5  # smallest number of samples for a mean
+# Values at rest may differ by STILL_M plus STILL_NOISE times the median difference of consecutive values.
+STILL_M, STILL_NOISE = 0.0005, 5.0
+# Samples closer to the onset are ignored, because its stamp and those of the instruments come from different clocks.
 GUARD_NS = 100_000_000
-RELAX_S = 1.0  # in which the body takes its initial length again, and as long to come to rest
-TOLERANCE = 0.3  # of a pitch, that a robot which nobody touched may be off its place
-JOIN_STEP_S = 0.01  # of the commands that a late twin did not hear
+RELAX_S = 1.0  # time in which the body returns to its initial length, and again to come to rest
+TOLERANCE = 0.3  # tolerance, in pitches, for a robot that was not moved since the last run
+SURE_M = 0.002  # deviation up to which it is certainly where the previous run left it
+JOIN_STEP_S = 0.01  # step of the commands that a late twin did not receive
 
 
 @dataclass(frozen=True)
 class Word:
-    """What the driver does from a stamp on.
+    """State of the driver from a stamp on.
 
-    ``onset_ns``, ``run`` and ``cycle`` are 0 where unknown, ``gait`` is None without one.
+    ``onset_ns``, ``run`` and ``cycle`` are 0 if unknown; ``gait`` is None without a gait.
     """
 
     stamp_ns: int
@@ -56,10 +71,10 @@ class Word:
 
 
 def word_of(row: Any) -> Word:
-    """The driver's word in a sample of kind GAIT; a gait that is not admissible counts as none."""
+    """Return the driver's state from a sample of kind GAIT; an inadmissible gait is replaced by None."""
     gait: Gait | None
     try:
-        gait = Gait(float(row["a"]), float(row["b"]), int(row["c"]), float(row["d"]))
+        gait = gait_of({name: row[value] for name, value in GAIT_VALUES.items()})
     except GaitError:
         gait = None
     activity = Activity(int(row["state"]))
@@ -68,45 +83,68 @@ def word_of(row: Any) -> Word:
 
 
 def is_new_run(m: Any, word: Word) -> bool:
-    """Whether a word is the first of a run."""
+    """Return True if a driver state is the first of a run."""
     if word.activity not in PLAYING or word.onset_ns <= 0:
         return False
     if not m["start_ns"] or not m["has_gait"]:
         return True
+    if m["end_ns"] and abs(word.onset_ns - int(m["start_ns"])) > SAME_ONSET_NS:
+        return True  # the driver was restarted and counts from 1
     before = int(m["run"]), int(m["told_cycle"]), int(m["start_ns"])
     return bool(is_another_run(before, (word.run, word.cycle, word.onset_ns)))
 
 
 @dataclass(frozen=True)
 class Place:
-    """The robot at rest: x1 in m from its rear anchor, the front anchor in grooves from that, and where that is (m)."""
+    """Robot at rest.
+
+    Attributes:
+        x1: position of the rear module relative to its anchor, m.
+        front_groove: front anchor in grooves from the rear one.
+        anchor: position of the rear anchor in the tracker's frame, m.
+    """
 
     x1: float
     front_groove: int
     anchor: float
 
-    def agrees_with(self, position: float, pitch: float) -> bool:
-        """Whether a robot seen at a position (m) stands like this, in whichever groove."""
+    def off(self, position: float, pitch: float) -> float:
+        """Return the distance (m) of a robot at a position (m) from this place, modulo the pitch."""
         off = position - (self.anchor + self.x1)
-        return abs(off - round(off / pitch) * pitch) <= TOLERANCE * pitch
+        return abs(off - round(off / pitch) * pitch)
 
 
 def begin_run(
-    memory: Memory, word: Word, parameters: Parameters, settings: TwinSettings
+    memory: Memory,
+    word: Word,
+    parameters: Parameters,
+    settings: TwinSettings,
+    starts: Mapping[int, Start],
 ) -> tuple[int, str]:
-    """Sets a run's start in the memory; returns (the stamp from which it is followed, what to tell).
+    """Initialize a run in the memory.
 
-    An onset that the twin has passed already is heard of late, or the twin came late: it starts where it is, with
-    the length that the gait would have by then.
+    If the twin has already passed the onset, because the driver's message or the twin was late, the run starts at the
+    current position. Its length is then the one that the gait would have by now.
+
+    Args:
+        memory: the twin's memory, updated in place.
+        word: first driver state of the run.
+        parameters: parameters of the robot.
+        settings: settings of the twin.
+        starts: starts that are already known, by onset in ns.
+
+    Returns:
+        Stamp (ns) from which the run is followed, and a message.
     """
     m = memory.record[0]
-    text, taken_up = _stand(memory, word, parameters, settings)
+    text, taken_up = _stand(memory, word, parameters, settings, starts.get(word.onset_ns))
     start = max(word.onset_ns, int(m["taken_ns"]))
     late = start - word.onset_ns
     m["run"], m["start_ns"], m["end_ns"] = word.run, word.onset_ns, 0
     m["has_gait"] = word.gait is not None
     if word.gait is not None:
-        m["stroke"], m["frequency"] = word.gait.stroke, word.gait.frequency
+        for name in WAVEFORM:
+            m[name] = getattr(word.gait, name)
     m["engaged"], m["command_ns"], m["command"], m["answer"] = 1, start, 0.0, taken_up
     if late > 0 and word.gait is not None:
         m["command"], m["answer"] = _joined(word.gait, late / NANOSECONDS, parameters)
@@ -124,16 +162,21 @@ def begin_run(
 
 
 def _stand(
-    memory: Memory, word: Word, parameters: Parameters, settings: TwinSettings
+    memory: Memory,
+    word: Word,
+    parameters: Parameters,
+    settings: TwinSettings,
+    start: Start | None,
 ) -> tuple[str, float]:
-    """Sets L0, pose and origin from all that is known of the robot at rest before a run; (what to tell, ΔL in m)."""
+    """Set L0, pose and origin from the data of the robot at rest before a run; return a message and ΔL (m)."""
     m = memory.record[0]
-    length, position = _at_rest(memory, word.onset_ns, settings)
+    rest = _at_rest(memory, word.onset_ns, settings)
+    length, position = rest.length, rest.position
     direction = FORWARD if word.gait is None else word.gait.direction
     before = parameters.replace(initial_length=float(m["initial_length"]))
-    taken_up = _taken_up(m, before, length)
-    if taken_up:
-        length = math.nan  # that is not L0
+    taken_up = _taken_up(m, before, rest)
+    if taken_up or not rest.settled:
+        length = math.nan  # a length that is still changing is not L0
     if abs(length - parameters.initial_length) <= PLAUSIBLE_M:  # False for NaN
         initial_length, source = length, "as measured at rest"
         tracked, fitted = True, False
@@ -149,15 +192,21 @@ def _stand(
             f"; the slack is still taken up, which makes the body {-1e3 * taken_up:.1f} mm shorter"
         )
     place = _left_behind(m, before, initial_length + taken_up, direction)
+    known = place is not None
     if place is not None and math.isfinite(position):
-        if place.agrees_with(position, parameters.pitch):
+        off = place.off(position, parameters.pitch)
+        known = off <= SURE_M
+        if off <= TOLERANCE * parameters.pitch:
             place = Place(place.x1, place.front_groove, position - place.x1)
         else:
             place = None
             text += "; the robot was moved since the last run"
     if place is None:
         anchor = float(m["origin"]) if math.isnan(position) else position
-        place = Place(0.0, front_groove(parameters.replace(initial_length=initial_length)), anchor)
+        straight = Start(0.0, front_groove(parameters.replace(initial_length=initial_length)))
+        stands, known = start or straight, start is not None
+        place = Place(stands.x1, stands.front_groove, anchor - stands.x1)
+    m["start_known"] = known
     m["initial_length"], m["length_seen"], m["length_fitted"] = initial_length, tracked, fitted
     m["direction"], m["origin"] = direction, place.anchor
     m["origin_known"] = m["origin_known"] or math.isfinite(position)
@@ -165,50 +214,83 @@ def _stand(
     return text, taken_up
 
 
-def _taken_up(m: Any, before: Parameters, length: float) -> float:
-    """ΔL (m) of a body seen at rest at a length (m) after another run, if its slack is still taken up, else 0."""
+def _taken_up(m: Any, before: Parameters, rest: _Rest) -> float:
+    """Return ΔL (m) of a body at rest whose slack is still taken up or returning after another run, otherwise 0."""
     shorter = before.gain * before.slack
-    change = length - before.initial_length
+    change = rest.length - before.initial_length
     if m["start_ns"] and abs(change + shorter) < min(TAKEN_UP * shorter, PLAUSIBLE_M):
         return change
-    return 0.0
+    coming_back = m["start_ns"] and not rest.settled and -shorter < change < 0.0
+    return change if coming_back else 0.0
 
 
-def _at_rest(memory: Memory, onset_ns: int, settings: TwinSettings) -> tuple[float, float]:
-    """Mean measured length (without one the tracker's) and rear position before an onset, m; NaN if too few."""
+class _Rest(NamedTuple):
+    """Robot at rest before an onset.
+
+    Attributes:
+        length: length from a length instrument, otherwise from the tracker, m.
+        settled: True if the length no longer changes.
+        position: position of the rear module, m.
+    """
+
+    length: float
+    settled: bool
+    position: float
+
+
+def _at_rest(memory: Memory, onset_ns: int, settings: TwinSettings) -> _Rest:
+    """Return the robot at rest before an onset; NaN where there are too few samples."""
     m = memory.record[0]
     if m["start_ns"] and not m["end_ns"]:
-        return math.nan, math.nan  # another gait was played until now
+        return _Rest(math.nan, settled=False, position=math.nan)  # another gait ran until now
     rows = memory.rows[: int(m["place"])]
     last = onset_ns - GUARD_NS
     first = max(last - round(settings.rest_s * NANOSECONDS), int(m["end_ns"]))
     rows = rows[(rows["stamp"] >= first) & (rows["stamp"] <= last)]
     lengths = rows["a"][rows["kind"] == Kind.LENGTH]
     tracker = rows[rows["kind"] == Kind.POSITION]
-    length = _mean(lengths)
-    return (_mean(tracker["b"] - tracker["a"]) if math.isnan(length) else length), _mean(
-        tracker["a"]
-    )
+    if np.count_nonzero(np.isfinite(lengths)) < FEWEST:
+        lengths = tracker["b"] - tracker["a"]
+    length, settled = _settled(lengths)
+    return _Rest(length, settled, _settled(tracker["a"])[0])
 
 
-def _mean(values: np.ndarray) -> float:
+def _settled(values: np.ndarray) -> tuple[float, bool]:
+    """Return the mean of the last values without motion, and True if the motion has ended.
+
+    The mean is NaN for fewer than `FEWEST` values. A body whose slack returns within the span moves by millimetres, so
+    that earlier values do not describe it at the onset.
+    """
     values = values[np.isfinite(values)]
-    return float(np.mean(values)) if len(values) >= FEWEST else math.nan
+    if len(values) < FEWEST:
+        return math.nan, False
+    tolerance = STILL_M + STILL_NOISE * float(np.median(np.abs(np.diff(values))))
+    moved = np.flatnonzero(np.abs(values - np.mean(values[-FEWEST:])) > tolerance)
+    still = values[moved[-1] + 1 :] if moved.size else values
+    if len(still) < 2 * FEWEST:
+        return float(np.mean(values[-FEWEST:])), not moved.size
+    half = len(still) // 2
+    drift = abs(np.mean(still[-half:]) - np.mean(still[:half]))
+    return float(np.mean(still)), bool(drift < tolerance / math.sqrt(half))
 
 
 def _joined(gait: Gait, elapsed: float, parameters: Parameters) -> tuple[float, float]:
-    """(u_cmd, ΔL) in m after a time in s of a gait whose commands nobody heard, as if it had been played exactly."""
-    # The lag forgets all but the last cycles.
+    """Return u_cmd and ΔL (m) after a time (s) of a gait whose commands were not received, as if played exactly."""
+    # Only the last cycles matter because of the lag.
     start = max(0, int(elapsed * gait.frequency) - 1) * gait.period
     times = np.append(np.arange(start, elapsed, JOIN_STEP_S), elapsed)
-    commands = np.array([gait.command(time) for time in times.tolist()])
+    commands = gait.command(times)
     return float(commands[-1]), float(length_change_of_command(times, commands, parameters)[-1])
 
 
 def _left_behind(m: Any, parameters: Parameters, length: float, direction: int) -> Place | None:
-    """Where the run before leaves the robot, at a length (m) at rest and with the fins set for a direction.
+    """Return where the previous run leaves the robot, or None without a previous run.
 
-    None if there was no run. ``parameters`` are those of the run before.
+    Args:
+        m: record of the memory.
+        parameters: parameters of the previous run.
+        length: length of the body at rest, m.
+        direction: direction for which the fins are set.
     """
     if not m["moving"] or not m["start_ns"]:
         return None
@@ -231,7 +313,7 @@ def _left_behind(m: Any, parameters: Parameters, length: float, direction: int) 
 
 
 def motion_of(m: Any) -> LocomotionState:
-    """The motion in the memory's record, at time 0."""
+    """Return the motion in the memory's record, at time 0."""
     regions = int(m["rear_region"]), int(m["front_region"])
     grooves = int(m["rear_groove"]), int(m["front_groove"])
     return LocomotionState(
@@ -240,7 +322,7 @@ def motion_of(m: Any) -> LocomotionState:
 
 
 def _rested(model: Locomotion, motion: LocomotionState, length: float) -> LocomotionState:
-    """The motion once the body has taken a length (m) and has come to rest."""
+    """Return the motion after the body has reached a length (m) and come to rest."""
     change = length - model.parameters.initial_length
     times = [motion.time + RELAX_S, motion.time + 2.0 * RELAX_S]
     return model.follow(motion, times, [change, change])[0]

@@ -1,25 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples as rows: what the twin takes, live from messages and offline from a recording."""
+"""Structured rows of the samples that the twin reads, from messages or from a recording."""
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
-from itertools import pairwise
+from string import ascii_lowercase
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.gait import GAIT_UNITS
 from worm_model.run import Run
 
 Rows = NDArray[np.void]
-#: when samples were received, ns, by their `Kind`
-Received = Mapping[int, NDArray[np.int64]]
 
 
 class Kind(enum.IntEnum):
-    """Of a sample, in the order in which those of one stamp are taken."""
+    """Kind of a sample; samples with equal stamps are processed in this order."""
 
     GAIT = 0
     COMMAND = 1
@@ -28,39 +26,41 @@ class Kind(enum.IntEnum):
     POWER = 4
 
 
-#: ``stamp`` in ns. ``a`` to ``d`` by kind: u_cmd (m); L (m); x1, x2 (m); power (W); stroke (m), frequency (Hz),
-#: direction, margin (m). ``onset`` (ns), ``state``, ``run``, ``cycle`` and ``heard``, its own stamp (ns), of a gait
-#: state only.
+#: letters of the values of a sample, as many as the kind with the most, the gait, has
+VALUES = tuple(ascii_lowercase[: len(GAIT_UNITS)])
+#: letter of the value by field of a gait
+GAIT_VALUES = dict(zip(GAIT_UNITS, VALUES, strict=True))
+
+#: ``stamp`` in ns. ``a``, ``b``, … by kind: u_cmd (m); L (m); x1, x2 (m); power (W); the fields of a gait. Of a gait
+#: state only: ``onset`` (ns), ``state``, ``run``, ``cycle`` and ``heard``, its own stamp (ns).
 SAMPLE = np.dtype(
     [
         *(
             (name, np.int64)
             for name in ("stamp", "kind", "onset", "state", "run", "cycle", "heard")
         ),
-        *((name, np.float64) for name in ("a", "b", "c", "d")),
+        *((name, np.float64) for name in VALUES),
     ]
 )
 
 
 def sample_rows(kind: Kind, stamp: NDArray[np.int64], *values: NDArray[Any]) -> Rows:
-    """Rows of one kind from stamps (n,) in ns and its values, each (n,)."""
+    """Return rows of one kind from stamps (n,) in ns and their values, each (n,)."""
     rows = np.zeros(len(stamp), SAMPLE)
     rows["stamp"], rows["kind"], rows["heard"] = stamp, kind, stamp
-    for name, value in zip("abcd", values, strict=False):
+    for name, value in zip(VALUES, values, strict=False):
         rows[name] = value
     return rows
 
 
-def rows_of_run(run: Run, jump_back_ns: int, received: Received | None = None) -> Rows:
-    """All samples that the twin takes, in the order in which they were ``received`` (ns, by `Kind`), as if live.
+def rows_of_run(run: Run, jump_back_ns: int) -> Rows:
+    """Return all samples of a recording for the twin, ordered by stamp, so that none is late.
 
-    Where that is not known of every topic that has samples: by stamp, each topic in its own order; where one goes back
-    by more than ``jump_back_ns`` the clock has jumped, and all after that comes after all before.
+    If a topic goes back by more than ``jump_back_ns``, the clock has jumped. All samples after the jump then follow all
+    samples before it.
     """
     states = run.gait_state
-    gaits = sample_rows(
-        Kind.GAIT, states.stamp, states.stroke, states.frequency, states.direction, states.margin
-    )
+    gaits = sample_rows(Kind.GAIT, states.stamp, *(getattr(states, name) for name in GAIT_VALUES))
     gaits["onset"], gaits["state"], gaits["run"] = states.onset, states.state, states.run
     gaits["cycle"] = states.cycle
     tracker, power = run.tracker, run.power
@@ -76,22 +76,15 @@ def rows_of_run(run: Run, jump_back_ns: int, received: Received | None = None) -
     topics = {kind: topic for kind, topic in topics.items() if len(topic)}
     if not topics:
         return np.zeros(0, SAMPLE)
-    keys = [_arrival(topic["stamp"], jump_back_ns) for topic in topics.values()]
-    jumps, reached = (np.concatenate(part) for part in zip(*keys, strict=True))
-    first = jumps
-    if received is not None and all(kind in received for kind in topics):
-        first = np.concatenate([received[kind] for kind in topics])
-    return np.concatenate(list(topics.values()))[np.lexsort((reached, first))]
+    jumps = [_jumps(topic["stamp"], jump_back_ns) for topic in topics.values()]
+    rows = np.concatenate(list(topics.values()))
+    return rows[np.lexsort((rows["stamp"], np.concatenate(jumps)))]
 
 
-def _arrival(
-    stamp: NDArray[np.int64], jump_back_ns: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(jumps of the clock before each sample of a topic, newest stamp of the topic by then)."""
-    jumped = np.append(False, np.diff(stamp) < -jump_back_ns)[: len(stamp)]
-    jumps = np.cumsum(jumped)
-    reached = stamp.copy()
-    borders = np.append(np.flatnonzero(np.append(True, jumped[1:])), len(stamp))[: len(stamp) + 1]
-    for first, last in pairwise(borders.tolist()):
-        reached[first:last] = np.maximum.accumulate(stamp[first:last])
-    return jumps, reached
+def _jumps(stamp: NDArray[np.int64], jump_back_ns: int) -> NDArray[np.int64]:
+    """Return for each sample of a topic how many backward jumps of the clock precede it."""
+    newest = np.maximum.accumulate(stamp)
+    back = np.diff(stamp) < -jump_back_ns
+    # A single late sample is followed by the newest again; after a jump the next ones stay behind.
+    stays = np.append(stamp[2:] < newest[:-2] - jump_back_ns, True)[: len(back)]
+    return np.cumsum(np.append(False, back & stays)[: len(stamp)])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pipe, the robot as the tracker sees it, and the twin's ghost, as simple shapes.
+"""Simple shapes for the pipe, the tracked robot and the twin.
 
-The pipe lies along x in the frame ``FRAME``; lengths in m, colours as (red, green, blue, opacity) in 0 to 1.
-Fins are green where they hold, amber where they yield, grey where they touch nothing.
+The pipe lies along x in the frame ``FRAME``. Lengths are in m, colours are (red, green, blue, opacity) from 0 to 1.
+Fins are green where they hold, amber where they yield, and grey where they touch nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FRAME = "pipe"
 PIPE_RADIUS = 0.06
 MODULE = (0.04, 0.07, 0.07)
 BELLOWS_DIAMETER = 0.05
-LOST_S = 1.0  # a robot that the tracker has not seen for longer is not drawn
+LOST_S = 1.0  # age of the latest tracker sample beyond which the robot is not drawn
 VIEW = 0.6  # m of pipe shown before and behind the robot
 
 Colour = tuple[float, float, float, float]
@@ -34,7 +34,7 @@ FREE: Colour = (0.6, 0.6, 0.6, 1.0)
 
 
 class Kind(enum.Enum):
-    """Of a shape."""
+    """Kind of a shape."""
 
     BOX = "box"
     BOXES = "boxes"
@@ -43,7 +43,7 @@ class Kind(enum.Enum):
 
 @dataclass(frozen=True)
 class Shape:
-    """``name`` is its own among the shapes; ``points`` are the centres of BOXES, relative to ``position``."""
+    """Shape with a unique ``name``; ``points`` are the centres of BOXES relative to ``position``."""
 
     name: str
     kind: Kind
@@ -55,14 +55,14 @@ class Shape:
 
 @dataclass(frozen=True)
 class Sighting:
-    """What the tracker saw last: x1 and x2 in m, NaN where it did not, and when (ns)."""
+    """Latest sample of the tracker: x1 and x2 in m, NaN if not visible, and its stamp in ns."""
 
     rear_position: float = math.nan
     front_position: float = math.nan
     stamp_ns: int = 0
 
     def seen_at(self, stamp_ns: int) -> bool:
-        """Whether it tells where both modules are at a stamp."""
+        """Return True if both positions are known and recent at a stamp."""
         both = math.isfinite(self.rear_position) and math.isfinite(self.front_position)
         return both and abs(stamp_ns - self.stamp_ns) <= LOST_S * NANOSECONDS
 
@@ -70,7 +70,7 @@ class Sighting:
 def scene(
     twin: StateRecord, robot: Sighting, parameters: Parameters, direction: int = FORWARD
 ) -> list[Shape]:
-    """All shapes; the robot is left out while the tracker does not see both modules, or is silent."""
+    """Return all shapes; the robot is missing if the tracker does not see both modules or is silent."""
     shapes = [ridges(twin, parameters)]
     shapes += body("twin", twin.rear_position, twin.front_position, GHOST_COLOUR)
     shapes += [
@@ -83,7 +83,7 @@ def scene(
 
 
 def ridges(twin: StateRecord, parameters: Parameters) -> Shape:
-    """The pipe's ridges about the robot, midway between grooves."""
+    """Return the ridges of the pipe around the robot, midway between grooves."""
     pitch, zero = parameters.pitch, twin.rear_anchor
     first = math.floor((twin.rear_position - VIEW - zero) / pitch)
     last = math.ceil((twin.front_position + VIEW - zero) / pitch)
@@ -97,7 +97,7 @@ def ridges(twin: StateRecord, parameters: Parameters) -> Shape:
 
 
 def body(name: str, rear: float, front: float, colour: Colour) -> list[Shape]:
-    """Both modules and the bellows between them."""
+    """Return both modules and the bellows between them."""
     gap = max(front - rear - MODULE[0], 1e-3)
     middle = 0.5 * (rear + front)
     return [
@@ -114,7 +114,7 @@ def body(name: str, rear: float, front: float, colour: Colour) -> list[Shape]:
 
 
 def fin(name: str, position: float, anchor: float, parameters: Parameters, direction: int) -> Shape:
-    """A fin pair from its root to its groove, coloured by its engagement (eq:fin_force_piecewise)."""
+    """Return a fin pair from its root to its groove, coloured by its engagement (eq:fin_force_piecewise)."""
     reach = anchor - position
     size = (max(abs(reach), 0.004), 0.02, 2.0 * PIPE_RADIUS)
     colour = engagement(position - anchor, parameters, direction)
@@ -122,7 +122,7 @@ def fin(name: str, position: float, anchor: float, parameters: Parameters, direc
 
 
 def engagement(displacement: float, parameters: Parameters, direction: int) -> Colour:
-    """The colour of a fin that is displaced (m) from its groove: forward, it holds when pushed backward."""
+    """Return the colour of a fin deflected by ``displacement`` (m); forward fins hold when pushed backward."""
     if abs(displacement) <= 0.5 * parameters.clearance:
         return FREE
     return HOLDING if displacement * direction < 0.0 else YIELDING

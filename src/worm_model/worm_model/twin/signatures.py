@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each cause does to what the instruments see: one simulator, with one thing changed, minus itself as it is.
+"""Signatures of the causes: changes of the residuals, simulated with one thing changed minus unchanged.
 
-All are changes of the residuals over a cycle of the steady gait, in `BINS` bins of `CHANNELS` channels (rear position
-in m, measured length in m, power in W). A change of a parameter is scaled to the size that is usual for it. A groove
-that is missed or gained is a switch of one fin that comes never, or once too often: until the other fin switches, the
-threshold is out of reach, or lower.
+All are changes over a cycle of the steady gait, in `BINS` bins of `CHANNELS` channels (rear position in m, measured
+length in m, power in W). The change of a parameter is scaled to its usual size. A missed or gained groove is a switch
+of one fin that never happens, or happens once too often. Until the other fin switches, the fin's threshold is out of
+reach, or lower.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from worm_model.twin.core.memory import CHANNELS, LENGTH, PHASES, POSITION, POWE
 BINS = 25  # of a cycle
 SETTLED = 5  # cycles after which a gait repeats itself
 CYCLES = SETTLED + 3
-NEVER_M = 1.0  # beyond its threshold no fin comes
-EARLIER_M = (0.002, 0.005, 0.008, 0.012)  # by which a fin switches too early
-SMALL = 0.2  # of a usual change, where the model is taken as linear
-L0_STEP_M, L0_REACH = 0.0005, 0.5  # the lengths at rest that are tried, and how far, in pitches
+NEVER_M = 1.0  # margin that no fin reaches, so that it never switches
+EARLIER_M = (0.002, 0.005, 0.008, 0.012)  # tested margins of a fin that switches too early
+SMALL = 0.2  # fraction of a usual change for which the model is assumed linear
+L0_STEP_M, L0_REACH = 0.0005, 0.5  # step and reach (in pitches) of the tested L0
 
-#: relative change that a fault may bring about, by parameter
+#: usual relative change by a fault, by parameter
 FAULTS = {"gain": 0.05, "viscous_friction": 0.5}
 SLIP_M, SCALE, OFFSET_W = (
     0.005,
     0.1,
     0.6,
 )  # usual slip of a cable, change of the power's scale and of its zero
-#: by how much a sound robot's parameters are off those that the twin was given, relative
+#: relative standard deviations of a healthy robot's parameters from the twin's
 SOUND = {
     "gain": 0.01,
     "slack": 0.03,
@@ -57,7 +57,13 @@ SOUND_L0_M = 0.0004
 
 @dataclass(frozen=True)
 class AnotherLength:
-    """What a wrong L0 looks like: ``error`` in m, grooves ``gained`` a cycle more, change (CHANNELS, BINS)."""
+    """Signature of a wrong L0.
+
+    Attributes:
+        error: error of L0, m.
+        gained: additional grooves per cycle.
+        change: change of the residuals, shape (CHANNELS, BINS).
+    """
 
     error: float
     gained: int
@@ -66,12 +72,18 @@ class AnotherLength:
 
 @dataclass(frozen=True)
 class Signatures:
-    """Of a gait and a robot; every change is (CHANNELS, BINS).
+    """Signatures of a gait and a robot; every change has the shape (CHANNELS, BINS).
 
-    ``grooves`` gained a cycle; ``power`` (BINS,) in W as predicted; ``lasting`` the causes that stay, at their usual
-    size; ``missed`` and ``gained`` by fin (and how early it came), of shape (2, CHANNELS, BINS): the cycle before and
-    that in which x1 falls behind, or gets ahead; ``sound`` what robots differ in that are as they should be, by
-    parameter; ``lengths`` other lengths at rest.
+    Attributes:
+        grooves: grooves per cycle.
+        power: predicted power, W, shape (BINS,).
+        lasting: changes by lasting causes at their usual size, by name.
+        missed: changes by a missed groove, by fin. Shape (2, CHANNELS, BINS): the cycle before, and the cycle in which
+            x1
+            falls behind.
+        gained: changes by a gained groove, by fin and by how early it switches. Shape as for ``missed``; x1 gets ahead.
+        sound: differences between healthy robots, by parameter.
+        lengths: signatures of other initial lengths.
     """
 
     grooves: int
@@ -84,7 +96,7 @@ class Signatures:
 
 
 def binned(values: Array) -> Array:
-    """Means of phases (…, PHASES) over bins (…, BINS)."""
+    """Return the means over bins (…, BINS) of values at phases (…, PHASES)."""
     shape = (*values.shape[:-1], BINS, PHASES // BINS)
     means: Array = values.reshape(shape).mean(axis=-1)
     return means
@@ -92,9 +104,15 @@ def binned(values: Array) -> Array:
 
 @lru_cache(maxsize=32)
 def signatures(gait: Gait, parameters: Parameters, *, driven: bool) -> Signatures:
-    """Of a gait as played, without margin; ``driven`` says that a measured length drives the twin.
+    """Return the signatures of a gait as played, without its margin.
 
-    Then the answer to the command shows in the length alone, else in all but that. A tenth of a second the first time.
+    The first call for a gait takes a tenth of a second, later calls use a cache.
+
+    Args:
+        gait: the gait.
+        parameters: parameters with the L0 of the run.
+        driven: True if a measured length drives the twin. The answer to the command then affects the length only,
+            otherwise everything except the length.
     """
     gait = replace(gait, margin=0.0)
     model = _Model(gait, parameters, driven)
@@ -110,7 +128,7 @@ def signatures(gait: Gait, parameters: Parameters, *, driven: bool) -> Signature
 
 
 class _Model:
-    """The robot as the twin believes it to be, in the steady cycle, and what changes with its parameters."""
+    """Robot with the twin's parameters in the steady cycle, and the effect of changed parameters."""
 
     def __init__(self, gait: Gait, parameters: Parameters, driven: bool) -> None:  # noqa: FBT001
         self.gait, self.parameters, self.driven = gait, parameters, driven
@@ -120,7 +138,7 @@ class _Model:
         self.length = self._length(parameters, self.commands)
         try:
             self.seen, self.grooves = self._cycle(parameters, self.commands, 0.0)
-        except SimulationError:  # no steady gait: nothing can be told
+        except SimulationError:  # without a steady gait there are no signatures
             self.seen, self.grooves = np.zeros((CHANNELS, BINS)), 0
 
     def _length(self, parameters: Parameters, commands: Array) -> Array:
@@ -129,7 +147,10 @@ class _Model:
         )
 
     def _cycle(self, parameters: Parameters, commands: Array, error: float) -> tuple[Array, int]:
-        """(the steady cycle (CHANNELS, BINS), grooves gained in it); ``error`` (m) is that of a measured L0."""
+        """Return the steady cycle (CHANNELS, BINS) and the grooves gained in it.
+
+        ``error`` (m) is added to the measured length.
+        """
         length = self._length(parameters, commands)
         moves = self.length if self.driven else length
         robot = Locomotion(parameters, self.gait.direction)
@@ -145,7 +166,7 @@ class _Model:
         return channels, self.gait.direction * int(gained)
 
     def change(self, parameters: Parameters, commands: Array | None = None) -> tuple[Array, int]:
-        """(what another robot shows minus this one, grooves that it gains more)."""
+        """Return the effect of other parameters or commands, and the additional grooves per cycle."""
         try:
             shown, grooves = self._cycle(
                 parameters, self.commands if commands is None else commands, 0.0
@@ -155,7 +176,10 @@ class _Model:
         return shown - self.seen, grooves - self.grooves
 
     def relative(self, key: str, size: float) -> Array:
-        """The change with a parameter at a relative size, by a small step that leaves the number of grooves."""
+        """Return the effect of a parameter's relative change.
+
+        It is extrapolated from a step that is small enough to keep the number of grooves.
+        """
         value = getattr(self.parameters, key)
         for step in (SMALL, -SMALL, 0.2 * SMALL, -0.2 * SMALL):
             change, grooves = self.change(
@@ -167,7 +191,7 @@ class _Model:
 
 
 def _lasting(model: _Model) -> dict[str, Array]:
-    """By name, at the size that is usual for it."""
+    """Return the changes by lasting causes at their usual size, by name."""
     changes = {key: model.relative(key, size) for key, size in FAULTS.items()}
     changes["slip"] = np.zeros((CHANNELS, BINS))
     for step in (SMALL, 0.2 * SMALL):
@@ -182,11 +206,13 @@ def _lasting(model: _Model) -> dict[str, Array]:
 
 
 def _sound(model: _Model) -> dict[str, Array]:
+    """Return the differences between healthy robots, by parameter."""
     relative = SOUND | {"initial_length": SOUND_L0_M / model.parameters.initial_length}
     return {key: model.relative(key, size) for key, size in relative.items()}
 
 
 def _lengths(model: _Model) -> list[AnotherLength]:
+    """Return the signatures of other initial lengths."""
     p = model.parameters
     count = int(L0_REACH * p.pitch / L0_STEP_M)
     lengths = []
@@ -197,11 +223,14 @@ def _lengths(model: _Model) -> list[AnotherLength]:
     return lengths
 
 
-# --- a switch that comes never, or once too often ----------------------------------------------------
+# --- a switch that is missing, or happens once too often ----------------------------------------------------
 
 
 def _switches(model: _Model, margins: Mapping[str, float], grooves: int) -> dict[str, Array]:
-    """What a fin's last switch of a cycle looks like at another threshold, by fin, where that gains so many grooves."""
+    """Return the signatures of a fin's last switch of a cycle at another threshold, by fin.
+
+    Only those are included that gain ``grooves`` grooves.
+    """
     changes = {
         f"{name}{how}": _switched(model, fin, margin, grooves)
         for name, fin in (("rear", 1), ("front", 2))
@@ -238,7 +267,7 @@ def _switched(model: _Model, fin: int, margin: float, grooves: int) -> Array | N
 
 
 def _window(gait: Gait, parameters: Parameters, fin: int) -> tuple[float, float] | None:
-    """From the last switch of a fin in its part of a steady cycle to the next one of the other, s."""
+    """Return the time (s) of a fin's last switch in a steady cycle, and of the other fin's next switch."""
     try:
         events = simulate(gait, parameters, CYCLES).events()
     except SimulationError:
@@ -258,7 +287,7 @@ def _window(gait: Gait, parameters: Parameters, fin: int) -> tuple[float, float]
 
 @dataclass(frozen=True)
 class _Followed:
-    """What a robot did at the model's times: x1, power, grooves of (rear, front)."""
+    """Motion of a robot at the model's times: x1 (m), power (W), grooves of the rear and the front fin."""
 
     x1: Array
     power: Array
@@ -268,13 +297,13 @@ class _Followed:
 def _first_change(
     model: _Model, fin: int, usual: _Followed, other: _Followed, default: float
 ) -> float:
-    """When a fin's groove first is another one than usual, s."""
+    """Return the time (s) at which a fin's groove first differs from the usual one, or the default."""
     differs = np.flatnonzero(other.grooves[fin - 1] != usual.grooves[fin - 1])
     return float(model.times[differs[0]]) if differs.size else default
 
 
 def _follow(model: _Model, window: tuple[float, float], margin: float) -> _Followed:
-    """Motion and power at the model's times, another margin applying in a window."""
+    """Return motion and power at the model's times, with another margin in a time window (s)."""
     times, length = model.times, model.length
     state = Locomotion(model.parameters, model.gait.direction).start()
     parts = []

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The digital twin: samples in, states, residuals and events out.
+"""Digital twin: samples in; states, residuals and events out.
 
-`Twin.advance` takes one sample live or a whole recording at replay, through the same compiled core
-(`worm_model.twin.core`): no clock is read, nothing is drawn, so the outcome does not depend on how the samples are cut
-into calls, nor on the order in which those of the last ``delay_s`` come. What happens a few times in a run is
-decided here: the driver's words, the ends of cycles, a clock that jumps. Parameters may change between two calls
-(another `Twin` on the same state); L0 stays the run's own.
+`Twin.advance` processes one sample live, or a whole recording in a replay, with the same compiled core
+(`worm_model.twin.core`). It reads no clock and draws no random numbers. The result therefore does not depend on how the
+samples are divided into calls, or on the order in which those of the last ``delay_s`` arrive. Rare events are handled
+here: states of the driver, ends of cycles, jumps of the clock. Parameters may change between two calls (another `Twin`
+on the same state); L0 stays that of the run.
 """
 
 from __future__ import annotations
@@ -16,14 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.gait import Gait
+from worm_model.gait import (
+    WAVEFORM,
+    Gait,
+    gait_of,
+)
 from worm_model.parameters import PAPER, Parameters
+from worm_model.run import SAME_ONSET_NS
 from worm_model.simulation.actuation import actuator
 from worm_model.simulation.closed_form import front_groove
 from worm_model.simulation.kernel.actuation_law import Actuator
 from worm_model.simulation.kernel.mode import Constants
 from worm_model.simulation.kernel.whole_run import constants_of
-from worm_model.simulation.simulator import parameter_row
+from worm_model.simulation.rows import parameter_rows
 from worm_model.twin.core import following
 from worm_model.twin.core.memory import (
     NANOSECONDS,
@@ -35,39 +40,51 @@ from worm_model.twin.core.memory import (
     new_memory,
     new_rows,
 )
-from worm_model.twin.diagnosis import CycleSeen, Finding, History, judge_cycle
+from worm_model.twin.diagnosis import CycleSeen, Finding, History, explains, judge_cycle, off_at_end
 from worm_model.twin.records import Activity, Event, Severity
 from worm_model.twin.run_start import PLAYING, Word, begin_run, is_new_run, word_of
 from worm_model.twin.samples import SAMPLE
 from worm_model.twin.samples import Rows as SampleRows
+from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 
-END_NS = 100_000_000  # the driver tells of the end of a cycle with this much of a tolerance
+CLOCK = "clock_jump"  # code of TwinEvent
+CLOCK_SET = "the clock was set{} while it was played"
+END_NS = 100_000_000  # tolerance with which the driver reports the end of a cycle
 NOTHING: SampleRows = np.zeros(0, SAMPLE)
 FOREVER_NS = 1 << 62
 
 
 @dataclass
 class TwinState:
-    """The twin between two samples; it changes as the twin advances. All of it is bounded.
+    """State of the twin between two samples, of bounded size; `Twin.advance` updates it in place.
 
-    ``memory`` is the core's; ``history`` that of the run's cycles; ``warnings`` are the texts of the last events that
-    count for the health, by number; ``joined_cycle`` is the cycle in which the twin came late to a run, 0 for none.
+    Attributes:
+        memory: memory of the core.
+        history: history of the run's cycles.
+        warnings: texts of the last events that affect the health, by number.
+        joined_cycle: cycle in which a late twin joined the run, 0 if it was not late.
+        unusable: reasons why runs cannot be judged, by run number (by onset for runs without one).
+        clock_set: True if the clock was set during a run of which no message has arrived since.
+        starts: estimated starts, by onset in ns.
     """
 
     memory: Memory
     history: History = field(default_factory=History)
     warnings: dict[int, str] = field(default_factory=dict)
     joined_cycle: int = 0
+    unusable: dict[int, str] = field(default_factory=dict)
+    clock_set: bool = False
+    starts: dict[int, Start] = field(default_factory=dict)
 
     @property
     def record(self) -> Any:
-        """The core's record, by field name."""
+        """Record of the core, by field name."""
         return self.memory.record[0]
 
     @property
     def now_ns(self) -> int:
-        """Newest stamp of all samples, 0 before the first."""
+        """Newest stamp of all samples in ns, 0 before the first."""
         return int(self.record["newest"].max())
 
     @property
@@ -77,33 +94,42 @@ class TwinState:
 
     @property
     def direction(self) -> int:
-        """In which the fins are set."""
+        """Direction for which the fins are set."""
         return int(self.record["direction"])
 
     @property
     def is_running(self) -> bool:
-        """Whether a run goes on."""
+        """True during a run."""
         return bool(self.record["start_ns"]) and not self.record["end_ns"]
 
     @property
     def gait(self) -> Gait | None:
-        """That of the run, without margin; None where no word of the driver told."""
+        """Gait of the run without its margin; None if the driver has not reported it."""
         m = self.record
         if not m["has_gait"]:
             return None
-        return Gait(float(m["stroke"]), float(m["frequency"]), int(m["direction"]))
+        return gait_of({name: m[name] for name in (*WAVEFORM, "direction")})
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many samples were taken or left, by what became of them."""
+        """Number of samples by their fate, such as "taken" or "late"."""
         return dict(zip(VERDICTS, self.record["counts"].tolist(), strict=True))
 
 
 @dataclass(frozen=True)
-class Output:
-    """What an advance yields: rows of STATE_ROW, RESIDUAL_ROW, LENGTH_ROW in the order of their stamps, and events.
+class ClosedCycle:
+    """Cycle that has ended: ``onset_ns`` of its run, its number, and why it was not judged (empty if it was)."""
 
-    ``warnings`` are the texts that residuals refer to by number.
+    onset_ns: int
+    number: int
+    not_judged: str = ""
+
+
+@dataclass(frozen=True)
+class Output:
+    """Result of an advance: rows of STATE_ROW, RESIDUAL_ROW and LENGTH_ROW, ordered by stamp, and events.
+
+    ``warnings`` has the texts to which residuals refer by number, ``cycles`` the cycles that ended.
     """
 
     states: np.ndarray
@@ -111,27 +137,28 @@ class Output:
     lengths: np.ndarray
     events: tuple[Event, ...]
     warnings: dict[int, str]
+    cycles: tuple[ClosedCycle, ...] = ()
 
 
 @dataclass(frozen=True)
 class Twin:
-    """The twin of a robot with these parameters; it holds no state."""
+    """Twin of a robot with given parameters; it has no state of its own."""
 
     parameters: Parameters = PAPER
     settings: TwinSettings = DEFAULTS
 
     def start(self) -> TwinState:
-        """The state before any sample."""
+        """Return the state before any sample."""
         return TwinState(new_memory(self.parameters.initial_length, front_groove(self.parameters)))
 
     def effective_parameters(self, state: TwinState) -> Parameters:
-        """The parameters with the L0 of the state's run."""
+        """Return the parameters with the L0 of the state's run."""
         return _with_length(self.parameters, state.initial_length)
 
     def advance(self, state: TwinState, samples: SampleRows, *, to_the_end: bool = False) -> Output:
-        """Takes samples (n,) of SAMPLE in the order in which they came.
+        """Process samples (n,) of SAMPLE in their order of arrival.
 
-        ``to_the_end`` says that nothing comes after them, so that none waits for its time.
+        ``to_the_end`` means that no samples follow, so that all are processed without delay.
         """
         waiting = int(state.record["filled"]) - int(state.record["place"])
         room = new_rows(2 * (len(samples) + waiting) + len(state.memory.held) + 8)
@@ -147,38 +174,40 @@ class Twin:
             room.lengths[:lengths],
             tuple(call.events),
             dict(state.warnings),
+            tuple(call.cycles),
         )
 
 
 @dataclass
 class _Call:
-    """One advance: what Python decides in it, and what it tells."""
+    """Single call of `Twin.advance`, with its decisions and events."""
 
     twin: Twin
     state: TwinState
     room: Rows
     events: list[Event] = field(default_factory=list)
+    cycles: list[ClosedCycle] = field(default_factory=list)
 
-    def model(self) -> tuple[Rules, Constants, Actuator, np.ndarray]:
-        """What the core needs of settings and parameters, as the run has them now."""
+    def model(self) -> tuple[Rules, Constants, Actuator, np.void]:
+        """Return settings and parameters of the current run in the form that the core needs."""
         parameters = self.twin.effective_parameters(self.state)
         return _model(parameters, self.state.direction, self.twin.settings)
 
     def take(self, samples: SampleRows, lag_ns: int) -> None:
-        """Admits samples and takes those whose time has come, so far behind the newest."""
+        """Add samples, and process those that are at least ``lag_ns`` older than the newest."""
         first, why = 0, following.WORD
         while why != following.DONE:
             why, first = following.advance(
                 self.state.memory, samples, first, lag_ns, *self.model(), self.room
             )
             if why in (following.WENT_BACK, following.WENT_AHEAD):
-                self.take(NOTHING, -FOREVER_NS)  # the old time to its end
+                self.take(NOTHING, -FOREVER_NS)  # process all samples from before the jump
                 self._start_anew("back" if why == following.WENT_BACK else "ahead")
             else:
                 self._answer(why)
 
     def _answer(self, why: int) -> None:
-        """Decides what the core asks."""
+        """Handle a request of the core."""
         m = self.state.record
         stamp = int(m["taken_ns"])
         if why == following.WORD:
@@ -206,10 +235,18 @@ class _Call:
 
     def _tell(self, stamp: int, text: str, code: str) -> None:
         m = self.state.record
+        if self._unusable and code != CLOCK:
+            return
         cycle = int(m["cycle"]) if m["cycle_end_ns"] else 0
         self.events.append(Event(stamp, Severity.WARNING, text, code, cycle, int(m["run"])))
 
-    # --- the driver's words ---------------------------------------------------------------------
+    # --- states of the driver ---------------------------------------------------------------------
+
+    @property
+    def _unusable(self) -> str:
+        """Reason why the current run cannot be judged, empty if it can."""
+        m = self.state.record
+        return self.state.unusable.get(int(m["run"] or m["start_ns"]), "")
 
     def _hear(self, word: Word) -> None:
         m = self.state.record
@@ -217,6 +254,10 @@ class _Call:
         if is_new_run(m, word):
             self._end(int(m["taken_ns"]))
             self._begin(word)
+        elif self.state.is_running and word.activity in PLAYING and word.run:
+            set_by = (word.onset_ns - int(m["start_ns"])) / NANOSECONDS
+            if word.onset_ns and abs(set_by) * NANOSECONDS > SAME_ONSET_NS and not self._unusable:
+                self._reject(word, CLOCK_SET.format(f" by {set_by:+.1f} s"))
         elif self.state.is_running and word.activity not in PLAYING:
             self._end(word.stamp_ns)
         if word.activity in PLAYING:
@@ -224,23 +265,40 @@ class _Call:
 
     def _begin(self, word: Word) -> None:
         state, twin = self.state, self.twin
-        start, text = begin_run(state.memory, word, twin.parameters, twin.settings)
+        start, text = begin_run(state.memory, word, twin.parameters, twin.settings, state.starts)
         m = state.record
         state.history = History()
         late = start > word.onset_ns and not m["origin_known"]
         state.joined_cycle = int(m["cycle"]) if late else 0
+        if late:
+            m["start_known"] = 0
         self.events.append(Event(word.stamp_ns, Severity.INFO, text, run=word.run))
+        if self._unusable or (late and state.clock_set):
+            self._reject(word, self._unusable or CLOCK_SET.format(""))
+        state.clock_set = state.clock_set and word.gait is None
+        # The position starts at the tracker's, so that residuals from the time at rest no longer count.
+        m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
         rules, c, a, p = self.model()
         following.begin_track(state.memory, start, rules, c, a, p, self.room)
 
+    def _reject(self, word: Word, reason: str) -> None:
+        """Exclude a run from judgement and report the reason."""
+        m = self.state.record
+        m["start_known"] = 0
+        self.state.unusable[word.run or word.onset_ns] = reason
+        text = f"nothing of this gait is judged: {reason}"
+        self.events.append(Event(word.stamp_ns, Severity.WARNING, text, CLOCK, 0, word.run))
+
     def _end(self, stamp: int) -> None:
-        """Ends a run; a cycle that is over but for the tolerance is judged, one that was cut off is not."""
+        """End a run; judge a cycle that is complete within the tolerance, but not one that was interrupted."""
         m = self.state.record
         if m["cycle_end_ns"] and stamp + END_NS >= m["cycle_end_ns"]:
             self._close_cycle(stamp)
         m["cycle_end_ns"] = 0
         if self.state.is_running:
             m["end_ns"] = stamp
+            if self._unusable:
+                m["start_ns"] = 0  # the place where it left the robot is unknown as well
 
     # --- cycles ---------------------------------------------------------------------------------
 
@@ -259,16 +317,74 @@ class _Call:
             float(m["blind_s"]),
             number == state.joined_cycle,
         )
-        state.history, findings = judge_cycle(state.history, cycle)
-        for finding in findings:
-            self._follow(finding, stamp, gait)
+        not_judged = self._unusable
+        if not not_judged:
+            findings, not_judged = self._judge(cycle)
+            for finding in findings:
+                self._follow(finding, stamp, gait)
+        self.cycles.append(ClosedCycle(int(m["start_ns"]), number, not_judged))
         state.memory.sums[:] = 0.0
         m["blind_s"] = 0.0
         m["cycle"] = number + 1
         m["cycle_end_ns"] = m["start_ns"] + round((number + 1) * gait.period * NANOSECONDS)
 
+    def _judge(self, cycle: CycleSeen) -> tuple[list[Finding], str]:
+        """Return the findings of a cycle that has ended, and the reason if it cannot be judged."""
+        state, m = self.state, self.state.record
+        unplaced = state.history.unplaced
+        history, findings = judge_cycle(state.history, cycle)
+        if not (m["start_known"] or cycle.joined or unplaced or cycle.blind_s):
+            return self._judge_first(cycle, history, findings)
+        state.history = history
+        m["start_known"] = m["start_known"] or not (cycle.joined or cycle.blind_s)
+        if cycle.joined:
+            return findings, "it had begun when the first sample came"
+        if cycle.blind_s:
+            return findings, f"nothing is known of {cycle.blind_s:.1f} s of it"
+        return findings, "where the robot stood at its beginning is not known" if unplaced else ""
+
+    def _judge_first(
+        self, cycle: CycleSeen, history: History, findings: list[Finding]
+    ) -> tuple[list[Finding], str]:
+        """Judge the first cycle of a gait that began with fins in an unknown state.
+
+        If straight fins explain the cycle, they are assumed. Otherwise the start is estimated, or the cycle is not
+        judged.
+        """
+        state, m = self.state, self.state.record
+        m["start_known"] = 1
+        off, reason = off_at_end(cycle), "how the fins stood at its beginning is not known"
+        if explains(history, cycle) and not any(finding.code for finding in findings):
+            state.history = history
+            # Power alone does not contradict straight fins, nor does it count grooves.
+            return findings, reason if np.isnan(off) else ""
+        state.history = History()
+        found = estimate_start(state.memory, cycle.parameters, int(m["motion_ns"]))
+        if found is not None:
+            state.starts[int(m["start_ns"])] = found.start
+            self._move_to(found)
+            text = (
+                f"cycle {cycle.number}: the gait began with bent fins, the rear module {1e3 * found.start.x1:+.1f} mm "
+                "off its groove, as positions have it"
+            )
+            return [Finding("", text, cycle.number)], ""
+        text = f"cycle {cycle.number} is not judged: {reason}"
+        if np.isnan(off):
+            return [Finding("", text, cycle.number)], reason
+        text += "; the twin resets its position to the tracker's"
+        return [Finding("", text, cycle.number, shift=off, explains_position=True)], reason
+
+    def _move_to(self, found: EstimatedStart) -> None:
+        """Continue the motion from another start."""
+        m, motion, start = self.state.record, found.motion, found.start
+        m["origin"] += m["pose_x1"] - start.x1
+        m["pose_x1"], m["pose_front"], m["moved"] = start.x1, start.front_groove, 0
+        m["y"], m["y_rate"] = motion.y, motion.y_rate
+        for name in ("rear_groove", "front_groove", "rear_region", "front_region"):
+            m[name] = getattr(motion, name)
+
     def _follow(self, finding: Finding, stamp: int, gait: Gait) -> None:
-        """Tells a finding and lets the twin follow it."""
+        """Report a finding and adapt the twin to it."""
         m = self.state.record
         m["moved"] += finding.grooves
         m["origin"] += finding.shift
@@ -295,14 +411,15 @@ class _Call:
     # --- the clock ------------------------------------------------------------------------------
 
     def _start_anew(self, way: str) -> None:
-        """After a jump of the clock: the twin forgets the run, but for the counts, and goes on with what told of it."""
+        """Reset the twin after a jump of the clock, except for the counts, and process the samples that revealed it."""
         state = self.state
         held = state.memory.held[: int(state.record["ahead"])].copy()
         counts = state.record["counts"].copy()
         stamp = int(held[0]["stamp"])
         text = f"the clock jumped {way}: the twin starts anew"
-        self.events.append(Event(stamp, Severity.WARNING, text, "clock_jump"))
+        self.events.append(Event(stamp, Severity.WARNING, text, CLOCK))
         fresh = self.twin.start()
+        state.clock_set = state.is_running
         state.memory, state.history, state.joined_cycle = fresh.memory, History(), 0
         fresh.record["counts"] = counts
         rules = self.model()[0]
@@ -318,14 +435,14 @@ def _with_length(parameters: Parameters, initial_length: float) -> Parameters:
 @lru_cache(maxsize=16)
 def _model(
     parameters: Parameters, direction: int, settings: TwinSettings
-) -> tuple[Rules, Constants, Actuator, np.ndarray]:
-    row = parameter_row(parameters)
+) -> tuple[Rules, Constants, Actuator, np.void]:
+    row = parameter_rows(parameters)[0]
     constants = constants_of(row, float(direction), 0.0)
     return rules_of(settings), constants, actuator(parameters), row
 
 
 def rules_of(settings: TwinSettings) -> Rules:
-    """The settings as the core takes them."""
+    """Return the settings in the form that the core needs."""
 
     def ns(seconds: float) -> int:
         return round(seconds * NANOSECONDS)
@@ -345,5 +462,5 @@ def rules_of(settings: TwinSettings) -> Rules:
         gate=settings.tracker_gate_m,
         position_scale=settings.position_scale_m,
         length_scale=settings.length_scale_m,
-        power_scale=settings.power_scale_W,
+        power_scale=settings.power_scale_w,
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The settings of the twin: one frozen row each, from which the node declares its parameters."""
+"""Settings of the twin, one frozen field each, from which the node declares its parameters."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from typing import Any
 
 
-def _row(default: float, low: float, high: float, text: str) -> float:
-    """A setting: its default and, as metadata, its range and what it does."""
-    metadata = {"low": low, "high": high, "text": text}
+def _row(default: float, low: float, high: float, description: str) -> float:
+    """Return a field with its default; the metadata has its range and description."""
+    metadata = {"low": low, "high": high, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True)
 class TwinSettings:
-    """How the twin takes its samples; times in s, lengths in m, powers in W. Raises ValueError out of range."""
+    """Settings of the twin; times in s, lengths in m, powers in W. Raises ValueError for a value out of range."""
 
     delay_s: float = _row(
         0.25,
@@ -51,7 +51,7 @@ class TwinSettings:
     )
     position_scale_m: float = _row(0.003, 1e-5, 0.1, "usual size of a position residual")
     length_scale_m: float = _row(0.002, 1e-5, 0.1, "usual size of a length residual")
-    power_scale_W: float = _row(0.6, 1e-3, 100.0, "usual size of a power residual")  # noqa: N815
+    power_scale_w: float = _row(0.6, 1e-3, 100.0, "usual size of a power residual")
     tracker_gate_m: float = _row(
         0.05, 0.005, 1.0, "a position that jumps by more than this between two samples is refused"
     )
@@ -68,7 +68,7 @@ class TwinSettings:
 
 
 def check(row: dataclasses.Field[Any], value: float) -> None:
-    """Raises ValueError unless a setting's value is in its range."""
+    """Raise ValueError unless the value of a setting is in its range."""
     low, high = row.metadata["low"], row.metadata["high"]
     if not low <= value <= high:
         raise ValueError(f"{row.name}: {value} is not between {low:g} and {high:g}")

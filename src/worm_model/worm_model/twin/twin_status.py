@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the twin says of itself once a second."""
+"""Status of the twin, reported once a second."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from worm_model.twin.records import (
 )
 from worm_model.twin.twin import TwinState
 
-SAYS_S = 5.0  # after which residuals say nothing of the present any more
-SILENT_S = 2.0  # without any input, after which health says nothing of the present
+SAYS_S = 5.0  # age beyond which residuals do not describe the present
+SILENT_S = 2.0  # time without input after which the health does not describe the present
 
 
 @dataclass(frozen=True)
 class Report:
-    """A level, one line and details as text."""
+    """Status with a level, a message of one line, and details as text."""
 
     level: Severity
     message: str
@@ -38,10 +38,22 @@ _LEVELS = {
 }
 
 
-def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
-    """The twin's health and the figures behind it.
+def _quiet_message(state: TwinState, health: Health) -> str:
+    """Return the message of a twin without warnings."""
+    if health is Health.HEALTHY:
+        return "the robot does as expected"
+    if not state.record["start_known"]:
+        return "nothing to compare with before the first cycle: it tells how the fins stood at its beginning"
+    return "nothing to compare with"
 
-    ``newest`` is its last row of residuals, None before the first; ``silent_s`` how long ago its newest sample came.
+
+def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
+    """Return the twin's health and the values behind it.
+
+    Args:
+        state: the state of the twin.
+        newest: the last row of residuals, None before the first.
+        silent_s: time since the newest sample arrived, s.
     """
     m, now = state.record, state.now_ns
     health = Health.UNKNOWN
@@ -52,19 +64,19 @@ def report(state: TwinState, newest: Any, silent_s: float = 0.0) -> Report:
     if silent_s > SILENT_S:
         level, message = Severity.WARNING, f"no input for {silent_s:.0f} s: is the driver running?"
     elif not message:
-        healthy = health is Health.HEALTHY
-        text = "the robot does as expected" if healthy else "nothing to compare with"
-        message = text if m["moving"] else "no length yet"
+        message = _quiet_message(state, health) if m["moving"] else "no length yet"
     values = [
-        ("length source", LengthSource(int(m["source"])).name.lower() if m["moving"] else "none"),
+        ("length_source", LengthSource(int(m["source"])).name.lower() if m["moving"] else "none"),
         ("run", "running" if state.is_running else "none"),
-        ("initial length (m)", f"{state.initial_length:.5f}"),
-        ("grooves missed", str(state.history.missed)),
-        ("grooves missed by power", str(state.history.missed_by_power)),
-        ("grooves gained", str(state.history.extra)),
+        ("initial_length_m", f"{state.initial_length:.5f}"),
+        ("grooves_missed", str(state.history.missed)),
+        ("grooves_missed_by_power", str(state.history.missed_by_power)),
+        ("grooves_gained", str(state.history.extra)),
     ]
-    values += [(f"samples {name}", str(count)) for name, count in state.counts.items()]
+    values += [
+        (f"samples_{name.replace(' ', '_')}", str(count)) for name, count in state.counts.items()
+    ]
     for name in COMPLAINTS:
         if newest is not None and math.isfinite(newest[f"{name}_size"]):
-            values.append((f"{name} residual (usual ones)", f"{newest[f'{name}_size']:.2f}"))
+            values.append((f"{name}_residual_ratio", f"{newest[f'{name}_size']:.2f}"))
     return Report(level, message, tuple(values))

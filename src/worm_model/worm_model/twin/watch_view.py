@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live terminal view: what is known of robot and twin, drawn as lines of text."""
+"""Live terminal view of robot and twin, as lines of text."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ HEALTH_COLOURS = {
     Health.FAULTY: "\033[31m",
 }
 STALE_COLOUR = "\033[31m"
-STALE_S = 1.0  # beyond this age a value is not shown as the present
+STALE_S = 1.0  # older values are stale and not shown
 SOURCES = ("driver", "twin", "tracker", "power")
 RESET = "\033[0m"
 CLEAR = "\033[H\033[J"
-TOP_POWER_W = 15.0  # of the bar
-LEVELS = "▁▂▃▄▅▆▇█"  # of a trend
+TOP_POWER_W = 15.0  # full scale of the bar
+LEVELS = "▁▂▃▄▅▆▇█"  # characters of a trend
 NAN = math.nan
 
 
 @dataclass(frozen=True)
 class Trend:
-    """The last so many seconds, a value a second, the newest last; NaN where there was none.
+    """Values of the last seconds, one per second, the newest last; NaN where there is none.
 
-    ``difference`` is that of x1, robot less twin, in m, ``power`` the measured one in W.
+    ``difference`` is x1 of the robot minus that of the twin in m, ``power`` the measured power in W.
     """
 
     difference: Sequence[float] = ()
@@ -39,7 +39,7 @@ class Trend:
 
 @dataclass(frozen=True)
 class View:
-    """The newest of everything, SI; NaN what has not come yet, positions in the tracker's frame."""
+    """Latest values, SI; NaN where none has arrived yet, positions in the tracker's frame."""
 
     activity: Activity | None = None
     gait: str = ""
@@ -61,9 +61,10 @@ class View:
     energy: tuple[float, float] = (NAN, NAN)  # predicted, measured minus predicted
 
     def aged(self, ages: Mapping[str, float]) -> View:
-        """The view without what is stale; ``ages`` in s since something came, by `SOURCES`, a missing one never did.
+        """Return the view without stale values.
 
-        What is missing is left to its own words; what came once and stopped is named in the message.
+        ``ages`` has the time in s since the last input of each of `SOURCES`; a source without any input is missing.
+        Sources that have stopped are listed in ``silent``.
         """
         silent = [name for name in SOURCES if ages.get(name, 0.0) > STALE_S]
         view = self
@@ -78,7 +79,10 @@ class View:
 
 
 def render(view: View, pitch: float, width: int = 80, trend: Trend = Trend()) -> list[str]:
-    """The screen, line by line, no wider than ``width`` characters (40 at least) but for colours."""
+    """Return the screen, line by line, no wider than ``width`` characters (40 at least) without the colours.
+
+    80 characters wide it has 22 lines unless a message is long; the trends, which matter least, come last.
+    """
     doing = "no driver" if view.activity is None else view.activity.name.lower()
     progress = f"  cycle {view.cycle} of {view.cycles}" if view.cycles else ""
     health = f"twin  {view.health.name.lower()}  {view.message}"
@@ -91,35 +95,51 @@ def render(view: View, pitch: float, width: int = 80, trend: Trend = Trend()) ->
         *_wrapped(health, width, HEALTH_COLOURS[view.health]),
         *(_wrapped(", ".join(view.silent), width, STALE_COLOUR) or [""]),
         *pipe(view, pitch, width),
-        "",
         f"{'':14}{heads}",
         _compared("x1", 1e3, "mm", (view.twin[0], view.robot[0]), cell),
         _compared("x2", 1e3, "mm", (view.twin[1], view.robot[1]), cell),
         _compared("power", 1.0, "W", view.power, cell),
         _compared("energy", 1.0, "J", (view.energy[0], view.energy[0] + view.energy[1]), cell),
         "",
-        f"length        {_value(view.length, 1e3)} mm  {_source(view)}",
-        f"L0            {_value(view.initial_length, 1e3)} mm",
-        f"groove phase  {_value(view.groove_phase, 1e3)} mm",
-        f"cable force   {_value(view.cable_force, 1.0)} N",
-        f"grooves       rear {view.grooves[0]:+d}, front {view.grooves[1]:+d}",
+        *_packed(_quantities(view), width),
         "",
         bar("predicted", view.power[0], width),
         bar("measured", view.power[1], width),
-        "",
         *_trend("x1, robot−twin", 1e3, "mm", trend.difference, width),
         *_trend("measured power", 1.0, "W", trend.power, width),
     ]
 
 
+def _quantities(view: View) -> list[str]:
+    """Return length, groove phase, force and grooves, each with its name and unit."""
+    return [
+        f"length {_value(view.length, 1e3)} mm {_source(view):11}",
+        f"L0 {_value(view.initial_length, 1e3)} mm",
+        f"groove phase {_value(view.groove_phase, 1e3)} mm",
+        f"cable force {_value(view.cable_force, 1.0)} N",
+        f"grooves: rear {view.grooves[0]:+d}, front {view.grooves[1]:+d}",
+    ]
+
+
+def _packed(items: Sequence[str], width: int) -> list[str]:
+    """Return the items in as few lines as they fit into, in their order."""
+    lines = [items[0]]
+    for item in items[1:]:
+        if len(lines[-1]) + 3 + len(item) <= width:
+            lines[-1] += f"   {item}"
+        else:
+            lines.append(item)
+    return lines
+
+
 def _wrapped(text: str, width: int, colour: str = "") -> list[str]:
-    """A text in as many lines as it takes."""
+    """Return a text as lines of at most ``width`` characters."""
     lines = textwrap.wrap(text, width, subsequent_indent="      ", drop_whitespace=True)
     return [f"{colour}{line}{RESET}" if colour else line for line in lines]
 
 
 def _trend(name: str, scale: float, unit: str, values: Sequence[float], width: int) -> list[str]:
-    """What a value did of late, between the least and the greatest of it; nothing where there was none."""
+    """Return the recent values scaled between their minimum and maximum, with a title; empty without values."""
     values = values[-width:]
     known = [scale * value for value in values if math.isfinite(value)]
     if not known:
@@ -134,7 +154,7 @@ def _trend(name: str, scale: float, unit: str, values: Sequence[float], width: i
 
 
 def pipe(view: View, pitch: float, width: int) -> list[str]:
-    """The pipe's ridges with the twin above and the robot below them, the view following the twin."""
+    """Return the ridges of the pipe with the twin above and the robot below, centred on the twin."""
     centre = 0.5 * sum(view.twin)
     if not math.isfinite(centre):
         return ["(no twin yet)", "", ""]
@@ -171,7 +191,7 @@ def _worm(name: str, rear: float, front: float, width: int, column: Callable[[fl
 
 
 def bar(name: str, power: float, width: int) -> str:
-    """A bar of power up to ``TOP_POWER_W``."""
+    """Return a bar of power up to ``TOP_POWER_W``."""
     room = width - 24
     filled = 0 if math.isnan(power) else round(min(max(power / TOP_POWER_W, 0.0), 1.0) * room)
     return f"{name:10} {_value(power, 1.0)} W {'█' * filled}"

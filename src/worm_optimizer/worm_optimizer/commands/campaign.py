@@ -24,7 +24,6 @@ from worm_model.commands.command_line import (
 from worm_model.commands.identify import StageProgress
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.robot_options import add_robot, robot_of
-from worm_optimizer.commands.search_options import shown_progress
 from worm_optimizer.nodes.operator_node import OperatorError
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder
 from worm_optimizer.operation.campaign_plan import (
@@ -57,7 +56,6 @@ from worm_optimizer.report.identification_parts import add_identification, ident
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.report.report_page import PAGE, Report, build_report
-from worm_optimizer.search.cache import Cache, default_directory
 from worm_optimizer.search.search_settings import Settings
 
 _GAITS = 3  # of a campaign without repeats and nominal gaits: nothing spreads
@@ -176,10 +174,10 @@ def _campaign(options: argparse.Namespace) -> int:
 
 
 def _plan(options: argparse.Namespace) -> Plan:
-    """The gaits, from the cache or searched."""
+    """The gaits of the exact front."""
     content = load_parameter_file(options.parameters)
-    settings, cache = Settings(margin=options.margin), Cache.at(default_directory())
-    plan = make_plan(content, settings, options.direction, cache, shown_progress("front"))
+    settings = Settings(margin=options.margin)
+    plan = make_plan(content, settings, options.direction)
     if options.with_nominal or options.identify:
         plan = beside_nominal(plan, content, settings, options.direction)
     return plan
@@ -287,6 +285,8 @@ def _print(
             "expected": _values(row["expected"]),
             "nominal": {key: getattr(gait.expected.nominal, key) for key in QUANTITIES},
             "agrees": row["agrees"],
+            "verdict": row["verdict"],
+            "grooves": row["grooves"],
         }
         for row, gait in zip(judged["runs"], gaits, strict=True)
     ]

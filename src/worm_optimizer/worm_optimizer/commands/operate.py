@@ -22,11 +22,13 @@ from worm_model.commands.command_line import (
     print_result,
     run_command,
 )
-from worm_model.gait import Gait
+from worm_model.gait import (
+    Gait,
+    gait_of,
+)
 from worm_optimizer.commands.search_options import add_objective, request_of_options
 from worm_optimizer.nodes.operator_node import OperatorNode, UnreachableError, operator
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog
-from worm_optimizer.operation.demo_run import now_and_then
 from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.recorded_run import new_bag, recorded
 from worm_optimizer.orders import Order, RobotState, RunProgress, RunResult
@@ -88,7 +90,8 @@ def _parser() -> Parser:
     switch = add(
         "emergency_stop",
         _emergency_stop,
-        "on: hold at once, and refuse every start, also of a driver that is started again; off: permit starts again.",
+        "on: hold at once, and reject every start, also of a driver that is started again; off: reset it, which "
+        "the driver rejects while the last message of any publisher of the topic is true.",
     )
     switch.add_argument("switch", choices=("on", "off"))
     _add_fault(add("fault", _fault, "Rehearse a fault on the virtual robot."))
@@ -115,12 +118,8 @@ def _add_fault(parser: Parser) -> None:
 
 
 def _add_run(parser: Parser) -> None:
-    own = parser.add_argument_group("a gait of one's own")
-    own.add_argument("--stroke", type=number, metavar="M", help="in m, with --frequency")
-    own.add_argument("--frequency", type=number, metavar="HZ", help="in Hz")
-    parser.add_number("--margin", "M", "that a gait of one's own was designed with, in m", 0.0)
+    parser.add_gait()
     add_objective(parser)
-    parser.add_direction()
     ends = parser.add_argument_group("its end: the first that is reached")
     ends.add_argument(
         "--cycles", type=int, default=0, metavar="N", help=f"default {CYCLES} where no end is given"
@@ -186,13 +185,8 @@ def _asking(ask: Callable[[OperatorNode], str]) -> Action:
 
 
 def _emergency_stop(node: OperatorNode, options: argparse.Namespace) -> int:
-    node.emergency_stop(options.switch == "on")
-    return _done(
-        options,
-        "holding; nothing starts before it is off"
-        if options.switch == "on"
-        else "off: starts are permitted again",
-    )
+    stops = options.switch == "on"
+    return _done(options, node.emergency_stop() if stops else node.reset_emergency_stop())
 
 
 def _fault(node: OperatorNode, options: argparse.Namespace) -> int:
@@ -227,7 +221,7 @@ def _own_gait(options: argparse.Namespace) -> Gait | None:
         raise InputError(
             "--stroke and --frequency make the gait: leave --objective, --speed, --power out"
         )
-    return Gait(options.stroke, options.frequency, options.direction, options.margin)
+    return gait_of(options)
 
 
 def _ends(options: argparse.Namespace, gait: Gait) -> Order:
@@ -241,7 +235,7 @@ def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog
     request = request_of_options(options)
     length = node.state().initial_length
     try:
-        answer = node.request_gait(request, now_and_then(say), options.direction, length)
+        answer = node.request_gait(request, options.direction, length)
     except UnreachableError as error:
         raise InputError(str(error)) from None
     phase = 1e3 * answer.groove_phase

@@ -1,73 +1,101 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: a certified robust front, its three gaits, and what nominal ones would be worth."""
+"""Command line: the exact robust front or that of NSGA-II, its three gaits, and what nominal ones would be worth."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, fields
+from typing import TYPE_CHECKING, Any
 
 from worm_model.analysis.plot_style import save_figure
-from worm_model.commands.command_line import Parser, figure_file, print_result, run_command
-from worm_model.parameters import load_parameter_file
-from worm_optimizer.commands.search_options import (
-    add_front_options,
-    cache_of,
-    chosen_settings,
-    gait_table,
-    shown_progress,
+from worm_model.commands.command_line import (
+    InputError,
+    Parser,
+    ProgressLine,
+    figure_file,
+    print_result,
+    run_command,
 )
+from worm_model.parameters import load_parameter_file
+from worm_optimizer.commands.search_options import add_front_options, chosen_settings, gait_table
 from worm_optimizer.report.front_plots import front_and_map_figure
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.robustness.uncertainty import description
-from worm_optimizer.search.actuator_limits import ActuatorLimits
-from worm_optimizer.search.front import RobustFront, make_front, nominal_gaits, task_of
-from worm_optimizer.search.gait_request import three_gaits
+from worm_optimizer.search.front import RobustFront, make_front, nominal_gaits, replaced
+
+if TYPE_CHECKING:
+    from worm_optimizer.search.nsga2 import Comparison
+
+# Fields that only the three gaits have.
+_FULL = {
+    row.name
+    for row in fields(Prediction)
+    if isinstance(row.default, float) and math.isnan(row.default)
+}
+EXACT, NSGA2 = "exact", "nsga2"
+_POPULATION, _GENERATIONS = 100, 100
 
 
 def _parser() -> Parser:
     parser = Parser(
         prog="optimize",
-        description="NSGA-II over stroke and frequency for speed and power at a robustness margin, "
-        "certified by an exhaustive map; prints the minimum-power, cruising and maximum-speed gaits "
-        "beside those without a margin.",
+        description="The front of speed and power over stroke and frequency at a robustness margin, from the lower "
+        "edges of the branches; prints the minimum-power, cruising and maximum-speed gaits and those without a margin. "
+        "With --method nsga2 the paper's search finds the front, and is compared with the exact one.",
     )
     add_front_options(parser)
+    parser.add_argument(
+        "--method", choices=(EXACT, NSGA2), default=EXACT, help="of the search (default exact)"
+    )
+    for option, default in (("population", _POPULATION), ("generations", _GENERATIONS)):
+        parser.add_argument(
+            f"--{option}", type=int, metavar="N", help=f"with nsga2 (default {default})"
+        )
     return parser
 
 
 def front_json(front: RobustFront, nominal: dict[str, Prediction]) -> dict[str, Any]:
     """A front as the machine-readable output has it; ``nominal`` are the gaits without a margin."""
     return {
-        "front": [asdict(gait) for gait in front.predictions],
-        "hypervolume_share": front.hypervolume_share,
-        "missed_branches": list(front.missed_branches),
-        "source": front.source,
+        "front": [_predicted(gait) for gait in front.gaits],
         "direction": front.direction,
         "margin": front.margin,
         "margin_reason": front.reason,
-        **{name: asdict(gait) for name, gait in three_gaits(front.predictions).items()},
+        **{name: asdict(gait) for name, gait in front.three.items()},
         "nominal": {name: asdict(gait) for name, gait in nominal.items()},
+        "verification": front.exact.verification,
     }
 
 
-def describe(
-    front: RobustFront, nominal: dict[str, Prediction], uncertainty: str, limits: ActuatorLimits
-) -> str:
+def _predicted(gait: Prediction) -> dict[str, Any]:
+    """A gait of the front without the fields that only the three gaits have."""
+    return {name: value for name, value in asdict(gait).items() if name not in _FULL}
+
+
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
+    """The comparison with the exact front as the machine-readable output has it."""
+    return {
+        "hypervolume_share": comparison.hypervolume_share,
+        "missed_branches": list(comparison.missed_branches),
+        "largest_excess_power": comparison.largest_excess_power,
+    }
+
+
+def describe(front: RobustFront, nominal: dict[str, Prediction], uncertainty: str) -> str:
     """A front for people."""
-    three = three_gaits(front.predictions)
-    missed = ", ".join(map(str, front.missed_branches)) or "none"
+    checks = front.exact.verification
+    rises = "rises" if checks["power_rises"] else "does not rise everywhere"
     return "\n".join(
         [
             f"margin             {1e3 * front.margin:.2f} mm: {front.reason}",
-            f"groove phase       {1e3 * three['cruise'].groove_phase:+.2f} mm; every speed holds for it",
-            f"hypervolume share  {100.0 * front.hypervolume_share:.2f} % of the true front's; "
-            f"branches missed: {missed}",
-            f"front              {len(front.predictions)} gaits, source {front.source}",
-            f"limits             {limits.description() or 'none'}",
+            f"groove phase       {1e3 * front.cruise.groove_phase:+.2f} mm; every speed holds for it",
+            f"front              {len(front.gaits)} gaits",
+            f"verified           {checks['strokes']} strokes at each of {checks['frequencies']} frequencies; edges to "
+            f"{1e9 * checks['edge_tolerance']:g} nm, and as much above them; power {rises} within the branches",
+            f"limits             {front.settings.limits.description() or 'none'}",
             "",
-            gait_table(three, nominal),
+            gait_table(front.three, nominal),
             "",
             f"success: share of draws of the parameters ({uncertainty}) in which the robot, without a "
             "margin, gains the predicted grooves in every averaged cycle; any φ: at an unknown phase",
@@ -75,23 +103,68 @@ def describe(
     )
 
 
+def describe_comparison(comparison: Comparison) -> str:
+    """A comparison with the exact front for people."""
+    missed = ", ".join(f"{branch:g}" for branch in comparison.missed_branches) or "none"
+    return (
+        f"NSGA-II            {100.0 * comparison.hypervolume_share:.2f} % of the exact front's hypervolume; its gaits "
+        f"need up to {100.0 * comparison.largest_excess_power:.2f} % more power; branches missed: {missed}"
+    )
+
+
 def _optimize(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
-    settings, cache, figure = chosen_settings(options), cache_of(options), figure_file(options)
-    front = make_front(content, settings, options.direction, cache, shown_progress("optimizing"))
+    settings, figure = chosen_settings(options), figure_file(options)
+    given = options.population, options.generations
+    if options.method == EXACT and any(value is not None for value in given):
+        raise InputError("--population and --generations need --method nsga2")
+    front = make_front(content, settings, options.direction)
+    comparison = None
+    if options.method == NSGA2:
+        comparison = _searched(front, given)
+        front = replaced(front, comparison.front)
     nominal = nominal_gaits(content, settings, options.direction)
     if figure is not None:
-        task = task_of(content, settings, options.direction).with_margin(front.margin)
-        save_figure(front_and_map_figure(front, task, three_gaits(front.predictions)), figure)
+        save_figure(front_and_map_figure(front, front.three), figure)
     limits = {
         name: value for name, value in asdict(settings.limits).items() if math.isfinite(value)
     }
     uncertainty = description(content)
+    words = [describe(front, nominal, uncertainty)]
+    words += [describe_comparison(comparison)] if comparison else []
     print_result(
         options,
-        {**front_json(front, nominal), "uncertainty": uncertainty, "limits": limits},
-        describe(front, nominal, uncertainty, settings.limits),
+        {
+            **front_json(front, nominal),
+            "method": options.method,
+            **(comparison_json(comparison) if comparison else {}),
+            "uncertainty": uncertainty,
+            "limits": limits,
+        },
+        "\n".join(reversed(words)),
     )
+
+
+def _searched(front: RobustFront, given: tuple[int | None, int | None]) -> Comparison:
+    """NSGA-II's front of the same task, compared."""
+    from worm_optimizer.search import nsga2  # takes its time, and the exact front does without
+
+    population, generations = given
+    search = nsga2.SearchSettings(
+        _POPULATION if population is None else population,
+        _GENERATIONS if generations is None else generations,
+        front.settings.seed,
+    )
+    bar = ProgressLine("NSGA-II")
+    for generation in nsga2.generations(
+        front.exact.task, search, nsga2.reference_power_of(front.exact)
+    ):
+        bar(generation.number / generation.of)
+    if not len(generation.front):
+        raise InputError(
+            "NSGA-II found no gait that gains a groove in every cycle: raise --population or --generations"
+        )
+    return nsga2.compared(front.exact, generation.front)
 
 
 def main() -> int:

@@ -7,13 +7,11 @@ import argparse
 from pathlib import Path
 
 from worm_model.commands.command_line import InputError, Parser, notifier, print_result, run_command
-from worm_optimizer.commands.search_options import shown_progress
 from worm_optimizer.report.agreement import agreement_json, describe, title_of
 from worm_optimizer.report.identification_parts import add_identification, identification_of
 from worm_optimizer.report.optimisation import optimise, why_no_front
 from worm_optimizer.report.recordings import bags_of, newest_recording, read_recorded_gaits
 from worm_optimizer.report.report_page import Report, build_report
-from worm_optimizer.search.cache import Cache, default_directory
 
 _BAGS = Path("bags")
 _notify = notifier("report")
@@ -61,7 +59,7 @@ def _report(options: argparse.Namespace) -> None:
     if note:
         _notify(note)
     elif not options.without_front:
-        optimisation = optimise(gaits, Cache.at(default_directory()), shown_progress("front"))
+        optimisation = optimise(gaits)
     title = options.title or f"Worm robot: {', '.join(title_of(gait.name) for gait in gaits)}"
     page = build_report(Report(title, gaits, optimisation, note, identification), folder)
     content = {"page": str(page), **agreement_json(gaits)}

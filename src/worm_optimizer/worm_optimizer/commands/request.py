@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: a gait for a purpose, from the front that these settings make; needs no node."""
+"""Command line: a gait for a purpose, exactly on the edges of the branches; needs no node."""
 
 from __future__ import annotations
 
@@ -18,25 +18,22 @@ from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import (
     add_front_options,
     add_objective,
-    cache_of,
     chosen_settings,
     gait_table,
     request_of_options,
-    shown_progress,
 )
 from worm_optimizer.report.front_plots import front_figure
 from worm_optimizer.robustness.prediction import Prediction
-from worm_optimizer.search.front import load_front, make_front
+from worm_optimizer.search.front import make_front
 from worm_optimizer.search.gait_request import RequestStatus, select
 
 
 def _parser() -> Parser:
     parser = Parser(
         prog="request",
-        description="One gait of the robust front: for the lowest power, the lowest cost of transport, "
-        "the highest speed, the lowest power at a speed or the highest speed at a power. The front is "
-        "computed if it is not in the cache. Where no gait is fast or frugal enough, it names the nearest one and "
-        "ends with status 2.",
+        description="One gait of the exact robust front: for the lowest power, the lowest cost of transport, "
+        "the highest speed, the lowest power at a speed or the highest speed at a power. Where no gait is fast or "
+        "frugal enough, it names the nearest one and ends with status 2.",
     )
     add_objective(parser)
     add_front_options(parser)
@@ -52,12 +49,9 @@ def describe(gait: Prediction) -> str:
 def _request(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
     settings, request = chosen_settings(options), request_of_options(options)
-    cache, figure = cache_of(options), figure_file(options)
-    front = load_front(content, settings, options.direction, cache)
-    if front is None:
-        progress = shown_progress("optimizing")
-        front = make_front(content, settings, options.direction, cache, progress)
-    answer = select(front.predictions, request)
+    figure = figure_file(options)
+    front = make_front(content, settings, options.direction)
+    answer = select(front, request)
     gait = answer.prediction
     assert gait is not None
     unreachable = answer.status is not RequestStatus.DONE
@@ -65,7 +59,7 @@ def _request(options: argparse.Namespace) -> None:
         save_figure(front_figure(front, {"nearest" if unreachable else "gait": gait}), figure)
     if unreachable:
         refusal = {"error": answer.message, "nearest": asdict(gait)}
-        print_result(options, refusal, f"the nearest that is there:\n{describe(gait)}")
+        print_result(options, refusal, f"the nearest one:\n{describe(gait)}")
         raise InputError(answer.message)
     print_result(options, asdict(gait), describe(gait))
 

@@ -9,12 +9,7 @@ from typing import Any
 from worm_model.analysis.plot_style import save_figure
 from worm_model.commands.command_line import Parser, figure_file, print_result, run_command
 from worm_model.parameters import load_parameter_file
-from worm_optimizer.commands.search_options import (
-    add_scan_options,
-    cache_of,
-    chosen_settings,
-    shown_progress,
-)
+from worm_optimizer.commands.search_options import add_scan_options, chosen_settings
 from worm_optimizer.report.front_plots import price_figure
 from worm_optimizer.search.front import scanned_price
 from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
@@ -23,8 +18,8 @@ from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustn
 def _parser() -> Parser:
     parser = Parser(
         prog="scan_margin",
-        description="The lowest cost of transport over the robustness margin, each from an exhaustive "
-        f"map of the gaits, and its cliff. {CLIFF_RULE.capitalize()}.",
+        description="The lowest cost of transport over the robustness margin, minimised over the gaits of the box, "
+        f"and its cliff. {CLIFF_RULE.capitalize()}.",
     )
     add_scan_options(parser)
     return parser
@@ -38,9 +33,8 @@ def price_json(price: PriceOfRobustness) -> dict[str, Any]:
         "cost_of_transport": [point.cost_of_transport for point in price.points],
         "optimal_branch": [point.branch for point in price.points],
         "branches": [list(point.branches) for point in price.points],
-        "max_speed": [point.max_speed for point in price.points],
-        "min_power": [point.min_power for point in price.points],
         "cliff_margin": cliff.margin if cliff else None,
+        "chosen_margin": price.margin if price.moves else None,
         "cliff_rise": cliff.rise if cliff else None,
         "lost_branch": cliff.lost_branch if cliff else None,
         "closed_form_cliff_margin": price.closed_form_cliff_margin,
@@ -54,27 +48,27 @@ def describe(price: PriceOfRobustness) -> str:
     rows = price.points[:: max(1, len(price.points) // 16)]
     lines = [f"{'margin (mm)':>11}  {'lowest COT':>10}  {'at S (mm)':>9}  {'f (Hz)':>7}  branches"]
     for point in rows:
-        branches = ", ".join(map(str, point.branches)) or "none moves"
+        branches = ", ".join(f"{branch:g}" for branch in point.branches) or "none moves"
         lines.append(
             f"{1e3 * point.margin:11.2f}  {point.cost_of_transport:10.2f}  {1e3 * point.stroke:9.2f}"
             f"  {point.frequency:7.4f}  {branches}"
         )
     lines.append(f"groove phase {1e3 * price.groove_phase:+.2f} mm")
     lines.append(
-        f"cliff        {1e3 * price.cliff.margin:.2f} mm: beyond it the branch with "
-        f"{price.cliff.lost_branch} grooves a cycle is lost, the cost rises {price.cliff.rise:.2f} times"
+        f"cliff        {1e3 * price.cliff.margin:.3f} mm: beyond it the branch with "
+        f"{price.cliff.lost_branch:g} grooves a cycle is lost, the cost rises {price.cliff.rise:.2f} times"
         if price.cliff
         else "cliff        none among these margins"
     )
-    lines.append(f"closed form  {1e3 * price.closed_form_cliff_margin:.2f} mm, in the slow limit")
+    lines.append(f"closed form  {1e3 * price.closed_form_cliff_margin:.3f} mm, in the slow limit")
     lines.append(f"rule         {CLIFF_RULE}")
     return "\n".join(lines)
 
 
 def _scan(options: argparse.Namespace) -> None:
     content = load_parameter_file(options.parameters)
-    settings, cache, figure = chosen_settings(options), cache_of(options), figure_file(options)
-    price = scanned_price(content, settings, options.direction, cache, shown_progress("margins"))
+    settings, figure = chosen_settings(options), figure_file(options)
+    price = scanned_price(content, settings, options.direction)
     if figure is not None:
         save_figure(price_figure(price), figure)
     print_result(options, price_json(price), describe(price))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands that search gaits share: options made of the settings' rows, cache, progress, a table of gaits."""
+"""Shared parts of the commands that search gaits: options made of the settings' rows, a table of gaits."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ import argparse
 import math
 from collections.abc import Mapping
 from itertools import groupby
-from pathlib import Path
 from typing import Any
 
-from worm_model.commands.command_line import Parser, ProgressLine, number
+from worm_model.commands.command_line import Parser, number
 from worm_optimizer.robustness.prediction import Prediction
-from worm_optimizer.search import front as pipeline
-from worm_optimizer.search.cache import Cache, default_directory
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.search.search_settings import (
     FRONT_SETTINGS,
@@ -27,7 +24,7 @@ from worm_optimizer.search.search_settings import (
 _OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
 # By what a parameter's name ends with; the longest first.
 _VALUES = {
-    "_m_s": "MPS",
+    "_m_per_s": "MPS",
     "_m": "M",
     "_n": "NEWTON",
     "_w": "W",
@@ -41,12 +38,9 @@ _NAMED = {objective.name.lower(): objective for objective in _OBJECTIVES}
 
 
 def add_scan_options(parser: Parser) -> None:
-    """Adds what every search takes: model, direction, box, limits, scan, cache, output."""
+    """Add the options of every search: model, direction, box, limits, scan, output."""
     parser.add_direction()
     _add_settings(parser, SCAN_SETTINGS)
-    parser.add_argument(
-        "--cache", metavar="DIR", help="where results are kept (default: in ~/.cache)"
-    )
     parser.add_figure()
     parser.add_json()
     parser.add_parameters()
@@ -133,17 +127,6 @@ def request_of_options(options: argparse.Namespace) -> GaitRequest:
     if options.power is not None:
         return GaitRequest(Objective.MAX_SPEED_AT_POWER, options.power)
     return GaitRequest(_NAMED[options.objective or "cruise"])
-
-
-def cache_of(options: argparse.Namespace) -> Cache:
-    """The cache that is asked for; raises `OptimizerError` if it cannot be written to."""
-    return Cache.at(Path(options.cache).expanduser() if options.cache else default_directory())
-
-
-def shown_progress(title: str) -> pipeline.Report:
-    """A report that shows its progress on standard error."""
-    bar = ProgressLine(title)
-    return lambda progress: bar(progress.fraction)
 
 
 def gait_table(robust: Mapping[str, Prediction], nominal: Mapping[str, Prediction]) -> str:

@@ -48,7 +48,7 @@ def _start(options: argparse.Namespace) -> int:
             _activate(running)
             _keep(running)
     except FAILURES as error:
-        print(f"start: {error}\nstart: the logs are in {logs}", file=sys.stderr)  # noqa: T201
+        print(f"start: the logs are in {logs}\nstart: {error}", file=sys.stderr)  # noqa: T201
         return FAILED
     return 0
 

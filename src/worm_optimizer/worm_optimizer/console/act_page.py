@@ -20,7 +20,7 @@ from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import CYCLES
 from worm_optimizer.orders import Order, RunProgress
 from worm_optimizer.robustness.prediction import Prediction
-from worm_optimizer.search.gait_request import GaitRequest, Objective, RequestStatus, select
+from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.search.optimizer_errors import OptimizerError
 
 WORDS_S = 0.25
@@ -59,7 +59,7 @@ class ActPage:
             self._release = ui.button(
                 "Permit starts",
                 on_click=partial(
-                    self._ask, "ending the emergency stop", page_actions.emergency_stop_off
+                    self._ask, "resetting the emergency stop", OperatorNode.reset_emergency_stop
                 ),
             )
         with ui.row().classes("w-full gap-4"):
@@ -136,10 +136,14 @@ class ActPage:
         except OptimizerError as error:
             self._why.set_text(str(error))
             return
-        answer = select(self._shown, request)
-        self._why.set_text("" if answer.status is RequestStatus.DONE else answer.message)
-        if answer.status is RequestStatus.DONE and answer.prediction is not None:
-            self._choose(answer.prediction)
+        fast_enough = [gait for gait in self._shown if gait.speed >= request.value]
+        if not fast_enough:
+            fastest = 1e3 * self._shown[-1].speed
+            self._why.set_text(
+                f"no gait of the front is as fast; the fastest makes {fastest:.3f} mm/s"
+            )
+            return
+        self._choose(min(fast_enough, key=lambda gait: gait.power))
 
     def _choose(self, prediction: Prediction) -> None:
         self._chosen = prediction

@@ -8,44 +8,36 @@ from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
 
-from worm_optimizer.nodes.operator_node import OperatorError, OperatorNode, UnreachableError
+from worm_optimizer.nodes.operator_node import OperatorError, OperatorNode
 from worm_optimizer.operation.recorded_run import new_bag, recorded
 from worm_optimizer.orders import Order, Progress
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
-_NEXT = 1.0 + 1e-6  # times a gait's speed: what the next one of the front exceeds
-_MOST_GAITS = 200
+_GAITS = 32  # of a front that is shown
 
 _numbers: Iterator[int] = count(1)  # of recorders
-
-
-def emergency_stop_off(node: OperatorNode) -> str:
-    """Permit starts again."""
-    node.emergency_stop(on=False)
-    return "the emergency stop is off: starts are permitted again"
 
 
 def read_front(
     node: OperatorNode, direction: int, initial_length: float, say: Callable[[str], None]
 ) -> list[Prediction]:
-    """All gaits that the optimizer answers with, by rising speed, each asked for by the speed of the one before it.
+    """Gaits of the front evenly over its speeds, the slowest first.
 
     ``initial_length`` in m, 0: that of the parameters. Raises `OperatorError`.
     """
 
     def request(objective: Objective, value: float = 0.0) -> Prediction:
-        return node.request_gait(GaitRequest(objective, value), say, direction, initial_length)
+        return node.request_gait(GaitRequest(objective, value), direction, initial_length)
 
-    gaits = [request(Objective.MIN_POWER)]
-    fastest = request(Objective.MAX_SPEED)
-    while gaits[-1].speed < fastest.speed and len(gaits) < _MOST_GAITS:
-        say(f"reading the front: {len(gaits)} gaits")
-        try:
-            gaits.append(request(Objective.MIN_POWER_AT_SPEED, gaits[-1].speed * _NEXT))
-        except UnreachableError:
-            break
-    return gaits
+    gaits, fastest = [request(Objective.MIN_POWER)], request(Objective.MAX_SPEED)
+    step = (fastest.speed - gaits[0].speed) / _GAITS
+    for place in range(1, _GAITS):
+        say(f"reading the front: {place} of {_GAITS} gaits")
+        speed = gaits[0].speed + place * step
+        if speed > gaits[-1].speed:  # the gait of the speed before may be faster than was requested
+            gaits.append(request(Objective.MIN_POWER_AT_SPEED, speed))
+    return gaits if fastest.speed <= gaits[-1].speed else [*gaits, fastest]
 
 
 def take_parameters(node: OperatorNode, file: str) -> str:

@@ -106,7 +106,7 @@ def _shown(row: Row, key: int) -> dict[str, Any]:
         "key": key,
         "name": row["name"],
         "start": (row["start"] or "")[:19].replace("T", " "),
-        "gait": gait_text(row),
+        "gait": gait_text(row["gait"]),
         "cycles": row["cycles"],
         "speed": _number(row["speed"], 1e3),
         "power": _number(row["power"], 1.0),

@@ -171,9 +171,13 @@ class RobotWorker:
         with self._brake(self._give_up_stop) as node:
             self._telemetry = Telemetry(node)
             node.prepare_stop()
+            lost = False
             while True:
                 node.wait(self._pulled.is_set, _POLL_S)
                 self._hold(node)
+                if node.has_lost_driver and not lost:
+                    self._tell(Notice("the driver ended; torque may be on", good=False))
+                lost = node.has_lost_driver
 
     def _give_up_stop(self) -> None:
         """There is nothing to stop any more."""

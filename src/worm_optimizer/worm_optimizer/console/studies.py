@@ -40,13 +40,8 @@ class Studies:
 
     @property
     def searching(self) -> str:
-        """How far a search is, empty: none goes on."""
-        return f"{self._doing}: {100.0 * self.fraction:.0f} %" if self._doing else ""
-
-    @property
-    def fraction(self) -> float:
-        """Of the search that is done."""
-        return 0.0 if self._goal is None else self._goal.fraction
+        """The search that goes on, empty: none."""
+        return self._doing
 
     def search(self, order: ScanOrder | FrontOrder) -> bool:
         """Have the optimizer begin; false where something else is done."""
@@ -60,11 +55,6 @@ class Studies:
             return f"the {self._doing} has begun"
 
         return not self._doing and self._hub.worker.ask("asking the optimizer", begin)
-
-    def cancel_search(self) -> None:
-        """Have it end; what was found so far is lost."""
-        if self._goal is not None:
-            self._goal.wanted = False
 
     def _take(self, result: SearchResult) -> None:
         """Comes from the worker's thread."""

@@ -70,11 +70,7 @@ class StudiesPage:
             "What is left empty is the optimizer's own; the margin is then chosen at the cliff."
         )
         with ui.row().classes("items-center gap-2 w-full no-wrap"):
-            self._bar = ui.linear_progress(0.0, show_value=False).classes("grow")
-            self._bar.props('aria-label="Search"')
             self._how_far = ui.label().props("role=status")
-            self._cancel = ui.button("Cancel search", on_click=self._cancel_search)
-            self._cancel.props("no-wrap")
 
     def _identification(self) -> None:
         ui.label("Parameters").classes("text-lg")
@@ -132,10 +128,6 @@ class StudiesPage:
         if self._may():
             self._begun(self._studies.search(order), self._studies.searching)
 
-    def _cancel_search(self) -> None:
-        if self._may():
-            self._studies.cancel_search()
-
     def _ask_identification(self) -> None:
         bags = self._chosen()
         if not self._may():
@@ -161,8 +153,8 @@ class StudiesPage:
         if not self._may_take():
             return
         self._question.set_text(
-            f"Twin and optimizer take over {self._file.value}? The twin uses them at once, the optimizer computes its "
-            "fronts anew, which takes a minute or two. The driver keeps its own, and at the next start all nodes have "
+            f"Twin and optimizer take over {self._file.value}? The twin and the optimizer use them at once. "
+            "The driver keeps its own, and at the next start all nodes have "
             "theirs again: ./worm start --parameters FILE gives them these for good."
         )
         self._dialog.open()
@@ -183,8 +175,6 @@ class StudiesPage:
     def _tell(self) -> None:
         studies, hub = self._studies, self._hub
         searching, identifying = studies.searching, studies.identifying
-        self._bar.set_value(studies.fraction if searching else 0.0)
-        self._cancel.set_enabled(bool(searching))
         self._how_far.set_text(searching)
         bags = ", ".join(self._chosen())
         self._bags.set_text(

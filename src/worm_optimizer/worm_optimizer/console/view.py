@@ -5,10 +5,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from worm_model.analysis.run_metrics import END_TOLERANCE_NS
+from worm_model.run import SAME_ONSET_NS
 from worm_model.twin.records import Activity, LengthSource
+from worm_model.twin.run_start import PLAYING
 from worm_model.twin.watch_view import STALE_S
 from worm_optimizer.snapshot import DriverWord, Snapshot
 
@@ -21,7 +24,6 @@ SOURCES: Mapping[str, str] = {  # topics, by who is silent when they are
 }
 REMEMBERED_S = 60.0
 SAMPLE_S = 0.2  # between two samples of what is remembered
-_AT_REST = 5e-3  # m from the initial length
 MOVING = (Activity.RESTING, Activity.RUNNING, Activity.STOPPING)
 
 
@@ -121,37 +123,58 @@ def sample(snapshot: Snapshot, now: float) -> Sample:
     )
 
 
-def _whole(driver: DriverWord, commanded: float, initial: float, cycle: int) -> bool:
-    """Whether a run has ended with a cycle's end, not within it: the body may rest shorter than the cable lets it."""
-    at_rest = abs(commanded - initial) < _AT_REST
-    return driver.state is Activity.IDLE and cycle == driver.cycles and at_rest
+@dataclass
+class _CountedRun:
+    """A run whose grooves are counted: ``border`` is the next end of a cycle, ``end_ns`` 0 while it goes on."""
+
+    onset_ns: int
+    period_ns: float
+    direction: int
+    border: int
+    end_ns: int = 0
+    start: int | None = None  # groove at the border before
 
 
 class History:
-    """A minute back, and the grooves that each cycle of the present run gained; ``clock`` tells the time in s."""
+    """A minute back, and the grooves that each cycle of the present run gained; ``clock`` returns the time in s.
+
+    The twin is behind the driver: a cycle's grooves are those of its states at the stamps of the cycle's begin and end.
+    """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         self.samples: deque[Sample] = deque(maxlen=round(REMEMBERED_S / SAMPLE_S))
         self.grooves: list[int] = []
-        self._cycle: tuple[int, int] = (0, 0)  # run and cycle
-        self._from = 0  # groove of the rear anchor at its start
+        self._run: _CountedRun | None = None
 
     def add(self, snapshot: Snapshot) -> None:
         """Remember a moment; to be called every `SAMPLE_S`."""
         self.samples.append(sample(snapshot, self._clock()))
-        driver, twin = snapshot.driver, snapshot.twin
-        if driver is None or twin is None:
+        driver = snapshot.driver
+        if driver is None or not snapshot.grooves:
             return
-        moving = driver.state in MOVING and driver.cycle > 0
-        cycle = (driver.run, driver.cycle if moving else 0)
-        commanded = snapshot.lengths.get(LengthSource.COMMANDED, math.nan)
-        if cycle == self._cycle:
-            return
-        if cycle[0] != self._cycle[0]:
-            self.grooves = []
-        elif self._cycle[1] and (
-            moving or _whole(driver, commanded, twin.initial_length, self._cycle[1])
-        ):
-            self.grooves.append((twin.rear_groove - self._from) * driver.direction)
-        self._cycle, self._from = cycle, twin.rear_groove
+        self._follow_driver(driver, snapshot.grooves[0][0])
+        if self._run is not None:
+            self._count(self._run, snapshot.grooves)
+
+    def _follow_driver(self, driver: DriverWord, oldest_ns: int) -> None:
+        """Note a run that begins or ends; one that goes on already is counted from a cycle whose begin was seen."""
+        run = self._run
+        if driver.state in PLAYING and driver.onset_ns:
+            if run is None or abs(driver.onset_ns - run.onset_ns) > SAME_ONSET_NS:
+                period = 1e9 / driver.frequency
+                first = max(math.ceil((oldest_ns - driver.onset_ns) / period), 0)
+                self._run = _CountedRun(driver.onset_ns, period, driver.direction, first)
+                self.grooves = []
+        elif run is not None and not run.end_ns and driver.stamp_ns > run.onset_ns:
+            run.end_ns = driver.stamp_ns + END_TOLERANCE_NS
+
+    def _count(self, run: _CountedRun, states: Sequence[tuple[int, int]]) -> None:
+        while True:
+            border = run.onset_ns + round(run.border * run.period_ns)
+            if border > states[-1][0] or (run.end_ns and border > run.end_ns):
+                return
+            groove = next(groove for stamp, groove in states if stamp >= border)
+            if run.start is not None:
+                self.grooves.append((groove - run.start) * run.direction)
+            run.start, run.border = groove, run.border + 1

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The optimizer as a ROS node, and the operator of demo and campaign."""
+"""ROS node of the optimizer, and the operator node of `operate`, demo, campaign and console."""

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One goal of an action, from its being sent to its result."""
+"""Client of one goal of an action, from the request to its result."""
 
 from __future__ import annotations
 
+import math
 import time
 import uuid
 from typing import Any
@@ -12,17 +13,32 @@ from rclpy.node import Node
 from rclpy.task import Future
 from unique_identifier_msgs.msg import UUID
 
+from worm_msgs.goal_rejections import REJECTIONS_QOS, rejections_topic
+from worm_msgs.msg import GoalRejection
+
+REASON_S = 2.0  # timeout for the reason of a rejection, s
+
 
 class ActionGoal:
-    """Owned by whoever spins the node: no call waits.
+    """Goal of an action. It belongs to the thread that spins the node; no call blocks.
+
+    Args:
+        node: the client's node.
+        kind: type of the action.
+        name: name of the action.
+        goal: the goal message.
 
     Attributes:
-        name: of the action.
-        heard_at: when the last word of it came (s, monotonic).
+        name: name of the action.
+        rejected: True if the server rejected the goal.
+        reason: reason of the rejection; empty until it arrives.
+        heard_at: time of the latest feedback, or of the creation (s, monotonic).
     """
 
     def __init__(self, node: Node, kind: Any, name: str, goal: Any) -> None:
         self.name = name
+        self.rejected = False
+        self.reason = ""
         self.heard_at = time.monotonic()
         self._node = node
         self._client = ActionClient(node, kind, name)
@@ -31,52 +47,71 @@ class ActionGoal:
         self._handle: Any = None
         self._ended: Future | None = None
         self._cancelled = False
+        self._rejected_at = math.inf
+        self._rejections = node.create_subscription(
+            GoalRejection, rejections_topic(name), self._on_rejection, REJECTIONS_QOS
+        )
 
     @property
     def possible(self) -> bool:
-        """Whether there is somebody who can be asked."""
+        """True if the action has a server."""
         return bool(self._client.server_is_ready())
 
     def send(self) -> None:
-        """Ask; what is asked for begins if it can."""
+        """Send the goal."""
         sent = self._client.send_goal_async(self._goal, self._on_feedback, goal_uuid=self._id)
         sent.add_done_callback(self._on_answer)
 
     @property
     def answered(self) -> bool:
-        """Whether the goal has arrived."""
-        return self._ended is not None
+        """True if the goal was accepted or rejected."""
+        return self.rejected or self._ended is not None
 
     @property
     def done(self) -> bool:
-        """Whether there is a result."""
+        """True after the result, or after a rejection and its reason; without a reason, after a timeout."""
+        if self.rejected:
+            return bool(self.reason) or time.monotonic() > self._rejected_at + REASON_S
         return self._ended is not None and self._ended.done()
 
+    @property
+    def rejection(self) -> str:
+        """Message that the goal was rejected, with the reason."""
+        return f"rejected: {self.reason or f'the log of the server of {self.name} says why'}"
+
     def cancel(self) -> None:
-        """Have it end before its time."""
+        """Cancel the goal; before it is accepted, the request follows the acceptance."""
         self._cancelled = True
         if self._handle is not None:
             self._handle.cancel_goal_async()
 
     def close(self) -> None:
-        """Let go of it, whatever becomes of it; else the node would stay announced."""
+        """Free the client and the subscription, which would otherwise stay in the ROS graph."""
+        self._node.destroy_subscription(self._rejections)
         self._client.destroy()
 
     def _message(self) -> Any:
-        """The result of what is done, as its message."""
+        """Return the result message of a goal that is done."""
         assert self._ended is not None
         return self._ended.result().result
 
     def _on_answer(self, sent: Future) -> None:
-        self._handle = sent.result()
+        handle = sent.result()
+        if not handle.accepted:
+            self.rejected, self._rejected_at = True, time.monotonic()
+            return
+        self._handle = handle
         self._ended = self._handle.get_result_async()
-        if self._cancelled:  # before it was known of
+        if self._cancelled:  # before the goal had a handle
             self._handle.cancel_goal_async()
+
+    def _on_rejection(self, message: GoalRejection) -> None:
+        if bytes(message.goal) == bytes(self._id.uuid):
+            self.reason = message.reason
 
     def _on_feedback(self, message: Any) -> None:
         self.heard_at = time.monotonic()
         self._take(message.feedback)
 
     def _take(self, feedback: Any) -> None:
-        """What is heard on the way."""
-        raise NotImplementedError
+        """Process a feedback message; searches send none."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The executables that are nodes, and the commands that work with them."""
+"""Entry points of the optimizer node and of the commands that use ROS."""
 
 from worm_msgs.executable import deferred, deferred_command
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One gait that was asked of the driver, from its goal to its result, and the heartbeat of whoever asked for it."""
+"""Client of one run_gait goal, from the request to its result, including the client's heartbeat."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
@@ -17,21 +18,21 @@ from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.nodes.optimizer_messages import value_of
 from worm_optimizer.orders import Order, RunProgress, RunResult
 
-SILENCE_S = 3.0  # of its owner, that a run puts up with
-BEAT_S = 0.25
+SILENCE_S = 3.0  # heartbeat timeout of a run, s
+BEAT_S = 0.25  # heartbeat period, s
 
 
 class GaitRun(ActionGoal):
-    """A goal of run_gait that is heard of; cancelled, it ends at its next point of rest.
+    """Goal of run_gait with heartbeats. A cancelled run ends at its next point of rest.
 
     Args:
-        node: that asks.
-        heartbeat: its publisher of Heartbeat, there before the run so that it is known to the driver.
-        order: what is to be run.
-        wanted: whether the run is still wanted, asked for at every beat; without beats the robot comes to rest.
+        node: the client's node.
+        heartbeat: the node's publisher of Heartbeat. It exists before the run, so that the driver has discovered it.
+        order: the gait to run and its end.
+        wanted: called before each heartbeat. If it returns False, no heartbeat is sent and the robot comes to rest.
 
     Attributes:
-        progress: the last word of a run that goes on, None before it.
+        progress: latest feedback of the run, None before the first.
     """
 
     def __init__(
@@ -47,17 +48,19 @@ class GaitRun(ActionGoal):
         self._timer.cancel()
 
     def send(self) -> None:
-        """Ask the driver; the run begins if it can."""
+        """Send the goal to the driver and start the heartbeat."""
         super().send()
         self._timer.reset()
 
     @property
     def result(self) -> RunResult:
-        """Of a run that is done."""
+        """Result of a run that is done."""
+        if self.rejected:
+            return value_of(RunResult, _no_result(self.rejection), gait=self.order.gait)
         return value_of(RunResult, self._message(), gait=self.order.gait)
 
     def close(self) -> None:
-        """Lets go of the run, which comes to rest if it goes on."""
+        """Stop the heartbeat and free the client; a run that has not ended comes to rest."""
         self._node.destroy_timer(self._timer)
         super().close()
 
@@ -67,6 +70,11 @@ class GaitRun(ActionGoal):
 
     def _take(self, feedback: Any) -> None:
         self.progress = value_of(RunProgress, feedback)
+
+
+def _no_result(message: str) -> RunGait.Result:
+    names = ("grooves", "distance", "speed", "power", "cost_of_transport", "idle_power")
+    return RunGait.Result(message=message, **dict.fromkeys(names, math.nan))
 
 
 def _goal_of(order: Order) -> RunGait.Goal:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a person does with a robot, as calls with deadlines: used by `operate`, the demo, the campaign and the console.
+"""Operator actions on a robot as calls with timeouts, for `operate`, the demo, the campaign and the console.
 
-All of it goes over the topics, services and actions that `ros2` would use. One thread owns an operator; a call waits
-by spinning it. A gait that runs is a `GaitRun`: begin it, follow it, and spin as long as it is to go on.
+All calls use public topics, services and actions. An operator node belongs to one thread, and a call spins the node
+while it waits. A running gait is a `GaitRun`; its heartbeat needs a node that is spun.
 """
 
 from __future__ import annotations
@@ -22,9 +22,11 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
@@ -53,19 +55,19 @@ from worm_optimizer.orders import (
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
-DRIVER = "driver"  # the node's name in system.yaml
-NODES_TIMEOUT_S = 120.0  # a twin whose kernel is not compiled yet does that first
+DRIVER = "driver"  # name of the node in system.yaml
+_DRIVER_SERVICE = (
+    "run_gait/_action/send_goal"  # only drivers have this service, whatever their names
+)
+NODES_TIMEOUT_S = 120.0  # the first start of the twin includes the compilation of its kernel
 DISCOVERY_TIMEOUT_S = 30.0
-LEASE_S = 25.0  # DDS believes for 20 s that a participant lives which says nothing any more
+LEASE_S = 25.0  # DDS counts a silent participant as alive for 20 s
 CALL_TIMEOUT_S = 30.0
-SILENCE_S = 60.0  # without a word of a gait that runs, after which it has failed
-OPTIMIZER_TIMEOUT_S = 120.0  # it may still be searching its front
-REQUEST_PERIOD_S = 1.0
-REASON_S = 1.0  # for which the driver's own word on a failed transition is waited for
-TELEMETRY_S = 1.0  # for which state waits for what need not be there: power, tracker, twin
-ATTEMPTS = 2  # at transitions of a lifecycle node: from unconfigured to active
-SPIN_S = 0.05
-STRANGER_S = 2.0  # in which a driver that is there already has been discovered
+SILENCE_S = 60.0  # timeout for feedback of a running gait
+REASON_S = 1.0  # timeout for the driver's log message about a failed transition
+TELEMETRY_S = 1.0  # timeout of `state` for the optional topics of power, tracker and twin
+ATTEMPTS = 2  # lifecycle transitions from unconfigured to active
+SPIN_S = 0.05  # longest time between two calls of `check`
 _TELEMETRY: dict[type, str] = {
     Power: "power",
     Tracker: "tracker",
@@ -82,31 +84,36 @@ _Goal = TypeVar("_Goal", bound=ActionGoal)
 
 
 class OperatorError(RuntimeError):
-    """A node did not answer in time, or refused."""
+    """A node did not answer in time, or rejected a request."""
 
 
 class UnreachableError(OperatorError):
-    """No gait of the front is what was asked for; the message tells the nearest one that is there."""
+    """No gait of the front satisfies a request; the message names the nearest one."""
 
 
 class GaitFailedError(OperatorError):
-    """A gait was begun, and not brought to its end."""
+    """A gait was started and did not reach its end."""
 
 
 class _NoAnswerError(OperatorError):
-    """Nothing came back in time."""
+    """No answer arrived in time."""
 
 
 @contextmanager
 def operator(
     namespace: str, check: Callable[[], None] = lambda: None, name: str = "operator"
 ) -> Iterator[OperatorNode]:
-    """An operator's node with a ROS context of its own, in which signals stay Python's.
+    """Provide an operator node with its own ROS context, which leaves signals to Python.
 
-    Nothing of it is announced in the ROS graph afterwards, whatever happened.
+    On exit the node leaves the ROS graph, also after an exception.
+
+    Args:
+        namespace: the robot's namespace.
+        check: see `OperatorNode`.
+        name: name of the node.
 
     Raises:
-        OperatorError: there can be no node: its middleware, its domain or its security cannot be had.
+        OperatorError: The node cannot be created; middleware, domain or security is not available.
     """
     with ExitStack() as stack:
         context = rclpy.Context()
@@ -122,10 +129,16 @@ def operator(
 
 
 class OperatorNode(Node):
-    """Calls the services and actions of the driver, the optimizer and the virtual robot in its own namespace.
+    """Client of the driver, the optimizer and the virtual robot in one namespace.
 
-    ``late_cycles`` is how many deadlines the driver says that it has missed since its start.
-    ``check`` is called while waiting and may raise, such as when a node's process has died.
+    Args:
+        namespace: the robot's namespace.
+        check: called during each wait. It may raise, for example when a node's process has ended.
+        context: ROS context.
+        name: name of the node.
+
+    Attributes:
+        late_cycles: deadlines that the driver has missed since its start, according to its diagnostics.
     """
 
     def __init__(
@@ -139,9 +152,9 @@ class OperatorNode(Node):
         self._check = check
         self._named_clients: dict[str, Client] = {}
         self.late_cycles = 0
-        self._simulated_s: float | None = None  # by the clock of a virtual robot
-        self._heard: dict[type, Any] = {}  # the last message of each type
-        self._errors: deque[str] = deque(maxlen=20)  # of the driver's log
+        self._simulated_s: float | None = None  # time of a virtual robot's clock
+        self._heard: dict[type, Any] = {}  # latest message of each type
+        self._errors: deque[str] = deque(maxlen=20)  # errors in the driver's log
         self._watched: set[type] = set()
         self._own_runs = 0
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
@@ -149,7 +162,9 @@ class OperatorNode(Node):
         self.create_subscription(Log, "/rosout", self._on_log, 100)
         self.create_subscription(GaitState, "gait_state", self._hear, LATCHED)
         self._heartbeat = self.create_publisher(Heartbeat, "heartbeat", 10)
-        self._emergency = self.create_publisher(Bool, "emergency_stop", LATCHED)
+        self._emergency: Publisher | None = (
+            None  # created by the first emergency stop of this operator
+        )
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self)
 
@@ -173,18 +188,18 @@ class OperatorNode(Node):
 
     @property
     def robot_time_s(self) -> float:
-        """The time of the virtual robot in this namespace (s) if there is one, else the computer's, monotonic."""
+        """Time of the virtual robot in this namespace (s); without one, the computer's monotonic time."""
         return time.monotonic() if self._simulated_s is None else self._simulated_s
 
     def destroy_node(self) -> None:
-        """End the node and what spins it."""
+        """Destroy the node and its executor."""
         self._executor.shutdown()
         super().destroy_node()
 
     # --- the graph -----------------------------------------------------------------------------
 
     def wait_for_driver(self, timeout_s: float) -> None:
-        """Wait until a driver is heard in this namespace; raises `OperatorError` if none is."""
+        """Wait for a message of a driver in this namespace. Raises `OperatorError` at the timeout (s)."""
         if not self.wait(lambda: GaitState in self._heard, timeout_s):
             raise OperatorError(
                 f"no driver is heard in {self.get_namespace()} within {timeout_s:g} s: start one "
@@ -192,58 +207,60 @@ class OperatorNode(Node):
                 "and ROS_DOMAIN_ID"
             )
 
-    def refuse_second_driver(self) -> None:
-        """Raise `OperatorError` if the robot of this namespace has its driver already.
-
-        A process that was killed is announced for a while after its end, and is waited for.
-        """
-        topic = self.resolve_topic_name("gait_state")
-        self.wait(lambda: self.count_publishers(topic) > 0, STRANGER_S)
-        if not self.wait(lambda: self.count_publishers(topic) == 0, LEASE_S):
-            raise self._another_worm(f"{self.get_namespace()} has a driver already")
-
     def wait_for_nodes(self, names: Iterable[str]) -> None:
-        """Wait until these nodes are there; raises `OperatorError` if one is not, or is there twice.
-
-        Two nodes of one name in this ROS domain mean that another worm runs, and commands would reach
-        both; those of a process that was killed go after a while.
-        """
+        """Wait until these nodes exist in this namespace. Raises `OperatorError` with a missing one."""
         expected = set(names)
-        self.wait(lambda: expected <= set(self._names()), NODES_TIMEOUT_S)
-        missing = sorted(expected - set(self._names()))
-        if missing:
-            raise OperatorError(f"no node {missing[0]} within {NODES_TIMEOUT_S:g} s")
-        if not self.wait(lambda: not self._repeated(expected), LEASE_S):
-            names = ", ".join(sorted(self._names()))
-            raise self._another_worm(f"the nodes of {self.get_namespace()} are {names}")
+        if not self.wait(lambda: expected <= set(self._names()), NODES_TIMEOUT_S):
+            missing = min(expected - set(self._names()))
+            raise OperatorError(f"no node {missing} within {NODES_TIMEOUT_S:g} s")
 
-    def _repeated(self, names: set[str]) -> list[str]:
-        current = self._names()
-        return [name for name in names if current.count(name) > 1]
+    @property
+    def has_lost_driver(self) -> bool:
+        """True if a driver has disappeared and was not inactive according to its latest message."""
+        heard = self._heard.get(GaitState)
+        if heard is None or heard.state == GaitState.INACTIVE:
+            return False
+        return self.count_publishers(self.resolve_topic_name("gait_state")) == 0
 
-    @staticmethod
-    def _another_worm(sign: str) -> OperatorError:
-        return OperatorError(
-            f"another worm runs in this ROS domain: {sign}; end it, or set ROS_DOMAIN_ID to another number for one "
-            "of them"
-        )
+    def _require_sole_driver(self) -> None:
+        """Raise `OperatorError` if more than one driver would execute a command.
+
+        A request reaches all services that this node has discovered, and exactly these are counted. DDS counts a
+        killed process for a while after its end, so this waits up to LEASE_S.
+        """
+        service = self.resolve_service_name(_DRIVER_SERVICE)
+
+        def count() -> int:
+            return int(self.count_services(service))
+
+        if not self.wait(lambda: count() <= 1, LEASE_S):
+            raise OperatorError(
+                f"{self.get_namespace()} has {count()} drivers, and both would move: end one of them, or use another "
+                "namespace or ROS_DOMAIN_ID for it"
+            )
 
     def wait_for_publisher(self, topic: str, remedy: str) -> None:
-        """Wait until somebody publishes a topic; raises `OperatorError`, which tells the remedy."""
+        """Wait until a topic has a publisher. Raises `OperatorError`, whose message contains the remedy."""
         name = self.resolve_topic_name(topic)
         if not self.wait(lambda: self.count_publishers(name) > 0, DISCOVERY_TIMEOUT_S):
             raise OperatorError(f"nobody publishes {name}: {remedy}")
 
     def rest(self, duration_s: float) -> None:
-        """Let time of the robot pass, while everything is checked to be alive."""
+        """Wait for a duration (s) of the robot's time; `check` is called meanwhile."""
         end = self.robot_time_s + duration_s
         self.wait(lambda: self.robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
 
     def wait_for_recorder(self, name: str, left_out: str = "") -> None:
-        """Wait until a node subscribes to all visible topics of this namespace that are published.
+        """Wait until a recorder has subscribed to all visible topics of this namespace that have publishers.
 
-        ``left_out`` matches those that it is not to record. What is published before that is not in its recording.
-        Raises `OperatorError` with a topic that it does not subscribe to in time.
+        Its recording lacks messages that were published earlier.
+
+        Args:
+            name: name of the recorder's node.
+            left_out: regular expression of the topics that it does not record; empty: it records all.
+
+        Raises:
+            OperatorError: The recorder did not subscribe in time; the message names a topic.
         """
 
         def unheard() -> list[str]:
@@ -270,7 +287,7 @@ class OperatorNode(Node):
 
     @property
     def runs_of_others(self) -> int:
-        """How many runs the driver has begun for somebody else, as heard by an operator who saw it start."""
+        """Number of runs that other clients started. Valid if this operator is older than the driver's first run."""
         return self._runs - self._own_runs
 
     @property
@@ -281,7 +298,7 @@ class OperatorNode(Node):
     # --- what a person does --------------------------------------------------------------------
 
     def state(self) -> RobotState:
-        """What is heard of the robot. Raises `OperatorError` if there is no driver."""
+        """Return the robot's state. Raises `OperatorError` if there is no driver."""
         for kind, topic in _TELEMETRY.items():
             if kind not in self._watched:
                 self._watched.add(kind)
@@ -291,7 +308,7 @@ class OperatorNode(Node):
         return _state_of(self._state(DRIVER).label, self._heard)
 
     def activate(self) -> str:
-        """Configure and activate the driver; returns what was done. Raises `OperatorError` if it does not get there."""
+        """Configure and activate the driver; return a report. Raises `OperatorError` if it does not become active."""
         asked = 0
         while (state := self._state(DRIVER)).id != State.PRIMARY_STATE_ACTIVE:
             if state.id not in _NEXT or asked == ATTEMPTS:
@@ -302,16 +319,17 @@ class OperatorNode(Node):
         return "the driver is active, its torque is on"
 
     def configure(self) -> None:
-        """Configure a driver that is not yet; raises `OperatorError` if it cannot be."""
+        """Configure the driver if it is unconfigured. Raises `OperatorError` if that fails."""
         if self._state(DRIVER).id == State.PRIMARY_STATE_UNCONFIGURED:
             self._errors.clear()
             if not self._change(DRIVER, Transition.TRANSITION_CONFIGURE):
                 raise OperatorError(f"{DRIVER} cannot be configured: {self._reason()}")
 
     def deactivate(self) -> str:
-        """Have a driver that is active come to rest and turn its torque off; returns what was done.
+        """Deactivate an active driver, which comes to rest and releases torque; return a report.
 
-        Raises `OperatorError` if it stays active.
+        Raises:
+            OperatorError: The driver stays active.
         """
         if self._state(DRIVER).id == State.PRIMARY_STATE_ACTIVE:
             self._errors.clear()
@@ -320,40 +338,65 @@ class OperatorNode(Node):
         return "the robot is at rest, its torque is off"
 
     def home(self) -> str:
-        """Take the present cable length as the initial one; returns what was done. Raises `OperatorError`."""
+        """Define the present cable length as ΔL = 0; return the driver's report. Raises `OperatorError`."""
+        self._require_sole_driver()
         self.configure()
         return self._trigger("home")
 
     def reboot(self) -> str:
-        """Restart the servos with a hardware error; returns what was done. Raises `OperatorError`."""
+        """Restart the servos that have a hardware error; return the driver's report. Raises `OperatorError`."""
+        self._require_sole_driver()
         return self._trigger("reboot")
 
     def stop(self) -> str:
-        """Hold the robot where it is, at once; returns what was done. Raises `OperatorError`."""
+        """Stop the cable where it is, immediately; return the driver's report. Raises `OperatorError`."""
         return self._trigger("stop")
 
     def prepare_stop(self) -> None:
-        """Have the service that stops discovered before it is needed."""
+        """Create the client of the stop service, so that it is discovered before it is needed."""
         self._client(Trigger, "stop")
 
-    def emergency_stop(self, on: bool) -> None:  # noqa: FBT001 (the topic's own value)
-        """Hold at once and refuse every start, or permit starts again; waits until the driver says so.
+    def emergency_stop(self) -> str:
+        """Hold immediately and reject all starts until the reset; return a report.
 
-        Raises `OperatorError` if it does not.
+        Raises:
+            OperatorError: The driver did not confirm the emergency stop in time.
         """
+        if self._emergency is None:
+            self._emergency = self.create_publisher(Bool, "emergency_stop", LATCHED)
+        publisher = self._emergency
 
-        def follows() -> bool:
-            self._emergency.publish(Bool(data=on))
+        def latched() -> bool:
+            publisher.publish(Bool(data=True))
             heard = self._heard.get(GaitState)
-            return heard is not None and heard.emergency_stop == on
+            return heard is not None and bool(heard.emergency_stop)
 
-        if not self.wait(follows, CALL_TIMEOUT_S):
-            raise OperatorError("the driver does not follow the topic emergency_stop")
+        if not self.wait(latched, CALL_TIMEOUT_S):
+            raise OperatorError(
+                f"no driver confirms the emergency stop within {CALL_TIMEOUT_S:g} s"
+            )
+        return "holding; nothing starts before the emergency stop is reset"
+
+    def reset_emergency_stop(self) -> str:
+        """Permit starts again; return the driver's report.
+
+        Raises:
+            OperatorError: The driver rejects the reset, because the latest message of another publisher is true.
+        """
+        if self._emergency is not None:
+            self._emergency.publish(Bool(data=False))
+            self._emergency.wait_for_all_acked(Duration(seconds=CALL_TIMEOUT_S))
+        return self._trigger("reset_emergency_stop")
 
     def inject_fault(self, name: str, **details: float) -> str:
-        """Rehearse a fault on the virtual robot; returns what will happen. Raises `OperatorError`.
+        """Inject a fault into the virtual robot; return a description of its effect.
 
-        ``details`` are the fields of InjectFault: target, delay, duration, count, value.
+        Args:
+            name: name of the fault.
+            details: further fields of InjectFault: target, delay, duration, count, value.
+
+        Raises:
+            OperatorError: The virtual robot rejects the fault or does not answer.
         """
         fault = InjectFault.Request(name=name, **details)
         response = self._call(InjectFault, "inject_fault", fault)
@@ -364,15 +407,19 @@ class OperatorNode(Node):
     def request_gait(
         self,
         request: GaitRequest,
-        progress: Callable[[str], None],
         direction: int = FORWARD,
         initial_length: float = 0.0,
     ) -> Prediction:
-        """Ask the optimizer for a gait, again until it has a front.
+        """Request a gait from the optimizer.
 
-        ``initial_length`` in m is that of the robot as it rests (`RobotState` has it), 0 that of the optimizer's
-        parameters. ``progress`` gets the reason why there is no gait yet. Raises `UnreachableError`, and
-        `OperatorError` with the last reason when there is none in time.
+        Args:
+            request: objective and its value.
+            direction: FORWARD or REVERSE.
+            initial_length: length of the robot at rest (m), as in `RobotState`; 0: that of the optimizer's parameters.
+
+        Raises:
+            UnreachableError: No gait of the front satisfies the request.
+            OperatorError: There is no gait for another reason, which the message contains.
         """
         message = RequestGait.Request(
             objective=int(request.objective), direction=direction, initial_length=initial_length
@@ -381,41 +428,40 @@ class OperatorNode(Node):
             message.speed = request.value
         elif request.objective is Objective.MAX_SPEED_AT_POWER:
             message.power = request.value
-        deadline = time.monotonic() + OPTIMIZER_TIMEOUT_S
-        while True:
-            response = self._call_twice(RequestGait, "request_gait", message)
-            if response.success:
-                prediction = response.prediction
-                return value_of(Prediction, prediction.gait, prediction)
-            if response.status == RequestGait.Response.UNREACHABLE:
-                raise UnreachableError(response.message)
-            waits = response.status == RequestGait.Response.COMPUTING
-            if not waits or time.monotonic() > deadline:
-                raise OperatorError(f"the optimizer has no gait: {response.message}")
-            progress(response.message)
-            self.wait(lambda: False, REQUEST_PERIOD_S)
+        response = self._call_twice(RequestGait, "request_gait", message)
+        if response.success:
+            return value_of(Prediction, response.prediction.gait, response.prediction)
+        if response.status == RequestGait.Response.UNREACHABLE:
+            raise UnreachableError(response.message)
+        raise OperatorError(f"the optimizer has no gait: {response.message}")
 
     def begin(self, order: Order, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
-        """Have a gait begun; whoever gets it closes it.
+        """Start a gait. The caller must close the returned handle.
 
-        The robot comes to rest when this operator is not heard any more, or ``wanted`` says no: it is asked four
-        times a second. Raises `OperatorError` if there is nobody who could run it.
+        The robot comes to rest when the heartbeats of this operator stop, or when ``wanted`` returns False. It is
+        called four times a second.
+
+        Raises:
+            OperatorError: There is no driver, more than one, or no answer.
         """
+        self._require_sole_driver()
         return self._sent(GaitRun(self, self._heartbeat, order, wanted))
 
     def search(
         self, order: ScanOrder | FrontOrder, on_end: Callable[[SearchResult], None]
     ) -> SearchGoal:
-        """Have the optimizer begin a scan or an optimisation; whoever gets it closes it.
+        """Start a margin scan or an optimisation. The caller must close the returned handle.
 
-        It goes on while anything else is done. Raises `OperatorError` if there is no optimizer.
+        The search runs in the background; ``on_end`` is called with its result. Raises `OperatorError` if there is no
+        optimizer.
         """
         return self._sent(SearchGoal(self, order, on_end))
 
     def take_parameters(self, node: str, parameter_file: str) -> None:
-        """Have a node take another parameter file, empty for the paper's values.
+        """Set the parameter file of a node; empty for the paper's values.
 
-        Raises `OperatorError` if it refuses.
+        Raises:
+            OperatorError: The node rejects the file.
         """
         value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=parameter_file)
         request = SetParameters.Request(parameters=[Parameter(name="parameter_file", value=value)])
@@ -426,10 +472,16 @@ class OperatorNode(Node):
     def follow(
         self, run: GaitRun, progress: Progress, until: Callable[[], bool] = lambda: False
     ) -> bool:
-        """Wait for a run's end, or until something else is so; whether the run has ended.
+        """Wait until a run ends or a condition holds; return True if the run has ended.
 
-        ``progress`` gets each new word of it. Raises `OperatorError` when nothing is heard any more: a virtual
-        robot's time may pass more slowly than this computer's, but as long as it goes on, all is well.
+        Args:
+            run: the run.
+            progress: called with each new feedback.
+            until: the condition.
+
+        Raises:
+            OperatorError: No feedback arrived for SILENCE_S. There is no limit on the whole run, because a virtual
+                robot's time may be slower than this computer's.
         """
         last = None
         while not run.done and not until():
@@ -442,7 +494,12 @@ class OperatorNode(Node):
         return run.done
 
     def run(self, order: Order, progress: Progress) -> RunResult:
-        """Run a gait to its end; raises `OperatorError`, `GaitFailedError` if it was begun and failed."""
+        """Run a gait to its end and return its result.
+
+        Raises:
+            GaitFailedError: The driver rejected the gait, or it did not reach its end.
+            OperatorError: There is no driver, more than one, or no answer.
+        """
         before = self._runs
         run = self.begin(order)
         try:
@@ -458,7 +515,7 @@ class OperatorNode(Node):
     # --- calls ---------------------------------------------------------------------------------
 
     def _sent(self, goal: _Goal) -> _Goal:
-        """A goal that has arrived; it is closed where it does not."""
+        """Send a goal and return it after its acceptance or rejection; close it if there is no answer."""
         try:
             if not self.wait(lambda: goal.possible, DISCOVERY_TIMEOUT_S):
                 raise OperatorError(f"no action {goal.name}")
@@ -477,7 +534,7 @@ class OperatorNode(Node):
         return str(response.message)
 
     def _reason(self) -> str:
-        """The driver's own word on what has just failed, or where it is to be found."""
+        """Return the latest error of the driver's log, or a hint to the log if none arrives."""
         self.wait(lambda: bool(self._errors), REASON_S)
         return self._errors[-1] if self._errors else "its log says why"
 
@@ -486,12 +543,13 @@ class OperatorNode(Node):
         return answer.current_state
 
     def _change(self, node: str, transition: int) -> bool:
+        self._require_sole_driver()
         request = ChangeState.Request(transition=Transition(id=transition))
         response = self._call(ChangeState, f"{node}/change_state", request)
         return bool(response.success)
 
     def _call_twice(self, kind: Any, name: str, request: Any) -> Any:
-        """Call what may be called again: on a busy computer an answer can get lost with its discovery."""
+        """Call a service, once more if no answer arrives; on a busy computer, discovery can lose an answer."""
         try:
             return self._call(kind, name, request)
         except _NoAnswerError:
@@ -504,7 +562,7 @@ class OperatorNode(Node):
         return self._result(client.call_async(request), name, CALL_TIMEOUT_S)
 
     def _client(self, kind: Any, name: str) -> Client:
-        if name not in self._named_clients:  # one for good: a new one would be discovered anew
+        if name not in self._named_clients:  # reused, as each new client has to be discovered
             self._named_clients[name] = self.create_client(kind, name)
         return self._named_clients[name]
 
@@ -514,7 +572,7 @@ class OperatorNode(Node):
         return future.result()
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Spin until a condition holds; false if it does not within a time (s)."""
+        """Spin until a condition holds; return False at the timeout (s)."""
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:

@@ -7,38 +7,42 @@ import dataclasses
 import math
 from typing import Any, TypeVar
 
+from worm_model.gait import GAIT_UNITS
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.msg import Gait, GaitPrediction
 from worm_msgs.srv import RequestGait
 from worm_optimizer.robustness.prediction import Prediction
-from worm_optimizer.search.front import Progress, RobustFront
-from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus, three_gaits
-from worm_optimizer.search.nsga2 import SearchSettings
+from worm_optimizer.search.front import RobustFront
+from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
 from worm_optimizer.search.search_settings import ScanSettings, Settings, robustness_of
-
-_GAIT_FIELDS = frozenset({"stroke", "frequency", "direction", "margin"})
 
 T = TypeVar("T")
 
 
 def value_of(kind: type[T], *messages: Any, **known: Any) -> T:
-    """A dataclass with the fields of its names of messages, of the first one that has it, but for what is known."""
+    """Return a dataclass whose fields are read from messages by name.
+
+    Args:
+        kind: the dataclass.
+        messages: sources of the fields; each field is read from the first message that has it.
+        known: fields with given values.
+    """
     names = {row.name for row in dataclasses.fields(kind)} - known.keys()  # type: ignore[arg-type]
     taken = {n: getattr(m, n) for m in reversed(messages) for n in names if hasattr(m, n)}
     return kind(**taken, **known)
 
 
 def prediction_message(prediction: Prediction) -> GaitPrediction:
-    """The message of a prediction; the names and units are the same on both sides."""
+    """Return the message of a prediction; names and units are the same in both."""
     values = dataclasses.asdict(prediction)
-    gait = Gait(**{name: values.pop(name) for name in _GAIT_FIELDS})
+    gait = Gait(**{name: values.pop(name) for name in GAIT_UNITS})
     return GaitPrediction(gait=gait, **values)
 
 
 def fill_response(response: RequestGait.Response, answer: GaitAnswer) -> RequestGait.Response:
-    """Puts an answer into a response; without a prediction its numbers are NaN."""
+    """Copy an answer to a response and return the response; without a prediction its numbers are NaN."""
     response.success = answer.status is RequestStatus.DONE
     response.status = answer.status.value
     response.message = answer.message
@@ -50,23 +54,19 @@ def fill_response(response: RequestGait.Response, answer: GaitAnswer) -> Request
 
 
 def _no_prediction() -> GaitPrediction:
-    names = {row.name for row in dataclasses.fields(Prediction)} - _GAIT_FIELDS
+    names = {row.name for row in dataclasses.fields(Prediction)} - set(GAIT_UNITS)
     return GaitPrediction(**dict.fromkeys(names, math.nan))
 
 
 def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
-    """The settings that a goal asks for, the node's own where it leaves them open.
+    """Return the settings of a goal; the node's own replace those that the goal leaves open.
 
-    Raises `OptimizerError` on values that are not admissible.
+    Raises:
+        OptimizerError: A value is not admissible.
     """
-    search = SearchSettings(
-        population=int(goal.population) or base.search.population,
-        generations=int(goal.generations) or base.search.generations,
-        seed=int(goal.seed),
-    )
     return dataclasses.replace(
         base,
-        search=search,
+        seed=int(goal.seed),
         margin=None if math.isnan(goal.margin) else goal.margin,
         robustness=robustness_of(goal.robustness) if goal.robustness else base.robustness,
         probability=goal.probability or base.probability,
@@ -74,7 +74,7 @@ def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
 
 
 def direction_of(value: int) -> int:
-    """A goal's direction; raises `OptimizerError` on anything else than the two."""
+    """Return the direction of a goal. Raises `OptimizerError` if it is neither forward nor reverse."""
     if value not in (Gait.FORWARD, Gait.REVERSE):
         raise OptimizerError(
             f"direction: {value} is neither {Gait.FORWARD} (forward) nor {Gait.REVERSE} (reverse)"
@@ -83,48 +83,27 @@ def direction_of(value: int) -> int:
 
 
 def scan_of_goal(base: Settings, goal: ScanMargin.Goal) -> Settings:
-    """The settings with the margins that a goal asks for; raises `OptimizerError` as `ScanSettings` does."""
+    """Return the settings with the margins of a goal. Raises `OptimizerError` like `ScanSettings`."""
     margins = ScanSettings(
         goal.lowest, goal.highest or base.scan.highest, goal.step or base.scan.step
     )
     return dataclasses.replace(base, scan=margins)
 
 
-def optimize_feedback(progress: Progress) -> OptimizeGaits.Feedback:
-    """How far an optimisation is; within the search, the feedback of a generation."""
-    return OptimizeGaits.Feedback(
-        fraction=progress.fraction,
-        generation=progress.generation,
-        generations=progress.generations,
-        hypervolume=progress.hypervolume,
-        front_size=progress.front_size,
-    )
-
-
-def scan_feedback(progress: Progress) -> ScanMargin.Feedback:
-    """How far a scan is."""
-    return ScanMargin.Feedback(fraction=progress.fraction)
-
-
 def optimize_result(front: RobustFront) -> OptimizeGaits.Result:
-    """The result of an optimisation."""
-    three = {
-        name: prediction_message(gait) for name, gait in three_gaits(front.predictions).items()
-    }
+    """Return the result message of an optimisation."""
+    three = {name: prediction_message(gait) for name, gait in front.three.items()}
     return OptimizeGaits.Result(
         success=True,
-        message=f"margin {1e3 * front.margin:.2f} mm, {front.reason}, source {front.source}",
+        message=f"margin {1e3 * front.margin:.2f} mm, {front.reason}",
         margin=front.margin,
-        hypervolume_share=front.hypervolume_share,
-        missed_branches=list(front.missed_branches),
-        source=front.source,
-        front=[prediction_message(gait) for gait in front.predictions],
+        front=[prediction_message(gait) for gait in front.gaits],
         **three,
     )
 
 
 def scan_result(price: PriceOfRobustness) -> ScanMargin.Result:
-    """The result of a margin scan."""
+    """Return the result message of a margin scan."""
     cliff = price.cliff
     return ScanMargin.Result(
         success=True,
@@ -133,7 +112,7 @@ def scan_result(price: PriceOfRobustness) -> ScanMargin.Result:
         cost_of_transport=[point.cost_of_transport for point in price.points],
         optimal_branch=[point.branch for point in price.points],
         cliff_margin=cliff.margin if cliff else math.nan,
-        lost_branch=cliff.lost_branch if cliff else 0,
+        lost_branch=cliff.lost_branch if cliff else 0.0,
         closed_form_cliff_margin=price.closed_form_cliff_margin,
         groove_phase=price.groove_phase,
     )

@@ -1,167 +1,104 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The optimizer as a ROS node: answers requests from the current fronts, computes new ones on request."""
+"""ROS node of the optimizer, which answers requests for gaits from exact fronts that it computes on demand."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.task import Future
 
 from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
+from worm_model.simulation.simulator import SimulationError
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.ros_process import Ending, spin
 from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes import optimizer_messages, optimizer_parameters
-from worm_optimizer.search.cache import Cache
-from worm_optimizer.search.front import (
-    Progress,
-    RobustFront,
-    both_ways,
-    is_symmetric,
-    load_current,
-    store_current,
-)
+from worm_optimizer.nodes.rejecting_server import RejectingServer
+from worm_optimizer.search.front import RobustFront, make_front, scanned_price
 from worm_optimizer.search.gait_request import (
     GaitAnswer,
     GaitRequest,
     RequestStatus,
-    answer,
+    check_direction,
     request_of,
+    select,
 )
 from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.price_of_robustness import PriceOfRobustness
-from worm_optimizer.search.resting_phase import SAME_LENGTH, resting_answer
-from worm_optimizer.search.search_settings import Robustness, Settings
-from worm_optimizer.search.worker import FrontJob, Job, Outcome, ScanJob, Ticket, WorkQueue
+from worm_optimizer.search.resting_phase import SAME_LENGTH, resting_content
+from worm_optimizer.search.search_settings import Settings
 
-_POLL_PERIOD = 0.02  # s, how late feedback may be; a request waits for no poll
 _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
 
 
-def _computing(fraction: float, doing: str) -> GaitAnswer:
-    message = (
-        f"the front is being computed, {100.0 * fraction:.0f} % done ({doing}): ask again soon"
-    )
-    return GaitAnswer(RequestStatus.COMPUTING, message)
-
-
-def _front_jobs(scheduler: str) -> Callable[[ParameterFile, Settings, int, Cache], FrontJob]:
-    """What makes jobs of fronts: of this computer or, for what takes long, of a cluster. Raises `OptimizerError`."""
-    if not scheduler:
-        return FrontJob
-    try:
-        from worm_optimizer.study.cluster_front import ClusterFrontJob
-    except ModuleNotFoundError as error:  # the optional set, which a robot goes without
-        raise OptimizerError(
-            f"scheduler: {error.name} is not installed: "
-            "pip install -r requirements-study.txt -c constraints.txt, or leave the scheduler out"
-        ) from None
-
-    def job(content: ParameterFile, settings: Settings, direction: int, cache: Cache) -> FrontJob:
-        long = settings.robustness is not Robustness.MARGIN
-        own = content, settings, direction, cache
-        return ClusterFrontJob(*own, scheduler) if long else FrontJob(*own)
-
-    return job
-
-
 class OptimizerNode(Node):
-    """Answers request_gait, optimize_gaits and scan_margin; the work is a worker process's.
+    """Server of request_gait, optimize_gaits and scan_margin, one request at a time.
 
-    Raises `ParameterError`, `OptimizerError` or OSError on parameters that cannot work.
+    Computing a front takes half a second, or some seconds with a required success probability. A front is computed
+    for the first request that needs it and stored until the settings or the parameter file change.
+
+    Raises:
+        ParameterError, OptimizerError, OSError: A parameter of the node is invalid.
     """
 
     def __init__(self) -> None:
         super().__init__("optimizer")
         declare(self, optimizer_parameters.rows)
         self._settings = optimizer_parameters.node_settings(self)
-        self._cache = Cache.at(optimizer_parameters.cache_directory(self))
-        self._front_job = _front_jobs(self.get_parameter(optimizer_parameters.SCHEDULER).value)
-        self._queue = WorkQueue()
-        self._preparing: list[Ticket] = []
-        self._goals: dict[bytes, Ticket] = {}
-        self._poll_timer = self.create_timer(_POLL_PERIOD, self._poll)
+        file = self.get_parameter(optimizer_parameters.PARAMETER_FILE).value
+        self._content = load_parameter_file(file)
+        self._fronts: dict[int, RobustFront] = {}
+        self._resting: dict[tuple[int, float], RobustFront] = {}
+        self._failures: dict[int, str] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(1.0, self._publish_diagnostics)
-        self._prepare(
-            load_parameter_file(self.get_parameter(optimizer_parameters.PARAMETER_FILE).value)
-        )
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
         self.create_service(RequestGait, "request_gait", self._request_gait)
-        cancel = self._cancel
-        ActionServer(self, OptimizeGaits, "optimize_gaits", self._optimize, cancel_callback=cancel)
-        ActionServer(self, ScanMargin, "scan_margin", self._scan, cancel_callback=cancel)
+        self._serve(
+            OptimizeGaits, "optimize_gaits", self._optimize, optimizer_messages.settings_of_goal
+        )
+        self._serve(ScanMargin, "scan_margin", self._scan, optimizer_messages.scan_of_goal)
+        self._first = self.create_timer(1e-3, self._prepare)
 
-    def close(self) -> None:
-        """Ends the worker process."""
-        self._queue.close()
+    # --- the fronts --------------------------------------------------------------------------------
 
-    # --- the fronts of this parameter file -----------------------------------------------------
+    def _prepare(self) -> None:
+        """Compute the forward front before it is requested."""
+        self._first.cancel()
+        try:
+            self._front(FORWARD)
+        except (OptimizerError, SimulationError) as error:
+            self.get_logger().error(f"there is no front: {error}")
 
-    def _prepare(self, content: ParameterFile) -> None:
-        """Loads the fronts of a parameter file, or has them computed."""
-        for ticket in self._preparing:
-            self._queue.cancel(ticket)
-        self._content = content
-        self._preparing = []
-        self._fronts: dict[int, RobustFront] = {}
-        self._absences = dict.fromkeys(_NAMES, _computing(0.0, "starting"))
-        self._load_fronts()
-        missing = set(_NAMES) - set(self._fronts)
-        if missing:
-            self.get_logger().info(
-                "computing a front for these parameters, which takes about a minute; it is kept for the next start"
-            )
-        if is_symmetric(content.parameters):
-            missing &= {FORWARD}  # the reverse front comes with it
-        for direction in sorted(missing, reverse=True):
-            job = self._front_job(content, self._settings, direction, self._cache)
-            progressed = partial(self._note_progress, direction)
-            ticket = Ticket(job, progressed, partial(self._note_end, direction))
-            self._preparing.append(ticket)
-            self._submit(ticket)
+    def _front(self, direction: int) -> RobustFront:
+        """Return the front of a direction. Raises `OptimizerError` or `SimulationError` if there is none."""
+        if direction not in self._fronts:
+            self._failures.pop(direction, None)
+            try:
+                self._store(make_front(self._content, self._settings, direction))
+            except (OptimizerError, SimulationError) as error:
+                self._failures[direction] = str(error)
+                raise
+        return self._fronts[direction]
 
-    def _load_fronts(self) -> None:
-        for direction in set(_NAMES) - set(self._fronts):
-            front = load_current(self._content, self._settings, direction, self._cache)
-            if front is not None:
-                self._take_front(front)
-
-    def _note_progress(self, direction: int, progress: Progress) -> None:
-        self._note_absence(direction, _computing(progress.fraction, progress.doing))
-
-    def _note_end(self, direction: int, outcome: Outcome) -> None:
-        if isinstance(outcome.result, RobustFront):
-            for front in both_ways(outcome.result, self._content.parameters):
-                self._take_front(front)
-        if outcome.failure:
-            message = f"there is no front: {outcome.failure}"
-            self._note_absence(direction, GaitAnswer(RequestStatus.NO_FRONT, message))
-            self.get_logger().error(f"{_NAMES[direction]}: {message}")
-
-    def _note_absence(self, direction: int, absence: GaitAnswer) -> None:
-        symmetric = is_symmetric(self._content.parameters)
-        self._absences |= dict.fromkeys(_NAMES if symmetric else [direction], absence)
-
-    def _take_front(self, front: RobustFront) -> None:
-        """Answers requests from a front from now on."""
+    def _store(self, front: RobustFront) -> None:
+        """Store a front; later requests of its direction are answered from it."""
         self._fronts[front.direction] = front
         self.get_logger().info(
-            f"optimizer ready, {_NAMES[front.direction]}: front of margin "
-            f"{1e3 * front.margin:.1f} mm, {len(front.predictions)} gaits ({front.reason}), hypervolume "
-            f"{100.0 * front.hypervolume_share:.2f} % of the true front's, source {front.source}"
+            f"optimizer ready, {_NAMES[front.direction]}: front of {len(front.gaits)} gaits, "
+            f"margin {1e3 * front.margin:.2f} mm, {front.reason}"
         )
+
+    def _forget(self) -> None:
+        self._fronts, self._resting, self._failures = {}, {}, {}
 
     def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         for parameter in parameters:
@@ -175,7 +112,9 @@ class OptimizerNode(Node):
     def _take_parameters(self, parameters: Sequence[Parameter]) -> None:
         for parameter in parameters:
             if parameter.name == optimizer_parameters.PARAMETER_FILE:
-                self._prepare(load_parameter_file(parameter.value))
+                self._content = load_parameter_file(parameter.value)
+                self._forget()
+                self._first.reset()
 
     # --- requests ----------------------------------------------------------------------------------
 
@@ -183,103 +122,86 @@ class OptimizerNode(Node):
         self, request: RequestGait.Request, response: RequestGait.Response
     ) -> RequestGait.Response:
         try:
-            asked = request_of(request.objective, request.speed, request.power)
-            gait = self._answer(asked, request.direction, request.initial_length)
+            wanted = request_of(request.objective, request.speed, request.power)
+            check_direction(request.direction)
+            content = resting_content(self._content, request.initial_length)
         except OptimizerError as error:
-            gait = GaitAnswer(RequestStatus.INVALID, str(error))
-        return optimizer_messages.fill_response(response, gait)
+            answer = GaitAnswer(RequestStatus.INVALID, str(error))
+        else:
+            answer = self._answer(wanted, request.direction, content)
+        return optimizer_messages.fill_response(response, answer)
 
-    def _answer(self, asked: GaitRequest, direction: int, initial_length: float) -> GaitAnswer:
-        """From the front, or for a robot that rests with another initial length (m) than the parameters'."""
-        front, known = self._fronts.get(direction), self._content.parameters.initial_length
-        if front is None or not initial_length or abs(initial_length - known) < SAME_LENGTH:
-            return answer(self._fronts, self._absences, direction, asked)
-        return resting_answer(front, self._content, self._settings, asked, initial_length)
+    def _answer(self, wanted: GaitRequest, direction: int, content: ParameterFile) -> GaitAnswer:
+        try:
+            front = self._front(direction)
+            if content is not self._content:
+                front = self._resting_front(front, content)
+            answer = select(front, wanted)
+        except (OptimizerError, SimulationError) as error:
+            return GaitAnswer(RequestStatus.NO_FRONT, f"there is no front: {error}")
+        if answer.status is not RequestStatus.DONE:
+            return answer
+        message = f"margin {1e3 * front.margin:.2f} mm, {front.reason}"
+        return dataclasses.replace(answer, message=message)
+
+    def _resting_front(self, front: RobustFront, content: ParameterFile) -> RobustFront:
+        """Return the front for another initial length, with the margin of the direction's front."""
+        key = front.direction, round(content.parameters.initial_length / SAME_LENGTH)
+        if key not in self._resting:
+            settings = dataclasses.replace(front.settings, margin=front.margin)
+            if len(self._resting) >= optimizer_parameters.MOST_RESTING:
+                self._resting.pop(next(iter(self._resting)))
+            self._resting[key] = make_front(content, settings, front.direction)
+        return self._resting[key]
 
     # --- actions --------------------------------------------------------------------------------
 
-    async def _optimize(self, goal: ServerGoalHandle) -> OptimizeGaits.Result:
-        content = self._content
+    def _serve(
+        self,
+        kind: Any,
+        name: str,
+        execute: Callable[[ServerGoalHandle], Any],
+        settings_of: Callable[[Settings, Any], object],
+    ) -> None:
+        """Serve an action that rejects goals with invalid settings or an invalid direction."""
+
+        def why_not(goal: Any) -> str:
+            try:
+                settings_of(self._settings, goal)
+                optimizer_messages.direction_of(goal.direction)
+            except OptimizerError as error:
+                return str(error)
+            return ""
+
+        RejectingServer(self, kind, name, execute, why_not)
+
+    def _optimize(self, goal: ServerGoalHandle) -> OptimizeGaits.Result:
+        """Compute a front with the goal's settings, and use these for all later requests in both directions."""
         try:
             settings = optimizer_messages.settings_of_goal(self._settings, goal.request)
             direction = optimizer_messages.direction_of(goal.request.direction)
-        except OptimizerError as error:
+            front = make_front(self._content, settings, direction)
+        except (OptimizerError, SimulationError) as error:
             goal.abort()
             return OptimizeGaits.Result(message=str(error))
-        job = self._front_job(content, settings, direction, self._cache)
-        outcome = await self._run(goal, job, optimizer_messages.optimize_feedback)
-        front = outcome.result
-        if not isinstance(front, RobustFront):
-            return OptimizeGaits.Result(message=outcome.failure)
-        if content is self._content:  # else the parameter file has changed under way
-            self._keep_front(front)
+        self._settings = settings
+        self._forget()
+        self._store(front)
+        goal.succeed()
         return optimizer_messages.optimize_result(front)
 
-    def _keep_front(self, front: RobustFront) -> None:
-        """Answers from a front, also after the next start if it can be stored."""
-        for each in both_ways(front, self._content.parameters):
-            self._take_front(each)
-            try:
-                store_current(self._content, self._settings, each, self._cache)
-            except OSError as error:
-                self.get_logger().error(
-                    f"{_NAMES[each.direction]}: answers requests until this node ends, "
-                    f"but is not kept: {error}"
-                )
-
-    async def _scan(self, goal: ServerGoalHandle) -> ScanMargin.Result:
+    def _scan(self, goal: ServerGoalHandle) -> ScanMargin.Result:
         try:
             settings = optimizer_messages.scan_of_goal(self._settings, goal.request)
             direction = optimizer_messages.direction_of(goal.request.direction)
-        except OptimizerError as error:
+            price = scanned_price(self._content, settings, direction)
+        except (OptimizerError, SimulationError) as error:
             goal.abort()
             return ScanMargin.Result(message=str(error))
-        job = ScanJob(self._content, settings, direction, self._cache)
-        outcome = await self._run(goal, job, optimizer_messages.scan_feedback)
-        if not isinstance(outcome.result, PriceOfRobustness):
-            return ScanMargin.Result(message=outcome.failure)
-        return optimizer_messages.scan_result(outcome.result)
+        goal.succeed()
+        return optimizer_messages.scan_result(price)
 
-    async def _run(
-        self, goal: ServerGoalHandle, job: Job, feedback: Callable[[Progress], Any]
-    ) -> Outcome:
-        """Runs a goal's job and puts the goal into its final state."""
-        ended = Future()
-        ticket = Ticket(
-            job, lambda progress: goal.publish_feedback(feedback(progress)), ended.set_result
-        )
-        name = bytes(goal.goal_id.uuid)
-        self._goals[name] = ticket
-        self._submit(ticket)
-        if goal.is_cancel_requested:  # it came before there was anything to cancel
-            self._queue.cancel(ticket)
-        outcome: Outcome = await ended
-        del self._goals[name]
-        if outcome.cancelled:
-            goal.canceled()
-            return Outcome(failure="cancelled", cancelled=True)
-        if outcome.failure:
-            goal.abort()
-        else:
-            goal.succeed()
-        return outcome
-
-    def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
-        ticket = self._goals.get(bytes(goal.goal_id.uuid))
-        if ticket is not None:
-            self._queue.cancel(ticket)
-        return CancelResponse.ACCEPT
-
-    # --- the worker and the node's health -----------------------------------------------------
-
-    def _submit(self, ticket: Ticket) -> None:
-        self._queue.submit(ticket)
-        self._poll_timer.reset()
-
-    def _poll(self) -> None:
-        self._queue.poll()
-        if not self._queue.busy:
-            self._poll_timer.cancel()
+    # --- the node's health -----------------------------------------------------------------------
 
     def _publish_diagnostics(self) -> None:
         array = DiagnosticArray()
@@ -292,27 +214,24 @@ class OptimizerNode(Node):
         name = f"{robot}/optimizer: {_NAMES[direction]} front".lstrip("/")
         status = DiagnosticStatus(name=name, hardware_id=robot)
         front = self._fronts.get(direction)
-        if front is None:
-            absence = self._absences[direction]
-            failed = absence.status is RequestStatus.NO_FRONT
-            status.level = DiagnosticStatus.ERROR if failed else DiagnosticStatus.WARN
-            status.message = absence.message
-            return status
-        status.level = DiagnosticStatus.OK
-        status.message = f"{len(front.predictions)} gaits"
-        status.values = [
-            KeyValue(key="margin_m", value=f"{front.margin:.6f}"),
-            KeyValue(key="hypervolume_share", value=f"{front.hypervolume_share:.5f}"),
-            KeyValue(key="source", value=front.source),
-        ]
+        if direction in self._failures:
+            status.level = DiagnosticStatus.ERROR
+            status.message = f"there is no front: {self._failures[direction]}"
+        elif front is None:
+            status.level = DiagnosticStatus.OK
+            status.message = "computed at the first request"
+        else:
+            status.level = DiagnosticStatus.OK
+            status.message = f"{len(front.gaits)} gaits"
+            status.values = [KeyValue(key="margin_m", value=f"{front.margin:.6f}")]
         return status
 
 
 def main() -> int:
-    """Runs the node until it is told to stop; 2 if its parameters cannot work."""
+    """Run the node until it is stopped; return the exit status, 2 if its parameters are invalid."""
     return run_node(
         "optimizer_node",
-        "Answers requests for gaits from robust fronts, and computes new fronts.",
+        "Answers requests for gaits from exact robust fronts.",
         optimizer_parameters.rows,
         _run,
         (OptimizerError, ParameterError),
@@ -324,5 +243,4 @@ def _run(ended: Ending) -> None:
     try:
         spin(node, ended)
     finally:
-        node.close()
         node.destroy_node()

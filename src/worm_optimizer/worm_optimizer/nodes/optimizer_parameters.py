@@ -1,45 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The optimizer node's ROS parameters: those of `search_settings.SETTINGS`, the parameter file and the cache."""
+"""ROS parameters of the optimizer node: those of `search_settings.SETTINGS` and the parameter file."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
+import dataclasses
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
-from worm_msgs.node_command import descriptor
-from worm_optimizer.search.cache import default_directory
-from worm_optimizer.search.search_settings import SETTINGS, SettingRow, Settings, settings_of
+from worm_msgs.parameter_rows import ParameterRow
+from worm_optimizer.search.search_settings import SETTINGS, Settings, settings_of
 
 PARAMETER_FILE = "parameter_file"
-SCHEDULER = "scheduler"
-_CACHE = SettingRow(
-    "cache_directory", "cache", "", "directory of cached fronts; empty: ~/.cache/worm_optimizer"
-)
+MOST_RESTING = 8  # largest number of stored fronts for other initial lengths
 
 
-def rows() -> list[tuple[str, Any, ParameterDescriptor]]:
-    """Name, default and descriptor of all. Only the parameter file can be changed while the node runs."""
-    about = ParameterDescriptor(description="Parameter file; empty: the paper's values.")
-    meaning = "Address of a Dask scheduler whose workers judge the gaits of chance and any_phase; empty: this computer."
-    scheduler = descriptor(meaning, "", None, read_only=True)
-    settings = [(row.parameter, row.default, _descriptor(row)) for row in (_CACHE, *SETTINGS)]
-    return [(PARAMETER_FILE, "", about), (SCHEDULER, "", scheduler), *settings]
-
-
-def cache_directory(node: Node) -> Path:
-    """Where fronts are cached."""
-    path = node.get_parameter(_CACHE.parameter).value
-    return Path(path).expanduser() if path else default_directory()
+def rows() -> list[ParameterRow]:
+    """Return the declarations of all parameters. Only the parameter file can change while the node runs."""
+    fixed = (
+        ParameterRow(row.parameter, row.default, row.meaning, row.low, row.high) for row in SETTINGS
+    )
+    return [
+        ParameterRow(PARAMETER_FILE, "", "Parameter file; empty: the paper's values."),
+        *(dataclasses.replace(row, read_only=True) for row in fixed),
+    ]
 
 
 def node_settings(node: Node) -> Settings:
-    """The settings that the parameters make; raises `OptimizerError` if they do not fit together."""
+    """Return the search settings of a node's parameters. Raises `OptimizerError` if they contradict each other."""
     return settings_of({row.parameter: node.get_parameter(row.parameter).value for row in SETTINGS})
-
-
-def _descriptor(row: SettingRow) -> ParameterDescriptor:
-    span = None if row.low is None or row.high is None else (row.low, row.high)
-    return descriptor(row.meaning, row.default, span, read_only=True)

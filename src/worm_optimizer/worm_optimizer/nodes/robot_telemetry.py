@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One subscription to everything that is shown of a robot, for as many as look on."""
+"""Subscriptions to all topics that the console shows of a robot, shared by all pages."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ from worm_optimizer.snapshot import DriverWord, Snapshot
 
 RESIDUALS = ("rear_position", "length", "power")
 _NEWEST = QoSProfile(depth=1)
-# 2 s at 100 Hz: the twin is behind by its delay, and is shown beside what was seen then
+# 2 s at 100 Hz. The twin lags by its delay and is shown together with the robot at the twin's stamp.
 _SIGHTINGS = 200
+_GROOVES = 400  # stored rear grooves of the twin: 4 s
 _LENGTHS = {
     LengthSource.COMMANDED: "body_length/commanded",
     LengthSource.CABLE: "body_length/cable",
@@ -42,12 +43,14 @@ _TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
 
 
 class Telemetry:
-    """Keeps the newest message of every topic; ``snapshot`` may be called from another thread than the node's."""
+    """Store of the newest message of each topic. Other threads than the node's may call ``snapshot``."""
 
     def __init__(self, node: Node) -> None:
         self._heard: dict[str, tuple[float, Any]] = {}
         self._sightings: deque[Any] = deque(maxlen=_SIGHTINGS)
-        self._residuals: dict[str, tuple[float, Any]] = {}  # each with the last message that has it
+        self._grooves: deque[tuple[int, int]] = deque(maxlen=_GROOVES)
+        # receive time (s) and newest message that contains the residual
+        self._residuals: dict[str, tuple[float, Any]] = {}
         for topic, (kind, qos) in _TOPICS.items():
             node.create_subscription(kind, topic, self._keep(topic), qos)
 
@@ -56,14 +59,16 @@ class Telemetry:
             self._heard[topic] = (time.monotonic(), message)
             if topic == "tracker":
                 self._sightings.append(message)
-            elif topic == "twin/residuals":  # of one sample, which measures some of them
+            elif topic == "twin/state":
+                self._grooves.append((nanoseconds(message.header.stamp), message.rear_groove))
+            elif topic == "twin/residuals":  # a sample measures only some of the residuals
                 kept = dict.fromkeys(_measured(message), self._heard[topic])
                 self._residuals = self._residuals | kept
 
         return keep
 
     def snapshot(self) -> Snapshot:
-        """What is known now, heard by the monotonic clock; the robot as it was seen at the twin's stamp."""
+        """Return the latest data, with receive times of the monotonic clock and the robot at the twin's stamp."""
         heard = dict(self._heard)
         newest = {topic: message for topic, (_, message) in heard.items()}
         power = newest.get("power")
@@ -78,11 +83,12 @@ class Telemetry:
                 newest.get("twin/state"), newest.get(_LENGTHS[LengthSource.COMMANDED])
             ),
             heard={topic: at for topic, (at, _) in heard.items()},
+            grooves=tuple(self._grooves.copy()),
         )
 
 
 def _between(earlier: Any, later: Any) -> float:
-    """Time between the stamps of two messages in s, NaN where there are not both."""
+    """Return the time between the stamps of two messages, s; NaN if one is missing."""
     if earlier is None or later is None:
         return math.nan
     return 1e-9 * (nanoseconds(later.header.stamp) - nanoseconds(earlier.header.stamp))
@@ -91,7 +97,11 @@ def _between(earlier: Any, later: Any) -> float:
 def _driver_of(message: Any) -> DriverWord | None:
     if message is None:
         return None
-    return value_of(DriverWord, message, message.gait, state=Activity(message.state))
+    stamps = {
+        name: nanoseconds(stamp)
+        for name, stamp in (("stamp_ns", message.header.stamp), ("onset_ns", message.onset))
+    }
+    return value_of(DriverWord, message, message.gait, state=Activity(message.state), **stamps)
 
 
 def _twin_of(message: Any) -> StateRecord | None:
@@ -107,7 +117,7 @@ def _measured(residuals: Any) -> list[str]:
 
 
 def _residuals_of(message: Any, kept: Mapping[str, tuple[float, Any]]) -> ResidualRecord | None:
-    """What is known of each, as long as it is not older than `STALE_S` beside the newest message."""
+    """Return the newest value of each residual; NaN if it is `STALE_S` older than the newest of all."""
     if message is None:
         return None
     newest = max((at for at, _ in kept.values()), default=0.0)
@@ -120,7 +130,7 @@ def _residuals_of(message: Any, kept: Mapping[str, tuple[float, Any]]) -> Residu
 
 
 def _robot_at(twin: Any, sightings: list[Any]) -> Sighting:
-    """What the tracker said about the stamp of a message of the twin, its newest word without one."""
+    """Return the sighting nearest to the stamp of a twin message; without a twin message, the newest."""
     in_time = [
         Sighting(message.rear_position, message.front_position, nanoseconds(message.header.stamp))
         for message in (sightings if twin is not None else sightings[-1:])

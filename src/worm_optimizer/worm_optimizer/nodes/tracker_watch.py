@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tells of a tracker that falls silent or sees nothing while a robot is worked with, and of its return."""
+"""Monitor that reports the loss and the return of the tracker's measurements."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from rclpy.node import Node
 
 from worm_msgs.msg import Tracker
 
-# of the robot's time without a position; a marker that is covered for a moment is usual
+# s of the robot's time without a position that count as a loss. Markers are often covered for a moment.
 SILENCE_S = 2.0
-LOOK_S = 0.25
+LOOK_S = 0.25  # period of the checks, s
 
 
 class TrackerWatch:
-    """Owned by whoever spins the node, until the node is destroyed.
+    """Monitor of the tracker. It belongs to the thread that spins the node and ends with the node.
 
     Args:
-        node: that listens, in the robot's namespace.
-        now: the robot's time (s), so that a virtual robot that waits for a busy computer is not taken for blind.
-        say: takes one line.
+        node: node in the robot's namespace.
+        now: returns the robot's time (s). A virtual robot's time stands still while it waits for a busy computer.
+        say: called with each report, one line.
     """
 
     def __init__(self, node: Node, now: Callable[[], float], say: Callable[[str], None]) -> None:

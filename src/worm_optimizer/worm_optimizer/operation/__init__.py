@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bringing the node graph up: which nodes, started and stopped how, and the demo that uses them."""
+"""Start, supervision and shutdown of the node graph, and the operations on it: demo, campaign, identification."""

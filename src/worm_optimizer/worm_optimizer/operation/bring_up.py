@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot from the first process to the last: nodes, activation, gaits, release. Used by all that bring one up."""
+"""Sessions with a robot, from the start of its nodes over activation and gaits to the end of the nodes."""
 
 from __future__ import annotations
 
@@ -9,55 +9,62 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 
 from worm_model.analysis.run_metrics import RecordingError
+from worm_msgs.claim import ClaimedError, claim_graph, domain_of
+from worm_msgs.readiness import Readiness
 from worm_optimizer.nodes.operator_node import (
     GaitFailedError,
     OperatorError,
     OperatorNode,
     operator,
 )
-from worm_optimizer.operation.processes import ProcessError, ProcessGroup, executable_command
+from worm_optimizer.operation.processes import (
+    ProcessError,
+    ProcessGroup,
+    executable_command,
+    wait_for,
+)
 from worm_optimizer.operation.system import NodeDescription, System, SystemFile, load_system_file
 from worm_optimizer.orders import Order, RunProgress, RunResult
 
-READY_TIMEOUT_S = 120.0  # of a node on a busy computer
+READY_TIMEOUT_S = 120.0  # timeout of a node's start, sufficient on a busy computer
 CYCLES = 5
-AFTERWARDS_S = 2.0  # of rest that end a recording; the slack of a resting cable comes back in it
+AFTERWARDS_S = 2.0  # rest at the end of a recording, in which the cable becomes slack again
 RECORDER = "recorder"  # name of the node in system.yaml
-BUSY = 1.5  # load average per processor from where it may be the cause of a failure
+BUSY = 1.5  # load average per processor above which it may be the cause of a failure
 _TO_REST = (
-    "--to-rest"  # of a recorder of all nodes, to end when the robot is let go; a run's ends with it
+    "--to-rest"  # the recorder of a graph ends when torque is released, that of a run with the run
 )
 _EXCLUDE = "--exclude"
 FAILURES = (ProcessError, OperatorError, RecordingError)
 
 Say = Callable[[str], None]
-#: called while waiting; raises where what is waited for is to be given up
+#: Called during waits; raises an exception to end the wait.
 Check = Callable[[], None]
 
 
 class ProgressLog:
-    """Tells on standard error what goes on, and since when."""
+    """Log of the progress on standard error, with the time since its creation."""
 
     def __init__(self, program: str) -> None:
         self._program = program
         self._start = time.monotonic()
 
     def __call__(self, text: str) -> None:
-        """Tell one line."""
+        """Print one line."""
         elapsed = time.monotonic() - self._start
         print(f"{self._program}: {elapsed:5.1f} s  {text}", file=sys.stderr, flush=True)  # noqa: T201
 
 
 @contextmanager
 def work_folder(program: str) -> Iterator[Path]:
-    """A folder for sockets, with a folder ``logs`` in it, which stays only after a failure."""
+    """Provide a folder for sockets, with a folder ``logs`` in it; both are deleted unless one of FAILURES occurs."""
     folder = Path(tempfile.mkdtemp(prefix=f"worm_{program}_"))
     (folder / "logs").mkdir()
     try:
@@ -72,14 +79,14 @@ def work_folder(program: str) -> Iterator[Path]:
 
 
 def installed_system_file() -> SystemFile:
-    """The system.yaml that is installed with this package."""
+    """Return the content of the system.yaml that is installed with this package."""
     share = Path(get_package_share_directory("worm_optimizer"))
     return load_system_file(share / "config" / "system.yaml")
 
 
 @dataclass(frozen=True)
 class Session:
-    """Nodes that run, and the operator who works with them."""
+    """Running nodes and an operator node."""
 
     group: ProcessGroup
     node: OperatorNode
@@ -92,9 +99,11 @@ class Session:
         self.node.activate()
 
     def run_gait(self, order: Order) -> RunResult:
-        """Runs a gait; one that fails is run once more, from rest, and that is said.
+        """Run a gait; if it fails, report this and run it once more, from rest.
 
-        Raises `OperatorError`, which names the load where that may be the cause.
+        Raises:
+            OperatorError: The gait failed twice, or a node did not answer. The message after two failures contains
+                the computer's load if that may be the cause.
         """
         try:
             return self.node.run(order, once_per_cycle(self.say, order))
@@ -108,7 +117,7 @@ class Session:
             raise GaitFailedError(f"{error}, twice{load(self.node.late_cycles)}") from None
 
     def release(self) -> None:
-        """Stop the robot, and take the torque off."""
+        """Stop the robot and release torque."""
         self.node.stop()
         self.node.deactivate()
         self.say("the robot has stopped, its torque is off")
@@ -118,13 +127,22 @@ class Session:
 def session(
     system: System, logs: Path, say: Say, restarts: int = 0, check: Check = lambda: None
 ) -> Iterator[Session]:
-    """The nodes of a system, started in their order; afterwards no process is left, whatever happened.
+    """Start the nodes of a system in their order, and end them with this context.
 
-    Nothing is started where the robot has a driver already; who only looks on is welcome. A node that is not
-    required and fails is started again so many times, and then missed.
-    Raises `ProcessError` or `OperatorError` with the stage that failed.
+    If a node graph or a driver already runs in the namespace, nothing is started and nothing is sent. Afterwards no
+    process remains, also after an exception.
+
+    Args:
+        system: the nodes.
+        logs: folder of the log files.
+        say: called with each line of progress.
+        restarts: restarts of each optional node that ends. Afterwards the session continues without that node.
+        check: called during waits; raises an exception to end the session.
+
+    Raises:
+        ProcessError, OperatorError: A stage failed; the message names it.
     """
-    with ProcessGroup(logs) as group:
+    with _claimed(system.namespace), _crash_reported(ProcessGroup(logs), system) as group:
         watch = _Watch(group, system, say, restarts) if restarts else group.check
 
         def look() -> None:
@@ -132,16 +150,38 @@ def session(
             check()
 
         with operator(system.namespace, look) as node:
-            node.refuse_second_driver()
-            start_nodes(group, system, say)
+            start_nodes(group, system, say, look)
             node.wait_for_nodes(description.name for description in system.nodes)
             yield Session(group, node, system, say)
         say("stopping the nodes")
     check_ends(group)
 
 
+@contextmanager
+def _crash_reported(group: ProcessGroup, system: System) -> Iterator[ProcessGroup]:
+    """End the processes with this context, then raise `ProcessError` if the driver crashed and torque may be on."""
+    try:
+        with group:
+            yield group
+    finally:
+        for node in system.nodes:
+            process = group.processes.get(node.name)
+            if node.lifecycle and process is not None and process.was_ready and process.exit_code:
+                raise ProcessError(node.end_report(process.exit_code, was_ready=True))
+
+
+@contextmanager
+def _claimed(namespace: str) -> Iterator[None]:
+    try:
+        claim = claim_graph(namespace, domain_of(os.environ))
+    except ClaimedError as error:
+        raise ProcessError(str(error)) from None
+    with claim:
+        yield
+
+
 class _Watch:
-    """Looks after processes that are to stay up: starts again what may fail, fails with what must not."""
+    """Supervisor of the processes of a session, which restarts optional nodes and fails with required ones."""
 
     def __init__(self, group: ProcessGroup, system: System, say: Say, restarts: int) -> None:
         self._group = group
@@ -149,7 +189,7 @@ class _Watch:
         self._optional = {node.name: restarts for node in system.nodes if not node.required}
 
     def __call__(self) -> None:
-        """Raises `ProcessError` where a node has ended that the others need."""
+        """Restart optional nodes that have ended. Raises `ProcessError` if a required node has ended."""
         for name in self._optional.keys() & self._group.processes.keys():
             process = self._group.processes[name]
             if process.exit_code is not None:
@@ -168,35 +208,60 @@ class _Watch:
             self._say(f"{name} has ended: {last_line}; it starts again")
 
 
-def start_nodes(group: ProcessGroup, system: System, say: Say) -> None:
-    """Start the nodes in their order, waiting for those that say when they are ready."""
+def start_nodes(group: ProcessGroup, system: System, say: Say, check: Check = lambda: None) -> None:
+    """Start the nodes in their order, each after all earlier awaited nodes are ready."""
     for node in system.nodes:
         say(f"starting {node.name}: {node.package} {node.executable}")
-        start_node(group, node, system.namespace, node.name)
+        start_node(group, node, system.namespace, check)
 
 
 def start_node(
-    group: ProcessGroup, node: NodeDescription, namespace: str, process_name: str
+    group: ProcessGroup, node: NodeDescription, namespace: str, check: Check = lambda: None
 ) -> None:
-    """Start one node and wait until it says that it is ready, if it does."""
-    command = executable_command(node.package, node.executable)
-    process = group.start(process_name, [*command, *node.command_arguments(namespace)])
-    if node.ready:
-        process.wait_for_line(node.ready, READY_TIMEOUT_S)
+    """Start one node; if it is awaited, wait until it is ready.
+
+    Raises:
+        ProcessError: The node ended, or was not ready in time. Exceptions of ``check`` are passed on.
+    """
+    command = [*executable_command(node.package, node.executable)]
+    command += node.command_arguments(namespace)
+    with closing(Readiness()) as ready:
+        process = group.start(node.name, command, ready.environment, node.end_timeout_s)
+
+        def has_come_so_far() -> bool:
+            check()
+            return ready() or process.exit_code is not None
+
+        if node.awaited:
+            wait_for(has_come_so_far, READY_TIMEOUT_S)
+            process.was_ready = ready()
+        if process.was_ready or not node.awaited:
+            return
+    state = "is not ready" if process.exit_code is None else "has ended"
+    raise ProcessError(f"{node.name} {state}: {process.last_line()}")
 
 
 @contextmanager
 def recording(
     group: ProcessGroup, node: OperatorNode, recorder: NodeDescription, name: str
 ) -> Iterator[None]:
-    """A recorder of its own for what happens meanwhile, under a name that no other process and node has.
+    """Record with a separate recorder during this context.
 
-    It hears every topic before anything happens and some rest afterwards, when its bag is whole. Raises
-    `ProcessError` or `OperatorError`.
+    The context begins when the recorder has subscribed to all topics. After it, AFTERWARDS_S of rest are recorded and
+    the bag is closed.
+
+    Args:
+        group: processes to which the recorder is added.
+        node: the operator.
+        recorder: description of the recorder.
+        name: name of its process and node, which must be unique.
+
+    Raises:
+        ProcessError, OperatorError: The recorder did not start, subscribe or end properly.
     """
     words = tuple(word for word in recorder.arguments if word != _TO_REST)
     own = replace(recorder, name=name, arguments=words)
-    start_node(group, own, node.get_namespace().strip("/"), name)
+    start_node(group, own, node.get_namespace().strip("/"))
     node.wait_for_recorder(name, left_out(recorder))
     yield
     node.rest(AFTERWARDS_S)
@@ -204,13 +269,13 @@ def recording(
 
 
 def left_out(recorder: NodeDescription) -> str:
-    """The regular expression of the topics that a recorder is told to leave out, empty where there is none."""
+    """Return the regular expression of the topics that a recorder excludes; empty if it excludes none."""
     words = recorder.arguments
     return words[words.index(_EXCLUDE) + 1] if _EXCLUDE in words else ""
 
 
 def once_per_cycle(say: Say, order: Order) -> Callable[[RunProgress], None]:
-    """A progress that tells each cycle once."""
+    """Return a callback for progress that reports each cycle once."""
     reported = {0}
 
     def progress(now: RunProgress) -> None:
@@ -222,7 +287,7 @@ def once_per_cycle(say: Say, order: Order) -> Callable[[RunProgress], None]:
 
 
 def load(late_cycles: int) -> str:
-    """What is to be said of the computer beside a failure; empty where it was not busy and the driver not late."""
+    """Return a remark on the computer's load for a failure message; empty if it was not busy and no cycle was late."""
     average, processors = os.getloadavg()[0], os.cpu_count() or 1
     shares = []
     if average > BUSY * processors:
@@ -233,7 +298,7 @@ def load(late_cycles: int) -> str:
 
 
 def check_ends(group: ProcessGroup) -> None:
-    """Raise `ProcessError` if a process that has ended did not do so in order."""
+    """Raise `ProcessError` if a process ended with an exit status other than 0."""
     for process in group.processes.values():
         if process.exit_code != 0:
             raise ProcessError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign is going to run, and what is promised of it before anything moves."""
+"""Plan of a campaign: its gaits, and their predictions, which are written before the first run."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from worm_model.parameters import ParameterFile
 from worm_optimizer.report.agreement import NOMINAL
 from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.robustness.prediction import Prediction
-from worm_optimizer.search.cache import Cache
-from worm_optimizer.search.front import Report, load_front, make_front, nominal_gaits, scanned_price
-from worm_optimizer.search.gait_request import three_gaits
+from worm_optimizer.search.front import make_front, nominal_gaits, reason_for, scanned_price
 from worm_optimizer.search.search_settings import Settings
 
 PROMISES = "promised.json"
@@ -22,28 +20,33 @@ PROMISES = "promised.json"
 
 @dataclass(frozen=True)
 class Plan:
-    """``gaits`` by name in the order of the runs, and the front that they come from."""
+    """Gaits by name in the order of the runs, and the front from which they come."""
 
     gaits: Mapping[str, Prediction]
     optimisation: Optimisation
 
 
-def make_plan(
-    content: ParameterFile, settings: Settings, direction: int, cache: Cache, report: Report
-) -> Plan:
-    """Minimum-power, cruising and maximum-speed gaits of the front that the settings make, from the cache if there.
+def make_plan(content: ParameterFile, settings: Settings, direction: int) -> Plan:
+    """Return the minimum-power, cruising and maximum-speed gaits of the front.
 
-    Raises `OptimizerError` if no gait moves.
+    Args:
+        content: parameters of the robot.
+        settings: settings of the search; without a margin, it is set at the cliff.
+        direction: FORWARD or REVERSE.
+
+    Raises:
+        OptimizerError: No gait moves.
     """
-    price = scanned_price(content, settings, direction, cache, report)
-    front = load_front(content, settings, direction, cache)
-    if front is None:
-        front = make_front(content, settings, direction, cache, report)
-    return Plan(three_gaits(front.predictions), Optimisation(front, price))
+    price = scanned_price(content, settings, direction)
+    margin = price.margin if settings.margin is None else settings.margin
+    front = make_front(content, replace(settings, margin=margin), direction)
+    if settings.margin is None:
+        front = replace(front, reason=reason_for(price))
+    return Plan(front.three, Optimisation(front, price))
 
 
 def beside_nominal(plan: Plan, content: ParameterFile, settings: Settings, direction: int) -> Plan:
-    """The plan, and after each gait the one that is best without any margin."""
+    """Return the plan with the nominal gait, which is optimal without a margin, after each robust one."""
     nominal = nominal_gaits(content, settings, direction)
     gaits = {
         each: gait
@@ -54,7 +57,11 @@ def beside_nominal(plan: Plan, content: ParameterFile, settings: Settings, direc
 
 
 def write_promises(plan: Plan, folder: Path) -> Path:
-    """Writes down what is predicted, so that nobody can say that it was known afterwards."""
+    """Write the predictions before the runs, as proof that they were not adapted later; return the file.
+
+    Raises:
+        FileExistsError: The folder already has such a file.
+    """
     path = folder / PROMISES
     with path.open("x", encoding="utf-8") as file:
         file.write(_promises(plan))
@@ -62,7 +69,7 @@ def write_promises(plan: Plan, folder: Path) -> Path:
 
 
 def is_promised(plan: Plan, folder: Path) -> bool:
-    """Whether a folder was begun with just this plan. Raises OSError where it holds none."""
+    """Return True if the predictions in a folder are those of this plan. Raises OSError if there are none."""
     return (folder / PROMISES).read_text(encoding="utf-8") == _promises(plan)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The part of the campaign with a robot in it: each gait from rest, recorded into a bag of its own."""
+"""Robot part of the campaign: runs of gaits from rest, each recorded into its own bag."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from worm_optimizer.orders import Order
 
 Prepare = Callable[[Session, str], None]
 
-_UNUSED = {"optimizer", RECORDER}  # the front is known; each gait has a recorder of its own
+_UNUSED = {"optimizer", RECORDER}  # the front is known, and each gait has its own recorder
 _ELSEWHERE = "the robot began elsewhere than it was left, perhaps with its fins bent"
 _TRACKER = "tracker"
 _NO_TRACKER = "start the node of the camera in the robot's namespace, or no speed can be measured"
@@ -26,29 +26,35 @@ _NO_TRACKER = "start the node of the camera in the robot's namespace, or no spee
 
 @dataclass(frozen=True)
 class Robot:
-    """Which robot: a ``mode`` of the system file, ``robot`` or ``virtual``, and settings other than its defaults."""
+    """Selection of a robot.
+
+    Attributes:
+        file: the system file.
+        mode: mode of the system file, ``robot`` or ``virtual``.
+        settings: settings of the system file that differ from their defaults.
+    """
 
     file: SystemFile
     mode: str
     settings: Mapping[str, str]
 
     def system(self) -> System:
-        """All nodes that run through the whole campaign."""
+        """Return the system of the nodes that run during the whole campaign."""
         whole = self.file.system(self.mode, **self.settings)
         return System(
             whole.namespace, tuple(node for node in whole.nodes if node.name not in _UNUSED)
         )
 
     def in_folder(self, folder: Path) -> Robot:
-        """The same, its sockets in a folder, unless a setting says where."""
+        """Return the same robot with its sockets in a folder, unless a setting names another one."""
         return replace(self, settings={"directory": str(folder), **self.settings})
 
     def with_parameters(self, file: str) -> Robot:
-        """The same, with another parameter file."""
+        """Return the same robot with another parameter file."""
         return replace(self, settings={**self.settings, "parameter_file": file})
 
     def recording_system(self, bag: Path) -> System:
-        """The same robot as a system that has a recorder, for one bag."""
+        """Return the system of the same robot with a recorder for one bag."""
         return self.file.system(self.mode, **{**self.settings, "bag": str(bag)})
 
 
@@ -60,11 +66,21 @@ def run_gaits(
     say: Say,
     prepare: Prepare = lambda _running, _text: None,
 ) -> None:
-    """Runs each gait and records it as ``folder/NAME``; then the robot is at rest and released.
+    """Run each gait, record it as ``folder/NAME``, then bring the robot to rest and release torque.
 
-    ``prepare`` gets the nodes and a line on each gait before it moves, and may raise.
-    A gait that is recorded already is not run again, and what a failure left of a recording is put aside.
-    No process is left, whatever happens. Raises `ProcessError` or `OperatorError` with the stage that failed.
+    Gaits with a complete recording are skipped; incomplete recordings are renamed. Afterwards no process remains,
+    also after an exception.
+
+    Args:
+        robot: the robot.
+        orders: the gaits and their ends, by name.
+        folder: folder of the recordings.
+        logs: folder of the log files.
+        say: called with each line of progress.
+        prepare: called with the session and a description before each gait; may raise.
+
+    Raises:
+        ProcessError, OperatorError: A stage failed; the message names it.
     """
     missing = {name: order for name, order in orders.items() if not is_recorded(folder / name)}
     for name in orders:
@@ -90,7 +106,7 @@ def run_gaits(
 
 
 def is_recorded(bag: Path) -> bool:
-    """Whether a bag holds a gait from its onset to the end of its last cycle."""
+    """Return True if a bag contains a gait, and tracker samples up to the end of its last cycle."""
     if not bag.is_dir():
         return False
     try:
@@ -105,7 +121,7 @@ def is_recorded(bag: Path) -> bool:
 
 
 def put_aside(bag: Path, say: Say) -> None:
-    """Renames what there is of a bag, so that nothing is lost and a new one can be made."""
+    """Rename an existing bag or folder, so that nothing is lost and a new one can be created."""
     if not bag.exists():
         return
     number = 1

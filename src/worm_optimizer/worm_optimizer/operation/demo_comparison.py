@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run against its predictions, and the table of it; each number from its own source, none passed on."""
+"""Comparison of a recorded run with its predictions; each number comes directly from its source."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ _COLUMNS = (
     ("power", "power", 9),
     ("cost_of_transport", "cost of transport", 18),
 )
-_SHARE_WIDTH = 9  # of a relative difference after its value
+_SHARE_WIDTH = 9  # width of the relative difference that follows a value
 
 
 @dataclass(frozen=True)
 class Performance:
-    """What one source says of a gait.
+    """Performance of a gait according to one source; NaN for a quantity that the source lacks.
 
-    ``speed`` in m/s along the gait's direction, ``power`` the mean source power in W, ``cost_of_transport`` 1; NaN
-    where the source does not tell.
+    Attributes:
+        speed: mean speed along the gait's direction, m/s.
+        power: mean source power, W.
+        cost_of_transport: cost of transport, 1.
     """
 
     speed: float
@@ -36,11 +38,14 @@ class Performance:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Numbers of the averaged cycles, all in SI units.
+    """Performance in the averaged cycles according to several sources, SI units.
 
-    ``measured`` by the tracker and the power sensor of the robot; ``twin`` by the twin that was
-    driven with the recorded lengths; ``predicted`` by the optimizer before the run, without the
-    margin; ``robust`` the same with the margin, which the search optimises.
+    Attributes:
+        window: the averaged cycles.
+        measured: measurement by tracker and power sensor of the robot.
+        twin: the twin, driven with the recorded lengths.
+        predicted: prediction of the optimizer before the run, without the margin.
+        robust: prediction with the margin, which the search optimises.
     """
 
     window: Window
@@ -51,7 +56,11 @@ class Comparison:
 
 
 def compare(gait: RecordedGait, prediction: Prediction) -> Comparison:
-    """Compares a recorded gait; raises `RecordingError` if it ended early, or its recording lacks something."""
+    """Return the comparison of a recorded gait with its prediction.
+
+    Raises:
+        RecordingError: The gait ended early, its recording is incomplete, or the twin did not follow it.
+    """
     for problem in (gait.early_end, *gait.missing):
         if problem:
             raise RecordingError(problem)
@@ -72,14 +81,14 @@ def _means(bands: Bands) -> Performance:
 
 
 def relative_difference(value: float, reference: float) -> float:
-    """(value − reference) / |reference|; NaN if the reference is zero or either is NaN."""
+    """Return (value − reference) / |reference|; NaN if the reference is zero or either is NaN."""
     return (value - reference) / abs(reference) if reference else float("nan")
 
 
 def comparison_table(measured: Performance, predictions: Mapping[str, Performance]) -> str:
-    """One row of the measurement, and of each prediction with its relative difference to it.
+    """Return a text table of the measurement and of each prediction with its relative difference.
 
-    Arguments are in SI units; the table shows mm/s, W and percent.
+    The arguments are in SI units. The table has mm/s, W and percent.
     """
     heads = "".join(f"{head:>{width}}{'':{_SHARE_WIDTH}}" for _, head, width in _COLUMNS)
     lines = [f"{'':{_NAME_WIDTH}}{heads}".rstrip(), _row("measured on the robot", measured)]

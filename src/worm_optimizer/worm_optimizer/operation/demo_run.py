@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The part of the demo with a robot in it: from the first process to a closed recording."""
+"""Robot part of the demo, from the start of the first process to a closed recording."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 from worm_optimizer.operation.bring_up import CYCLES, RECORDER, Say, left_out, session
@@ -13,18 +11,23 @@ from worm_optimizer.orders import Order
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
-PATIENCE_S = 5.0  # between two lines that say that there is no gait yet
-
 
 def drive(system: System, logs: Path, say: Say) -> Prediction:
-    """Bring a system up, request a gait, run five cycles of it, and bring everything to its end.
+    """Bring a system up, run five cycles of a requested gait, shut everything down and return the prediction.
 
-    The bag is whole afterwards, and no process is left, whatever happens. Returns what the
-    optimizer predicted. Raises `ProcessError` or `OperatorError` with the stage that failed.
+    Afterwards the bag is closed and no process remains, also after an exception.
+
+    Args:
+        system: the nodes, including a recorder.
+        logs: folder of the log files.
+        say: called with each line of progress.
+
+    Raises:
+        ProcessError, OperatorError: A stage failed; the message names it.
     """
     with session(system, logs, say) as running:
         node = running.node
-        prediction = node.request_gait(GaitRequest(Objective.CRUISE), now_and_then(say))
+        prediction = node.request_gait(GaitRequest(Objective.CRUISE))
         gait = prediction.gait
         say(
             f"the optimizer answers: stroke {1e3 * gait.stroke:.1f} mm, frequency "
@@ -36,15 +39,3 @@ def drive(system: System, logs: Path, say: Say) -> Prediction:
         running.run_gait(Order(gait, CYCLES))
         running.release()
     return prediction
-
-
-def now_and_then(say: Say) -> Callable[[str], None]:
-    """A progress of `OperatorNode.request_gait` that tells the reason every few seconds."""
-    last = [-PATIENCE_S]
-
-    def progress(reason: str) -> None:
-        if time.monotonic() > last[0] + PATIENCE_S:
-            last[0] = time.monotonic()
-            say(f"requesting a gait: {reason}")
-
-    return progress

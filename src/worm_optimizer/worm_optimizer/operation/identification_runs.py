@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's identification with a robot in it: runs past five ridges, each in a bag of its own, and what they say."""
+"""Robot part of the identification: recorded runs past five ridges, bench tests and the fit of the parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import (
+    dataclass,
+    replace,
+)
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +25,8 @@ from worm_optimizer.operation.campaign_runs import Prepare, Robot, run_gaits
 from worm_optimizer.operation.processes import ProcessError, ProcessGroup, executable_command
 from worm_optimizer.orders import Order
 
-# Three frequencies tell the damping from the power factor, which one cannot (docs/model.md); strokes tell gain from
-# slack. Each passes the ridges at every groove phase.
+# Damping and power factor can only be separated with several frequencies (docs/model.md), gain and slack with several
+# strokes. Each gait passes the ridges at every groove phase.
 GAITS = (
     Gait(0.07, 0.1),
     Gait(0.07, 0.2),
@@ -32,27 +35,34 @@ GAITS = (
     Gait(0.08, 0.25),
     Gait(0.09, 0.2),
 )
-_BEYOND = 0.3  # pitches that a run goes on past the last ridge, as one outlier is no arrival
-_MOST_CYCLES = 12  # a gait that has not passed them then never will, as identify's advice has it
-BENCH, BENCH_S = "bench_tests", 60.0
+# Pitches by which a run continues beyond the last ridge, so that a single outlier does not count as arrival
+_BEYOND = 0.3
+# A gait that has not passed the ridges by then never will; the advice of `identify` has the same limit.
+_MOST_CYCLES = 12
+BENCH, BENCH_S = "bench_tests", 60.0  # folder, timeout (s)
 RUNS, PARAMETERS = "identification", "parameters.yaml"
 REPORT, SUMMARY = "identification_report", "identification.json"
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Files of the bench tests, None where there are none."""
+    """Files of the bench tests; None if missing."""
 
     bellows: Path | None
     fin: Path | None
 
 
 def identification_orders(direction: int, pitch: float) -> dict[str, Order]:
-    """The runs by name; ``pitch`` in m."""
+    """Return the runs of the identification by name.
+
+    Args:
+        direction: FORWARD or REVERSE.
+        pitch: distance between two grooves, m.
+    """
     distance = (RIDGES + _BEYOND) * pitch
     return {
         f"stroke_{1e3 * gait.stroke:.0f}_mm_{gait.frequency:g}_Hz".replace(".", "_"): Order(
-            Gait(gait.stroke, gait.frequency, direction), cycles=_MOST_CYCLES, distance=distance
+            replace(gait, direction=direction), cycles=_MOST_CYCLES, distance=distance
         )
         for gait in GAITS
     }
@@ -61,9 +71,9 @@ def identification_orders(direction: int, pitch: float) -> dict[str, Order]:
 def record_identification(
     robot: Robot, orders: dict[str, Order], folder: Path, logs: Path, say: Say, prepare: Prepare
 ) -> list[Path]:
-    """Runs what is not recorded yet into ``folder/identification``; returns the bags. Raises as `run_gaits`.
+    """Run and record what is missing in ``folder/identification``; return all bags. Raises like `run_gaits`.
 
-    ``prepare`` puts the robot back before each, see `put_back`.
+    ``prepare`` moves the robot back to its start before each run, see `put_back`.
     """
     runs = folder / RUNS
     runs.mkdir(exist_ok=True)
@@ -72,13 +82,13 @@ def record_identification(
 
 
 def put_back(running: Session, text: str) -> None:
-    """The hand of a virtual robot: puts it back where it started, as identification takes the ridges for the same."""
+    """Move a virtual robot back to its start, because the identification assumes the same ridges in all runs."""
     running.node.inject_fault("put_back")
     running.say(f"put back; {text}")
 
 
 def virtual_bench(robot: Robot, folder: Path, logs: Path) -> Bench:
-    """The bench tests of the virtual robot that ran, made where they are not there yet. Raises `ProcessError`."""
+    """Return the bench tests of a virtual robot, and run those that are missing. Raises `ProcessError`."""
     bench = folder / BENCH
     if not bench.exists():
         words = [str(bench)]
@@ -100,9 +110,17 @@ def identify_robot(
     folder: Path,
     progress: Callable[[str, float], None],
 ) -> dict[str, Any]:
-    """Identifies, and writes parameter file and report into a folder; returns what `identify --json` prints.
+    """Identify the parameters, write parameter file and report, and return the content of `identify --json`.
 
-    ``known`` holds masses, pitch and unstressed length with their source. Raises `IdentificationError`.
+    Args:
+        bags: the recorded runs.
+        bench: files of the bench tests.
+        known: masses, pitch and unstressed length, and their source.
+        folder: folder of the results.
+        progress: called with the name of a stage and its finished share.
+
+    Raises:
+        IdentificationError: The data do not suffice.
     """
     inputs = read_inputs(bags, bench.bellows, bench.fin)
     result = identify(inputs, reference_by_file(*known), progress=progress)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that are started together and of which none is left behind."""
+"""Groups of processes that start together and all end with their group."""
 
 from __future__ import annotations
 
@@ -18,20 +18,22 @@ from types import FrameType, TracebackType
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 POLL_PERIOD_S = 0.02
-GRACE_S = 30.0  # from an interrupt to a kill; a driver brings its gait to rest within a cycle, if it gets a processor
+# s from an interrupt to a kill. A driver comes to rest within a cycle, or later on a busy computer.
+GRACE_S = 30.0
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 class ProcessError(RuntimeError):
-    """A process could not be started, ended too early or did not do in time what it should."""
+    """A process could not be started, ended too early or did not respond in time."""
 
 
 def executable_command(package: str, executable: str) -> list[str]:
-    """The command line of an installed executable, found as `ros2 run` finds it.
+    """Return the command line of an installed executable, which is located like in `ros2 run`.
 
-    Raises `ProcessError` if the package or the executable is not installed.
+    Raises:
+        ProcessError: The package or the executable is not installed.
     """
     try:
         prefix = Path(get_package_prefix(package))
@@ -44,7 +46,7 @@ def executable_command(package: str, executable: str) -> list[str]:
 
 
 def wait_for(condition: Callable[[], bool], timeout_s: float) -> bool:
-    """Poll until the condition holds; false if it does not within the timeout (s)."""
+    """Poll until the condition holds; return False at the timeout (s)."""
     deadline = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > deadline:
@@ -54,17 +56,25 @@ def wait_for(condition: Callable[[], bool], timeout_s: float) -> bool:
 
 
 class Process:
-    """One process in a session of its own, its output in a file.
+    """Process in its own session, with its output in a file.
 
-    It stays a zombie after its end until `release`: so long its id, which is also that of its group,
-    belongs to no other process, and a signal to the group cannot hit a stranger.
+    After its end it stays a zombie until `release`. Until then, no other process gets its id, which is also that of
+    its group, and a signal to the group cannot reach another process.
+
+    Attributes:
+        name: name of the process.
+        command: command line.
+        grace_s: time from an interrupt to a kill, s.
+        was_ready: True after the process has reported readiness. The caller sets it.
     """
 
     def __init__(
-        self, name: str, command: Sequence[str], log: Path, env: Mapping[str, str]
+        self, name: str, command: Sequence[str], log: Path, env: Mapping[str, str], grace_s: float
     ) -> None:
         self.name = name
         self.command = command
+        self.grace_s = grace_s
+        self.was_ready = False
         self._log = log
         with log.open("ab") as output:
             self._popen = subprocess.Popen(
@@ -79,12 +89,12 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Process id, which is also the id of its process group."""
+        """Process id, which is also that of the process group."""
         return self._popen.pid
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs; the negative number of the signal that ended it."""
+        """Exit status, or the negative number of the signal that ended the process; None while it runs."""
         if self._popen.returncode is not None:
             return self._popen.returncode
         end = os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
@@ -93,16 +103,20 @@ class Process:
         return end.si_status if end.si_code == os.CLD_EXITED else -end.si_status
 
     def output(self) -> str:
-        """What it has written so far, standard output and standard error together."""
+        """Return the output so far, standard output and standard error combined."""
         return self._log.read_text(errors="replace")
 
     def last_line(self) -> str:
-        """The last line of its output that is not empty."""
+        """Return the last line of the output that is not empty."""
         lines = [line for line in self.output().splitlines() if line.strip()]
         return lines[-1] if lines else "(no output)"
 
     def wait_for_line(self, pattern: str, timeout_s: float) -> re.Match[str]:
-        """Wait until a line of the output matches; raises `ProcessError` if it does not."""
+        """Wait until a line of the output matches, and return the match.
+
+        Raises:
+            ProcessError: The process ended, or the timeout (s) elapsed, without a matching line.
+        """
         expression = re.compile(pattern, re.MULTILINE)
         wait_for(
             lambda: bool(expression.search(self.output())) or self.exit_code is not None, timeout_s
@@ -115,7 +129,7 @@ class Process:
         return match
 
     def wait(self, timeout_s: float) -> int:
-        """Wait for its end and return the exit code; raises `ProcessError` at the timeout."""
+        """Wait for the end of the process and return `exit_code`. Raises `ProcessError` at the timeout (s)."""
         wait_for(lambda: self.exit_code is not None, timeout_s)
         code = self.exit_code
         if code is None:
@@ -124,21 +138,21 @@ class Process:
         return code
 
     def release(self) -> None:
-        """Kill what is left of its process group, and let go of its id."""
+        """Kill the remaining processes of the group and free its id."""
         if self._popen.returncode is None:
             self.kill()
             self._popen.wait()
 
     def interrupt(self) -> None:
-        """Ask it to end, as Ctrl-C does."""
+        """Send SIGINT, like Ctrl-C."""
         self.signal(signal.SIGINT)
 
     def kill(self) -> None:
-        """End it without asking, as a crash or a power cut does."""
+        """Send SIGKILL, which has the effect of a crash or a power cut."""
         self.signal(signal.SIGKILL)
 
     def signal(self, number: signal.Signals) -> None:
-        """Send a signal to its process group; nothing happens once it is released."""
+        """Send a signal to the process group; without effect after `release`."""
         if self._popen.returncode is None:
             os.killpg(self.pid, number)
 
@@ -159,7 +173,7 @@ def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None
 
 @contextlib.contextmanager
 def termination_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise `KeyboardInterrupt`, as SIGINT does, so that nothing is left behind."""
+    """Raise `KeyboardInterrupt` on SIGTERM and SIGHUP like on SIGINT, so that contexts can clean up."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -170,7 +184,7 @@ def termination_as_interrupt() -> Iterator[None]:
 
 @contextlib.contextmanager
 def counted_interrupts() -> Iterator[Callable[[], int]]:
-    """How often SIGINT, SIGTERM and SIGHUP came, which do nothing else meanwhile."""
+    """Count SIGINT, SIGTERM and SIGHUP, which have no other effect; provide a function that returns the count."""
     count = 0
 
     def note(_number: int, _frame: FrameType | None) -> None:
@@ -182,28 +196,50 @@ def counted_interrupts() -> Iterator[Callable[[], int]]:
 
 
 class ProcessGroup:
-    """Processes that end with this context, in the reverse order of their start."""
+    """Processes that end with this context, in the reverse order of their start.
+
+    Args:
+        log_folder: folder of the log files.
+        env: environment of the processes; None: that of this process.
+    """
 
     def __init__(self, log_folder: Path, env: Mapping[str, str] | None = None) -> None:
         self.log_folder = log_folder
         self.processes: dict[str, Process] = {}
         self._env = dict(os.environ if env is None else env)
 
-    def start(self, name: str, command: Sequence[str]) -> Process:
-        """Start a process under a name that no other has had."""
+    def start(
+        self,
+        name: str,
+        command: Sequence[str],
+        env: Mapping[str, str] | None = None,
+        grace_s: float = GRACE_S,
+    ) -> Process:
+        """Start a process.
+
+        Args:
+            name: name of the process and of its log, unique in the group.
+            command: command line.
+            env: environment variables in addition to those of the group.
+            grace_s: time from an interrupt to a kill, s.
+
+        Raises:
+            ProcessError: The group already has a process with this name.
+        """
         if name in self.processes:
             raise ProcessError(f"there is a process {name} already")
-        process = Process(name, command, self.log_folder / f"{name}.log", self._env)
+        log = self.log_folder / f"{name}.log"
+        process = Process(name, command, log, {**self._env, **(env or {})}, grace_s)
         self.processes[name] = process
         return process
 
     def restart(self, name: str) -> None:
-        """Start a process that has ended once more; its log goes on."""
+        """Restart a process that has ended; its log is continued."""
         ended = self.forget(name)
-        self.start(name, ended.command)
+        self.start(name, ended.command, grace_s=ended.grace_s)
 
     def forget(self, name: str) -> Process:
-        """Let go of a process that has ended: how it did no longer matters."""
+        """Remove a process that has ended from the group and return it; its exit status is no longer checked."""
         ended = self.processes.pop(name)
         ended.release()
         return ended
@@ -214,22 +250,22 @@ class ProcessGroup:
             if process.exit_code not in (None, 0):
                 raise ProcessError(f"{process.name} {process._state()}: {process.last_line()}")
 
-    def end(self, name: str, grace_s: float = GRACE_S) -> None:
-        """Interrupt one and wait; raises `ProcessError` if it does not end, or ends with an error."""
+    def end(self, name: str) -> None:
+        """Interrupt a process and wait. Raises `ProcessError` if it does not end, or ends with an error."""
         process = self.processes[name]
         process.interrupt()
-        process.wait(grace_s)
+        process.wait(process.grace_s)
         self.check()
 
-    def stop(self, grace_s: float = GRACE_S) -> None:
-        """Interrupt all, one after the other, and kill what is left of each process group."""
+    def stop(self) -> None:
+        """Interrupt the processes in reverse order, wait for each, and kill what remains of their process groups."""
         try:
             for process in reversed(self.processes.values()):
                 if process.exit_code is None:
                     process.interrupt()
                     with contextlib.suppress(ProcessError):
-                        process.wait(grace_s)
-        finally:  # also on an impatient second Ctrl-C
+                        process.wait(process.grace_s)
+        finally:  # also after a second Ctrl-C
             for process in self.processes.values():
                 process.release()
 
@@ -246,5 +282,5 @@ class ProcessGroup:
 
 
 def _interrupt_when_parent_dies() -> None:
-    # Even a killed parent, which cannot stop anything any more, leaves no process behind.
+    # A killed parent cannot stop its processes, so the kernel has to do it.
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGINT)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run with a recorder beside the graph's own, into a new bag in a folder of bags."""
+"""Recording of a single run into a new bag, with a recorder in addition to that of the node graph."""
 
 from __future__ import annotations
 
@@ -21,7 +21,15 @@ from worm_optimizer.operation.processes import ProcessGroup
 
 
 def new_bag(folder: Path, kind: str = "run") -> Path:
-    """A bag that is not there yet in a folder, which is made; its name begins with its kind. Raises `InputError`."""
+    """Return the path of a new bag in a folder, and create the folder.
+
+    Args:
+        folder: folder of bags.
+        kind: first part of the bag's name, followed by the time.
+
+    Raises:
+        InputError: The folder is a bag, it cannot be created, or the bag exists.
+    """
     folder = folder.resolve()
     if (folder / METADATA_FILE).exists():
         raise InputError(f"{folder}: this is a bag; give the folder that holds the bags")
@@ -37,7 +45,14 @@ def new_bag(folder: Path, kind: str = "run") -> Path:
 
 @contextmanager
 def recorded(node: OperatorNode, bag: Path, parameter_file: str, name: str) -> Iterator[None]:
-    """A recorder of a name of its own, until the context has ended; see `recording`."""
+    """Record in this context with a recorder of the given name; see `recording`.
+
+    Args:
+        node: the operator.
+        bag: path of the new bag.
+        parameter_file: parameter file to store in the bag; empty: none.
+        name: last part of the recorder's node name, which must be unique.
+    """
     system = installed_system_file().system(
         "robot",
         node.get_namespace().strip("/"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the repeats of a gait spread, and whether each gained the grooves that were promised of it."""
+"""Statistics of the repeats of a gait: scatter, and success in gaining the predicted grooves."""
 
 from __future__ import annotations
 
@@ -16,9 +16,17 @@ from worm_optimizer.robustness.prediction import Prediction
 
 @dataclass(frozen=True)
 class Spread:
-    """Of one gait: ``promised`` grooves per cycle; ``kept`` of ``repeats`` gained them in every averaged cycle.
+    """Statistics of the repeats of one gait.
 
-    ``means`` and ``deviations`` (NaN of a single repeat) are by quantity, in SI units; ``speeds`` (m/s) of each.
+    Attributes:
+        name: name of the gait.
+        repeats: number of repeats.
+        promised: predicted grooves per cycle.
+        kept: number of repeats that gained the predicted grooves in every averaged cycle.
+        means: mean of each quantity, SI units.
+        deviations: standard deviation of each quantity, SI units; NaN for a single repeat.
+        speeds: speed of each repeat, m/s.
+        promised_speed: predicted speed, m/s.
     """
 
     name: str
@@ -32,14 +40,23 @@ class Spread:
 
 
 def run_names(gaits: Sequence[str], repeats: int) -> dict[str, str]:
-    """Name of each run, in the order of the runs, and of its gait: the repeats of one gait do not follow each other."""
+    """Return the name of the gait of each run, by the name of the run, in the order of the runs.
+
+    The gaits alternate, so that the repeats of one gait do not follow each other.
+    """
     if repeats == 1:
         return {name: name for name in gaits}
     return {f"{name}_{k}": name for k in range(1, repeats + 1) for name in gaits}
 
 
 def spread(name: str, promise: Prediction, runs: Sequence[RecordedGait]) -> Spread:
-    """Of the repeats of one gait."""
+    """Return the statistics of the repeats of one gait.
+
+    Args:
+        name: name of the gait.
+        promise: its prediction before the runs.
+        runs: the recorded repeats, at least one.
+    """
     pitch = runs[0].content.parameters.pitch
     promised = round(promise.grooves_per_cycle)
     values = {
@@ -63,7 +80,7 @@ def spread(name: str, promise: Prediction, runs: Sequence[RecordedGait]) -> Spre
 
 
 def spread_table(spreads: Sequence[Spread]) -> str:
-    """For a terminal: kept promises, then mean and standard deviation of each quantity."""
+    """Return a text table: successful repeats, then mean and standard deviation of each quantity."""
     heads = "".join(f"{quantity.title:>22}" for quantity in QUANTITIES.values())
     lines = [f"{'gait':<24}{'promise kept':>18}{heads}"]
     for row in spreads:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robust beside nominal gaits: what was promised and what each repeat did."""
+"""Figure of the predicted and measured speeds of robust and nominal gaits."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from worm_model.analysis.plot_style import BLUE, VERMILION, finish, new_figure, 
 from worm_optimizer.operation.spread import Spread
 from worm_optimizer.report.agreement import NOMINAL, title_of
 
-_WIDTH = 0.3  # of the line of a promise, to either side
+_WIDTH = 0.3  # half the length of the line of a prediction
 
 
 def draw_spread(path: Path, spreads: Sequence[Spread]) -> None:
-    """Writes the figure: a dot for each repeat, a line for the promise."""
+    """Write the figure: a dot for each repeat, a line for the prediction."""
     figure = new_figure(1.6 + 1.3 * len(spreads), 3.6)
     axes = figure.add_subplot()
     for place, row in enumerate(spreads):

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node graph as data: config/system.yaml, read by the launch file and by the demo alike."""
+"""Reader of config/system.yaml, the description of the node graph for the launch file and all commands."""
 
 from __future__ import annotations
 
+import difflib
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,70 +15,88 @@ import yaml
 Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 
 MODES = ("robot", "virtual", "replay")
-RESTARTS = 3  # of a node that is not required, where the nodes are to stay up
+RESTARTS = 3  # restarts of an optional node while a graph stays up
+ALSO_REQUIRED = "also_required"  # setting with the names of further required nodes
 _SYSTEM_KEYS = {"namespace", "settings", "nodes"}
 
 
 class SystemFileError(ValueError):
-    """A system file is malformed, or a setting that it knows nothing of was given."""
+    """A system file is malformed, or a mode, setting or node is unknown."""
 
 
 @dataclass(frozen=True)
 class NodeDescription:
-    """One node: what runs, under which name, with which arguments, parameters and remappings.
+    """Description of one node.
 
-    ``ready`` is what a line of its output contains once the nodes after it may start; empty when
-    they need not wait. A ``lifecycle`` node is to be configured and activated. All end with a
-    ``required`` one; another is started again. ``at_rest_within`` is what stands, in a line of its
-    output, before the time (s) that it may take to end after a signal; empty when it ends at once.
+    Attributes:
+        name: name of the node.
+        package, executable: what to run.
+        awaited: True if the following nodes start after this one has reported readiness (`worm_msgs.readiness`).
+        lifecycle: True for a node to configure and activate. Its servos keep their torque when it crashes.
+        required: True if all nodes end with this one. Other nodes are restarted.
+        end_timeout_s: time from an interrupt to a kill, s.
+        arguments: command-line arguments.
+        parameters: ROS parameters.
+        remappings: names of topics and services, by their original names.
     """
 
     name: str
     package: str
     executable: str
-    ready: str = ""
+    awaited: bool = False
     lifecycle: bool = False
     required: bool = False
-    at_rest_within: str = ""
+    end_timeout_s: float = 30.0
     arguments: tuple[str, ...] = ()
     parameters: Mapping[str, Value] = field(default_factory=dict)
     remappings: Mapping[str, str] = field(default_factory=dict)
 
     def command_arguments(self, namespace: str) -> list[str]:
-        """The arguments that tell the executable all of this without a launch system."""
+        """Return the command-line arguments that start the node without a launch system."""
         result = [*self.arguments, "--ros-args"]
         result += ["-r", f"__ns:=/{namespace}", "-r", f"__node:={self.name}"]
         for source, target in self.remappings.items():
             result += ["-r", f"{source}:={target}"]
         for key, value in self.parameters.items():
-            # JSON is YAML: "1" stays a string and 1.0 a float
+            # JSON is valid YAML and keeps the types: "1" stays a string and 1.0 a float.
             result += ["-p", f"{key}:={json.dumps(value)}"]
         return result
 
+    def end_report(self, status: int, *, was_ready: bool) -> str:
+        """Return a message about the end of the node's process.
 
-# Of a node in a system file; the plain ones go into its description as they are.
-_PLAIN_KEYS = ("ready", "lifecycle", "required", "at_rest_within")
+        Args:
+            status: exit status, or the negative number of the signal that ended the process.
+            was_ready: True if the node had reported readiness. A driver turns torque on only afterwards.
+        """
+        if self.lifecycle and was_ready and status:
+            return f"the {self.name} ended (exit status {status}); torque may be on"
+        return f"{self.name} has ended with exit status {status}"
+
+
+# Keys of a node in a system file. The plain ones are copied to its description without conversion.
+_PLAIN_KEYS = ("awaited", "lifecycle", "end_timeout_s")
 _NODE_KEYS = (
-    *("package", "executable", "modes", "needs", *_PLAIN_KEYS),
+    *("package", "executable", "modes", "needs", "required", *_PLAIN_KEYS),
     *("arguments", "parameters", "remappings"),
 )
 
 
 @dataclass(frozen=True)
 class System:
-    """The nodes of one mode, in the order in which they start, and their common namespace."""
+    """Nodes of one mode in the order of their start, and their common namespace."""
 
     namespace: str
     nodes: tuple[NodeDescription, ...]
 
     def node(self, name: str) -> NodeDescription:
-        """The node of a name; raises `KeyError` if this mode has none."""
+        """Return the node with a name. Raises `KeyError` if this mode does not have it."""
         return {node.name: node for node in self.nodes}[name]
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What may differ from start to start, such as the path of a device."""
+    """Setting of a system file that can differ between starts, such as the path of a device."""
 
     default: str
     description: str
@@ -85,7 +104,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class SystemFile:
-    """A parsed system file: settings, and nodes that refer to them as {name}."""
+    """Parsed system file: settings, and nodes that refer to the settings as {name}."""
 
     path: Path
     namespace: str
@@ -93,29 +112,41 @@ class SystemFile:
     nodes: Mapping[str, Mapping[str, Any]]
 
     def system(self, mode: str, namespace: str = "", **settings: str) -> System:
-        """The system of a mode, with some settings other than their defaults.
+        """Return the system of a mode.
 
-        ``namespace`` is without its first slash, such as ``robots/worm``; empty: the file's own.
-        Raises `SystemFileError` on an unknown mode or setting.
+        Args:
+            mode: one of MODES.
+            namespace: namespace without the first slash, such as ``robots/worm``; empty: that of the file.
+            settings: settings that differ from their defaults.
+
+        Raises:
+            SystemFileError: The mode or a setting is unknown.
         """
         namespace = namespace or self.namespace
         if mode not in MODES:
             raise SystemFileError(f"mode {mode!r}: choose one of {', '.join(MODES)}")
         unknown = sorted(set(settings) - set(self.settings))
         if unknown:
-            known = ", ".join(self.settings)
-            raise SystemFileError(f"no setting {unknown[0]!r} in {self.path}: there are {known}")
+            raise SystemFileError(unknown_name("setting", unknown[0], self.settings))
         names = {"namespace": namespace}
         defaults = {name: row.default.format_map(names) for name, row in self.settings.items()}
         values = {**names, **defaults, **settings}
-        return System(
-            namespace,
-            tuple(
-                self._node(name, content, mode, values)
-                for name, content in self.nodes.items()
-                if mode in content.get("modes", MODES) and _is_wanted(content, values)
-            ),
+        nodes = tuple(
+            self._node(name, content, mode, values)
+            for name, content in self.nodes.items()
+            if mode in content.get("modes", MODES) and _is_wanted(content, values)
         )
+        return System(namespace, self._with_required(nodes, values.get(ALSO_REQUIRED, "")))
+
+    def _with_required(
+        self, nodes: tuple[NodeDescription, ...], names: str
+    ) -> tuple[NodeDescription, ...]:
+        """Return the nodes, with the named ones required. Raises `SystemFileError` if a name is unknown."""
+        also = names.replace(",", " ").split()
+        for name in also:
+            if name not in self.nodes:
+                raise SystemFileError(f"{ALSO_REQUIRED}: {unknown_name('node', name, self.nodes)}")
+        return tuple(replace(n, required=n.required or n.name in also) for n in nodes)
 
     def _node(
         self, name: str, content: Mapping[str, Any], mode: str, values: Mapping[str, str]
@@ -126,6 +157,7 @@ class SystemFile:
                 name,
                 package=content["package"],
                 executable=content["executable"],
+                required=mode in content.get("required", ()),
                 **{key: content[key] for key in _PLAIN_KEYS if key in content},
                 arguments=_arguments(content.get("arguments", ()), values),
                 parameters=_parameters(parameters, values),
@@ -136,7 +168,7 @@ class SystemFile:
 
 
 def load_system_file(path: str | Path) -> SystemFile:
-    """Read a system file; raises `SystemFileError`, whose message names the path and the key."""
+    """Read a system file. Raises `SystemFileError`, whose message names the path and the key."""
     path = Path(path)
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -147,8 +179,9 @@ def load_system_file(path: str | Path) -> SystemFile:
     for name, node in content["nodes"].items():
         unknown = sorted(set(node) - set(_NODE_KEYS))
         if unknown:
-            known = ", ".join(sorted(_NODE_KEYS))
-            raise SystemFileError(f"{path}: node {name}: unknown key {unknown[0]}, known: {known}")
+            raise SystemFileError(
+                f"{path}: node {name}: {unknown_name('key', unknown[0], _NODE_KEYS)}"
+            )
     try:
         settings = {name: Setting(**value) for name, value in content["settings"].items()}
     except TypeError:
@@ -156,25 +189,32 @@ def load_system_file(path: str | Path) -> SystemFile:
     return SystemFile(path, content["namespace"], settings, content["nodes"])
 
 
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
+    """Return a message that a name is unknown, with the nearest known name."""
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
+    return f"no {kind} {name!r}: {hint}"
+
+
 def _parameters(parameters: Mapping[str, Value], values: Mapping[str, str]) -> dict[str, Value]:
-    """Parameters with their values filled in; without a value, the node's file or its default holds."""
+    """Return the parameters with values filled in. Empty ones are left out, so that the node's default holds."""
     filled = {key: _fill(value, values) for key, value in parameters.items()}
     return {key: value for key, value in filled.items() if value != ""}
 
 
 def _of_mode(rows: Mapping[str, Any], mode: str) -> dict[str, Any]:
-    """The parameters or remappings common to all modes (those with a plain value) and those of one mode."""
+    """Return the parameters or remappings of a mode: those without a mode, and those listed below the mode."""
     common = {key: value for key, value in rows.items() if key not in MODES}
     return {**common, **rows.get(mode, {})}
 
 
 def _is_wanted(content: Mapping[str, Any], values: Mapping[str, str]) -> bool:
-    """Whether the setting that a node needs, if any, has a value."""
+    """Return True unless a node needs a setting that is empty."""
     return "needs" not in content or bool(values[content["needs"]])
 
 
 def _arguments(groups: Sequence[Sequence[str]], values: Mapping[str, str]) -> tuple[str, ...]:
-    """The words of all groups; a group with an empty word is left out as a whole."""
+    """Return the arguments of all groups with values filled in; a group with an empty argument is left out."""
     filled = [[str(_fill(word, values)) for word in group] for group in groups]
     return tuple(word for group in filled if all(group) for word in group)
 

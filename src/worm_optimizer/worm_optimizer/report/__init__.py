@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports: recorded gaits, measured against predicted, as one HTML page and figures.
+"""Reports: recorded gaits, measured and predicted, as one HTML page with figures.
 
-`recordings` reads bags into the gaits that were played, `recorded_gait` judges one, `expectation` predicts it with
-intervals, `events` lists what happened, `agreement` compares; `optimisation` and `identification_parts` get the other
-sections' content, `run_figures` and `front_plots` draw, `report_page` fills the template.
+- `recordings` reads bags and returns the gaits that were played in them.
+- `recorded_gait` computes the metrics of one gait, `expectation` predicts it with intervals, and `events` lists its
+  events.
+- `agreement` compares measured and expected values.
+- `optimisation` and `identification_parts` prepare the content of the other sections.
+- `run_figures` and `front_plots` draw the figures, and `report_page` fills the template.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured against expected: in agreement or not, in the same order or not; as values, text and JSON."""
+"""Comparison of measured with expected values and of the order of the gaits, as objects, text and JSON."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from worm_optimizer.report.expectation import Band
+from worm_optimizer.report.expectation import Band, GrooveShare
 from worm_optimizer.report.recorded_gait import RecordedGait
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """How a number of a gait is written: its ``name``, a factor from SI to the ``unit``, and decimals."""
+    """Format of a number of a gait: ``name``, factor ``scale`` from SI to ``unit``, and number of ``decimals``."""
 
     name: str
     scale: float
@@ -22,18 +22,18 @@ class Quantity:
     decimals: int
 
     def text(self, value: float) -> str:
-        """The value without its unit; a dash where there is none."""
+        """Return the value without its unit, or a dash if it is not finite."""
         return f"{self.scale * value:.{self.decimals}f}" if math.isfinite(value) else "–"
 
     def range(self, band: Band) -> str:
-        """The bounds without their unit; a dash where there are none."""
+        """Return the bounds without their unit, or a dash if one is NaN."""
         if math.isnan(band.low) or math.isnan(band.high):
             return "–"
         return f"{self.text(band.low)} to {self.text(band.high)}"
 
     @property
     def title(self) -> str:
-        """The name with its unit."""
+        """Name with its unit."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
 
 
@@ -42,16 +42,25 @@ QUANTITIES = {
     "power": Quantity("power", 1.0, "W", 3),
     "cost_of_transport": Quantity("cost of transport", 1.0, "", 1),
 }
-# A difference of this much is never called an agreement, however wide the interval is: it says that too little is
-# known of the parameters, not that the prediction is good.
+# A relative difference of this size never counts as agreement. An interval that is so wide shows that the parameters
+# are poorly known, not that the prediction is good.
 LEAST_DISAGREEMENT = 0.20
-NOMINAL = "nominal_"  # begins the name of a gait that was designed without a margin
+# A measurement can contradict a number of grooves with at least the probability CERTAIN. Numbers with a probability
+# below POSSIBLE are not expected.
+CERTAIN, POSSIBLE = 0.9, 0.05
+NOMINAL = "nominal_"  # prefix of the names of gaits designed without a margin
 _TITLES = {"min_power": "minimum power", "cruise": "cruising", "max_speed": "maximum speed"}
 
 
 @dataclass(frozen=True)
 class Order:
-    """Of one quantity: names of the gaits by rising expected and by rising measured value; None where one is NaN."""
+    """Order of the gaits by one quantity.
+
+    Attributes:
+        quantity: key of `QUANTITIES`.
+        expected: names of the gaits in the order of rising expected values.
+        measured: names of the gaits in the order of rising measured values; None if a measured value is NaN.
+    """
 
     quantity: str
     expected: tuple[str, ...]
@@ -59,66 +68,136 @@ class Order:
 
     @property
     def preserved(self) -> bool | None:
-        """Whether both are the same; None if that cannot be told."""
+        """True if both orders are the same; None if the measured order is unknown."""
         return None if self.measured is None else self.measured == self.expected
 
 
 @dataclass(frozen=True)
+class Grooves:
+    """Grooves per cycle of a recorded gait.
+
+    Attributes:
+        expected: expected numbers with their probabilities, the most probable first.
+        measured: measured grooves per cycle.
+        cycles: number of averaged cycles.
+    """
+
+    expected: tuple[GrooveShare, ...]
+    measured: float
+    cycles: int
+
+    @property
+    def is_fragile(self) -> bool:
+        """True if no expected number of grooves is probable enough for a measurement to contradict it."""
+        return self.expected[0].probability < CERTAIN
+
+    @property
+    def agrees(self) -> bool | None:
+        """True if the expected grooves were measured; None if a fragile gait gained a possible number."""
+        tolerance = 0.5 / self.cycles
+        if not self.is_fragile:
+            return abs(self.measured - self.expected[0].grooves) < tolerance
+        possible = [share.grooves for share in self.expected if share.probability >= POSSIBLE]
+        is_possible = min(possible) - tolerance < self.measured < max(possible) + tolerance
+        return None if is_possible else False
+
+    def __str__(self) -> str:
+        likely = [share for share in self.expected if share.probability >= 0.005]
+        shares = [f"{share.grooves:.3g} with {100 * share.probability:.0f} %" for share in likely]
+        first = shares[0].replace(" with", " grooves with", 1)
+        return f"{', '.join([first, *shares[1:]])}; measured {self.measured:.3g}"
+
+
+@dataclass(frozen=True)
 class Agreement:
-    """One quantity of one gait, a key of `QUANTITIES`."""
+    """Measured and expected value of one quantity of a gait.
+
+    Attributes:
+        gait: name of the gait.
+        quantity: key of `QUANTITIES`.
+        measured: mean of the averaged cycles, with the lowest and highest cycle as bounds.
+        expected: predicted value with its 95 % interval.
+        grooves: grooves per cycle for the speed, None for the other quantities.
+    """
 
     gait: str
     quantity: str
     measured: Band
     expected: Band
+    grooves: Grooves | None = None
 
     @property
     def agrees(self) -> bool | None:
-        """Whether the expected 95 % interval and the span of the measured cycles overlap; None if not measured.
+        """True if the measured value agrees with the expected one; None if that cannot be decided.
 
-        The span stands for the uncertainty of the measurement: noise of the instruments, and grooves that differ.
-        What is `LEAST_DISAGREEMENT` off does not agree.
+        Speed consists of whole grooves: it agrees if the expected grooves were measured. The other quantities agree if
+        the expected 95 % interval and the span of the measured cycles overlap. The span stands for the uncertainty of
+        the measurement. A relative difference of `LEAST_DISAGREEMENT` or more never agrees.
         """
-        if math.isnan(self.measured.value):
+        if math.isnan(self.measured.value) or math.isnan(self.expected.value):
             return None
+        if self.grooves is not None:
+            return self.grooves.agrees
         return abs(self.difference) < LEAST_DISAGREEMENT and self.expected.overlaps(self.measured)
 
     @property
     def verdict(self) -> str:
-        """In a word."""
-        return {True: "yes", False: "no", None: "not measured"}[self.agrees]
+        """Result of the comparison as text."""
+        if self.agrees is not None:
+            return "agrees" if self.agrees else "disagrees"
+        if math.isnan(self.measured.value):
+            return "not measured"
+        if self.grooves is not None:
+            return f"fragile: {self.grooves}"
+        return "no draw of the parameters gains the measured grooves"
 
     @property
     def difference(self) -> float:
-        """Measured over expected, less 1; NaN where there is none."""
+        """Relative difference, measured / expected − 1; NaN if it is undefined."""
         return self.measured.value / self.expected.value - 1.0 if self.expected.value else math.nan
 
 
 def title_of(name: str) -> str:
-    """A gait's name in words, where it is one of the campaign's."""
+    """Return the title of a gait: in plain English for the gaits of a campaign, else its name."""
     plain = name.removeprefix(NOMINAL)
     title = _TITLES.get(plain, plain)
     return title if plain == name else f"{title}, nominal"
 
 
 def percent(difference: float) -> str:
-    """A relative difference with its sign, such as ``+0.3 %``; empty where there is none."""
+    """Return a relative difference with its sign, such as ``+0.3 %``, or an empty string if it is not finite."""
     return f"{round(100.0 * difference, 1) + 0.0:+.1f} %" if math.isfinite(difference) else ""
 
 
 def orders(gaits: Sequence[RecordedGait]) -> tuple[Order, ...]:
-    """The order of at least two gaits in speed, power and cost of transport."""
+    """Return the orders of the gaits by speed, power and cost of transport, or none for fewer than two gaits."""
     if len(gaits) < 2:
         return ()
     return tuple(_order(gaits, quantity) for quantity in QUANTITIES)
 
 
 def agreements(gait: RecordedGait) -> tuple[Agreement, ...]:
-    """Measured against expected, one quantity after the other."""
+    """Return the comparison of measured with expected values, one entry for each of `QUANTITIES`."""
+    grooves = {"speed": grooves_of(gait)}
     return tuple(
-        Agreement(gait.name, name, getattr(gait.measured, name), getattr(gait.expected.bands, name))
+        Agreement(
+            gait.name,
+            name,
+            getattr(gait.measured, name),
+            getattr(gait.expected.bands, name),
+            grooves.get(name),
+        )
         for name in QUANTITIES
     )
+
+
+def grooves_of(gait: RecordedGait) -> Grooves | None:
+    """Return the grooves per cycle of a recorded gait, or None if its speed was not measured."""
+    expected, speed = gait.expected, gait.measured.speed.value
+    if math.isnan(speed) or not expected.grooves:
+        return None
+    measured = speed / (gait.gait.frequency * gait.content.parameters.pitch)
+    return Grooves(expected.grooves, measured, expected.cycles)
 
 
 def _order(gaits: Sequence[RecordedGait], quantity: str) -> Order:
@@ -133,7 +212,7 @@ def _order(gaits: Sequence[RecordedGait], quantity: str) -> Order:
 
 
 def order_text(order: Order) -> str:
-    """An order in words."""
+    """Return an order as text."""
     name = f"order by {QUANTITIES[order.quantity].name}"
     expected = " < ".join(map(title_of, order.expected))
     if order.measured is None:
@@ -145,7 +224,7 @@ def order_text(order: Order) -> str:
 
 
 def headline(gaits: Sequence[RecordedGait]) -> str:
-    """The verdict on all gaits in one sentence; what ended early is said first."""
+    """Return the verdict on all gaits as one sentence, after the gaits that ended early."""
     rows = [row for gait in gaits for row in agreements(gait)]
     known = [row for row in rows if row.agrees is not None]
     early = [f"{title_of(gait.name)} {gait.early_end}" for gait in gaits if gait.early_end]
@@ -158,14 +237,18 @@ def headline(gaits: Sequence[RecordedGait]) -> str:
         verdict = "The one number that was measured agrees with the prediction"
     else:
         verdict = f"All {len(known)} numbers agree with the prediction"
-    if known and len(known) < len(rows):
-        verdict += f"; {len(rows) - len(known)} could not be measured"
+    fragile = [title_of(row.gait) for row in rows if row.verdict.startswith("fragile")]
+    if fragile:
+        verdict += f"; {', '.join(fragile)}: fragile, its grooves are not certain enough to judge"
+    unknown = len(rows) - len(known) - len(fragile)
+    if known and unknown:
+        verdict += f"; {unknown} could not be measured"
     return ". ".join([*early, verdict]) + "."
 
 
 def describe(gaits: Sequence[RecordedGait]) -> str:
-    """A table for a terminal: each number with its expected 95 % interval, then the orders."""
-    heads = ("gait", "", "measured", "expected", "95 % interval", "difference", "agrees")
+    """Return a table for a terminal: each number with its expected 95 % interval, then the orders."""
+    heads = ("gait", "", "measured", "expected", "95 % interval", "difference", "verdict")
     rows = [heads, *(_row(row) for gait in gaits for row in agreements(gait))]
     widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
     lines = [f"{gait.name}: {gait.early_end}" for gait in gaits if gait.early_end]
@@ -180,6 +263,13 @@ def describe(gaits: Sequence[RecordedGait]) -> str:
     return "\n".join(lines)
 
 
+def expected_range(row: Agreement) -> str:
+    """Return the expected 95 % interval; for the speed, the grooves per cycle with their probabilities."""
+    if row.grooves is None:
+        return QUANTITIES[row.quantity].range(row.expected)
+    return str(row.grooves).partition(";")[0]
+
+
 def _row(row: Agreement) -> tuple[str, ...]:
     quantity = QUANTITIES[row.quantity]
     return (
@@ -187,14 +277,14 @@ def _row(row: Agreement) -> tuple[str, ...]:
         quantity.title,
         quantity.text(row.measured.value),
         quantity.text(row.expected.value),
-        quantity.range(row.expected),
+        expected_range(row),
         percent(row.difference) or "–",
         row.verdict,
     )
 
 
 def agreement_json(gaits: Sequence[RecordedGait]) -> dict[str, Any]:
-    """Measured against expected as the machine-readable output has it."""
+    """Return the comparison of measured with expected values for the machine-readable output."""
     return {
         "runs": [
             {
@@ -205,6 +295,8 @@ def agreement_json(gaits: Sequence[RecordedGait]) -> dict[str, Any]:
                 "twin": asdict(gait.twin),
                 "groove_phase": gait.expected.nominal.groove_phase,
                 "agrees": {row.quantity: row.agrees for row in agreements(gait)},
+                "verdict": {row.quantity: row.verdict for row in agreements(gait)},
+                "grooves": _grooves_json(gait),
                 "missing": list(gait.missing),
                 "early_end": gait.early_end,
                 "averaged_cycles": list(gait.averaged_cycles),
@@ -214,3 +306,9 @@ def agreement_json(gaits: Sequence[RecordedGait]) -> dict[str, Any]:
         ],
         "order_preserved": {order.quantity: order.preserved for order in orders(gaits)},
     }
+
+
+def _grooves_json(gait: RecordedGait) -> dict[str, Any]:
+    grooves = grooves_of(gait)
+    measured = math.nan if grooves is None else grooves.measured
+    return {"expected": [asdict(share) for share in gait.expected.grooves], "measured": measured}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened in a run, in words: the driver's states, complaints of the nodes, what the twin noticed, gaps."""
+"""Events of a run as text: states of the driver, diagnostics, notices of the twin, and gaps in the data."""
 
 from __future__ import annotations
 
@@ -10,21 +10,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from worm_model.bags.bag import Bag
-from worm_model.bags.cdr import Columns
-from worm_model.bags.message_block import Topic
+from worm_model.bags.formats.cdr import Columns
+from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.run_reader import read_columns
 from worm_model.bags.worm_topics import find_topic
 from worm_model.run import FAULT, POWER_VALID, Run, power_status_name, state_name
 from worm_model.twin.offline_replay import Replay
 
 _LEVELS = ("ok", "warning", "error", "stale")  # DiagnosticStatus
-_SEVERITIES = ("note", "warning", "error")  # of the twin's notices
+_SEVERITIES = ("note", "warning", "error")  # severities of the twin's notices
 _DIAGNOSTICS = "/diagnostics"
 
 
 @dataclass(frozen=True)
 class Event:
-    """``time`` s since the run's first sample, NaN for what concerns all of it; ``level`` note, warning or error."""
+    """Event of a run.
+
+    Attributes:
+        time: time since the first sample of the run, s; NaN for an event that concerns the whole run.
+        source: the driver, the twin, an instrument, or the name of a diagnostic status.
+        level: ``note``, ``warning`` or ``error``; ``stale`` also occurs for a diagnostic status.
+        text: description.
+    """
 
     time: float
     source: str
@@ -36,9 +43,13 @@ Holds = Callable[[int], bool]
 
 
 def events_of(bag: Bag, run: Run, holds: Holds, replay: Replay) -> tuple[Event, ...]:
-    """All events of a part of a bag by rising time, those of the whole part last.
+    """Return all events of a part of a bag, ordered by time; events of the whole part come last.
 
-    ``run`` is the part; ``holds`` tells whether a stamp (ns) belongs to it.
+    Args:
+        bag: recording.
+        run: part of the recording.
+        holds: function that returns True if a stamp (ns) belongs to the part.
+        replay: output of the twin for the part.
     """
     events = [*_driver_events(bag, run, holds), *_complaints(bag, run, holds)]
     events += [
@@ -50,7 +61,7 @@ def events_of(bag: Bag, run: Run, holds: Holds, replay: Replay) -> tuple[Event, 
 
 
 def _driver_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
-    """Changes of the driver's state, cycles apart."""
+    """Yield the changes of the driver's state and message, without those that differ only in the cycle."""
     columns = _columns(bag, find_topic(bag.topics.values(), "gait_state"))
     if columns is None:
         return
@@ -68,7 +79,7 @@ def _driver_events(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
 
 
 def _complaints(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
-    """Diagnostics that are not ok: the first of each part and level, and how often it came."""
+    """Yield the first diagnostic that is not ok, for each name and level, with the number of such reports."""
     columns = _columns(bag, bag.topics.get(_DIAGNOSTICS))
     if columns is None:
         return
@@ -90,19 +101,22 @@ def _complaints(bag: Bag, run: Run, holds: Holds) -> Iterator[Event]:
 
 
 def _columns(bag: Bag, topic: Topic | None) -> Columns | None:
-    """The messages of a topic, None where there are none."""
+    """Return the messages of a topic, or None if there are none."""
     columns = None if topic is None else read_columns(bag, [topic])[topic.name]
     return columns if columns is not None and columns.numbers else None
 
 
 def _stamps(columns: Columns) -> list[int]:
-    """Header stamps in ns since the epoch."""
+    """Return the header stamps, ns since the epoch."""
     stamp = columns.numbers["header.stamp.sec"].astype(np.int64) * 10**9
     return (stamp + columns.numbers["header.stamp.nanosec"].astype(np.int64)).tolist()
 
 
 def _statuses(columns: Columns, row: int) -> Iterator[tuple[str, int, str]]:
-    """(name, level, message) of each status in a message; columns are as wide as the longest message."""
+    """Yield (name, level, message) of each status in a message.
+
+    The columns hold as many statuses as the longest message. Shorter messages have empty names there.
+    """
     index = 0
     while (names := columns.texts.get(f"status[{index}].name")) is not None:
         name, message = names[row], columns.texts[f"status[{index}].message"][row]
@@ -112,7 +126,7 @@ def _statuses(columns: Columns, row: int) -> Iterator[tuple[str, int, str]]:
 
 
 def _gaps(run: Run) -> Iterator[Event]:
-    """What the instruments did not give."""
+    """Yield the power samples without a value and the hidden markers of the tracker."""
     for code in sorted(set(run.power.status.tolist()) - {POWER_VALID}):
         count = int(np.count_nonzero(run.power.status == code))
         name = power_status_name(code)

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the model expects of a gait, with 95 % intervals from the uncertainty of its parameters."""
+"""Prediction of a gait by the model, with 95 % intervals from the uncertainty of its parameters."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, astuple, dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from worm_model.arrays import Array
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import evaluate_gaits
@@ -23,25 +25,26 @@ from worm_optimizer.robustness.uncertainty import phase_known, power_draws
 SAMPLES = 500
 SEED = 1
 _STEADY = (CYCLES - AVERAGED + 1, CYCLES)
-_TAIL = 2.5  # percent beyond each end of a 95 % interval
+_TAIL = 2.5  # percentage beyond each end of a 95 % interval
+FEWEST_DRAWS = 10  # needed for an interval
 
 
 @dataclass(frozen=True)
 class Band:
-    """A ``value`` with bounds ``low`` and ``high`` in the same unit; NaN where there is none."""
+    """Value with its bounds ``low`` and ``high``, all in the same unit; NaN if unavailable."""
 
     value: float
     low: float
     high: float
 
     def overlaps(self, other: Band) -> bool:
-        """Whether both have a value in common."""
+        """Return True if the two intervals overlap."""
         return self.low <= other.high and other.low <= self.high
 
 
 @dataclass(frozen=True)
 class Bands:
-    """``speed`` m/s along the gait's direction, ``power`` W, ``cost_of_transport`` 1."""
+    """``speed`` along the gait's direction (m/s), ``power`` (W) and ``cost_of_transport`` (1)."""
 
     speed: Band
     power: Band
@@ -49,30 +52,56 @@ class Bands:
 
 
 @dataclass(frozen=True)
+class GrooveShare:
+    """``grooves`` per cycle, averaged over the averaged cycles, and their ``probability``."""
+
+    grooves: float
+    probability: float
+
+
+@dataclass(frozen=True)
 class Expectation:
-    """Of a gait: ``nominal`` without its margin, ``robust`` with it, ``bands`` of the nominal one (95 %)."""
+    """Prediction of a gait.
+
+    Attributes:
+        nominal: prediction without the gait's margin.
+        robust: prediction with the gait's margin.
+        bands: nominal speed, power and cost of transport with their 95 % intervals. If the measured grooves are known,
+            power and cost of transport are those of the draws that gain these grooves.
+        grooves: grooves per cycle with their probabilities, the most probable first.
+        cycles: number of averaged cycles.
+    """
 
     nominal: GaitResult
     robust: GaitResult
     bands: Bands
+    grooves: tuple[GrooveShare, ...] = ()
+    cycles: int = 0
 
 
-def expect(gait: Gait, content: ParameterFile, averaged: tuple[int, int] = _STEADY) -> Expectation:
-    """Predicts a gait from its command alone, at the groove phase of the parameter file.
+def expect(
+    gait: Gait,
+    content: ParameterFile,
+    averaged: tuple[int, int] = _STEADY,
+    measured_grooves: float = math.nan,
+) -> Expectation:
+    """Predict a gait from its command alone, at the groove phase of the parameter file.
 
-    Over the ``averaged`` cycles (first and last, counted from 1): the first ones, which begin with straight fins,
-    differ from those after; from the fifth on all are alike, and the last three of five stand for them.
+    Args:
+        gait: gait; its margin affects only the robust prediction.
+        content: parameters with their intervals.
+        averaged: first and last averaged cycle, counted from 1. The first cycles begin with straight fins and differ
+            from the later ones. From the fifth on all cycles are alike, and the last three of five represent them.
+        measured_grooves: measured grooves per cycle over the averaged cycles; NaN if not measured.
     """
     first, last = averaged if averaged[1] < CYCLES else _STEADY
     count = last - first + 1
-    unmargined = Gait(gait.stroke, gait.frequency, gait.direction)
+    unmargined = replace(gait, margin=0.0)
     nominal = evaluate_gait(unmargined, content.parameters, last, count)
     draws = phase_known(content, SAMPLES, SEED).overrides
     overrides = {**draws, **power_draws(content, SAMPLES, SEED)}
     table = evaluate_gaits(
-        gait.stroke,
-        gait.frequency,
-        direction=gait.direction,
+        **asdict(unmargined),
         parameters=content.parameters,
         overrides=overrides,
         cycles=last,
@@ -80,19 +109,68 @@ def expect(gait: Gait, content: ParameterFile, averaged: tuple[int, int] = _STEA
     )
     mass = overrides["rear_mass"] + overrides["front_mass"]
     cost = cost_of_transport(table.speed, table.power, mass)
+    step = (
+        content.parameters.pitch * gait.frequency / count
+    )  # speed of one groove in all averaged cycles, m/s
+    totals = np.rint(np.asarray(table.speed) / step).astype(int)
+    expected = round(nominal.speed / step)
+    target = measured_grooves * count
     return Expectation(
         nominal,
         evaluate_gait(gait, content.parameters, last, count),
         Bands(
             _band(nominal.speed, table.speed),
-            _band(nominal.power, table.power),
-            _band(nominal.cost_of_transport, cost),
+            _band_given(target, totals, np.asarray(table.power), (expected, nominal.power)),
+            _band_given(target, totals, np.asarray(cost), (expected, nominal.cost_of_transport)),
         ),
+        _shares(totals, count),
+        count,
     )
+
+
+def _shares(totals: NDArray[np.int64], count: int) -> tuple[GrooveShare, ...]:
+    values, often = np.unique(totals, return_counts=True)
+    shares = zip(values.tolist(), often.tolist(), strict=True)
+    found = [GrooveShare(total / count, number / totals.size) for total, number in shares]
+    return tuple(sorted(found, key=lambda share: -share.probability))
+
+
+def _band_given(
+    target: float, totals: NDArray[np.int64], drawn: Array, nominal: tuple[int, float]
+) -> Band:
+    """Return the band of the draws that gain the measured grooves.
+
+    If no draw gains them, the band is interpolated between the draws with fewer and those with more grooves. Numbers
+    of grooves with fewer than `FEWEST_DRAWS` draws do not count.
+
+    Args:
+        target: measured grooves in all averaged cycles; NaN selects all draws.
+        totals: grooves of each draw in all averaged cycles, shape (n,).
+        drawn: quantity of each draw, shape (n,).
+        nominal: grooves and value of the nominal prediction.
+
+    Returns:
+        The band; its value and bounds are NaN if draws with fewer or with more grooves are missing.
+    """
+    if math.isnan(target):
+        return _band(nominal[1], drawn)
+    values, often = np.unique(totals, return_counts=True)
+    known = values[often >= min(FEWEST_DRAWS, totals.size)]
+    if round(target) in known:
+        same = drawn[totals == round(target)]
+        return _band(nominal[1] if nominal[0] == round(target) else float(np.median(same)), same)
+    below, above = known[known < target], known[known > target]
+    if not (below.size and above.size):
+        return Band(math.nan, math.nan, math.nan)
+    less, more = int(below[-1]), int(above[0])
+    share = (target - less) / (more - less)
+    parts = [_band(float(np.median(d)), d) for d in (drawn[totals == less], drawn[totals == more])]
+    bounds = (1.0 - share) * np.array(astuple(parts[0])) + share * np.array(astuple(parts[1]))
+    return Band(*bounds.tolist())
 
 
 def _band(value: float, drawn: ArrayLike) -> Band:
     known = np.asarray(drawn, dtype=float)
-    # A gait that stands still in some draws has an infinite cost there: no interpolation between the draws.
+    # A gait that gains no groove in some draws has an infinite cost there, so draws must not be interpolated.
     low, high = np.percentile(known, (_TAIL, 100.0 - _TAIL), method="nearest")
     return Band(value, float(low), float(high))

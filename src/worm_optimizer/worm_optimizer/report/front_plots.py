@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of fronts, with marked or measured gaits, of the map behind them, and of the price of robustness."""
+"""Figures of fronts with marked or measured gaits, of their groove map, and of the price of robustness."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 from worm_optimizer.search.task import Array, MarginTask
 
 _MAP_STROKES, _MAP_FREQUENCIES = 241, 161
-_COSTS = (25, 50, 100, 200)  # of transport, of the lines in the plane of speed and power
+_COSTS = (25, 50, 100, 200)  # cost of transport of each line in the plane of speed and power
 
-# Hollow and large around small and full: what was measured most often lies within what was expected.
+# The measured value usually lies within the expected interval, so a small filled marker is drawn in a large hollow one.
 _EXPECTED: Mapping[str, Any] = {
     "color": PURPLE,
     "marker": "s",
@@ -52,7 +52,7 @@ _MEASURED: Mapping[str, Any] = {
 
 
 def front_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
-    """A front with marked gaits and their cost of transport."""
+    """Draw a front with marked gaits and their cost of transport."""
     figure = new_figure(6.5, 5.0)
     axes = figure.subplots()
     _plot_front(axes, front)
@@ -61,17 +61,16 @@ def front_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
     return figure
 
 
-def front_and_map_figure(
-    front: RobustFront, task: MarginTask, marks: Mapping[str, Prediction]
-) -> Figure:
-    """A front beside the map of the grooves per cycle that its gaits lie in, at the task's margin."""
+def front_and_map_figure(front: RobustFront, marks: Mapping[str, Prediction]) -> Figure:
+    """Draw a front next to the map of the grooves per cycle, at the margin of the front."""
+    task = front.nominal.with_margin(front.margin)
     figure = new_figure(12.5, 5.0)
     left, right = figure.subplots(1, 2)
     _plot_front(left, front)
     _mark(left, marks)
     legend_above(left, 2)
     _plot_map(right, task)
-    strokes, frequencies = _columns(front.predictions, "stroke", "frequency")
+    strokes, frequencies = _columns(front.gaits, "stroke", "frequency")
     outlined = {"color": "white", "markeredgecolor": BLACK, "linestyle": "none"}
     right.plot(MM * strokes, frequencies, marker=".", label="front", **outlined)
     strokes, frequencies = _columns(tuple(marks.values()), "stroke", "frequency")
@@ -89,7 +88,7 @@ def front_and_map_figure(
 
 
 def measured_front_figure(front: RobustFront, gaits: Sequence[RecordedGait]) -> Figure:
-    """The front with what was measured (span of the cycles) and expected (95 %) of recorded gaits."""
+    """Draw the front with the measured (span of cycles) and expected (95 %) values of recorded gaits."""
     figure = new_figure(8.5, 6.2)
     axes = figure.subplots()
     _plot_front(axes, front)
@@ -121,7 +120,7 @@ def measured_front_figure(front: RobustFront, gaits: Sequence[RecordedGait]) -> 
 
 
 def price_figure(price: PriceOfRobustness) -> Figure:
-    """The lowest cost of transport over the margin, by branches, with the cliff and the closed form's."""
+    """Draw the lowest cost of transport over the margin by branches, with the cliff and its closed form."""
     figure = new_figure(7.5, 4.8)
     axes = figure.subplots()
     margins = MM * np.array([point.margin for point in price.points])
@@ -149,9 +148,9 @@ def price_figure(price: PriceOfRobustness) -> Figure:
 
 
 def _plot_front(axes: Axes, front: RobustFront) -> None:
-    """A front in speed and power, by branches, with lines of equal cost of transport."""
+    """Draw a front as power over speed, by branches, with lines of equal cost of transport."""
     speed, power, grooves, cost = _columns(
-        front.predictions, "speed", "power", "grooves_per_cycle", "cost_of_transport"
+        front.gaits, "speed", "power", "grooves_per_cycle", "cost_of_transport"
     )
     for branch in np.unique(np.round(grooves).astype(int)):
         rows = np.round(grooves) == branch
@@ -160,7 +159,7 @@ def _plot_front(axes: Axes, front: RobustFront) -> None:
     axes.set_ylim(0.0, 1.2 * power.max())
     _cost_lines(axes, power[0] / (cost[0] * speed[0]))
     axes.set(xlabel="mean speed along the gait's direction (mm/s)", ylabel="mean source power (W)")
-    margin, phase = MM * front.margin, MM * front.predictions[0].groove_phase
+    margin, phase = MM * front.margin, MM * front.gaits[0].groove_phase
     axes.set_title(
         f"{MARGIN_SYMBOL} = {margin:.2f} mm, φ = {phase:+.2f} mm", loc="left", fontsize="small"
     )
@@ -174,7 +173,10 @@ def _mark(axes: Axes, marks: Mapping[str, Prediction]) -> None:
 
 
 def _name(axes: Axes, text: str, point: tuple[float, float]) -> None:
-    """A label where no front is: right below its point, or left above it near the right end; both on white."""
+    """Label a point, to its lower right or, near the right end of the axes, to its upper left.
+
+    The front does not pass through these regions. The label has a white background.
+    """
     right_end = point[0] > 0.75 * axes.get_xlim()[1]
     axes.annotate(
         text,
@@ -190,7 +192,7 @@ def _name(axes: Axes, text: str, point: tuple[float, float]) -> None:
 
 
 def _cost_lines(axes: Axes, weight: float) -> None:
-    """Lines of equal cost of transport, P = COT · m·g · v, named below where they leave the axes."""
+    """Draw lines of equal cost of transport, P = COT · m·g · v, with a label below their ends."""
     fastest, most = axes.get_xlim()[1], axes.get_ylim()[1]
     for cost in _COSTS:
         slope = cost * weight / MM  # W per mm/s

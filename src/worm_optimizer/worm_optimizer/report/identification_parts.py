@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a report shows of an identification: its parameter file, its own report, the fits of the bench tests."""
+"""Content of a report's section on identification: parameter file, identification report and bench test fits."""
 
 from __future__ import annotations
 
@@ -42,10 +42,15 @@ _Fit = TypeVar("_Fit")
 
 @dataclass(frozen=True)
 class IdentificationParts:
-    """Parts that are None or empty are left out.
+    """Parts of the section on identification. Parts that are None or empty are left out of the report.
 
-    ``content`` is a parameter file and ``source`` where it lies; ``bellows_fit`` and ``fin_fit`` are fits of bench
-    tests; ``report`` is the report that identification wrote, as HTML, and ``figures`` its images (PNG) by title.
+    Attributes:
+        content: content of a parameter file.
+        source: path of the parameter file.
+        bellows_fit: fit of the bellows bench test.
+        fin_fit: fit of the fin bench test.
+        report: report written by ``identify``, as HTML.
+        figures: images of that report (PNG), by title.
     """
 
     content: ParameterFile | None = None
@@ -57,7 +62,7 @@ class IdentificationParts:
 
 
 def add_identification(parser: argparse.ArgumentParser) -> None:
-    """Adds what names the parts of an identification."""
+    """Add the options that name the parts of an identification."""
     parser.add_argument(
         "--identification",
         type=Path,
@@ -71,7 +76,15 @@ def add_identification(parser: argparse.ArgumentParser) -> None:
 
 
 def identification_of(options: argparse.Namespace) -> IdentificationParts | None:
-    """The parts that are asked for, None where none is; raises InputError or ParameterError if one is no good."""
+    """Read the parts that the options name.
+
+    Returns:
+        The parts, or None if no option is given.
+
+    Raises:
+        InputError: A part is invalid, or one of the kinds is given twice.
+        ParameterError: The parameter file is invalid.
+    """
     folders = [path for path in options.identification if path.is_dir()]
     files = [path for path in options.identification if not path.is_dir()]
     if not (folders or files or options.bellows or options.fin):
@@ -102,7 +115,7 @@ def _fit(
 
 
 def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
-    """Text (HTML) and figures of a report of identify, the bench tests first."""
+    """Return text (HTML) and figures of a report of ``identify``, the figures of the bench tests first."""
     if not folders:
         return "", {}
     folder = folders[0]
@@ -122,7 +135,7 @@ def _read_folder(folders: Sequence[Path]) -> tuple[str, dict[str, bytes]]:
 
 
 def _as_html(markdown: str) -> str:
-    """Headings, tables and lists of the report, below the page's own headings; its images are shown apart."""
+    """Return the report as HTML, with its headings below those of the page and without its section of figures."""
     text = re.sub(r"\A# .*\n", "", markdown.partition(f"## {FIGURES_HEADING}")[0])
     text = re.sub(r"(?m)^#+ ", "### ", text)
     html = str(markdown2.markdown(text, extras=["code-friendly", "tables"], safe_mode="escape"))
@@ -132,13 +145,16 @@ def _as_html(markdown: str) -> str:
 
 
 def comparable_with_paper(content: ParameterFile) -> list[str]:
-    """The keys but for those that were fitted with another form of the power than the paper's."""
+    """Return the keys of the parameters that are comparable with the paper.
+
+    Parameters that were fitted with another form of the power than the paper's are left out.
+    """
     other = FITTED_WITH_FORM if content.parameters.one_sided_cable else ()
     return [key for key in KEYS if key not in other]
 
 
 def parameters_figure(content: ParameterFile) -> Figure:
-    """Each parameter that has an interval, as a ratio to the paper's value, where that is not 0 and comparable."""
+    """Draw the ratio of each parameter with an interval to the paper's value, unless that is 0 or not comparable."""
     values, paper = content.parameters.as_dict(), PAPER.as_dict()
     keys = [
         key for key in comparable_with_paper(content) if key in content.intervals and paper[key]

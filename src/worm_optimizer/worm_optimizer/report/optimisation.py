@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The front that belongs to recorded gaits: of their parameters, their direction and the margin they were made with."""
+"""Front for recorded gaits: for their parameters, their direction and the margin they were designed with."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from worm_optimizer.report.recorded_gait import RecordedGait
-from worm_optimizer.search.cache import Cache
-from worm_optimizer.search.front import Report, RobustFront, load_front, make_front, scanned_price
+from worm_optimizer.search.front import RobustFront, make_front, reason_for, scanned_price
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness
 from worm_optimizer.search.search_settings import Settings
 
@@ -18,9 +17,12 @@ _SAME_MARGIN = 1e-7  # m
 
 @dataclass(frozen=True)
 class Optimisation:
-    """What the optimizer says of the parameters that the gaits are compared with.
+    """Result of the optimizer for the parameters that the gaits are compared with.
 
-    ``note`` says where the front is not that of all gaits, else it is empty.
+    Attributes:
+        front: robust front.
+        price: price of robustness.
+        note: which gaits the front applies to if their margins differ; else empty.
     """
 
     front: RobustFront
@@ -29,7 +31,7 @@ class Optimisation:
 
 
 def why_no_front(gaits: Sequence[RecordedGait]) -> str:
-    """Why gaits cannot be shown on one front; empty where they can."""
+    """Return why the gaits cannot be shown on one front, or an empty string if they can."""
     if len({gait.gait.direction for gait in gaits}) > 1:
         return "no front is shown: the gaits go in different directions; report each direction by itself"
     first = gaits[0].content
@@ -43,32 +45,26 @@ def why_no_front(gaits: Sequence[RecordedGait]) -> str:
     return ""
 
 
-def optimise(gaits: Sequence[RecordedGait], cache: Cache, report: Report) -> Optimisation:
-    """Front and price of robustness for gaits that `why_no_front` has nothing against; from the cache if there.
+def optimise(gaits: Sequence[RecordedGait]) -> Optimisation:
+    """Return front and price of robustness for gaits that `why_no_front` accepts.
 
-    The front has the margin that the gaits were made with; where they differ, that of the cliff. Raises
-    `OptimizerError` if no gait moves.
+    The front has the margin of the gaits. If their margins differ, it has the margin of the cliff.
+
+    Raises:
+        OptimizerError: No gait moves the robot.
     """
     content, direction = gaits[0].content, gaits[0].gait.direction
-    price = scanned_price(content, Settings(), direction, cache, report)
+    price = scanned_price(content, Settings(), direction)
     margins = sorted({gait.gait.margin for gait in gaits})
-    note = ""
+    note, margin = "", margins[0]
     if margins[-1] - margins[0] > _SAME_MARGIN:
         low, high = 1e3 * margins[0], 1e3 * margins[-1]
+        margin = price.margin
         note = (
             f"The gaits were made with margins from {low:.2f} to {high:.2f} mm; the front is that of the margin "
             "at the cliff."
         )
-    settings = Settings(margin=None if note else _front_margin(margins[0], price))
-    front = load_front(content, settings, direction, cache)
-    if front is None:
-        front = make_front(content, settings, direction, cache, report)
+    front = make_front(content, Settings(margin=margin), direction)
+    if math.isclose(margin, price.margin, abs_tol=_SAME_MARGIN):
+        front = replace(front, reason=reason_for(price))
     return Optimisation(front, price, note)
-
-
-def _front_margin(margin: float, price: PriceOfRobustness) -> float | None:
-    """A margin as settings have it: None at the cliff, whose front is more likely to be there already."""
-    cliff = price.cliff
-    if cliff is not None and math.isclose(margin, cliff.margin, abs_tol=_SAME_MARGIN):
-        return None
-    return margin

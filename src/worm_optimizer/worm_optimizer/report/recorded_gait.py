@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded gait with all that a report says of it: measured, expected, and as the twin followed it."""
+"""A recorded gait with all values that a report contains: measured, expected and estimated by the twin."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from worm_model.analysis.run_metrics import (
     Window,
     accumulated_energy,
     averaged_cycles,
+    completed_cycles,
     early_end,
     idle_power,
     last_played_gait,
@@ -32,14 +33,26 @@ from worm_optimizer.report.expectation import Band, Bands, Expectation, expect
 
 @dataclass(frozen=True)
 class RecordedGait:
-    """A gait of a recording.
+    """One gait of a recording.
 
-    ``run`` is the part of the recording from the rest before the gait to that before the next one.
-    ``averaged_cycles`` (first and last, counted from 1) are the last whole ones that were played and recorded.
-    ``measured`` holds their mean and, as bounds, the lowest and highest of these cycles; ``twin`` the same of the twin
-    that was driven with the recorded lengths; ``expected`` what the model says of these cycles from the command alone,
-    with ``content``, the parameters of ``parameter_source``. ``idle_power`` in W was measured at rest. ``early_end``
-    says why there are fewer cycles than were asked for, ``missing`` why a number is NaN; both are empty otherwise.
+    Attributes:
+        name: name of the gait.
+        run: part of the recording, from the rest before this gait to the rest before the next one.
+        played: gait as the driver reported it.
+        averaged_cycles: first and last averaged cycle, counted from 1. They are the last complete cycles that were
+            played and recorded.
+        content: parameters used for the prediction and the twin.
+        parameter_source: origin of these parameters.
+        replay: output of the twin for the part.
+        judged: metrics of the replay.
+        measured: mean of the averaged cycles, with the lowest and highest cycle as bounds.
+        twin: the same values of the twin, which is driven with the recorded lengths.
+        expected: prediction for these cycles, from the command alone.
+        idle_power: power measured at rest, W.
+        events: events of the part.
+        early_end: why fewer cycles were played than requested; else empty.
+        missing: reasons for values that are NaN; else empty.
+        provenance: origin of the recording.
     """
 
     name: str
@@ -61,12 +74,12 @@ class RecordedGait:
 
     @property
     def gait(self) -> Gait:
-        """The gait that was played."""
+        """Gait that was played."""
         return self.played.gait
 
     @property
     def window(self) -> Window:
-        """The span of the averaged cycles."""
+        """Window of the averaged cycles."""
         return self.played.cycle_window(*self.averaged_cycles)
 
 
@@ -78,9 +91,18 @@ def recorded_gait(
     events: tuple[Event, ...],
     provenance: dict[str, str],
 ) -> RecordedGait:
-    """Judges one gait by its part of a recording and of the twin's replay, and predicts it.
+    """Compute the metrics of one gait from its part of a recording and of the twin's replay, and predict it.
 
-    ``parameters`` are the file's content and where it comes from. Raises `RecordingError` if the part holds no gait.
+    Args:
+        run: part of the recording.
+        name: name of the gait.
+        replay: output of the twin for the part.
+        parameters: content of the parameter file and its origin.
+        events: events of the part.
+        provenance: origin of the recording.
+
+    Raises:
+        RecordingError: The part holds no gait.
     """
     content, source = parameters
     try:
@@ -96,6 +118,14 @@ def recorded_gait(
     followed = (states["stamp_ns"], states["rear_position"])
     energy = accumulated_energy((run.power.stamp, run.power.valid_power))
     tracked = (run.tracker.stamp, run.tracker.rear_position)
+    if completed_cycles(run, played):
+        measured = _bands(tracked, energy, spans, direction, mass, missing)
+    else:
+        measured = Bands(*(Band(math.nan, math.nan, math.nan) for _ in range(3)))
+        missing.append(
+            "no cycle was completed: there is no speed, power of a cycle or cost of transport"
+        )
+    grooves = measured.speed.value / (played.gait.frequency * content.parameters.pitch)
     return RecordedGait(
         name=name,
         run=run,
@@ -105,9 +135,9 @@ def recorded_gait(
         parameter_source=source,
         replay=replay,
         judged=report_replay(run, replay, content.parameters.pitch),
-        measured=_bands(tracked, energy, spans, direction, mass, missing),
+        measured=measured,
         twin=_bands(followed, (states["stamp_ns"], states["energy"]), spans, direction, mass, []),
-        expected=expect(played.gait, content, averaged),
+        expected=expect(played.gait, content, averaged, grooves),
         idle_power=idle_power(run, played),
         events=events,
         early_end=_early_end(run, played, events),
@@ -117,7 +147,7 @@ def recorded_gait(
 
 
 def _early_end(run: Run, played: PlayedGait, events: Sequence[Event]) -> str:
-    """`early_end`, with what the driver said of it."""
+    """Return the reason of `early_end`, with the first error that the driver reported."""
     reason = early_end(run, played)
     said = [event.text for event in events if event.source == "driver" and event.level == "error"]
     return f"{reason} ({said[0]})" if reason and said else reason
@@ -131,7 +161,7 @@ def _bands(
     mass: float,
     missing: list[str],
 ) -> Bands:
-    """Means over the first span, their bounds those of the other ones."""
+    """Return the means over the first span, with bounds from the other spans."""
     speeds = [direction * rate for rate in _rates(position, spans, "position of x1", missing)]
     powers = list(_rates(energy, spans, "power", missing))
     costs = [float(cost_of_transport(v, p, mass)) for v, p in zip(speeds, powers, strict=True)]
@@ -148,7 +178,10 @@ def _band(values: list[float]) -> Band:
 def _rates(
     samples: Samples, spans: Sequence[Window], name: str, missing: list[str]
 ) -> Iterator[float]:
-    """Mean rate over each span; NaN where the samples do not reach, which ``missing`` then says once."""
+    """Yield the mean rate over each span, or NaN if the samples do not cover it.
+
+    Each reason for a NaN is appended to ``missing`` once.
+    """
     for span in spans:
         try:
             yield mean_rate(samples, span, name)

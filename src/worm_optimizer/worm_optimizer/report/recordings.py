@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings for a report: which bags, read into recorded gaits, one for each gait that was played."""
+"""Selection of bags for a report, and their conversion to recorded gaits, one for each gait that was played."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.finding import METADATA_FILE
 from worm_model.bags.opening import open_bag
-from worm_model.bags.run_manifest import recorded_parameters
+from worm_model.bags.recording.run_manifest import recorded_parameters
 from worm_model.bags.run_reader import read_run
 from worm_model.errors import InputError
 from worm_model.parameters import ParameterFile, load_parameter_file
@@ -28,22 +28,27 @@ from worm_optimizer.report.recorded_gait import RecordedGait, recorded_gait
 _MANIFEST = "worm_run"
 _PAPER = "the paper's values"
 _CHUNK = 1 << 20
-# Recordings that follow each other within so long, the robot where it was: nobody has touched it.
+# If the next recording starts within this time and the robot is at the same position, it was not moved in between.
 _LONGEST_BREAK_NS = 60_000_000_000
 _UNMOVED = 3e-3  # m
-_AT_REST = 10  # samples of the tracker
+_AT_REST = 10  # number of tracker samples from which a position at rest is computed
 
 
 def bags_of(path: Path) -> list[Path]:
-    """A bag itself; of a folder of bags, such as a campaign's, all of them in the order in which they were closed."""
+    """Return the bag itself, or all bags of a folder such as a campaign's in the order in which they were closed."""
     inside = [] if (path / METADATA_FILE).exists() else list(path.glob(f"*/{METADATA_FILE}"))
     return [file.parent for file in sorted(inside, key=_closed)] or [path]
 
 
 def newest_recording(folder: Path, notify: Callable[[str], None]) -> Path:
-    """What was recorded last in a folder: a bag, or a folder of bags such as a campaign's, in which a gait was run.
+    """Return the newest bag, or folder of bags such as a campaign's, in which a gait was played.
 
-    ``notify`` is told of what is passed over. Raises InputError if there is nothing.
+    Args:
+        folder: folder that is searched.
+        notify: function that is called with the reason for each bag that is skipped.
+
+    Raises:
+        InputError: The folder contains no such recording.
     """
     bags = [*folder.glob(f"*/{METADATA_FILE}"), *folder.glob(f"*/*/{METADATA_FILE}")]
     for metadata in sorted(bags, key=_closed, reverse=True):
@@ -68,13 +73,13 @@ def _holds_gait(path: Path, notify: Callable[[str], None]) -> bool:
 
 
 def _closed(metadata: Path) -> tuple[float, str]:
-    """When a bag was closed, and its name where two were at once."""
+    """Return the sort key of a bag: the time at which it was closed, then its path."""
     return metadata.stat().st_mtime, str(metadata)
 
 
 @dataclass(frozen=True)
 class _Recording:
-    """An open bag, with the parameters that it is compared with and where these come from."""
+    """Open bag, with the parameters that it is compared with and their origin."""
 
     bag: Bag
     name: str
@@ -86,11 +91,23 @@ class _Recording:
 def read_recorded_gaits(
     paths: Sequence[Path], parameters: str, notify: Callable[[str], None]
 ) -> list[RecordedGait]:
-    """Reads bags, lets the twin follow their gaits, and predicts each, all in the order of the bags.
+    """Read bags, replay their gaits with the twin, and predict each gait.
 
-    The twin goes on from one recording to the next where the robot did: a gait leaves the fins bent, and the next one
-    begins from there. ``parameters`` is a parameter file; empty: the one inside the bag, else the paper's. Raises
-    BagError, ParameterError, or InputError if a bag holds no gait, or the powers of two bags are of different forms.
+    The gaits are in the order of the bags. The state of the twin is continued from one recording to the next if the
+    robot was not moved in between. This matters because a gait leaves the fins bent, and the next one begins from
+    there.
+
+    Args:
+        paths: bags.
+        parameters: parameter file. An empty string selects the parameters in the bag, or the paper's values if it has
+            none.
+        notify: function that is called with each remark on the recordings.
+
+    Raises:
+        BagError: A bag cannot be read.
+        ParameterError: The parameter file is invalid.
+        RecordingError: A bag holds no gait.
+        InputError: The parameters of two bags use different forms of the power.
     """
     with ExitStack() as opened:
         recordings = [
@@ -114,7 +131,7 @@ def _recording(bag: Bag, path: Path, parameters: str) -> _Recording:
 
 
 def _check_one_form(recordings: Sequence[_Recording]) -> None:
-    """Raises InputError where expected powers could not be compared with each other."""
+    """Raise InputError if the expected powers of the recordings are not comparable with each other."""
     names = {each.parameters[0].parameters.one_sided_cable: each.name for each in recordings}
     if len(names) > 1:
         raise InputError(
@@ -124,7 +141,7 @@ def _check_one_form(recordings: Sequence[_Recording]) -> None:
 
 
 def _unbroken(recordings: Sequence[_Recording]) -> list[list[_Recording]]:
-    """Recordings by the time of their start, together where one goes on from the other."""
+    """Return groups of recordings that continue each other, in the order of their start."""
     groups: list[list[_Recording]] = []
     for recording in sorted(recordings, key=lambda each: each.run.origin):
         if groups and _goes_on(groups[-1][-1], recording):
@@ -135,7 +152,7 @@ def _unbroken(recordings: Sequence[_Recording]) -> list[list[_Recording]]:
 
 
 def _goes_on(before: _Recording, after: _Recording) -> bool:
-    """Whether a robot was left alone between two recordings."""
+    """Return True if the robot was not moved between two recordings."""
     if before.parameters[0] != after.parameters[0]:
         return False
     last, first = before.run.tracker.rear_position, after.run.tracker.rear_position
@@ -163,7 +180,7 @@ def _gaits_of(
 
 
 def _named_apart(gaits: Sequence[RecordedGait]) -> list[RecordedGait]:
-    """The same gaits, those of one name numbered."""
+    """Return the same gaits, with a number in each name that occurs more than once."""
     names = [gait.name for gait in gaits]
     return [
         replace(gait, name=f"{gait.name} ({names[: row + 1].count(gait.name)})")
@@ -189,7 +206,7 @@ def _given(bag: Bag, file: str) -> tuple[ParameterFile, str]:
 
 
 def _provenance(bag: Bag, path: Path, source: str) -> dict[str, str]:
-    """What the recording says of itself, its files' hashes, and what it was compared with."""
+    """Return the manifest of the recording, the hashes of its files, and the origin of the parameters."""
     files = [path] if path.is_file() else sorted(f for f in path.iterdir() if f.is_file())
     hashes = {f"sha256 of {file.name}": _sha256(file) for file in files}
     manifest = {key: value for key, value in bag.metadata.get(_MANIFEST, {}).items() if value}
@@ -205,7 +222,7 @@ def _sha256(path: Path) -> str:
 
 
 def _cut_replay(replay: Replay, run: Run) -> Replay:
-    """What the twin said of a part of a recording, from its first sample to its last."""
+    """Return the twin's output for a part of a recording, from its first sample to its last."""
     start, end = run.origin, last_stamp(run)
 
     def cut(series: Series) -> Series:

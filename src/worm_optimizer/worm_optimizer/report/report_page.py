@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A report: a folder with one self-contained page, made of `report.html.jinja`, and each figure as PNG and PDF."""
+"""Writer of a report: one self-contained page from `report.html.jinja`, and each figure as PNG and PDF."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from worm_optimizer.report.agreement import (
     LEAST_DISAGREEMENT,
     QUANTITIES,
     agreements,
+    expected_range,
     headline,
     order_text,
     orders,
@@ -36,12 +37,10 @@ from worm_optimizer.report.identification_parts import (
 from worm_optimizer.report.optimisation import Optimisation
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.run_figures import RUN_FIGURES, draw_overlay
-from worm_optimizer.search.certificate import MAP, NSGA2
 
 PAGE = "report.html"
 _TEMPLATE = "report.html.jinja"
-_SOURCES = {NSGA2: "of NSGA-II", MAP: "of the exhaustive map"}
-_FACTS = {  # of a recording's manifest, as they are named on top of the page; the first that is there counts
+_FACTS = {  # keys of a recording's manifest for each entry at the top of the page; the first available key counts
     "date": ("recorded_at",),
     "robot": ("note.robot", "imported_from", "host"),
     "seed": ("seed",),
@@ -50,9 +49,14 @@ _FACTS = {  # of a recording's manifest, as they are named on top of the page; t
 
 @dataclass(frozen=True)
 class Report:
-    """What a report is made of; parts that are None or empty are left out.
+    """Content of a report. Parts that are None or empty are left out.
 
-    ``note`` says why there is no optimisation, where one was asked for.
+    Attributes:
+        title: title of the page.
+        gaits: recorded gaits.
+        optimisation: front and price of robustness.
+        note: why a requested optimisation is missing.
+        identification: content of the section on identification.
     """
 
     title: str
@@ -64,28 +68,32 @@ class Report:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure inside the page: its PNG in base64, and what it shows."""
+    """Figure in the page: its PNG in base64 (``data``) and its ``caption``."""
 
     data: str
     caption: str
 
 
 class _Pictures:
-    """Saves figures as PNG and PDF, and hands them out for the page."""
+    """Folder in which figures are saved as PNG and PDF."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir()
         self._folder = folder
 
     def save(self, name: str, figure: Figure, caption: str) -> Picture:
-        """One figure; nothing in its files tells when it was made."""
+        """Save one figure, without a creation time in its files, and return it for the page."""
         for ending in (".png", ".pdf"):
             save_figure(figure, self._folder / f"{name}{ending}")
         return _picture((self._folder / f"{name}.png").read_bytes(), caption)
 
 
 def build_report(report: Report, folder: Path) -> Path:
-    """Writes a report into a new folder and returns the page; raises FileExistsError if the folder is there."""
+    """Write a report into a new folder and return the path of its page.
+
+    Raises:
+        FileExistsError: The folder exists already.
+    """
     folder.mkdir(parents=True)
     pictures = _Pictures(folder / "figures")
     environment = Environment(
@@ -99,6 +107,7 @@ def build_report(report: Report, folder: Path) -> Path:
         "mm": _millimetres,
         "title_of": title_of,
         "percent": percent,
+        "expected_range": expected_range,
         "symbol": _symbol,
     }
     content = {
@@ -124,7 +133,7 @@ def build_report(report: Report, folder: Path) -> Path:
 
 
 def _facts(gaits: Sequence[RecordedGait]) -> dict[str, str]:
-    """Date, robot and seed of the recordings, and what they are compared with; each value once."""
+    """Return date, robot and seed of the recordings, and the origin of the parameters, without repeated values."""
     facts = {}
     for name, keys in _FACTS.items():
         values = [
@@ -138,13 +147,13 @@ def _facts(gaits: Sequence[RecordedGait]) -> dict[str, str]:
 
 
 def _span_of_dates(text: str) -> str:
-    """From the first to the last of some dates (ISO 8601, in UTC), to the minute."""
+    """Return the first and the last of some dates (ISO 8601, in UTC), to the minute."""
     dates = sorted(date[:16].replace("T", " ") for date in text.split(", ") if date)
     return " to ".join(dict.fromkeys((*dates[:1], *dates[-1:]))) + (" UTC" if dates else "")
 
 
 def _failures(gaits: Sequence[RecordedGait]) -> Iterator[str]:
-    """All that is not as it should be: early ends, disagreements, missing numbers, errors; the gravest first."""
+    """Yield a line for each early end, disagreement, missing value and error, the most severe kind of a gait first."""
     for gait in gaits:
         if gait.early_end:
             yield f"{title_of(gait.name)}: {gait.early_end}"
@@ -182,7 +191,7 @@ def _front_pictures(report: Report, pictures: _Pictures) -> list[Picture]:
         pictures.save(
             "front",
             measured_front_figure(front, report.gaits),
-            f"The robust front ({_SOURCES[front.source]}, with the margin), what was expected of the gaits without "
+            "The exact robust front (with the margin), what was expected of the gaits without "
             "the margin (95 %), and what was measured (lowest and highest cycle), with its cost of transport.",
         ),
         pictures.save(
@@ -229,13 +238,13 @@ def _identification(
         "rows": list(_parameter_rows(parts)),
         "provenance": {} if parts.content is None else dict(parts.content.provenance),
         "pictures": shown,
-        "report": Markup(parts.report) if parts.report else "",  # its own text is escaped already
+        "report": Markup(parts.report) if parts.report else "",  # its text is already escaped
         "figures": [_picture(png, caption) for caption, png in parts.figures.items()],
     }
 
 
 def _parameter_rows(parts: IdentificationParts) -> Iterator[tuple[str, ...]]:
-    """Key, symbol, value, interval, paper's value and unit of each parameter."""
+    """Yield key, symbol, value, interval, paper's value and unit of each parameter."""
     if parts.content is None:
         return
     values, paper = parts.content.parameters.as_dict(), PAPER.as_dict()
@@ -252,11 +261,11 @@ def _picture(png: bytes, caption: str) -> Picture:
 
 
 def _symbol(text: str) -> Markup:
-    """A symbol such as ``p_sw`` with its index set low."""
+    """Return a symbol such as ``p_sw`` with its index as a subscript."""
     base, _, index = text.partition("_")
     return Markup("{}<sub>{}</sub>").format(base, index) if index else Markup(base)
 
 
 def _millimetres(value: float, decimals: int = 2) -> str:
-    """A length in m as a number of mm; a dash where there is none."""
+    """Return a length in m as a number of millimetres, or a dash if it is not finite."""
     return f"{1e3 * value:.{decimals}f}" if math.isfinite(value) else "–"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of recorded gaits: of each the paper's (x1, length change, energy) and its cycles; and of all."""
+"""Figures of recorded gaits: motion, length, energy and cycles of each gait, and an overlay of all gaits."""
 
 from __future__ import annotations
 
@@ -40,26 +40,26 @@ from worm_model.simulation.simulator import Motions, simulate
 from worm_optimizer.report.agreement import title_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 
-RIDGES = 5  # that the paper's runs traverse
-_BEFORE = 1.0  # s of rest that the figures begin with, and end with
+RIDGES = 5  # number of ridges that the paper's runs traverse
+_BEFORE = 1.0  # rest at the beginning and at the end of the figures, s
 _MODEL_SAMPLES = 2000
 _MODEL = "model, by the command alone"
 
 
 def draw_motion(gait: RecordedGait) -> Figure:
-    """x1 as the tracker saw it and as the twin has it under the recorded length, and the difference."""
+    """Draw x1 from the tracker and from the twin, which follows the recorded length, and their difference."""
     positions, residuals = position_curves(gait.run, gait.replay, gait.played.onset)
     return motion_figure(_frame(gait), positions, residuals, gait.content.parameters.pitch)
 
 
 def draw_length(gait: RecordedGait) -> Figure:
-    """ΔL measured and predicted from the command alone, with the inputs u_cmd and u_eff (eq:slack_clip)."""
+    """Draw measured ΔL, ΔL predicted from the command alone, and the inputs u_cmd and u_eff (eq:slack_clip)."""
     lengths, inputs = length_curves(gait.run, gait.played.onset, gait.content.parameters)
     return length_figure(_frame(gait), lengths, inputs)
 
 
 def draw_energy(gait: RecordedGait) -> Figure:
-    """Source power and accumulated energy, measured and predicted, until five ridges are passed."""
+    """Draw measured and predicted source power and accumulated energy, until five ridges are passed."""
     onset = gait.played.onset
     powers = power_curves(gait.run, gait.replay, onset)
     energies, residuals = energy_curves(gait.run, gait.replay, onset)
@@ -70,7 +70,7 @@ def draw_energy(gait: RecordedGait) -> Figure:
 
 
 def draw_cycles(gait: RecordedGait) -> Figure:
-    """Grooves gained and residuals against the twin, cycle by cycle."""
+    """Draw grooves gained and residuals of the twin for each cycle."""
     cycles = gait.judged.cycles
     figure = new_figure(WIDTH, 2.9)
     panels = figure.subplots(1, 4)
@@ -81,7 +81,7 @@ def draw_cycles(gait: RecordedGait) -> Figure:
     bars, names = panels[0].get_legend_handles_labels()
     figure.legend(bars, names, loc="outside upper left", ncols=2, fontsize="small", frameon=False)
     finish(panels[0], "grooves gained (1)")
-    panels[0].get_legend().remove()  # it is wider than the panel
+    panels[0].get_legend().remove()  # It is wider than the panel.
     for axes, name, scale, label in (
         (panels[1], "x1_rmse", MM, "x1 (mm rms)"),
         (panels[2], "length_rmse", MM, "length (mm rms)"),
@@ -117,7 +117,7 @@ RUN_FIGURES: Mapping[str, tuple[Callable[[RecordedGait], Figure], str]] = {
 
 
 def draw_overlay(gaits: Sequence[RecordedGait]) -> Figure:
-    """All gaits over each other: how far and at what energy, measured (broad) and as the model has them (thin)."""
+    """Draw advance and energy of all gaits in one figure, measured (broad) and predicted (thin)."""
     advances, energies = [], []
     for number, gait in enumerate(gaits):
         onset, style = gait.played.onset, run_style(number)
@@ -135,14 +135,14 @@ def draw_overlay(gaits: Sequence[RecordedGait]) -> Figure:
 
 
 def _model_of(gait: RecordedGait) -> tuple[NDArray[np.float64], Motions]:
-    """Times (s) and what the model has of the command alone then, without any measurement."""
+    """Return times (s) and the motion that the model predicts there from the command alone."""
     trajectory = simulate(gait.expected.nominal.gait, gait.content.parameters, gait.played.cycles)
     time = np.linspace(0.0, trajectory.duration, _MODEL_SAMPLES)
     return time, trajectory.at(time)
 
 
 def ridges_passed_at(gait: RecordedGait) -> float:
-    """S since the onset at which the rear module had advanced five ridges, NaN if it did not."""
+    """Return the time (s since the onset) at which the rear module has advanced five ridges, NaN if it has not."""
     tracker = gait.run.tracker
     time = seconds(tracker.stamp, gait.played.onset)
     start = value_at_onset(time, tracker.rear_position)
@@ -156,7 +156,7 @@ def _duration(gait: RecordedGait) -> float:
 
 
 def _frame(gait: RecordedGait, until: float = float("nan")) -> Frame:
-    """From the rest before the onset to ``until`` s, NaN: to a little after the gait."""
+    """Return the frame from the rest before the onset to ``until`` (s); NaN selects a little after the gait."""
     window = np.array([gait.window.start, gait.window.end])
     start, end = seconds(window, gait.played.onset)
     last = until if np.isfinite(until) else _duration(gait) + _BEFORE

@@ -1,29 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fronts that promise their grooves with a probability, and the margin that such a promise amounts to.
+"""Gaits that keep their grooves with a probability, and the margin that such a promise amounts to.
 
-The paper enlarges a threshold to stay away from the edges of a branch; here the edges come from the
-uncertainty itself. With every groove phase as a scenario and probability 1, the gaits are any-phase
+The paper enlarges a threshold to stay away from the edges of a branch. Here the edges come from the uncertainty
+itself. The edge of a promise is the stroke from which on enough scenarios gain the grooves, judged on the same draws at
+every stroke (common random numbers). With every groove phase as a scenario and probability 1, the gaits are any-phase
 gaits: they need no knowledge of φ.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from worm_model.gait import MAX_MARGIN
+from worm_model.simulation.simulator import AVERAGED
 from worm_optimizer.robustness.success_probability import grooves_in
 from worm_optimizer.robustness.uncertainty import Scenarios
 from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.task import Array, Bounds, Index, MarginTask, Mask, Points, Task
+from worm_optimizer.search.task import (
+    EDGE_ALLOWANCE,
+    EDGE_TOLERANCE,
+    Array,
+    Bounds,
+    Edges,
+    Index,
+    MarginTask,
+    Mask,
+    Points,
+)
 
 _MARGIN_STEP = 2.5e-4  # m, of the first look for the margin that a gait stands
 _MOST_MARGIN = 2e-2  # m, where that look ends
 _MARGIN_PASSES = 10
-_PART = 100  # gaits between two reports of progress: some tenths of a second
+
+# Least grooves gained by strokes in m, for rows and scenarios, all of shape (n,).
+_Gained = Callable[[Array, Index, Index], Index]
 
 
 @dataclass(frozen=True)
@@ -51,52 +66,114 @@ class PromiseTask:
         return self.task.bounds
 
     def points(self, stroke: ArrayLike, frequency: ArrayLike) -> Points:
-        """Evaluates gaits by what they promise; ``stroke`` in m and ``frequency`` in Hz of shape (n,)."""
+        """Evaluate gaits by what they promise; ``stroke`` in m and ``frequency`` in Hz of shape (n,)."""
         points = self.task.with_margin(0.0).points(stroke, frequency)
-        gained = grooves_in(self.task, points.stroke, points.frequency, self.scenarios)
-        promise = self._promise(gained)
+        promise = self._promise(
+            grooves_in(self.task, points.stroke, points.frequency, self.scenarios)
+        )
         speed = promise * self.task.parameters.pitch * points.frequency
         violation = np.where(promise >= 1, points.violation, 1.0)
-        return Points(points.stroke, points.frequency, speed, points.power, promise, violation)
+        return Points(
+            points.stroke, points.frequency, speed, points.power, AVERAGED * promise, violation
+        )
+
+    def edges(self, frequency: Array, strokes: Array) -> Edges:
+        """Find the shortest strokes that keep each promise, see `Task`.
+
+        Within a scenario, more stroke is taken to gain no fewer grooves; the gaits that are returned are judged on all
+        scenarios.
+        """
+        low, high = (
+            np.clip(strokes[:, end], self.bounds.stroke_low, self.bounds.stroke_high)
+            for end in (0, -1)
+        )
+        at_low, at_high = (
+            grooves_in(self.task, ends, frequency, self.scenarios) for ends in (low, high)
+        )
+        most = self._promise(at_high)
+        column, promise = np.nonzero(np.arange(1, most.max(initial=0) + 1) <= most[:, np.newaxis])
+        promise += 1
+        brackets = _Brackets.between(
+            low[column], high[column], promise, at_low[column], at_high[column], self._required
+        )
+        while brackets.width > EDGE_TOLERANCE:
+            brackets.halve(self._gained_at(frequency[column]))
+        safe = np.minimum(brackets.high + EDGE_ALLOWANCE * brackets.stepped, high[column])
+        found = self.points(safe, frequency[column])
+        is_edge = found.admissible & (found.count >= AVERAGED * promise)
+        return Edges(column[is_edge], found.take(is_edge))
+
+    @property
+    def _required(self) -> int:
+        """Number of scenarios that must keep a promise."""
+        return len(self.scenarios) - self._spared
+
+    @property
+    def _spared(self) -> int:
+        spared = math.floor((1.0 - self.probability) * len(self.scenarios) + 1e-9)
+        return min(spared, len(self.scenarios) - 1)
+
+    def _gained_at(self, frequency: Array) -> _Gained:
+        """Least grooves of strokes (n,) in m in scenarios (n,), for rows (n,) of ``frequency`` in Hz."""
+
+        def gained(stroke: Array, row: Index, scenario: Index) -> Index:
+            overrides = {key: values[scenario] for key, values in self.scenarios.overrides.items()}
+            return self.task.grooves(stroke, frequency[row], overrides=overrides)
+
+        return gained
 
     def _promise(self, gained: Index) -> Index:
         """Greatest count kept in the required share of the scenarios, from counts of shape (n, scenarios)."""
-        ascending = np.sort(gained, axis=1)
-        spared = int(np.floor((1.0 - self.probability) * gained.shape[1] + 1e-9))
-        return np.maximum(ascending[:, min(spared, gained.shape[1] - 1)], 0)
+        return np.maximum(np.sort(gained, axis=1)[:, self._spared], 0)
 
 
-# How parts of many gaits, each (stroke in m, frequency in Hz), are evaluated; the results in the order of the parts.
-Evaluate = Callable[[Task, Sequence[tuple[Array, Array]]], Iterable[Points]]
+@dataclass
+class _Brackets:
+    """Brackets of the strokes at which promises begin to be kept, each of shape (n,), in m.
 
+    ``fails`` and ``keeps`` of shape (n, scenarios) are the longest stroke at which a scenario is known to fail the
+    promise and the shortest at which it is known to keep it: only scenarios for which a stroke lies between are
+    evaluated, fewer with each halving.
+    """
 
-def in_turn(task: Task, parts: Sequence[tuple[Array, Array]]) -> Iterable[Points]:
-    """One part after the other, here."""
-    return (task.points(*part) for part in parts)
+    low: Array
+    high: Array
+    promise: Index
+    fails: Array
+    keeps: Array
+    required: int
+    stepped: Mask
 
-
-@dataclass(frozen=True)
-class WatchedTask:
-    """A slow task in small parts: ``judged`` gets the number of gaits after each, and may raise to cancel."""
-
-    task: Task
-    judged: Callable[[int], None]
-    evaluate: Evaluate = in_turn
+    @staticmethod
+    def between(
+        low: Array, high: Array, promise: Index, at_low: Index, at_high: Index, required: int
+    ) -> _Brackets:
+        """Brackets from the grooves (n, scenarios) that are gained at both ends."""
+        keeps_low, keeps_high = (gained >= promise[:, np.newaxis] for gained in (at_low, at_high))
+        columns = low[:, np.newaxis], high[:, np.newaxis]
+        keeps = np.where(keeps_low, columns[0], np.where(keeps_high, columns[1], np.inf))
+        fails = np.where(keeps_low, -np.inf, np.where(keeps_high, columns[0], np.inf))
+        stepped = keeps_low.sum(axis=1) < required
+        return _Brackets(
+            low, np.where(stepped, high, low), promise, fails, keeps, required, stepped
+        )
 
     @property
-    def bounds(self) -> Bounds:
-        """The box of gaits."""
-        return self.task.bounds
+    def width(self) -> float:
+        """Width of the widest bracket in m."""
+        return float((self.high - self.low).max(initial=0.0))
 
-    def points(self, stroke: ArrayLike, frequency: ArrayLike) -> Points:
-        """As the task evaluates them; ``stroke`` in m and ``frequency`` in Hz of shape (n,)."""
-        strokes, frequencies = np.asarray(stroke, dtype=float), np.asarray(frequency, dtype=float)
-        parts = [slice(start, start + _PART) for start in range(0, strokes.size, _PART)]
-        judged = [self.task.points(strokes[:0], frequencies[:0])]
-        for points in self.evaluate(self.task, [(strokes[p], frequencies[p]) for p in parts]):
-            judged.append(points)
-            self.judged(len(points))
-        return Points.join(*judged)
+    def halve(self, gained: _Gained) -> None:
+        """Halve every bracket."""
+        middle = 0.5 * (self.low + self.high)
+        across = middle[:, np.newaxis]
+        row, scenario = np.nonzero((self.fails < across) & (across < self.keeps))
+        kept = gained(middle[row], row, scenario) >= self.promise[row]
+        self.keeps[row[kept], scenario[kept]] = middle[row[kept]]
+        self.fails[row[~kept], scenario[~kept]] = middle[row[~kept]]
+        suffices = np.sum(self.keeps <= across, axis=1) >= self.required
+        self.low = np.where(suffices, self.low, middle)
+        self.high = np.where(suffices, middle, self.high)
 
 
 def margins_stood(task: MarginTask, front: Points) -> Array:
@@ -107,13 +184,14 @@ def margins_stood(task: MarginTask, front: Points) -> Array:
     looked = np.arange(0.0, min(_MOST_MARGIN, MAX_MARGIN), _MARGIN_STEP)
     strokes = np.repeat(front.stroke[:, np.newaxis], looked.size, axis=1)
     frequencies = np.repeat(front.frequency[:, np.newaxis], looked.size, axis=1)
-    kept = _kept(task, strokes, frequencies, looked, front.branch[:, np.newaxis])
+    promised = front.count // AVERAGED
+    kept = _kept(task, strokes, frequencies, looked, promised[:, np.newaxis])
     lost = np.argmin(np.column_stack([kept, np.zeros(len(front), dtype=bool)]), axis=1)
     low = looked[np.maximum(lost - 1, 0)]
     high = low + np.where(lost > 0, _MARGIN_STEP, 0.0)
     for _ in range(_MARGIN_PASSES):
         middle = 0.5 * (low + high)
-        stays = _kept(task, front.stroke, front.frequency, middle, front.branch)
+        stays = _kept(task, front.stroke, front.frequency, middle, promised)
         low, high = np.where(stays, middle, low), np.where(stays, high, middle)
     return low
 

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from worm_model.gait import Gait
+from worm_model.gait import Gait, gait_of
 from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import GaitTable
 from worm_model.simulation.closed_form import groove_phase
@@ -16,20 +17,16 @@ from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
 from worm_optimizer.search.task import Array, MarginTask, branch_of
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """What the model says of a gait over the last three of five cycles; SI units.
+@dataclass(frozen=True, kw_only=True)
+class Prediction(Gait):
+    """A gait and what the model predicts for the last three of five cycles; SI units.
 
     ``speed`` (along the gait's direction), ``power``, ``cost_of_transport`` and ``grooves_per_cycle`` are
-    with the gait's margin, the nominal ones without; ``groove_phase`` is the one that they hold for; then
-    the distances to the edges of the nominal branch in m and the probabilities that the robot gains the
-    predicted grooves.
+    with the gait's margin, the nominal ones without; ``groove_phase`` is the one that they hold for. The
+    distances to the edges of the nominal branch in m and the probabilities that the robot gains the predicted grooves
+    are NaN in an `outline`.
     """
 
-    stroke: float
-    frequency: float
-    direction: int
-    margin: float
     speed: float
     power: float
     cost_of_transport: float
@@ -39,15 +36,36 @@ class Prediction:
     nominal_power: float
     nominal_cost_of_transport: float
     nominal_grooves_per_cycle: float
-    stroke_to_lower_edge: float
-    stroke_to_upper_edge: float
-    success_probability: float
-    success_probability_any_phase: float
+    stroke_to_lower_edge: float = math.nan
+    stroke_to_upper_edge: float = math.nan
+    success_probability: float = math.nan
+    success_probability_any_phase: float = math.nan
 
     @property
     def gait(self) -> Gait:
         """The gait itself."""
-        return Gait(self.stroke, self.frequency, self.direction, self.margin)
+        return gait_of(self)
+
+
+def outline(
+    task: MarginTask, stroke: Array, frequency: Array, margin: Array
+) -> tuple[Prediction, ...]:
+    """Predict gaits with and without their margins, without distances to edges and probabilities.
+
+    ``stroke`` in m, ``frequency`` in Hz and ``margin`` in m of shape (n,) make the gaits, the task their direction and
+    model.
+    """
+    robust = task.table(stroke, frequency, margin=margin)
+    nominal = task.table(stroke, frequency, margin=np.zeros_like(margin))
+    columns = {
+        **robust.gait,
+        "direction": np.full(stroke.shape, task.direction),
+        **_figures(robust),
+        "groove_phase": np.full_like(stroke, groove_phase(task.parameters)),
+        **{f"nominal_{name}": values for name, values in _figures(nominal).items()},
+    }
+    rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
+    return tuple(Prediction(**dict(zip(columns, row, strict=True))) for row in rows)
 
 
 def predict(
@@ -59,32 +77,32 @@ def predict(
     samples: int,
     seed: int,
 ) -> tuple[Prediction, ...]:
-    """Predicts gaits with all that `Prediction` holds.
+    """Predict gaits with all that `Prediction` holds; see `outline`.
 
-    ``stroke`` in m, ``frequency`` in Hz and ``margin`` in m of shape (n,) make the gaits, the task their
-    direction and model; ``content`` the uncertainty, of which ``samples`` are drawn with ``seed``.
+    ``content`` has the uncertainty, of which ``samples`` are drawn with ``seed``.
     """
-    robust = task.table(stroke, frequency, margin=margin)
-    nominal = task.table(stroke, frequency, margin=np.zeros_like(margin))
-    promised = branch_of(robust)
+    promised = branch_of(task.table(stroke, frequency, margin=margin))
     lower, upper = stroke_to_edges(task, stroke, frequency)
     known, unknown = (
         success_probability(task, stroke, frequency, promised, draw(content, samples, seed))
         for draw in (phase_known, phase_unknown)
     )
-    phase = np.full_like(stroke, groove_phase(task.parameters))
-    columns = (
-        *(stroke, frequency, np.full(stroke.shape, task.direction), margin),
-        *_figures(robust),
-        phase,
-        *_figures(nominal),
-        *(lower, upper, known, unknown),
-    )
+    more = zip(*(column.tolist() for column in (lower, upper, known, unknown)), strict=True)
     return tuple(
-        Prediction(*row) for row in zip(*(np.asarray(c).tolist() for c in columns), strict=True)
+        replace(
+            gait,
+            stroke_to_lower_edge=to_lower,
+            stroke_to_upper_edge=to_upper,
+            success_probability=phase_is_known,
+            success_probability_any_phase=any_phase,
+        )
+        for gait, (to_lower, to_upper, phase_is_known, any_phase) in zip(
+            outline(task, stroke, frequency, margin), more, strict=True
+        )
     )
 
 
-def _figures(table: GaitTable) -> tuple[Array, ...]:
+def _figures(table: GaitTable) -> dict[str, Array]:
     """Speed, power, cost of transport and grooves per cycle of a table of gaits."""
-    return table.speed, table.power, table.cost_of_transport, table.grooves_per_cycle
+    names = ("speed", "power", "cost_of_transport", "grooves_per_cycle")
+    return {name: getattr(table, name) for name in names}

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from worm_optimizer.robustness.uncertainty import Scenarios
-from worm_optimizer.search.task import Array, Index, MarginTask
+from worm_optimizer.search.actuator_limits import NO_LIMITS
+from worm_optimizer.search.runs import find_runs
+from worm_optimizer.search.task import EDGE_TOLERANCE, Array, Index, MarginTask
 
 _BATCH = 200_000  # gaits evaluated in one call, to bound the memory
-_EDGE_STROKES = 33  # strokes of the first look for an edge
-_EDGE_PASSES = 12  # bisections after it
+_EDGE_STROKES = 41  # strokes of the scan for a gait's edges
 
 
 def grooves_in(
@@ -48,30 +51,25 @@ def success_probability(
 
 
 def stroke_to_edges(task: MarginTask, stroke: Array, frequency: Array) -> tuple[Array, Array]:
-    """By how much each stroke may shrink and grow, in m, before the robot's grooves per cycle change.
+    """Distances in m by which each stroke may shrink and grow before the robot's grooves per cycle change.
 
-    The robot is nominal (no margin). Where the branch reaches a bound of the box, the distance to the
+    The robot is nominal: no margin, no limits. Where the branch reaches a bound of the box, the distance to the
     bound. ``stroke`` in m and ``frequency`` in Hz of shape (n,).
     """
-    nominal = task.with_margin(0.0)
-    branch = nominal.grooves(stroke, frequency)
-    lower = _edge(nominal, stroke, frequency, branch, np.full_like(stroke, task.bounds.stroke_low))
-    upper = _edge(nominal, stroke, frequency, branch, np.full_like(stroke, task.bounds.stroke_high))
+    nominal = dataclasses.replace(task, margin=0.0, limits=NO_LIMITS)
+    box = task.bounds
+
+    def label(strokes: Array, column: Index) -> Index:
+        return nominal.points(strokes, frequency[column]).count
+
+    scan = np.linspace(box.stroke_low, box.stroke_high, _EDGE_STROKES)
+    strokes = np.column_stack([np.tile(scan, (stroke.size, 1)), stroke])
+    runs = find_runs(label, np.sort(strokes, axis=1), EDGE_TOLERANCE)
+    own = (runs.low <= stroke[runs.column]) & (stroke[runs.column] <= runs.high)
+    # A stroke is a stroke of its own scan, so that one run of its column holds it: the first of those found.
+    place = np.flatnonzero(own)[np.unique(runs.column[own], return_index=True)[1]]
+    lower = np.where(runs.stepped[place], runs.low[place], box.stroke_low)
+    following = np.minimum(place + 1, len(runs.column) - 1)
+    is_last = (following == place) | ~runs.stepped[following]
+    upper = np.where(is_last, box.stroke_high, runs.high[place])
     return stroke - lower, upper - stroke
-
-
-def _edge(task: MarginTask, stroke: Array, frequency: Array, branch: Index, bound: Array) -> Array:
-    """Stroke in m at which the branch ends on the way from ``stroke`` to ``bound``, or the bound."""
-    fractions = np.linspace(0.0, 1.0, _EDGE_STROKES)
-    tried = stroke[:, np.newaxis] + fractions * (bound - stroke)[:, np.newaxis]
-    frequencies = np.broadcast_to(frequency[:, np.newaxis], tried.shape)
-    left = task.grooves(tried, frequencies) != branch[:, np.newaxis]
-    ends = left.any(axis=1)
-    first = np.where(ends, np.argmax(left, axis=1), 1)
-    rows = np.arange(stroke.size)
-    inside, outside = tried[rows, first - 1], tried[rows, first]
-    for _ in range(_EDGE_PASSES):
-        middle = 0.5 * (inside + outside)
-        stays = task.grooves(middle, frequency) == branch
-        inside, outside = np.where(stays, middle, inside), np.where(stays, outside, middle)
-    return np.where(ends, inside, bound)

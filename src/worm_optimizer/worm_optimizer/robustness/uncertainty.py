@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.parameters import ParameterFile, Parameters
+from worm_model.parameters import KEYS, POWER_ONLY, ParameterFile, Parameters
 from worm_model.simulation.closed_form import front_groove, groove_phase
+from worm_msgs.robot_parameters import ROWS
 from worm_optimizer.search.task import Array
 
 # 95 % half-widths relative to the value, of the parameters that decide the motion, for those without an
@@ -28,8 +29,6 @@ MOTION_HALF_WIDTHS: Mapping[str, float] = {
     "time_constant": 0.10,
     "gain": 0.02,
     "slack": 0.05,
-    "rear_dry_friction": 0.0,
-    "front_dry_friction": 0.0,
 }
 # The same of those that touch the power only. A fit knows the product of damping and power factor better than
 # either: what the file says of their correlation decides the band of power.
@@ -39,6 +38,13 @@ POWER_HALF_WIDTHS: Mapping[str, float] = {
     "idle_power": 0.05,
     "power_factor": 0.05,
 }
+LENGTH = "initial_length"  # is drawn as the groove phase
+# All parameters that are drawn, those without a stated width within their interval in the file.
+MOTION_KEYS = (
+    *MOTION_HALF_WIDTHS,
+    *(k for k in KEYS if k not in {*MOTION_HALF_WIDTHS, *POWER_ONLY, LENGTH}),
+)
+POWER_KEYS = (*POWER_HALF_WIDTHS, *(k for k in KEYS if k in POWER_ONLY - {*POWER_HALF_WIDTHS}))
 
 _PHASES = 64  # of every_phase
 # Streams of the random numbers of the first parameter of either kind
@@ -71,13 +77,13 @@ def reach_of(content: ParameterFile, key: str) -> tuple[float, float]:
 
 def description(content: ParameterFile) -> str:
     """Where the uncertainty of a parameter file comes from, in words."""
-    reach = max(reach_of(content, "initial_length"))
+    reach = max(reach_of(content, LENGTH))
     phase = f"; φ known to ±{1e3 * reach:.2f} mm in the next run" if reach > 0.0 else ""
     return _parameters_described(content) + phase
 
 
 def _parameters_described(content: ParameterFile) -> str:
-    own = [key for key in MOTION_HALF_WIDTHS if key in content.intervals]
+    own = [key for key in MOTION_KEYS if key in content.intervals]
     if all(key in own for key, width in MOTION_HALF_WIDTHS.items() if width > 0.0):
         return "the parameter file's 95 % intervals"
     others = ", ".join(
@@ -96,15 +102,15 @@ def phase_known(content: ParameterFile, samples: int, seed: int) -> Scenarios:
     The phase is held and not the length: φ = L0 − n·d, so that seventeen times a pitch's error would
     otherwise pass for a phase. Deviations are normal, with a width of its own on either side.
     """
-    overrides = _draws(content, MOTION_HALF_WIDTHS, samples, seed, _MOTION_STREAM)
-    trim = _offset(_deviates(samples, seed, stream=1), reach_of(content, "initial_length"))
+    overrides = _draws(content, MOTION_KEYS, samples, seed, _MOTION_STREAM)
+    trim = _offset(_deviates(samples, seed, stream=1), reach_of(content, LENGTH))
     phase = groove_phase(content.parameters) + trim
     return Scenarios({**overrides, **_at_phase(content.parameters, overrides["pitch"], phase)})
 
 
 def phase_unknown(content: ParameterFile, samples: int, seed: int) -> Scenarios:
     """The same draws with the groove phase uniform over a pitch."""
-    overrides = _draws(content, MOTION_HALF_WIDTHS, samples, seed, _MOTION_STREAM)
+    overrides = _draws(content, MOTION_KEYS, samples, seed, _MOTION_STREAM)
     turn = np.random.default_rng([seed, 2]).uniform(-0.5, 0.5, samples)
     phase = turn * overrides["pitch"]
     return Scenarios({**overrides, **_at_phase(content.parameters, overrides["pitch"], phase)})
@@ -112,7 +118,7 @@ def phase_unknown(content: ParameterFile, samples: int, seed: int) -> Scenarios:
 
 def power_draws(content: ParameterFile, samples: int, seed: int) -> dict[str, Array]:
     """Draws of the parameters that touch the power only, by key."""
-    return _draws(content, POWER_HALF_WIDTHS, samples, seed, _POWER_STREAM)
+    return _draws(content, POWER_KEYS, samples, seed, _POWER_STREAM)
 
 
 def every_phase(parameters: Parameters) -> Scenarios:
@@ -183,7 +189,7 @@ def values_at(
     """Values by key at standard normal deviates (n,), as far as `Parameters` admits them."""
     values = parameters.as_dict()
     drawn = {
-        key: np.maximum(values[key] + _offset(deviates[key], reach[key]), 0.1 * values[key])
+        key: np.maximum(values[key] + _offset(deviates[key], reach[key]), _least(key, values[key]))
         for key in reach
     }
     if drawn.keys() & {"switching_threshold", "pitch", "clearance"}:
@@ -194,6 +200,12 @@ def values_at(
         least = np.maximum(0.5 * pitch, 0.5 * clearance) * 1.001
         drawn["switching_threshold"] = np.maximum(threshold, least)
     return drawn
+
+
+def _least(key: str, value: float) -> float:
+    """Return the least value that is drawn: a positive quantity stays positive."""
+    lowest = float(ROWS[key]["low"])
+    return 0.1 * value if lowest >= 0.0 else lowest
 
 
 def _draws(

@@ -53,15 +53,21 @@ class ActuatorLimits:
         pairs = zip(dataclasses.astuple(self), dataclasses.astuple(other), strict=True)
         return ActuatorLimits(*(min(pair) for pair in pairs))
 
+    def ratios(
+        self, speed: Array, force: Array, power: Array, motor_load: Array
+    ) -> dict[str, Array]:
+        """Each figure over its limit, by name of the limit; arrays as in `Peaks`."""
+        return {
+            "cable_speed": speed / self.cable_speed,
+            "cable_force": force / self.cable_force,
+            "electrical_power": power / self.electrical_power,
+            "stall_force and no_load_speed": motor_load,
+        }
+
     def excess(self, speed: Array, force: Array, power: Array, motor_load: Array) -> Array:
         """Largest relative excess over the limits, 0 where all are kept; arrays as in `Peaks`."""
-        ratios = [
-            speed / self.cable_speed,
-            force / self.cable_force,
-            power / self.electrical_power,
-            motor_load,
-        ]
-        return np.maximum(np.max(ratios, axis=0) - 1.0, 0.0)
+        ratios = self.ratios(speed, force, power, motor_load)
+        return np.maximum(np.max(list(ratios.values()), axis=0) - 1.0, 0.0)
 
     def description(self) -> str:
         """The limits that are set, in words; empty if there are none."""
@@ -108,3 +114,26 @@ def peaks(
     pulled = np.multiply.outer(fastest, np.sin(2.0 * np.pi * phases[pull]))
     load = np.maximum(force[:, pull], 0.0) / limits.stall_force + pulled / limits.no_load_speed
     return Peaks(force.max(axis=1), power.max(axis=1), load.max(axis=1))
+
+
+def describe_limit(
+    limits: ActuatorLimits,
+    stroke: Array,
+    frequency: Array,
+    direction: int,
+    parameters: Parameters,
+) -> str:
+    """Name the limit that excludes all of some gaits, with what they would need at least.
+
+    ``stroke`` in m and ``frequency`` in Hz of shape (n,), at least one gait, of which none satisfies all limits.
+    """
+    peak = peaks(stroke, frequency, direction, parameters, limits)
+    figures = np.pi * stroke * frequency, peak.force, peak.power, peak.motor_load
+    least = {name: float(np.nanmin(each)) for name, each in limits.ratios(*figures).items()}
+    name, ratio = max(least.items(), key=lambda item: item[1])
+    if ratio > 1.0:
+        return (
+            f"limits: {name} excludes every gait that moves: the least demanding one needs {ratio:.3g} times what it "
+            f"allows ({limits.description()}): raise it"
+        )
+    return f"limits: no gait that moves satisfies all of {limits.description()}: raise one of them"

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests for gaits and their answers: the paper's three gaits of a front, and the best at a speed or a power."""
+"""Requests for gaits and their exact answers: a front's three gaits, and the best at a speed or a power."""
 
 from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+import numpy as np
 
 from worm_model.gait import FORWARD, REVERSE
 from worm_optimizer.robustness.prediction import Prediction
+from worm_optimizer.search.exact import Cost
 from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.optimizer_errors import OptimizerError
 
@@ -27,18 +29,17 @@ class Objective(enum.IntEnum):
 
 
 class RequestStatus(enum.IntEnum):
-    """How a request ended; the values are those of worm_msgs/RequestGait."""
+    """Outcome of a request; the values are those of worm_msgs/RequestGait."""
 
     DONE = 0
     INVALID = 1
-    COMPUTING = 2
     NO_FRONT = 3
     UNREACHABLE = 4
 
 
 @dataclass(frozen=True)
 class GaitRequest:
-    """A gait that is asked for; ``value`` is the speed in m/s or the power in W of the last two objectives.
+    """A requested gait; ``value`` is the speed in m/s or the power in W of the last two objectives.
 
     Raises `OptimizerError` on a value that no gait can have.
     """
@@ -78,61 +79,50 @@ def request_of(objective: int, speed: float, power: float) -> GaitRequest:
     return GaitRequest(known_objective, values.get(known_objective, math.nan))
 
 
-def answer(
-    fronts: Mapping[int, RobustFront],
-    absences: Mapping[int, GaitAnswer],
-    direction: int,
-    request: GaitRequest,
-) -> GaitAnswer:
-    """Answers from the front of a direction; ``absences`` say why there may be none yet."""
+def check_direction(direction: int) -> None:
+    """Raise `OptimizerError` unless the direction is one of the two."""
     if direction not in (FORWARD, REVERSE):
-        message = f"direction: {direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
-        return GaitAnswer(RequestStatus.INVALID, message)
-    front = fronts.get(direction)
-    if front is None:
-        return absences[direction]
-    chosen = select(front.predictions, request)
-    if chosen.status is not RequestStatus.DONE or chosen.prediction is None:
-        return chosen
-    margin = 1e3 * chosen.prediction.margin
-    return replace(chosen, message=f"margin {margin:.2f} mm, {front.reason}")
+        raise OptimizerError(
+            f"direction: {direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
+        )
 
 
-def three_gaits(front: Sequence[Prediction]) -> dict[str, Prediction]:
-    """The paper's minimum-power, cruising and maximum-speed gaits of a front of at least one, by name."""
-    return {
-        "min_power": min(front, key=lambda gait: gait.power),
-        "cruise": min(front, key=lambda gait: gait.cost_of_transport),
-        "max_speed": max(front, key=lambda gait: gait.speed),
-    }
-
-
-def select(front: Sequence[Prediction], request: GaitRequest) -> GaitAnswer:
-    """Chooses from a front of at least one gait."""
-    three = three_gaits(front)
+def select(front: RobustFront, request: GaitRequest) -> GaitAnswer:
+    """Answer a request exactly, on the edges of a front's branches."""
     match request.objective:
         case Objective.MIN_POWER_AT_SPEED:
-            least = request.value * (1.0 - _TOLERANCE)
-            fast_enough = [gait for gait in front if gait.speed >= least]
-            if not fast_enough:
-                return _too_fast(request.value, three["max_speed"])
-            chosen = min(fast_enough, key=lambda gait: gait.power)
+            found = front.exact.cheapest(at_speed(request.value))
+            nearest = _too_fast(request.value, front.max_speed)
         case Objective.MAX_SPEED_AT_POWER:
-            most = request.value * (1.0 + _TOLERANCE)
-            affordable = [gait for gait in front if gait.power <= most]
-            if not affordable:
-                return _too_little(request.value, three["min_power"])
-            chosen = max(affordable, key=lambda gait: gait.speed)
+            found = front.exact.cheapest(at_power(request.value))
+            nearest = _too_little(request.value, front.min_power)
         case _:
-            chosen = three[request.objective.name.lower()]
-    return GaitAnswer(RequestStatus.DONE, prediction=chosen)
+            return GaitAnswer(
+                RequestStatus.DONE, prediction=front.three[request.objective.name.lower()]
+            )
+    if not len(found):
+        return nearest
+    (prediction,) = front.predicted(found)
+    return GaitAnswer(RequestStatus.DONE, prediction=prediction)
+
+
+def at_speed(speed: float) -> Cost:
+    """Power of the gaits at a speed in m/s or faster."""
+    least = speed * (1.0 - _TOLERANCE)
+    return lambda points: np.where(points.speed >= least, points.power, np.inf)
+
+
+def at_power(power: float) -> Cost:
+    """Negative speed of the gaits that need a power in W or less."""
+    most = power * (1.0 + _TOLERANCE)
+    return lambda points: np.where(points.power <= most, -points.speed, np.inf)
 
 
 def _too_fast(speed: float, fastest: Prediction) -> GaitAnswer:
     return GaitAnswer(
         RequestStatus.UNREACHABLE,
         f"no gait of the front reaches {speed:.6g} m/s: the fastest makes {fastest.speed:.6g} m/s "
-        f"(margin {1e3 * fastest.margin:.2f} mm); ask for no more",
+        f"(margin {1e3 * fastest.margin:.2f} mm); request at most that",
         fastest,
     )
 
@@ -141,6 +131,6 @@ def _too_little(power: float, lowest: Prediction) -> GaitAnswer:
     return GaitAnswer(
         RequestStatus.UNREACHABLE,
         f"no gait of the front moves with {power:.6g} W: the lowest power is {lowest.power:.6g} W "
-        f"(margin {1e3 * lowest.margin:.2f} mm); ask for at least that",
+        f"(margin {1e3 * lowest.margin:.2f} mm); request at least that",
         lowest,
     )

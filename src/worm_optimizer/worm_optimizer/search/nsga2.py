@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NSGA-II as an iterator over generations: the caller owns the loop, reports and cancels as it likes."""
+"""NSGA-II, the paper's method, as an iterator over generations, and its front compared with the exact one."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from pymoo.core.population import Population
 from pymoo.core.problem import Problem
 from pymoo.problems.static import StaticProblem
 
+from worm_optimizer.search.exact import ExactFront
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.pareto import front_of, hypervolume
-from worm_optimizer.search.task import Bounds, Points, Task
+from worm_optimizer.search.task import Array, Bounds, Index, Points, Task
 
 
 @dataclass(frozen=True)
@@ -104,3 +105,55 @@ def _assign(problem: Problem, population: Population, points: Points) -> None:
         G=points.violation[:, np.newaxis],
     )
     Evaluator().eval(static, population)
+
+
+# The hypervolume's corner is standing still at a tenth more than the highest power of the exact front:
+# with the highest power itself, the fastest gait would count nothing.
+_CORNER = 1.1
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A front of NSGA-II compared with the exact one.
+
+    ``hypervolume_share`` is its hypervolume over that of the exact front, both from the corner (0 m/s, 1.1 times the
+    highest power of the exact front). ``missed_branches`` are the grooves per cycle on the exact front that it lacks.
+    ``largest_excess_power`` is the largest relative excess of a gait's power over the lowest power at its speed.
+    """
+
+    front: Points
+    hypervolume_share: float
+    missed_branches: tuple[float, ...]
+    largest_excess_power: float
+
+
+def reference_power_of(exact: ExactFront) -> float:
+    """Power of the hypervolume's corner in W."""
+    return _CORNER * float(exact.front.power.max())
+
+
+def compared(exact: ExactFront, front: Points) -> Comparison:
+    """Compare a front of the same task, of at least one gait, with the exact one.
+
+    The exact front is computed at the frequencies of the compared gaits, too, so that its steps cost it nothing.
+    """
+    frequency = np.unique(front.frequency)
+    box, strokes = exact.task.bounds, exact.resolution.strokes
+    scan = np.linspace(box.stroke_low, box.stroke_high, strokes)
+    edges = exact.task.edges(frequency, np.tile(scan, (frequency.size, 1)))
+    best = front_of(Points.join(exact.front, edges.points))
+    corner = reference_power_of(exact)
+    missed = sorted(set(exact.front.grooves.tolist()) - set(front.grooves.tolist()))
+    return Comparison(
+        front=front,
+        hypervolume_share=hypervolume(front, corner) / hypervolume(best, corner),
+        missed_branches=tuple(missed),
+        largest_excess_power=float(np.max(front.power / _lowest_power(best, front) - 1.0)),
+    )
+
+
+def _lowest_power(best: Points, front: Points) -> Array:
+    """The lowest power in W of ``best`` at the speed of each gait of ``front`` or faster, by grooves and frequency."""
+    reached, wanted = (points.count * points.frequency for points in (best, front))
+    place: Index = np.searchsorted(reached, wanted * (1.0 - 1e-9))
+    return best.power[np.minimum(place, len(best) - 1)]

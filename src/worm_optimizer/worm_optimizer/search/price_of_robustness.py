@@ -1,65 +1,73 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The price of robustness: the optimal cost of transport over the margin δ_m, and its cliff.
+"""The price of robustness: the lowest cost of transport over the margin δ_m, and its cliff.
 
-Each margin's optimum is read from the exhaustive map's front, the true one, so that a bend of the curve
-is the robot's and not the search's.
+All margins are scanned at once, on the branches' lower edges (`exact`).
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from worm_model.parameters import Parameters
 from worm_model.simulation import closed_form
-from worm_model.simulation.simulator import cost_of_transport
-from worm_optimizer.search.gait_map import MapSettings, branches_of, build_map
+from worm_model.simulation.simulator import AVERAGED, cost_of_transport
+from worm_optimizer.search.exact import (
+    Bracket,
+    Resolution,
+    Survey,
+    Zoom,
+    brackets_of,
+    followed,
+    transport_cost,
+)
 from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.task import MarginTask
+from worm_optimizer.search.task import Array, Edges, Index, MarginTask, Points
 
 CLIFF_RISE = 1.25
+CLIFF_TOLERANCE = 1e-6  # m
 CLIFF_RULE = (
-    "the cliff is the last margin before the first step over which the branch (grooves per cycle) with "
-    f"the lowest cost of transport is lost and the lowest cost of transport rises by a factor of {CLIFF_RISE} "
-    "or more; a step after which no gait moves counts as one"
+    "the cliff is the margin at which the branch (grooves per cycle) with the lowest cost of transport is lost and the "
+    f"lowest cost of transport rises by a factor of {CLIFF_RISE} or more within a step of the scan, bisected to "
+    f"{1e6 * CLIFF_TOLERANCE:g} µm; a step after which no gait moves counts as one"
 )
+# Coarse in stroke and frequency: the minimum between the columns is followed, and 81 margins take two seconds.
+_RESOLUTION = Resolution(strokes=21, frequencies=17)
+_ZOOM = Zoom(points=5, rounds=6)
 
 
 @dataclass(frozen=True)
 class MarginPoint:
-    """The certified front of one margin in a few numbers; NaN and 0 where no gait moves.
+    """The optimum at one margin; NaN and 0 where no gait moves.
 
-    ``margin`` in m; ``cost_of_transport`` is the optimum, reached at ``stroke`` m and ``frequency`` Hz on
-    ``branch`` (grooves per cycle); ``branches`` are those of the front; ``max_speed`` in m/s and
-    ``min_power`` in W are its ends.
+    ``margin`` in m; ``cost_of_transport`` is the lowest, at ``stroke`` m and ``frequency`` Hz on ``branch`` (grooves
+    per cycle); ``branches`` are those that were found at this margin.
     """
 
     margin: float
     cost_of_transport: float
     stroke: float
     frequency: float
-    branch: int
-    branches: tuple[int, ...]
-    max_speed: float
-    min_power: float
+    branch: float
+    branches: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Cliff:
-    """Where robustness begins to cost: the last margin before and the first after, in m.
+    """Place where robustness begins to cost, ``margin`` in m, between the scan's margins ``before`` and ``after``.
 
-    ``rise`` is the factor of the optimal cost of transport (infinite: no gait moves after it) and
+    ``rise`` is the factor of the lowest cost of transport over that step (infinite: no gait moves after it) and
     ``lost_branch`` the grooves per cycle of the branch that is lost.
     """
 
     margin: float
+    before: float
     after: float
     rise: float
-    lost_branch: int
+    lost_branch: float
 
 
 @dataclass(frozen=True)
@@ -72,62 +80,102 @@ class PriceOfRobustness:
     groove_phase: float
 
     @property
+    def moves(self) -> bool:
+        """Whether a gait moves at any margin."""
+        return any(point.branch for point in self.points)
+
+    @property
     def margin(self) -> float:
-        """The margin to choose in m: at the cliff, or the greatest at which a gait moves.
+        """The margin to choose in m: the scan's last before the cliff, else the greatest at which a gait moves.
 
         Raises `OptimizerError` if no gait moves at any margin.
         """
-        if self.cliff is not None:
-            return self.cliff.margin
-        moving = [point.margin for point in self.points if point.branch]
-        if not moving:
+        if not self.moves:
             raise OptimizerError(
                 "no gait within the bounds moves at any margin of the scan: "
                 "lower the margins, relax the limits or allow longer strokes"
             )
-        return max(moving)
+        if self.cliff is not None:
+            return self.cliff.before
+        return max(point.margin for point in self.points if point.branch)
 
 
-def scan(
-    task: MarginTask, resolution: MapSettings, margins: Iterable[float]
-) -> Iterator[MarginPoint]:
-    """Maps the box at each margin in m, one item a margin."""
-    for margin in margins:
-        front = build_map(task.with_margin(float(margin)), resolution).front
-        if not len(front):
-            nothing = math.nan
-            yield MarginPoint(float(margin), nothing, nothing, nothing, 0, (), nothing, nothing)
-            continue
-        cost = cost_of_transport(front.speed, front.power, task.parameters.mass)
-        best = int(np.argmin(cost))
-        yield MarginPoint(
-            margin=float(margin),
-            cost_of_transport=float(cost[best]),
-            stroke=float(front.stroke[best]),
-            frequency=float(front.frequency[best]),
-            branch=int(front.branch[best]),
-            branches=branches_of(front),
-            max_speed=float(front.speed.max()),
-            min_power=float(front.power.min()),
-        )
+def price_of_robustness(task: MarginTask, margins: Array) -> PriceOfRobustness:
+    """Scan the rising ``margins`` in m of shape (n,) and locate the cliff."""
+    points = scan(task, margins)
+    return PriceOfRobustness(
+        points=points,
+        cliff=find_cliff(task, points),
+        closed_form_cliff_margin=closed_form.cliff_margin(task.parameters),
+        groove_phase=closed_form.groove_phase(task.parameters),
+    )
 
 
-def find_cliff(points: Sequence[MarginPoint]) -> Cliff | None:
-    """The cliff of a scan by `CLIFF_RULE`; None if there is none. ``points`` by rising margin."""
+def scan(task: MarginTask, margins: Array) -> tuple[MarginPoint, ...]:
+    """Find the lowest cost of transport at each of ``margins`` in m of shape (n,)."""
+    columns, box = _RESOLUTION.columns(task.bounds), task.bounds
+    at = np.repeat(margins, columns.size)
+    strokes = np.linspace(box.stroke_low, box.stroke_high, _RESOLUTION.strokes)
+    edges = task.edges(np.tile(columns, margins.size), np.tile(strokes, (at.size, 1)), at)
+    of_margin = edges.column // columns.size
+    found = [edges.points.take(of_margin == place) for place in range(margins.size)]
+    brackets = [
+        bracket
+        for place, points in enumerate(found)
+        for bracket in brackets_of(Survey(columns, points), transport_cost, owner=place)
+    ]
+    best = _followed(task, brackets, margins)
+    optima = [Points.join(*pair) for pair in zip(found, best, strict=True)]
+    return tuple(_margin_point(task, *pair) for pair in zip(margins.tolist(), optima, strict=True))
+
+
+def _followed(task: MarginTask, brackets: Sequence[Bracket], margins: Array) -> list[Points]:
+    """Optima between the columns, by margin."""
+    owner = np.array([bracket.owner for bracket in brackets], dtype=np.int64)
+
+    def find(bracket: Index, frequency: Array, strokes: Array) -> Edges:
+        return task.edges(frequency, strokes, margins[owner[bracket]])
+
+    best, known = followed(find, brackets, _ZOOM)
+    return [best.take(known & (owner == place)) for place in range(margins.size)]
+
+
+def _margin_point(task: MarginTask, margin: float, points: Points) -> MarginPoint:
+    if not len(points):
+        return MarginPoint(margin, math.nan, math.nan, math.nan, 0.0, ())
+    cost = cost_of_transport(points.speed, points.power, task.parameters.mass)
+    best = int(np.argmin(cost))
+    return MarginPoint(
+        margin=margin,
+        cost_of_transport=float(cost[best]),
+        stroke=float(points.stroke[best]),
+        frequency=float(points.frequency[best]),
+        branch=float(points.grooves[best]),
+        branches=tuple((np.unique(points.count) / AVERAGED).tolist()),
+    )
+
+
+def find_cliff(task: MarginTask, points: Sequence[MarginPoint]) -> Cliff | None:
+    """Locate the cliff of a scan by `CLIFF_RULE`; None if there is none. ``points`` by rising margin."""
     for before, after in itertools.pairwise(points):
-        if not before.branch or before.branch in after.branches:
-            continue
-        rise = after.cost_of_transport / before.cost_of_transport if after.branch else math.inf
-        if rise >= CLIFF_RISE:
-            return Cliff(before.margin, after.margin, rise, before.branch)
+        if _is_lost(before, after):
+            rise = after.cost_of_transport / before.cost_of_transport if after.branch else math.inf
+            margin = _bisected(task, before, after)
+            return Cliff(margin, before.margin, after.margin, rise, before.branch)
     return None
 
 
-def price_of_robustness(points: Sequence[MarginPoint], parameters: Parameters) -> PriceOfRobustness:
-    """Puts a finished scan together with its cliff and with the closed form's."""
-    return PriceOfRobustness(
-        points=tuple(points),
-        cliff=find_cliff(points),
-        closed_form_cliff_margin=closed_form.cliff_margin(parameters),
-        groove_phase=closed_form.groove_phase(parameters),
-    )
+def _is_lost(before: MarginPoint, after: MarginPoint) -> bool:
+    """Whether the rule's fall lies between two margins."""
+    if not before.branch or before.branch in after.branches:
+        return False
+    return not after.branch or after.cost_of_transport >= CLIFF_RISE * before.cost_of_transport
+
+
+def _bisected(task: MarginTask, before: MarginPoint, after: MarginPoint) -> float:
+    low, high = before.margin, after.margin
+    while high - low > CLIFF_TOLERANCE:
+        middle = 0.5 * (low + high)
+        (point,) = scan(task, np.array([middle]))
+        low, high = (low, middle) if _is_lost(before, point) else (middle, high)
+    return low

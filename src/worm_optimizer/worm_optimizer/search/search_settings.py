@@ -13,8 +13,7 @@ import numpy as np
 
 from worm_model.gait import MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE
 from worm_optimizer.search.actuator_limits import ActuatorLimits
-from worm_optimizer.search.gait_map import MapSettings
-from worm_optimizer.search.nsga2 import SearchSettings
+from worm_optimizer.search.exact import Resolution
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.servo_limits import servo_models, within
 from worm_optimizer.search.task import Array, Bounds
@@ -70,20 +69,18 @@ class Settings:
     """What an optimisation is done with.
 
     ``margin`` in m, None: chosen at the cliff of the scan; ``probability`` is that of
-    `Robustness.CHANCE`; ``samples`` are those of the Monte Carlo success probability and ``kept_gaits``
-    the number of gaits of a front that are kept to answer requests.
+    `Robustness.CHANCE`; ``samples`` are the Monte Carlo draws of a success probability, ``seed`` that of all draws.
     """
 
     bounds: Bounds = field(default_factory=Bounds)
     limits: ActuatorLimits = field(default_factory=ActuatorLimits)
-    search: SearchSettings = field(default_factory=SearchSettings)
-    map: MapSettings = field(default_factory=MapSettings)
+    resolution: Resolution = field(default_factory=Resolution)
     scan: ScanSettings = field(default_factory=ScanSettings)
     robustness: Robustness = Robustness.MARGIN
     margin: float | None = None
     probability: float = 0.95
     samples: int = 500
-    kept_gaits: int = 100
+    seed: int = 1
 
     def __post_init__(self) -> None:
         if self.margin is not None and not 0.0 <= self.margin <= MAX_MARGIN:
@@ -91,10 +88,10 @@ class Settings:
                 f"margin: {self.margin} m is not between 0 and {MAX_MARGIN:g} m; "
                 "leave it out to have it chosen at the cliff"
             )
-        if not (1 <= self.samples <= 1_000_000 and 3 <= self.kept_gaits <= 100_000):
+        if not (1 <= self.samples <= 1_000_000 and 0 <= self.seed < 2**32):
             raise OptimizerError(
-                f"samples {self.samples} and kept gaits {self.kept_gaits}: "
-                "give at least 1 sample and 3 gaits, at most 1000000 and 100000"
+                f"samples {self.samples} and seed {self.seed}: "
+                f"give 1 to 1000000 samples and a seed from 0 to {2**32 - 1}"
             )
 
 
@@ -102,8 +99,7 @@ class Settings:
 class SettingRow:
     """One setting, of which come the node's ``parameter``, the commands' ``option`` and the row of the docs.
 
-    Two rows with the same option are its two values. An empty option: the node alone has it. ``low`` and ``high``
-    bound a number.
+    Two rows with the same option are its two values. ``low`` and ``high`` bound a number.
     """
 
     parameter: str
@@ -115,7 +111,7 @@ class SettingRow:
     choices: tuple[str, ...] = ()
 
 
-_BOX, _SEARCH, _SCAN, _PLAIN = Bounds(), SearchSettings(), ScanSettings(), Settings()
+_BOX, _SCAN, _PLAIN = Bounds(), ScanSettings(), Settings()
 _Row = SettingRow
 
 # What decides about a margin scan, and so about a front, too.
@@ -124,7 +120,8 @@ SCAN_SETTINGS: tuple[SettingRow, ...] = (
     _Row("stroke_high_m", "strokes", _BOX.stroke_high, "greatest stroke, m", 1e-4, MAX_STROKE),
     _Row("frequency_low_hz", "frequencies", _BOX.frequency_low, "least frequency, Hz", 1e-3, MAX_FREQUENCY),
     _Row("frequency_high_hz", "frequencies", _BOX.frequency_high, "greatest frequency, Hz", 1e-3, MAX_FREQUENCY),
-    _Row("limits.max_cable_speed_m_s", "max-cable-speed", 0.0, "greatest cable speed, m/s; 0: no limit", 0.0, 100.0),
+    _Row("limits.max_cable_speed_m_per_s", "max-cable-speed", 0.0, "greatest cable speed, m/s; 0: no limit", 0.0,
+         100.0),
     _Row("limits.max_cable_force_n", "max-cable-force", 0.0, "greatest cable force, N; 0: no limit", 0.0, 1e5),
     _Row("limits.max_power_w", "max-power", 0.0, "greatest source power, W; 0: no limit", 0.0, 1e5),
     _Row("limits.driver_file", "limits-from", "", "the driver's parameter file, whose limits hold, too; empty: none"),
@@ -142,11 +139,8 @@ FRONT_SETTINGS: tuple[SettingRow, ...] = (
          "(margin), a probability of keeping the promised grooves (chance), or keeping them at every groove phase "
          "(any_phase)", choices=tuple(kind.value for kind in Robustness)),
     _Row("probability", "probability", _PLAIN.probability, "for chance: of keeping the grooves, 1", 0.0, 1.0),
-    _Row("population", "population", _SEARCH.population, "population of NSGA-II", 4, 100_000),
-    _Row("generations", "generations", _SEARCH.generations, "generations of NSGA-II", 1, 100_000),
-    _Row("seed", "seed", _SEARCH.seed, "seed of NSGA-II and of the Monte Carlo draws", 0, 2**32 - 1),
+    _Row("seed", "seed", _PLAIN.seed, "seed of the Monte Carlo draws, and of NSGA-II", 0, 2**32 - 1),
     _Row("samples", "samples", _PLAIN.samples, "draws of the success probability", 1, 1_000_000),
-    _Row("kept_gaits", "", _PLAIN.kept_gaits, "gaits of a front that are kept to answer requests", 3, 100_000),
 )  # fmt: skip
 SETTINGS = (*SCAN_SETTINGS, *FRONT_SETTINGS)
 
@@ -159,7 +153,7 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
     value = {row.parameter: row.default for row in SETTINGS} | dict(values)
     speed, force, power = (
         value[f"limits.max_{name}"] or math.inf
-        for name in ("cable_speed_m_s", "cable_force_n", "power_w")
+        for name in ("cable_speed_m_per_s", "cable_force_n", "power_w")
     )
     names = ("stroke_low_m", "stroke_high_m", "frequency_low_hz", "frequency_high_hz")
     bounds, limits = within(
@@ -172,11 +166,10 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
     return Settings(
         bounds=bounds,
         limits=limits,
-        search=SearchSettings(value["population"], value["generations"], value["seed"]),
         scan=ScanSettings(value["scan_lowest_m"], value["scan_highest_m"], value["scan_step_m"]),
         robustness=robustness_of(value["robustness"]),
         probability=value["probability"],
         margin=None if math.isnan(value["margin_m"]) else value["margin_m"],
         samples=value["samples"],
-        kept_gaits=value["kept_gaits"],
+        seed=value["seed"],
     )

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Limits on gaits from the driver's parameter file and its servo models.
 
-The file is data, in the format of ROS 2 parameters; config/servo_models.yaml holds what the motors of
-each model can do.
+The file is data, in the format of ROS 2 parameters; the motors' data are those of `worm_msgs.servo_models`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,25 +16,31 @@ from typing import Any
 
 import yaml
 
+from worm_msgs.servo_models import RPM, SERVO_MODELS, VELOCITY_UNIT, Initial
 from worm_optimizer.search.actuator_limits import ActuatorLimits
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.task import Bounds
 
-_MODELS_FILE = Path(__file__).parents[1] / "config" / "servo_models.yaml"
 _SHUNT_RANGE = 0.32  # V over the shunt of an INA219 at its widest (TI SBOS448, PGA = /8)
-_RPM = 2.0 * math.pi / 60.0  # rad/s
 
 # The driver's defaults for what its file leaves out.
 DRIVER_DEFAULTS: Mapping[str, Any] = {
     "i2c_bus": "1",
     "ina219.shunt_resistance_ohm": 0.1,
-    "ina219.max_current_A": 3.2,
+    "ina219.max_current_a": 3.2,
     "cable_servos.spool_radius_m": [0.025],
     "limits.max_stroke_m": 0.09,
-    "limits.max_frequency_Hz": 0.4,
-    "limits.max_cable_speed_m_s": 0.12,
-    "limits.max_servo_current_A": 2.0,
+    "limits.max_frequency_hz": 0.4,
+    "limits.max_cable_speed_m_per_s": 0.12,
+    "limits.max_servo_current_a": 2.0,
     "limits.max_servo_load": 0.9,
+}
+# Former names in the driver's file, as worm_msgs.parameter_rows has them for the driver itself.
+DRIVER_RENAMED: Mapping[str, str] = {
+    "ina219.max_current_A": "ina219.max_current_a",
+    "limits.max_frequency_Hz": "limits.max_frequency_hz",
+    "limits.max_cable_speed_m_s": "limits.max_cable_speed_m_per_s",
+    "limits.max_servo_current_A": "limits.max_servo_current_a",
 }
 
 
@@ -78,19 +84,22 @@ class DrivenBy:
 
 
 def servo_models() -> dict[str, ServoModel]:
-    """The servo models that are known, by name."""
-    content = yaml.safe_load(_MODELS_FILE.read_text(encoding="utf-8"))
+    """Return the servo models that the driver knows, by name."""
     return {
-        name: ServoModel(
-            voltage=row["voltage_v"],
-            no_load_speed=row["no_load_speed_rpm"] * _RPM,
-            stall_torque=row["stall_torque_n_m"],
-            stall_current=row["stall_current_a"],
-            velocity_limit=row["velocity_limit_rpm"] * _RPM,
-            measures_current=row["measures_current"],
+        row.name: ServoModel(
+            voltage=row.nominal_voltage,
+            no_load_speed=row.no_load_speed * RPM,
+            stall_torque=row.stall_torque,
+            stall_current=row.stall_current,
+            velocity_limit=_initial(row.velocity_limit) * VELOCITY_UNIT * RPM,
+            measures_current=row.measures_current,
         )
-        for name, row in content.items()
+        for row in SERVO_MODELS
     }
+
+
+def _initial(value: Initial) -> int:
+    return value if isinstance(value, int) else value[0]
 
 
 def servo_model(name: str) -> ServoModel | None:
@@ -113,6 +122,15 @@ def load_driver_file(path: str | Path) -> DrivenBy:
     from_file = _parameters_of_driver(content)
     if not from_file:
         raise OptimizerError(f"{path}: holds no ros__parameters of a node named driver")
+    for former, name in DRIVER_RENAMED.items():
+        if former in from_file and name in from_file:
+            raise OptimizerError(
+                f"{path}: {name} is given twice, also as {former}: remove {former}"
+            )
+        if former in from_file:
+            text = f"{path}: {former} is named {name} now: change it, the next version ignores {former}"
+            warnings.warn(text, FutureWarning, stacklevel=2)
+            from_file[name] = from_file[former]
     values = {**DRIVER_DEFAULTS, **from_file}
     radii = values["cable_servos.spool_radius_m"]
     if not isinstance(radii, list) or not radii:
@@ -127,14 +145,14 @@ def load_driver_file(path: str | Path) -> DrivenBy:
         return float(number)
 
     sensor = min(
-        positive("ina219.max_current_A"), _SHUNT_RANGE / positive("ina219.shunt_resistance_ohm")
+        positive("ina219.max_current_a"), _SHUNT_RANGE / positive("ina219.shunt_resistance_ohm")
     )
     return DrivenBy(
         spool_radii=tuple(positive("cable_servos.spool_radius_m", radius) for radius in radii),
         max_stroke=positive("limits.max_stroke_m"),
-        max_frequency=positive("limits.max_frequency_Hz"),
-        max_cable_speed=positive("limits.max_cable_speed_m_s"),
-        max_servo_current=positive("limits.max_servo_current_A"),
+        max_frequency=positive("limits.max_frequency_hz"),
+        max_cable_speed=positive("limits.max_cable_speed_m_per_s"),
+        max_servo_current=positive("limits.max_servo_current_a"),
         max_servo_load=positive("limits.max_servo_load"),
         sensor_current=sensor if values["i2c_bus"] else math.inf,
     )

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is optimised: the box of gaits, the actuator limits and the evaluation of gaits in it.
+"""Optimisation tasks: the box of gaits, the actuator limits, and the batch evaluation of gaits and of branch edges.
 
-Everything that searches (the exhaustive map, NSGA-II) sees a `Task`: bounds, and `points`, which
-evaluates gaits. What "grooves gained" means is the task's: with an enlarged threshold (`MarginTask`),
-or with a promised probability (`chance.PromiseTask`).
+Every search (the exact front, NSGA-II) sees a `Task`. The task defines which grooves a gait gains: those with an
+enlarged threshold (`MarginTask`), or those that it keeps with a probability (`chance.PromiseTask`).
 """
 
 from __future__ import annotations
@@ -27,24 +26,26 @@ from worm_model.gait import (
 )
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.batch import GaitTable, evaluate_gaits
+from worm_model.simulation.simulator import AVERAGED
 from worm_optimizer.search.actuator_limits import ActuatorLimits, peaks
 from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.runs import Array, Index, find_runs
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-# Decimals of a speed in m/s that tell gaits apart. Without it, at equal frequency, the remains of the
-# transient and of rounding would let a longer stroke pass for faster and so for Pareto-optimal.
-_SPEED_DECIMALS = 9
 _TRANSIENT = 0.05  # pitches by which the advance of a cycle may fall short of the grooves gained
+EDGE_TOLERANCE = 1e-8  # m, width of the bracket to which the edge of a branch is bisected
+# m, beyond that bracket: a gait exactly on its edge would lose a groove by another processor's rounding. It costs less
+# than a millionth of the power.
+EDGE_ALLOWANCE = 1e-8
 
 
 @dataclass(frozen=True)
 class Bounds:
     """The box of gaits, p_min ≤ [S, f] ≤ p_max below eq:moo_formulation; strokes in m, frequencies in Hz.
 
-    The defaults are the paper's. Raises `OptimizerError` unless 0 < low < high on both axes.
+    The defaults are the paper's. Equal ends hold a value fixed. Raises `OptimizerError` unless
+    0 < low ≤ high on both axes.
     """
 
     stroke_low: float = STROKE_RANGE[0]
@@ -58,10 +59,10 @@ class Bounds:
 
 
 def _check_range(name: str, low: float, high: float, most: float, unit: str) -> None:
-    if not 0.0 < low < high <= most:
+    if not 0.0 < low <= high <= most:
         raise OptimizerError(
             f"bounds: {name} from {low:g} to {high:g} {unit}: "
-            f"both must be positive, rising and at most {most:g} {unit}"
+            f"give positive values, the lower first, of at most {most:g} {unit}"
         )
 
 
@@ -69,18 +70,22 @@ def _check_range(name: str, low: float, high: float, most: float, unit: str) -> 
 class Points:
     """Evaluated gaits, one row each; every field is an array of shape (n,).
 
-    ``speed`` counts along the gait's direction; ``branch`` is the least number of grooves gained in an
-    averaged cycle and names the branch that the gait lies on;
-    ``violation`` is 0 for a gait that gains a groove in every averaged cycle and keeps the actuator
-    limits, and grows with what is missing.
+    ``speed`` counts along the gait's direction. ``count`` names the branch: the grooves gained in the averaged cycles
+    together, 0 unless each of them gains one. ``violation`` is 0 for a gait that gains a groove in every averaged cycle
+    and satisfies the actuator limits, and grows with what is missing.
     """
 
     stroke: Array  # m
     frequency: Array  # Hz
     speed: Array  # m/s
     power: Array  # W
-    branch: Index  # 1
+    count: Index  # 1
     violation: Array  # 1
+
+    @property
+    def grooves(self) -> Array:
+        """Mean grooves per averaged cycle; a fraction where the averaged cycles differ."""
+        return self.count / AVERAGED
 
     @property
     def admissible(self) -> Mask:
@@ -112,22 +117,37 @@ def branch_of(table: GaitTable) -> Index:
     return np.floor(np.maximum(advance, 0.0) + _TRANSIENT).astype(np.int64)
 
 
+@dataclass(frozen=True)
+class Edges:
+    """The lower edges of the branches in some columns: ``points`` with the ``column`` of each, shape (n,)."""
+
+    column: Index
+    points: Points
+
+
 class Task(Protocol):
-    """What a search needs of an optimisation task."""
+    """Batch evaluation of gaits and of branch edges, which is all that a search needs."""
 
     @property
     def bounds(self) -> Bounds:
         """The box of gaits."""
 
     def points(self, stroke: ArrayLike, frequency: ArrayLike) -> Points:
-        """Evaluates gaits; ``stroke`` in m and ``frequency`` in Hz of shape (n,)."""
+        """Evaluate gaits; ``stroke`` in m and ``frequency`` in Hz of shape (n,)."""
+
+    def edges(self, frequency: Array, strokes: Array) -> Edges:
+        """Find the shortest admissible stroke of each branch at each ``frequency`` in Hz of shape (m,).
+
+        ``strokes`` in m of shape (m, scan), rising along each row, span those in which to look, as far as they are in
+        the box.
+        """
 
 
 @dataclass(frozen=True)
 class MarginTask:
     """The problem of eq:moo_formulation with thresholds enlarged by ``margin`` m (eq:A1_switch_robust).
 
-    Raises `OptimizerError` if the margin or the direction is not admissible.
+    Raises `OptimizerError` if the margin, the direction, a stroke of the box or a limit is not admissible.
     """
 
     parameters: Parameters = PAPER
@@ -142,6 +162,17 @@ class MarginTask:
         if self.direction not in (FORWARD, REVERSE):
             raise OptimizerError(
                 f"direction: {self.direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
+            )
+        length, idle = self.parameters.initial_length, self.parameters.idle_power
+        if self.bounds.stroke_high >= length:
+            raise OptimizerError(
+                f"bounds: stroke up to {self.bounds.stroke_high:g} m; the body is {length:g} m long. "
+                f"Use strokes below {length:g} m"
+            )
+        if self.limits.electrical_power <= idle:
+            raise OptimizerError(
+                f"limits: electrical_power = {self.limits.electrical_power:g} W is not above the idle power of "
+                f"{idle:g} W, so that no gait keeps it: raise it"
             )
 
     def with_margin(self, margin: float) -> MarginTask:
@@ -178,19 +209,37 @@ class MarginTask:
         """Least grooves gained in an averaged cycle along the direction, at least 0; see `table`."""
         return branch_of(self.table(stroke, frequency, margin, overrides))
 
-    def points(self, stroke: ArrayLike, frequency: ArrayLike) -> Points:
-        """Evaluates gaits; ``stroke`` in m and ``frequency`` in Hz of shape (n,)."""
+    def points(
+        self, stroke: ArrayLike, frequency: ArrayLike, margin: ArrayLike | None = None
+    ) -> Points:
+        """Evaluate gaits, see `Task`; ``margin`` in m replaces the task's."""
         strokes, frequencies = np.asarray(stroke, dtype=float), np.asarray(frequency, dtype=float)
-        table = self.table(strokes, frequencies)
-        branch = branch_of(table)
-        return Points(
-            strokes,
-            frequencies,
-            np.round(table.speed, _SPEED_DECIMALS),
-            table.power,
-            branch,
-            np.where(branch >= 1, self._excess(strokes, frequencies, branch >= 1), 1.0),
-        )
+        table = self.table(strokes, frequencies, margin)
+        moving = branch_of(table) >= 1
+        gained = np.rint(AVERAGED * np.where(moving, table.grooves_per_cycle, 0.0))
+        violation = np.where(moving, self._excess(strokes, frequencies, moving), 1.0)
+        count = gained.astype(np.int64)
+        return Points(strokes, frequencies, table.speed, table.power, count, violation)
+
+    def edges(self, frequency: Array, strokes: Array, margin: Array | None = None) -> Edges:
+        """Find the branches' lower edges by scan and bisection, see `Task`; ``margin`` in m of shape (m,)."""
+        margins = np.full(frequency.shape, self.margin) if margin is None else margin
+        within = np.clip(strokes, self.bounds.stroke_low, self.bounds.stroke_high)
+
+        def points(stroke: Array, column: Index) -> Points:
+            return self.points(stroke, frequency[column], margins[column])
+
+        def label(stroke: Array, column: Index) -> Index:
+            # Even within the limits, odd beyond: the strip between an edge and a limit may be thinner than the scan.
+            found = points(stroke, column)
+            return np.where(found.count > 0, 2 * found.count + ~found.admissible, 0)
+
+        runs = find_runs(label, within, EDGE_TOLERANCE)
+        allowance = np.where(runs.stepped, EDGE_ALLOWANCE, 0.0)
+        safe = np.minimum(runs.low + allowance, self.bounds.stroke_high)
+        found = points(safe, runs.column)
+        is_edge = found.admissible & (2 * found.count == runs.label)
+        return Edges(runs.column[is_edge], found.take(is_edge))
 
     def _excess(self, stroke: Array, frequency: Array, moving: Mask) -> Array:
         """Relative excess over the actuator limits; what needs a simulation only of the moving gaits.

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Spreads work over Dask workers: the cores of this machine, or a cluster that is there already.
+"""Distribution of work to Dask workers: the cores of this machine, or an existing cluster.
 
-The client hands out pieces and takes back what they made, a few for each worker at a time, so that its memory
-holds pieces and not the study. Only workers with this code get any: each is asked before, and those of
-another version are named and left alone. What a lost worker had is handed to another.
+The client submits a few pieces for each worker at a time and collects their results. Its memory therefore holds these
+pieces and not the whole study. A worker receives pieces only if its code is identical to the client's, which the
+client checks first. Workers with another version are reported and not used. The pieces of a lost worker are submitted
+to another one.
 """
 
 from __future__ import annotations
@@ -24,28 +25,32 @@ from distributed import Client, Future, KilledWorker, LocalCluster, wait
 from worm_model.errors import InputError
 from worm_optimizer.study.version import identity
 
-_AHEAD = 2  # pieces for each worker that are handed out: one in work, one waiting
-_LOOK = 1.0  # s between two looks at who is there
-_CONNECT = 10.0  # s
+_AHEAD = 2  # pieces submitted for each worker: one in work, one waiting
+_LOOK = 1.0  # interval between two updates of the workers, s
+_CONNECT = 10.0  # timeout of the connection, s
 
 Say = Callable[[str], None]
 
 
 class ClusterError(InputError):
-    """The cluster cannot be used; the message says why and what to do."""
+    """The cluster cannot be used. The message contains the reason and what to do."""
 
 
 class LostError(RuntimeError):
-    """The cluster was lost on the way; the message says what is known of it."""
+    """The cluster was lost during the work. The message contains what is known about the cause."""
 
 
 @contextlib.contextmanager
 def connected(scheduler: str, workers: int) -> Iterator[Client]:
-    """A client of the cluster at an address; of one on this machine, with so many workers, if that is empty.
+    """Connect to the cluster at ``scheduler``, or to a new one on this machine with ``workers`` workers if it is empty.
 
-    Raises `ClusterError` if nobody answers at the address.
+    Yields:
+        The client.
+
+    Raises:
+        ClusterError: No scheduler answers at the address.
     """
-    for name in ("distributed", "bokeh"):  # what matters is said here, in words
+    for name in ("distributed", "bokeh"):  # this module reports what matters
         logging.getLogger(name).setLevel(logging.CRITICAL)
     if not scheduler:
         with (
@@ -72,23 +77,23 @@ def connected(scheduler: str, workers: int) -> Iterator[Client]:
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 @dataclass
 class _Crew:
-    """Who may work: each worker is asked once which code it has."""
+    """Workers of the cluster. The code version of each worker is requested once."""
 
     client: Client
     say: Say
     mine: str = field(default_factory=identity)
     able: set[str] = field(default_factory=set)
     refused: dict[str, str] = field(default_factory=dict)
-    silent: set[str] = field(default_factory=set)  # who has not answered yet and is asked again
+    silent: set[str] = field(default_factory=set)  # workers without an answer yet
 
     def look(self) -> None:
-        """Brings the lists up to date."""
+        """Update the lists of workers."""
         present = set(self.client.scheduler_info(n_workers=-1)["workers"])
         self.able &= present
         self.refused = {each: why for each, why in self.refused.items() if each in present}
@@ -116,7 +121,7 @@ def _refusal(answer: str | BaseException, mine: str) -> str:
 
 @dataclass
 class _Dispatcher:
-    """What has been handed out, and to whom it may go; a piece is kept until its result is back."""
+    """Pieces in work, with the workers that may compute them. A piece is stored until its result is available."""
 
     client: Client
     crew: _Crew
@@ -125,11 +130,11 @@ class _Dispatcher:
     kept: dict[int, tuple[Any, ...]] = field(default_factory=dict)
     out: dict[Future, tuple[int, frozenset[str]]] = field(default_factory=dict)
     attempts: int = 0
-    # Of the keys: the scheduler may still know one that it was given before.
+    # Unique prefix of the keys, because the scheduler may still know keys of an earlier run.
     name: str = field(default_factory=lambda: uuid.uuid4().hex)
 
     def fill(self) -> None:
-        """Hands out what those who are there have room for; what nobody is left for first."""
+        """Submit pieces up to the capacity of the workers, orphaned pieces first."""
         able = self.crew.able
         if not able:
             return
@@ -142,7 +147,7 @@ class _Dispatcher:
             self.hand_out(place)
 
     def hand_out(self, place: int) -> None:
-        """Hands out a piece, maybe again."""
+        """Submit a piece, possibly again."""
         self.attempts += 1
         able = sorted(self.crew.able)
         key = f"worm-study-{self.name}-{place}-{self.attempts}"
@@ -152,7 +157,7 @@ class _Dispatcher:
         self.out[future] = (place, frozenset(able))
 
     def results(self) -> Iterator[tuple[int, Any]]:
-        """What has come back."""
+        """Yield place and result of the finished pieces, and submit lost pieces again."""
         for future in _finished(list(self.out)):
             place, _ = self.out.pop(future)
             if future.status in ("cancelled", "lost"):
@@ -162,7 +167,7 @@ class _Dispatcher:
             del self.kept[place]
 
     def clear(self) -> None:
-        """Takes everything back."""
+        """Cancel all pieces in work."""
         with contextlib.suppress(Exception):  # the scheduler may be gone
             self.client.cancel(list(self.out))
 
@@ -170,10 +175,13 @@ class _Dispatcher:
 def spread(
     client: Client, function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]], say: Say
 ) -> Iterator[tuple[int, Any]]:
-    """(place, result) of ``function(*piece)`` for each piece, as they finish.
+    """Yield (place, result) of ``function(*piece)`` for each piece, in the order in which they finish.
 
-    Raises `ClusterError` if every worker is refused, `LostError` if the scheduler is lost or a piece ends every
-    worker that it is given to; else what the function raises.
+    Exceptions of the function are raised here, too.
+
+    Raises:
+        ClusterError: Every worker was rejected.
+        LostError: The scheduler is lost, or a piece ended every worker that computed it.
     """
     crew = _Crew(client, say)
     dispatcher = _Dispatcher(client, crew, function, enumerate(pieces))
@@ -201,9 +209,9 @@ def spread(
 
 
 def _finished(futures: list[Future]) -> list[Future]:
-    """Those that are over, after a moment at most."""
+    """Return the finished futures, after waiting for at most `_LOOK` seconds."""
     if not futures:
-        time.sleep(_LOOK)  # nobody is there to work
+        time.sleep(_LOOK)  # No worker is connected.
     with contextlib.suppress(TimeoutError, CancelledError):
         wait(futures, timeout=_LOOK, return_when="FIRST_COMPLETED")
     return [future for future in futures if future.done()]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many bags, each read, replayed and judged by itself, as rows of one Parquet table.
+"""Many bags, each read, replayed and compared with the model independently, as rows of one Parquet table.
 
-A gait of a bag is a row, and so is a bag that cannot be used: its reason says why. Rows are kept one file a bag
-beside the output until all are there, so that a reading that was killed goes on where it was.
+Each gait of a bag is a row. A bag that cannot be used is a row with the reason. The rows are stored in one file per
+bag next to the output until all bags are read. A process that was killed can therefore continue.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from worm_optimizer.study.study_run import Counts
 from worm_optimizer.study.version import identity
 
 READ, FAILED = "read", "failed"
-_IDENTITY = b"worm_fleet"  # of the table's metadata
+_IDENTITY = b"worm_fleet"  # key of the table's metadata
 _HEALTH = tuple(f"{key}{part}" for key in ADVICE for part in ("", "_low", "_high"))
 _TEXTS = ("bag", "gait", "state", "reason", "start", "parameters", "notes")
 _NUMBERS = (
@@ -52,13 +52,19 @@ Row = dict[str, Any]
 
 
 class UnseenError(RuntimeError):
-    """A worker does not see a bag; the message is its path."""
+    """A worker has no access to a bag. The message is the path of the bag."""
 
 
 def bag_rows(path: str, name: str, parameters: str) -> list[Row]:
-    """The rows of one bag; ``name`` is what the table calls it, ``parameters`` the text of a parameter file's path.
+    """Return the rows of one bag.
 
-    Raises `UnseenError` if this machine does not see the bag.
+    Args:
+        path: bag.
+        name: name of the bag in the table.
+        parameters: path of a parameter file, or an empty string for the parameters in the bag.
+
+    Raises:
+        UnseenError: This machine has no access to the bag.
     """
     if not Path(path).exists():
         raise UnseenError(path)
@@ -89,7 +95,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def _row_of(gait: RecordedGait) -> Row:
-    """A gait of a bag as a row, SI units."""
+    """Return one gait of a bag as a row, in SI units."""
     played, nominal = gait.gait, gait.expected.nominal
     residuals = gait.judged.residuals
     return {
@@ -129,13 +135,26 @@ def read_fleet(
     say: Say,
     progress: Callable[[float], None],
 ) -> Counts:
-    """Reads all bags below ``folder`` into the table ``output``; counts bags. Workers must see the folder.
+    """Read all bags below ``folder`` into the table ``output`` and return the number of bags.
 
-    ``parameters`` is a parameter file; empty: the one inside each bag, else the paper's. Raises `InputError` if
-    the output is another fleet's, `LostError` if the cluster is lost; what was read stays, the same call goes on.
+    If the process or the cluster fails, the rows read so far remain, and the same call continues with the others.
+
+    Args:
+        folder: folder of the bags, which all workers must have access to.
+        parameters: parameter file. An empty string selects the parameters in each bag, or the paper's values if it has
+            none.
+        output: Parquet file.
+        scheduler: address of a Dask scheduler, or an empty string for workers on this machine.
+        workers: number of workers on this machine; None for one per core.
+        say: function that is called with each message.
+        progress: function that is called with the finished share.
+
+    Raises:
+        InputError: The output holds another fleet, or a worker has no access to a bag.
+        LostError: The cluster was lost.
     """
-    load_parameter_file(parameters)  # raises on one that cannot be used, before anything is read
-    bags = list(bags_below(folder))  # to read one is to read what was recovered from it
+    load_parameter_file(parameters)  # raises if the file is invalid, before any bag is read
+    bags = list(bags_below(folder))  # reading a bag includes what was recovered from it
     marks = [_mark(bag, parameters) for bag in bags]
     whole = hashlib.sha256(" ".join([*marks, identity()]).encode()).hexdigest()[:24]
     if output.exists():
@@ -188,14 +207,18 @@ def _read(
 
 
 def _mark(bag: Path, parameters: str) -> str:
-    """Name of what a bag's rows follow from: its files, the parameter file, the code."""
+    """Return a hash of everything that determines the rows of a bag: its files, the parameter file and the code."""
     content = Path(parameters).read_text() if parameters else ""
     text = [str(bag.resolve()), identity(), content, mark_of(bag)]
     return hashlib.sha256("\n".join(text).encode()).hexdigest()[:24]
 
 
 def _known(output: Path, whole: str) -> Counts:
-    """The counts of a finished table; raises `InputError` if it is another fleet's."""
+    """Return the counts of a finished table.
+
+    Raises:
+        InputError: The table holds another fleet.
+    """
     try:
         table = parquet.read_table(output, columns=["bag", "state"])
     except (OSError, pa.ArrowException):
@@ -211,7 +234,7 @@ def _known(output: Path, whole: str) -> Counts:
 
 @contextlib.contextmanager
 def _parts(output: Path) -> Iterator[Path]:
-    """The folder of the rows until all are there, for this process alone."""
+    """Create the folder for the rows of single bags and lock it for this process."""
     check_folder(output)
     parts = output.with_name(f"{output.name}.part")
     parts.mkdir(exist_ok=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One HTML page of a fleet: measured against expected, parameters that drift, and the bags that could not be read."""
+"""HTML page of a fleet: measured over expected values, parameters that drift, and bags that could not be read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ from worm_optimizer.study.study_plots import Picture, compared_figure, png
 
 
 def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
-    """Writes the page of a fleet's table; raises FileExistsError rather than overwrite one."""
+    """Write the page of a fleet's table.
+
+    Raises:
+        FileExistsError: The page exists already.
+    """
     rows = parquet.read_table(table).to_pylist()
     read = sorted(
         (row for row in rows if row["state"] != FAILED), key=lambda row: str(row["start"])
@@ -47,7 +51,10 @@ def write_fleet_page(table: Path, parameters: str, page: Path) -> None:
 
 
 def fleet_charts(read: Sequence[Row], known: ParameterFile) -> tuple[list[Chart], list[str]]:
-    """Control charts over the bags whose health was told, and these bags' names; see `drift.chart_of`."""
+    """Return control charts over the bags with an estimated health, and the names of these bags.
+
+    See `drift.chart_of`.
+    """
     bags = {row["bag"]: row for row in read if any(math.isfinite(row[key]) for key in ADVICE)}
     charts = [
         chart_of(key, [_estimate(row, key) for row in bags.values()], known) for key in ADVICE

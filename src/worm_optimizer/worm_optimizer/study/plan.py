@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A study as its YAML file describes it: what varies, what stays, what is computed for each point.
+"""Studies as described by their YAML files: what varies, what is fixed, and what is computed for each point.
 
-docs/studies.md lists the keys. Everything is checked here, before anything is computed.
+docs/studies.md lists the keys. All values are checked here, before the computation starts.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from scipy.stats import qmc
 
 from worm_model.errors import InputError
 from worm_model.parameters import UNITS, ParameterFile, load_parameter_file
-from worm_optimizer.search.gait_map import MapSettings
+from worm_optimizer.search.exact import Resolution as ScanResolution
 from worm_optimizer.search.search_settings import ScanSettings
 from worm_optimizer.search.servo_limits import DrivenBy, load_driver_file, servo_model
 
 Array = NDArray[np.float64]
 
-# What may vary or be fixed beside the keys of a parameter file, with its unit.
-BOX = ("min_stroke_m", "max_stroke_m", "min_frequency_Hz", "max_frequency_Hz")
+# Quantities that may vary or be fixed in addition to the keys of a parameter file, with their units.
+BOX = ("min_stroke_m", "max_stroke_m", "min_frequency_Hz", "max_frequency_hz")
 LIMITS = (
-    *("max_cable_speed_m_s", "max_cable_force_N", "max_power_W"),
+    *("max_cable_speed_m_per_s", "max_cable_force_N", "max_power_W"),
     *("stall_force_N", "no_load_speed_m_s"),
 )
 OTHER_UNITS: Mapping[str, str] = {
@@ -46,8 +46,8 @@ OTHER_UNITS: Mapping[str, str] = {
     "at_speed_m_s": "m/s",
 }
 QUANTITY_UNITS: Mapping[str, str] = {**UNITS, **OTHER_UNITS}
-PARAMETER_FILE = "parameter_file"  # the index of the file that a point starts from
-CLIFF = "cliff"  # in the place of a margin: the one at the cliff of the point's own scan
+PARAMETER_FILE = "parameter_file"  # index of the parameter file of a point
+CLIFF = "cliff"  # written instead of a margin: the margin at the cliff of the point's own scan
 
 COMPUTABLE = ("front", "gaits", "cliff", "success", "any_phase")
 METHODS = ("sobol", "latin_hypercube")
@@ -56,21 +56,24 @@ _KEYS = (
     *("title", "parameters", "parameter_files", "vary", "sample", "fixed", "hardware"),
     *("compute", "resolution", "scan", "block_points"),
 )
-_BLOCK_SECONDS = 5.0  # that a block takes one core, roughly: far above what handing it on costs
-_SECONDS_PER_GAIT = 2e-5  # for the size of blocks, which must not depend on the machine
-_FEWEST_BLOCKS = 20  # so that the progress bar of a small study moves
-_MAPPED_PER_CELL = 3.0  # gaits that a map evaluates for each of its grid, roughly
-_LIMITED = 4.0  # times as long, with limits that only a simulated cycle can tell
-_PHASES = 65  # evaluations of a gait for any_phase: itself, and at every phase
+_BLOCK_SECONDS = 5.0  # approximate duration of a block on one core; submitting it takes far less
+_SECONDS_PER_GAIT = 2e-5  # assumed, because the size of blocks must not depend on the machine
+_FEWEST_BLOCKS = 20  # so that the progress bar of a small study advances
+_PER_CELL = (
+    3.0  # approximate number of gaits evaluated per stroke and frequency of an exact front's scan
+)
+_LIMITED = 2.0  # factor of the time with limits that need a simulated cycle
+_PER_MARGIN = 1500.0  # approximate number of gaits per margin of a scan
+_ANY_PHASE = 200_000.0  # approximate number of gaits of an any-phase front
 
 
 class StudyError(InputError):
-    """A study's description cannot be used; the message names the key, says why and what to write."""
+    """The description of a study is invalid. The message contains the key, the reason and what to write."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One quantity that varies: over ``values`` (a grid), or sampled from ``low`` to ``high``."""
+    """Quantity that varies, over ``values`` (a grid) or sampled between ``low`` and ``high``."""
 
     name: str
     values: tuple[float, ...] = ()
@@ -79,13 +82,13 @@ class Axis:
 
     @property
     def sampled(self) -> bool:
-        """Whether its values are drawn rather than listed."""
+        """True if the values are drawn, False if they are listed."""
         return not self.values
 
 
 @dataclass(frozen=True)
 class Sample:
-    """How the axes with a range are sampled together: ``method`` of `METHODS`, ``points``, ``seed``."""
+    """Sampling of all axes with a range: ``method`` (one of `METHODS`), number of ``points`` and ``seed``."""
 
     method: str = METHODS[0]
     points: int = 64
@@ -94,7 +97,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Hardware:
-    """The limits in the driver's parameter file, the cable servos' ``model`` and the supply ``voltage`` in V."""
+    """Limits from the driver's parameter file, ``model`` of the cable servos, and supply ``voltage`` in V."""
 
     driver: DrivenBy | None = None
     model: str = ""
@@ -103,9 +106,9 @@ class Hardware:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Of the map, of the front that is kept (``front_gaits``) and of probabilities (``samples``, ``seed``)."""
+    """Resolution of the scan for edges, of the stored front (``front_gaits``) and of probabilities (``samples``)."""
 
-    map: MapSettings = field(default_factory=MapSettings)
+    scan: ScanResolution = field(default_factory=ScanResolution)
     front_gaits: int = 32
     samples: int = 500
     seed: int = 1
@@ -113,7 +116,22 @@ class Resolution:
 
 @dataclass(frozen=True)
 class Study:
-    """A study, checked. ``text`` is the file as written; ``files`` are (name, content) of its robots."""
+    """Validated description of a study.
+
+    Attributes:
+        title: title of the study.
+        text: content of the YAML file.
+        files: (name, content) of the parameter file of each robot.
+        axes: quantities that vary.
+        sample: sampling of the axes with a range.
+        fixed: values of the quantities that do not vary.
+        margin_at_cliff: True if the margin of each point is that at the cliff of its scan.
+        hardware: limits of driver and servos.
+        compute: requested results, some of `COMPUTABLE`.
+        resolution: resolution of the computation.
+        scan: margins of the scan.
+        block_points: number of points in a block.
+    """
 
     title: str
     text: str
@@ -130,7 +148,7 @@ class Study:
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """Names of what differs between points, in the order of the columns of `points`."""
+        """Names of the quantities that vary between points, in the order of the columns of `points`."""
         return (PARAMETER_FILE, *(axis.name for axis in self.axes))
 
     @property
@@ -142,7 +160,7 @@ class Study:
 
     @property
     def blocks(self) -> list[slice]:
-        """The points of each block; the last may be shorter."""
+        """Slice of the points of each block. The last block may be shorter."""
         return [
             slice(start, min(start + self.block_points, self.size))
             for start in range(0, self.size, self.block_points)
@@ -150,23 +168,31 @@ class Study:
 
     @property
     def gaits_per_point(self) -> float:
-        """Gaits that one point takes to evaluate, roughly; gaits under servo limits count several times."""
+        """Approximate number of gaits to evaluate for one point.
+
+        Gaits with limits that need a simulated cycle count several times.
+        """
         resolution = self.resolution
-        cells = resolution.map.strokes * resolution.map.frequencies
+        cells = resolution.scan.strokes * resolution.scan.frequencies
         limited = bool(self.hardware.model) or bool(set(LIMITS[1:]) & self._named())
-        one_map = _MAPPED_PER_CELL * cells * (_LIMITED if limited else 1.0)
-        maps = float(bool({"front", "gaits", "success"} & set(self.compute)))
+        gaits = 0.0
+        if {"front", "gaits", "success"} & set(self.compute):
+            gaits += _PER_CELL * cells
         if "cliff" in self.compute or self.margin_at_cliff:
-            maps += len(self.scan.margins())
+            gaits += _PER_MARGIN * len(self.scan.margins())
+        gaits *= _LIMITED if limited else 1.0
         if "any_phase" in self.compute:
-            maps += _PHASES
-        return maps * one_map + ("success" in self.compute) * 2.0 * 3.0 * resolution.samples
+            gaits += _ANY_PHASE
+        return gaits + ("success" in self.compute) * 2.0 * 3.0 * resolution.samples
 
     def _named(self) -> set[str]:
         return {*self.fixed, *(axis.name for axis in self.axes)}
 
     def points(self) -> Array:
-        """The values that each point has of `varied`, shape (size, len(varied)); files first, samples fastest."""
+        """Return the value of each of `varied` at each point, shape (size, len(varied)).
+
+        The parameter files vary slowest and the samples fastest.
+        """
         grids = [np.arange(float(len(self.files)))]
         grids += [np.array(axis.values) for axis in self.axes if not axis.sampled]
         ranges = [axis for axis in self.axes if axis.sampled]
@@ -184,14 +210,17 @@ class Study:
 
     @property
     def identity(self) -> str:
-        """Hash of all that the result follows from but the code: two studies with the same one are the same."""
+        """Hash of all inputs that determine the result, without the code. Studies with the same hash are the same."""
         content = dataclasses.asdict(dataclasses.replace(self, text="", title=""))
         text = json.dumps(content, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
 def _drawn(sample: Sample, ranges: Sequence[Axis]) -> Array:
-    """Shape (points, axes). Sobol's points are scrambled, which keeps them apart from the borders."""
+    """Return the sampled values, shape (points, axes).
+
+    Sobol points are scrambled, which keeps them away from the bounds.
+    """
     if sample.method == "sobol":
         engine: Any = qmc.Sobol(len(ranges), scramble=True, seed=sample.seed)
         unit = engine.random_base2(math.ceil(math.log2(max(sample.points, 2))))[: sample.points]
@@ -203,9 +232,14 @@ def _drawn(sample: Sample, ranges: Sequence[Axis]) -> Array:
 
 
 def load_study(path: str | Path, parameters: str = "") -> Study:
-    """Reads a study's file; ``parameters`` names the robot's parameter file where the study names none.
+    """Read the file of a study.
 
-    Paths in the file are relative to it. Raises `StudyError` whose message starts with the path.
+    Args:
+        path: YAML file. Paths in it are relative to its folder.
+        parameters: parameter file of the robot, if the study names none.
+
+    Raises:
+        StudyError: The file is invalid. The message begins with the path.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -219,7 +253,7 @@ def load_study(path: str | Path, parameters: str = "") -> Study:
 
 
 def parse_study(text: str, folder: Path, parameters: str = "") -> Study:
-    """Makes a `Study` of the text of its file; see `load_study`."""
+    """Return the `Study` described by the text of its file, see `load_study`."""
     try:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:
@@ -256,7 +290,7 @@ def parse_study(text: str, folder: Path, parameters: str = "") -> Study:
 
 
 def _check(study: Study) -> None:
-    """What no single key can tell."""
+    """Check the conditions that involve several keys."""
     named = {axis.name for axis in study.axes} | set(study.fixed)
     if study.size > MOST_POINTS:
         raise StudyError(
@@ -311,18 +345,18 @@ def _whole(where: str, value: Any, least: int, most: int) -> int:
 
 
 class _Section(dict[str, Any]):
-    """A part of the file that may be missing, its keys checked."""
+    """Optional part of the file, with validated keys."""
 
     def __init__(self, where: str, content: Any, known: Sequence[str]) -> None:
         super().__init__({} if content is None else _mapping(where, content, known))
         self._where = where
 
     def number(self, key: str, default: float) -> float:
-        """A finite number."""
+        """Return a finite number, or the default if the key is missing."""
         return _number(f"{self._where}: {key}", self.get(key, default))
 
     def whole(self, key: str, default: int, least: int, most: int) -> int:
-        """A whole number within bounds."""
+        """Return an integer within bounds, or the default if the key is missing."""
         return _whole(f"{self._where}: {key}", self.get(key, default), least, most)
 
 
@@ -357,7 +391,10 @@ def _range(where: str, ends: Any) -> tuple[float, float]:
 
 
 def _listed(where: str, form: Mapping[str, Any]) -> tuple[float, ...]:
-    """The values of a grid, as listed or evenly between two ends; rounded, so that 0.3 is 0.3."""
+    """Return the values of a grid, either listed or evenly spaced between two ends.
+
+    Evenly spaced values are rounded, so that 0.3 is exactly 0.3.
+    """
     if "count" in form:
         count = _whole(f"{where}: count", form["count"], 2, 100_000)
         low, high = (_number(f"{where}: {end}", form[end]) for end in ("from", "to"))
@@ -372,7 +409,7 @@ def _listed(where: str, form: Mapping[str, Any]) -> tuple[float, ...]:
 
 
 def _fixed(content: Any) -> tuple[dict[str, float], bool]:
-    """The fixed numbers, and whether the margin is that at the cliff."""
+    """Return the fixed values, and True if the margin is that at the cliff."""
     rows = _Section("fixed", content, tuple(QUANTITY_UNITS))
     at_cliff = rows.get("margin_m") == CLIFF
     if at_cliff:
@@ -428,7 +465,7 @@ def _hardware(content: Any, folder: Path) -> Hardware:
     if not rows.get("driver"):
         raise StudyError("hardware: driver is missing: name the driver's parameter file")
     model, voltage = str(rows.get("servo_model") or ""), rows.get("supply_voltage_V")
-    servo_model(model)  # raises on a name that there is not
+    servo_model(model)  # raises if the name is unknown
     return Hardware(
         driver=load_driver_file(folder / str(rows["driver"])),
         model=model,
@@ -447,14 +484,12 @@ def _compute(content: Any) -> tuple[str, ...]:
 
 def _resolution(content: Any) -> Resolution:
     plain = Resolution()
-    keys = ("strokes", "frequencies", "tolerance_m", "followed", "front_gaits", "samples", "seed")
+    keys = ("strokes", "frequencies", "front_gaits", "samples", "seed")
     rows = _Section("resolution", content, keys)
     return Resolution(
-        map=MapSettings(
-            strokes=rows.whole("strokes", plain.map.strokes, 3, 10_000),
-            frequencies=rows.whole("frequencies", plain.map.frequencies, 2, 10_000),
-            tolerance=rows.number("tolerance_m", plain.map.tolerance),
-            followed=rows.whole("followed", plain.map.followed, 0, 1000),
+        scan=ScanResolution(
+            strokes=rows.whole("strokes", plain.scan.strokes, 3, 10_000),
+            frequencies=rows.whole("frequencies", plain.scan.frequencies, 2, 10_000),
         ),
         front_gaits=rows.whole("front_gaits", plain.front_gaits, 3, 10_000),
         samples=rows.whole("samples", plain.samples, 1, 1_000_000),
@@ -472,7 +507,7 @@ def _scan(content: Any) -> ScanSettings:
 
 
 def _block_points(value: Any, study: Study) -> int:
-    """Points of a block: enough that handing it on costs little, and a bar that moves."""
+    """Return the points of a block: enough to outweigh the cost of submitting it, and few enough to show progress."""
     if value is not None:
         return _whole("block_points", value, 1, MOST_POINTS)
     by_time = math.ceil(_BLOCK_SECONDS / (_SECONDS_PER_GAIT * max(study.gaits_per_point, 1.0)))

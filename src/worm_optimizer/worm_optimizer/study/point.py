@@ -1,40 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a study computes for one point: the one module here that calls search and robustness."""
+"""Results of one point of a study. This is the only module of the package that calls search and robustness."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import (
+    dataclass,
+)
 from typing import Any
 
 import numpy as np
 
 from worm_model.errors import InputError
-from worm_model.gait import FORWARD
+from worm_model.gait import (
+    FORWARD,
+)
 from worm_model.parameters import KEYS, ParameterFile, Parameters
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
 from worm_model.simulation.simulator import SimulationError, cost_of_transport
-from worm_optimizer.robustness.chance import PromiseTask
-from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.robustness.success_probability import success_probability
-from worm_optimizer.robustness.uncertainty import (
-    every_phase,
-    phase_guard,
-    phase_known,
-    phase_unknown,
-)
+from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
 from worm_optimizer.search.actuator_limits import ActuatorLimits
-from worm_optimizer.search.front import thinned
-from worm_optimizer.search.gait_map import build_map
-from worm_optimizer.search.gait_request import GaitRequest, Objective, RequestStatus, select
-from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness, scan
+from worm_optimizer.search.exact import (
+    Cost,
+    ExactFront,
+    power_cost,
+    speed_cost,
+    transport_cost,
+)
+from worm_optimizer.search.front import any_phase_task, front_of_task, thinned
+from worm_optimizer.search.gait_request import Objective, at_power, at_speed
+from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness
 from worm_optimizer.search.servo_limits import DrivenBy, limits_of, servo_model
-from worm_optimizer.search.task import Bounds, MarginTask, Points, Task
+from worm_optimizer.search.task import Bounds, MarginTask, Points
 from worm_optimizer.study.plan import LIMITS, PARAMETER_FILE, Array, Study
 
-FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # dimensions beside the point's own
+FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # further dimensions
 OPEN, DONE, FAILED = 0, 1, 2  # values of the variable "state"
 REASON_LENGTH = 200  # characters
 THREE_GAITS = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
@@ -45,12 +48,12 @@ REQUESTS = {
 
 
 class PointError(InputError):
-    """A point cannot be computed; the message says why."""
+    """A point cannot be computed. The message contains the reason."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A result of every point: its further dimensions, unit, name in words, and what stands for none."""
+    """Result of every point: its further ``dimensions``, its ``unit`` and its descriptive ``long_name``."""
 
     dimensions: tuple[str, ...]
     unit: str
@@ -58,7 +61,7 @@ class Variable:
 
 
 def gait_names(study: Study) -> list[str]:
-    """Names of the gaits of a point: the paper's three and those that a speed or a power is given for."""
+    """Return the names of the gaits of a point: the paper's three, and those for a given speed or power."""
     named = {*study.fixed, *study.varied}
     wanted = [objective for key, objective in REQUESTS.items() if key in named]
     return [objective.name.lower() for objective in (*THREE_GAITS, *wanted)]
@@ -70,10 +73,8 @@ _OF_GAIT = {
     "speed": ("m/s", "speed along the direction, with the margin"),
     "power": ("W", "mean source power, with the margin"),
     "cost_of_transport": ("1", "cost of transport, with the margin"),
-    "grooves_per_cycle": ("1", "grooves gained in the poorest averaged cycle, with the margin"),
+    "grooves_per_cycle": ("1", "mean grooves gained in an averaged cycle, with the margin"),
 }
-# Of a `Prediction`, what no choice among the gaits of a front looks at.
-_UNPREDICTED = (math.nan,) * 9
 _NOMINAL = {
     "nominal_speed": ("m/s", "speed along the direction, without a margin"),
     "nominal_power": ("W", "mean source power, without a margin"),
@@ -81,7 +82,7 @@ _NOMINAL = {
 
 
 def variables(study: Study) -> dict[str, Variable]:
-    """The results of a study, by name."""
+    """Return the results of a study, by name."""
     variables_of = {
         "margin": Variable((), "m", "margin that front and gaits keep"),
         "groove_phase": Variable((), "m", "groove phase that every speed holds for"),
@@ -121,7 +122,7 @@ def variables(study: Study) -> dict[str, Variable]:
 
 
 def dimensions(study: Study) -> dict[str, Sequence[Any]]:
-    """The further dimensions with their coordinates."""
+    """Return the further dimensions with their coordinates."""
     return {
         FRONT: list(range(study.resolution.front_gaits)),
         GAIT: gait_names(study),
@@ -133,7 +134,15 @@ Results = dict[str, np.ndarray]
 
 
 def compute_block(study: Study, points: Array) -> Results:
-    """The variables of points of shape (n, len(study.varied)), each of shape (n, …), with state and reason."""
+    """Return the variables of a block of points, with ``state`` and ``reason``.
+
+    Args:
+        study: study.
+        points: points of the block, shape (n, len(study.varied)).
+
+    Returns:
+        The variables by name, each of shape (n, …). The values of a failed point are NaN.
+    """
     sizes = {name: len(values) for name, values in dimensions(study).items()}
     results: Results = {
         name: np.full((len(points), *(sizes[d] for d in variable.dimensions)), np.nan)
@@ -154,10 +163,17 @@ def compute_block(study: Study, points: Array) -> Results:
 
 
 def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
-    """The variables of one point, by name; ``values`` by name as in `Study.varied`.
+    """Return the variables of one point, by name.
 
-    Raises `InputError` or `SimulationError` if the point is not admissible. What does not exist (a front where no
-    gait moves) is left out, and stays NaN.
+    Results that do not exist are left out and stay NaN, such as a front where no gait moves.
+
+    Args:
+        study: study.
+        values: values of the point, by the names of `Study.varied`.
+
+    Raises:
+        InputError: The point is not admissible.
+        SimulationError: The simulator failed at the point.
     """
     asked = {**study.fixed, **values}
     content = content_of(study, asked)
@@ -168,8 +184,7 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
     }
     margin: float | None = asked.get("margin_m")
     if "cliff" in study.compute or study.margin_at_cliff:
-        points = list(scan(task, study.resolution.map, study.scan.margins()))
-        price = price_of_robustness(points, content.parameters)
+        price = price_of_robustness(task, study.scan.margins())
         results |= _cliff(price)
         if study.margin_at_cliff:
             margin = price.margin
@@ -178,17 +193,16 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
         if {"front", "gaits", "success"} & set(study.compute):
             results |= _robust(study, asked, content, task.with_margin(margin))
     if "any_phase" in study.compute:
-        guarded = task.with_margin(phase_guard(content.parameters))
-        promise = PromiseTask(guarded, every_phase(content.parameters), 1.0)
-        chosen = _chosen(study, asked, _front(study, promise), content.parameters, margin=0.0)
+        front = front_of_task(any_phase_task(task), study.resolution.scan)
+        chosen = _chosen(study, asked, front, content.parameters)
         results |= {f"any_phase_{name}": column for name, column in chosen.items()}
     return results
 
 
 def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
-    """The robot of a point: its parameter file with what is asked for in the place of the file's values.
+    """Return the robot of a point: its parameter file with the requested values.
 
-    An interval moves with its value: it keeps its width relative to it.
+    An interval is scaled with its value, so its relative width stays the same.
     """
     content = study.files[int(asked.get(PARAMETER_FILE, 0))][1]
     old = content.parameters
@@ -217,13 +231,13 @@ def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
 
 
 def task_of(study: Study, asked: Mapping[str, float], parameters: Parameters) -> MarginTask:
-    """The optimisation task of a point, without a margin yet."""
+    """Return the optimisation task of a point, without a margin."""
     plain = Bounds()
     box = {
         "stroke_low": asked.get("min_stroke_m", plain.stroke_low),
         "stroke_high": asked.get("max_stroke_m", plain.stroke_high),
         "frequency_low": asked.get("min_frequency_Hz", plain.frequency_low),
-        "frequency_high": asked.get("max_frequency_Hz", plain.frequency_high),
+        "frequency_high": asked.get("max_frequency_hz", plain.frequency_high),
     }
     limits = ActuatorLimits(*(asked.get(name, math.inf) for name in LIMITS))
     if study.hardware.driver is not None:
@@ -237,7 +251,7 @@ def task_of(study: Study, asked: Mapping[str, float], parameters: Parameters) ->
 
 
 def _driver(plain: DrivenBy, asked: Mapping[str, float]) -> DrivenBy:
-    """The driver's limits with the point's spools."""
+    """Return the driver's limits with the spool radius of the point."""
     if "spool_radius_m" not in asked:
         return plain
     radius = asked["spool_radius_m"]
@@ -255,15 +269,12 @@ def _cliff(price: PriceOfRobustness) -> dict[str, Any]:
     return results
 
 
-def _front(study: Study, task: Task) -> Points:
-    return build_map(task, study.resolution.map).front
-
-
 def _robust(
     study: Study, asked: Mapping[str, float], content: ParameterFile, task: MarginTask
 ) -> dict[str, Any]:
-    """Front, gaits and success probabilities with the task's margin."""
-    front = _front(study, task)
+    """Return front, gaits and success probabilities with the margin of the task."""
+    exact = front_of_task(task, study.resolution.scan)
+    front = exact.front
     results: dict[str, Any] = {}
     if "front" in study.compute:
         results["front_size"] = len(front)
@@ -271,7 +282,7 @@ def _robust(
             results |= _kept_front(study, front, content.parameters)
     if not len(front) or not {"gaits", "success"} & set(study.compute):
         return results
-    chosen = _chosen(study, asked, front, content.parameters, task.margin)
+    chosen = _chosen(study, asked, exact, content.parameters)
     results |= chosen
     known = np.isfinite(chosen["stroke"])
     gaits = chosen["stroke"][known], chosen["frequency"][known]
@@ -288,19 +299,19 @@ def _robust(
 
 
 def _spread(values: Array, known: np.ndarray) -> Array:
-    """Values at the places that are known, NaN elsewhere."""
+    """Return an array with the values where ``known`` is True, and NaN elsewhere."""
     spread = np.full(known.shape, np.nan)
     spread[known] = values
     return spread
 
 
 def _kept_front(study: Study, front: Points, parameters: Parameters) -> dict[str, Array]:
-    """A front thinned to the gaits that are kept, NaN after them."""
+    """Return the stored gaits of a front, padded with NaN."""
     count = study.resolution.front_gaits
     kept = front.take(thinned(front, parameters, count))
     columns = {
         **{name: getattr(kept, name) for name in ("stroke", "frequency", "speed", "power")},
-        "grooves_per_cycle": kept.branch,
+        "grooves_per_cycle": kept.grooves,
     }
     return {
         f"front_{name}": np.pad(
@@ -311,26 +322,29 @@ def _kept_front(study: Study, front: Points, parameters: Parameters) -> dict[str
 
 
 def _chosen(
-    study: Study, asked: Mapping[str, float], front: Points, parameters: Parameters, margin: float
+    study: Study, asked: Mapping[str, float], exact: ExactFront, parameters: Parameters
 ) -> dict[str, Array]:
-    """The columns of the gaits of `gait_names`; NaN for one that no gait of the front can be."""
+    """Return the columns of the gaits of `gait_names`; NaN if no gait qualifies."""
     names = gait_names(study)
     columns = {name: np.full(len(names), np.nan) for name in _OF_GAIT}
-    if not len(front):
+    if not len(exact.front):
         return columns
-    cost = cost_of_transport(front.speed, front.power, parameters.mass)
-    chosen_by = (front.stroke, front.frequency, front.speed, front.power, cost, front.branch)
-    gaits = [
-        Prediction(stroke, frequency, FORWARD, margin, *(*figures, *_UNPREDICTED))
-        for stroke, frequency, *figures in zip(*(row.tolist() for row in chosen_by), strict=True)
-    ]
-    wanted = [GaitRequest(objective) for objective in THREE_GAITS]
-    wanted += [
-        GaitRequest(objective, asked[key]) for key, objective in REQUESTS.items() if key in asked
-    ]
-    for place, request in enumerate(wanted):
-        answer = select(gaits, request)
-        if answer.status is RequestStatus.DONE:
-            for name, column in columns.items():
-                column[place] = getattr(answer.prediction, name)
+    costs: list[Cost] = [power_cost, transport_cost, speed_cost]
+    costs += [_COSTS[objective](asked[key]) for key, objective in REQUESTS.items() if key in asked]
+    for place, cost in enumerate(costs):
+        gait = exact.cheapest(cost)
+        for name, value in _figures(gait, parameters).items():
+            columns[name][place : place + 1] = value if len(gait) else np.nan
     return columns
+
+
+_COSTS = {Objective.MAX_SPEED_AT_POWER: at_power, Objective.MIN_POWER_AT_SPEED: at_speed}
+
+
+def _figures(points: Points, parameters: Parameters) -> dict[str, Array]:
+    """Return the quantities of gaits, by the names of `_OF_GAIT`."""
+    return {
+        **{name: getattr(points, name) for name in ("stroke", "frequency", "speed", "power")},
+        "cost_of_transport": cost_of_transport(points.speed, points.power, parameters.mass),
+        "grooves_per_cycle": points.grooves,
+    }

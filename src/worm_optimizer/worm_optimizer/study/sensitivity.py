@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What decides speed, power and the cliff: Sobol indices over the parameters' uncertainty.
+"""Sobol indices of speed, power and cliff over the uncertainty of the parameters.
 
-The parameters vary independently, each normally within its 95 % interval: that of the parameter file, else the stated
-default (`robustness.uncertainty`). The variance of a figure is then shared out: the first-order
-index of a parameter is the part of it that knowing this parameter alone would take away, the total index the part in
-which it has a hand, together with others. Saltelli's samples and estimators are SciPy's.
+The parameters vary independently. Each is normally distributed within its 95 % interval: that of the parameter file,
+or the stated default (`robustness.uncertainty`). The indices divide the variance of a quantity between the parameters.
+The first-order index of a parameter is the share that would vanish if this parameter alone were known. The total index
+is the share that the parameter contributes to, alone or together with others. Samples (Saltelli) and estimators are
+SciPy's.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import (
+    asdict,
+    dataclass,
+    replace,
+)
 from typing import Any
 
 import numpy as np
@@ -22,23 +27,26 @@ from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import evaluate_gaits
 from worm_model.simulation.closed_form import cliff_margin, front_groove
 from worm_optimizer.robustness.uncertainty import (
-    MOTION_HALF_WIDTHS,
-    POWER_HALF_WIDTHS,
+    LENGTH,
+    MOTION_KEYS,
+    POWER_KEYS,
     reach_of,
     values_at,
 )
 from worm_optimizer.search.task import Array
 
 FIGURES = ("speed", "power", "cliff_margin")
-LENGTH = "initial_length"
-_LEAST_VARIANCE = 1e-24  # of a figure, below which it does not vary
+_LEAST_VARIANCE = 1e-24  # a quantity with a variance below this does not vary
 
 
 @dataclass(frozen=True)
 class Indices:
-    """Of one figure: ``first`` and ``total`` (parameters,), with 95 % bounds (2, parameters); NaN if it never varies.
+    """Sobol indices of one quantity; NaN if the quantity does not vary.
 
-    ``mean`` and standard ``deviation`` of the figure in its unit.
+    Attributes:
+        first, total: first-order and total indices, shape (parameters,).
+        first_bounds, total_bounds: 95 % bounds, shape (2, parameters).
+        mean, deviation: mean and standard deviation of the quantity, in its unit.
     """
 
     first: Array
@@ -51,7 +59,15 @@ class Indices:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """``parameters``: the keys that vary, with their ``reach`` (95 %, below and above the value); indices by figure."""
+    """Result of a sensitivity analysis.
+
+    Attributes:
+        gait: gait that was analysed.
+        parameters: keys of the parameters that vary.
+        reach: 95 % reach below and above the value of each parameter, in its unit.
+        indices: indices by quantity.
+        evaluations: number of simulated gaits.
+    """
 
     gait: Gait
     parameters: tuple[str, ...]
@@ -61,9 +77,15 @@ class Sensitivity:
 
 
 def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> Sensitivity:
-    """Indices of a gait's nominal speed (m/s) and power (W) and of the cliff's margin (m, closed form).
+    """Compute the indices of a gait's nominal speed (m/s) and power (W), and of the cliff margin (m, closed form).
 
-    ``samples``, a power of two, times the number of parameters and two gaits are simulated.
+    The number of simulated gaits is ``samples`` times the number of parameters plus three.
+
+    Args:
+        gait: gait; its margin is not used.
+        content: parameters with their intervals.
+        samples: number of samples, a power of two.
+        seed: seed of the random numbers.
     """
     reach = _reach(content)
 
@@ -73,7 +95,8 @@ def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> 
     random = np.random.default_rng(seed)
     at_random = figures(random.standard_normal((len(reach), samples)))
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a figure that does not vary has no indices, as is told
+        # The indices of a quantity that does not vary become NaN below.
+        warnings.simplefilter("ignore")
         result = sobol_indices(
             func=figures, n=samples, dists=[norm()] * len(reach), random_state=random
         )
@@ -94,7 +117,10 @@ def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> 
 
 
 def _bootstrap(result: Any, seed: int) -> Any:
-    """95 % bounds of indices; SciPy takes no generator for them and draws from NumPy's global one."""
+    """Return 95 % bounds of the indices.
+
+    SciPy does not accept a generator here and draws from NumPy's global one, whose state is restored.
+    """
     before = np.random.get_state()  # noqa: NPY002
     np.random.seed(seed)  # noqa: NPY002
     try:
@@ -109,26 +135,22 @@ def _interval(bounds: object, row: int) -> Array:
 
 
 def _reach(content: ParameterFile) -> dict[str, tuple[float, float]]:
-    """Of every parameter that is not exact; that of L0 stands for the groove phase."""
-    reaches = {
-        key: reach_of(content, key) for key in (*MOTION_HALF_WIDTHS, *POWER_HALF_WIDTHS, LENGTH)
-    }
+    """Return the reach of each uncertain parameter. The reach of L0 stands for that of the groove phase."""
+    reaches = {key: reach_of(content, key) for key in (*MOTION_KEYS, *POWER_KEYS, LENGTH)}
     return {key: ends for key, ends in reaches.items() if max(ends) > 0.0}
 
 
 def _figures(
     gait: Gait, content: ParameterFile, reach: Mapping[str, tuple[float, float]], deviates: Array
 ) -> Array:
-    """(figures, n) under standard normal deviates (parameters, n)."""
+    """Return the quantities, shape (figures, n), at standard normal deviates of shape (parameters, n)."""
     p = content.parameters
     drawn = values_at(p, reach, dict(zip(reach, deviates, strict=True)))
     longer = front_groove(p) * (drawn.get("pitch", np.full(deviates.shape[1], p.pitch)) - p.pitch)
     drawn[LENGTH] = (
         drawn.get(LENGTH, p.initial_length) + longer
-    )  # the groove phase is what was drawn
-    table = evaluate_gaits(
-        gait.stroke, gait.frequency, direction=gait.direction, parameters=p, overrides=drawn
-    )
+    )  # the drawn value is the groove phase
+    table = evaluate_gaits(**asdict(replace(gait, margin=0.0)), parameters=p, overrides=drawn)
     sets = (dict(zip(drawn, row, strict=True)) for row in np.stack(list(drawn.values()), axis=1))
     cliffs = [cliff_margin(p.replace(**{k: float(v) for k, v in row.items()})) for row in sets]
     return np.stack([table.speed, table.power, np.array(cliffs)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figure of a sensitivity."""
+"""Figure of a sensitivity analysis."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from worm_model.analysis.plot_style import BLUE, LIGHT_GREY, letter, new_figure
 from worm_model.parameters import SYMBOLS
 from worm_optimizer.study.sensitivity import Sensitivity
 
-SHOWN = 10  # parameters of a figure, the most telling ones
+SHOWN = 10  # number of parameters in the figure, those with the largest total indices
 TITLES = {"speed": "speed", "power": "power", "cliff_margin": "cliff of the margin"}
 
 
 def sensitivity_figure(content: Sensitivity) -> Figure:
-    """First-order and total indices of every figure, the parameters with the largest total index on top."""
+    """Draw first-order and total indices of each quantity, with the largest total index on top."""
     figure = new_figure(11.0, 4.5)
     panels = figure.subplots(1, len(content.indices))
     for axes, (name, indices) in zip(panels, content.indices.items(), strict=True):

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a study has found, on disk as it is found: a Zarr store whose chunks are the study's blocks.
+"""Zarr store of a study's results, written block by block. Each block of the study is a chunk.
 
-A block's variables are written first and its ``state`` last, so that a block counts as finished only when all
-of it is there; one that was interrupted is computed again. Nothing in it depends on when or where it was
-computed, so that a study that was killed and resumed ends with the same bytes. The format is Zarr's second,
-which every release of xarray and zarr reads.
+The variables of a block are written first and its ``state`` last, so a block counts as finished only if it is
+complete. An interrupted block is computed again. The store does not depend on when or where it was computed. A study
+that was killed and resumed therefore ends with the same bytes. The format is Zarr version 2, which every release of
+xarray and zarr reads.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ from worm_optimizer.study.point import FAILED, OPEN, REASON_LENGTH, Results, dim
 from worm_optimizer.study.version import identity, versions
 
 _FORMAT = 2
-_NEW = int(zarr.__version__.split(".")[0]) >= 3  # the release for Python 3.10 is older
+_NEW = int(zarr.__version__.split(".")[0]) >= 3  # Python 3.10 needs an older release
 _DIMENSION_UNITS = {"front_gait": "1", "gait": "", "scan_margin": "m"}
 
 
 class StoreError(InputError):
-    """An output cannot be used for this study; the message says why and what to do."""
+    """The output cannot be used for this study. The message contains the reason and what to do."""
 
 
 @dataclass(frozen=True)
 class Store:
-    """A study's output, held by this process alone."""
+    """Output of a study, locked by this process."""
 
     path: Path
     study: Study
 
     def open_blocks(self) -> list[slice]:
-        """The blocks that are not finished."""
+        """Return the blocks that are not finished."""
         state = self._group("r")["state"]
         return [block for block in self.study.blocks if np.any(state[block] == OPEN)]
 
     def counts(self) -> tuple[int, int]:
-        """Points that are finished, and those among them that failed."""
+        """Return the number of finished points and the number of failed points among them."""
         state = self._group("r")["state"]
         finished = failed = 0
         for block in self.study.blocks:
@@ -64,7 +64,11 @@ class Store:
         return finished, failed
 
     def write(self, block: slice, results: Results) -> None:
-        """Writes a finished block; raises OSError if the disk does not take it."""
+        """Write a finished block.
+
+        Raises:
+            OSError: The disk is full or cannot be written.
+        """
         group = self._group("r+")
         for name in sorted(results, key=lambda name: name == "state"):
             group[name][block] = results[name]
@@ -74,15 +78,19 @@ class Store:
 
 
 def open_result(path: str | Path) -> xarray.Dataset:
-    """The dataset of a study, read as it is used; what is not finished is NaN."""
+    """Return the dataset of a study, which is read lazily. Unfinished points are NaN."""
     return xarray.open_zarr(str(path), consolidated=True)
 
 
 @contextlib.contextmanager
 def held(path: Path, study: Study) -> Iterator[Store]:
-    """The output of a study, made if it is not there yet, for this process alone.
+    """Create the output of a study if it is missing, and lock it for this process.
 
-    Raises `StoreError` if it is another study's, of another version of the code, or in use.
+    Yields:
+        The store.
+
+    Raises:
+        StoreError: The output holds another study, was made by another version of the code, or is in use.
     """
     if not path.exists():
         _make(path, study)
@@ -98,7 +106,11 @@ def held(path: Path, study: Study) -> Iterator[Store]:
 
 
 def take(file: IO[Any], output: Path) -> None:
-    """Has what a file stands for to this process alone until it is closed; raises `StoreError` where another has it."""
+    """Lock a file for this process until it is closed.
+
+    Raises:
+        StoreError: Another process holds the lock of ``output``.
+    """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -108,13 +120,21 @@ def take(file: IO[Any], output: Path) -> None:
 
 
 def check_folder(output: Path) -> None:
-    """Raises `StoreError` where an output has no folder to be in."""
+    """Check that the folder of an output exists.
+
+    Raises:
+        StoreError: The folder is missing.
+    """
     if not output.parent.is_dir():
         raise StoreError(f"{output}: its folder {output.parent} does not exist; make it first")
 
 
 def _check(path: Path, study: Study) -> None:
-    """That an output is this study's, by this code."""
+    """Check that an output holds this study and was made by this code.
+
+    Raises:
+        StoreError: It does not.
+    """
     try:
         attributes = json.loads((path / ".zattrs").read_text(encoding="utf-8"))
         study_hash, code = attributes["study_hash"], attributes["code"]
@@ -134,7 +154,7 @@ def _check(path: Path, study: Study) -> None:
 
 
 def _make(path: Path, study: Study) -> None:
-    """Lays out an empty store beside and moves it into place, so that none is half there."""
+    """Create an empty store under a temporary name and rename it, so that no incomplete store remains."""
     check_folder(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -148,14 +168,18 @@ def _make(path: Path, study: Study) -> None:
             compute=False,
             encoding=encoding,
         )
-        with contextlib.suppress(OSError):  # another client was faster: its store is used
+        # If another process has created the store, that one is used.
+        with contextlib.suppress(OSError):
             part.rename(path)
     finally:
         shutil.rmtree(part, ignore_errors=True)
 
 
 def _encoding(study: Study, array: xarray.DataArray) -> dict[str, Any]:
-    """A chunk a block; compressed in one thread, so that the same numbers make the same bytes."""
+    """Return the encoding of a variable: one chunk per block.
+
+    The compressor uses one thread, so that the same numbers result in the same bytes.
+    """
     coordinate = array.name in array.coords
     chunks = tuple(
         size if coordinate or name != "point" else study.block_points
@@ -170,7 +194,7 @@ def _encoding(study: Study, array: xarray.DataArray) -> dict[str, Any]:
 
 
 def _template(study: Study) -> xarray.Dataset:
-    """The dataset without results: names, units, points, provenance."""
+    """Return the dataset without results: names, units, points and provenance."""
     sizes = {name: len(values) for name, values in dimensions(study).items()}
     data: dict[str, Any] = {}
     for name, variable in variables(study).items():
@@ -183,7 +207,7 @@ def _template(study: Study) -> xarray.Dataset:
         ("state", np.dtype("u1"), "0 not finished, 1 done, 2 failed"),
         ("reason", np.dtype(f"<U{REASON_LENGTH}"), "why a point failed"),
     ):
-        # written at once, as nothing that they may hold could stand for "not written"
+        # Written immediately, because no value could mark unwritten chunks.
         data[name] = ("point", np.zeros(study.size, dtype), {"long_name": words})
     used = {name for variable in variables(study).values() for name in variable.dimensions}
     coordinates: dict[str, Any] = {
@@ -203,7 +227,7 @@ def _template(study: Study) -> xarray.Dataset:
 
 
 def _provenance(study: Study) -> dict[str, Any]:
-    """What the numbers follow from; nothing of when and where they were computed."""
+    """Return everything that determines the numbers, without time and place of the computation."""
     parameters = "".join(format_parameter_file(content) for _, content in study.files)
     return {
         "title": study.title,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One HTML page of a study: the best design, its neighbours, what failed, and what the model cannot know."""
+"""HTML page of a study: the best design, its neighbours, failed points, and limits of the model."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _ALWAYS = (
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under a title; ``words`` if the cells hold words rather than numbers."""
+    """Rows of text under a title; ``words`` is True if the cells contain text rather than numbers."""
 
     title: str
     heads: Sequence[str]
@@ -47,14 +47,18 @@ class Table:
 
 @dataclass(frozen=True)
 class Source:
-    """A text that is shown as it is."""
+    """Text that is shown verbatim."""
 
     title: str
     text: str
 
 
 def write_page(output: Path, study: Study, page: Path) -> None:
-    """Writes the page of what is in ``output``; raises FileExistsError rather than overwrite one."""
+    """Write the page of the results in ``output``.
+
+    Raises:
+        FileExistsError: The page exists already.
+    """
     summary = summarise(output, study)
     with open_result(output) as data:
         origin = {key: data.attrs[key] for key in ("study_hash", "parameter_hash", "code")}
@@ -74,7 +78,11 @@ def write_page(output: Path, study: Study, page: Path) -> None:
 
 
 def render(page: Path, **content: object) -> None:
-    """Fills the template; raises FileExistsError rather than overwrite a page."""
+    """Fill the template and write the page.
+
+    Raises:
+        FileExistsError: The page exists already.
+    """
     text = (Path(__file__).parent / "study.html.jinja").read_text(encoding="utf-8")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     environment.filters["base64"] = lambda content: base64.b64encode(content).decode()
@@ -101,7 +109,7 @@ def _lead(summary: Summary) -> list[str]:
 
 
 def _told(summary: Summary, row: int) -> str:
-    """A design and what was found of it, in words."""
+    """Return a design and its results as text."""
     design, figures = (
         ", ".join(f"{label(column)} {shown(column)[row]:.4g}" for column in columns)
         for columns in (summary.varied, summary.figures)

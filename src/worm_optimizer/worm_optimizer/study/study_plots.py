@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a study: what is sought over two quantities, the best design's neighbours, parallel coordinates."""
+"""Figures of a study: results over two quantities, the neighbours of the best design, and parallel coordinates."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ from worm_optimizer.study.summary import Column, Summary
 Array = NDArray[np.float64]
 
 _COMPARED = (("speed_m_s", 1e3, "speed (mm/s)"), ("power_W", 1.0, "power (W)"))  # of a fleet
-_LINES = 400  # of parallel coordinates, beyond which nothing can be told apart
-_SHOWN = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}  # how a person reads these units
+_LINES = 400  # lines of parallel coordinates; more are not distinguishable
+_SHOWN = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s")}  # units that are shown instead of SI units
 
 
 def label(column: Column) -> str:
-    """A quantity with the unit that it is shown in."""
+    """Return the name of a quantity with the unit in which it is shown."""
     unit = _SHOWN.get(column.unit, (1.0, column.unit))[1]
     name = column.name.replace("_", " ")
     return f"{name} ({unit})" if unit not in ("1", "") else name
 
 
 def shown(column: Column) -> Array:
-    """Values in the unit that they are shown in."""
+    """Return the values in the unit in which they are shown."""
     return column.values * _SHOWN.get(column.unit, (1.0, ""))[0]
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure as a PNG, with its caption."""
+    """Figure as a PNG, with its caption."""
 
     png: bytes
     caption: str
 
 
 def pictures(summary: Summary) -> list[Picture]:
-    """The figures that a study's varied quantities allow."""
+    """Return the figures that the varied quantities of a study allow."""
     varied = summary.varied
     made = []
     if len(varied) >= 2:
@@ -175,7 +175,7 @@ def _parallel(summary: Summary) -> Figure:
 
 
 def _unit(values: Array) -> Array:
-    """Values between 0 and 1; 0.5 where they are all the same."""
+    """Return the values scaled to 0 to 1, or 0.5 if all are the same."""
     known = values[np.isfinite(values)]
     low, high = (known.min(), known.max()) if known.size else (0.0, 0.0)
     return (
@@ -184,14 +184,14 @@ def _unit(values: Array) -> Array:
 
 
 def png(figure: Figure) -> bytes:
-    """A figure as a PNG; the same figure makes the same bytes."""
+    """Return a figure as a PNG. The same figure results in the same bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
     return buffer.getvalue()
 
 
 def compared_figure(gaits: Sequence[Mapping[str, float]]) -> Figure:
-    """Speed and power of a fleet's gaits as measured, over what the model expects of their command."""
+    """Draw measured over expected speed and power of a fleet's gaits."""
     figure = new_figure(9.0, 4.2)
     for axes, (key, scale, text) in zip(figure.subplots(1, 2), _COMPARED, strict=True):
         measured = [scale * row[key] for row in gaits]

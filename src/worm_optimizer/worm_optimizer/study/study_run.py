@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A study from its plan to its output: what is open is computed, block by block, and kept."""
+"""Run of a study: unfinished points are computed block by block and stored."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from worm_optimizer.study.plan import Study
 from worm_optimizer.study.point import compute_block
 from worm_optimizer.study.store import Store, held
 
-_TIMED_GAITS = 2048  # some hundredths of a second
+_TIMED_GAITS = 2048  # they take some hundredths of a second
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Points of a study: all, those that are finished, and those among them that failed."""
+    """Number of ``points`` of a study, of the finished ones (``done``), and of the ``failed`` ones among these."""
 
     points: int
     done: int
@@ -31,7 +31,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a study will take: evaluated gaits and seconds, both rough, on so many ``workers``."""
+    """Approximate cost of a study: evaluated ``gaits`` and ``seconds`` on a number of ``workers``."""
 
     gaits: float
     seconds: float
@@ -39,10 +39,13 @@ class Estimate:
 
 
 def estimate(study: Study, scheduler: str, workers: int | None) -> Estimate:
-    """An estimate from a few gaits that are timed here; the workers of a cluster count as fast as one core here."""
+    """Estimate the cost of a study from a few gaits that are timed here.
+
+    A worker of a cluster is assumed to be as fast as one core of this machine.
+    """
     row = np.linspace(0.0, 1.0, _TIMED_GAITS)
     gaits = 0.01 + 0.08 * row, 0.08 + 0.32 * (7.0 * row % 1.0), 0.002
-    evaluate_gaits(*gaits)  # compiles, the first time
+    evaluate_gaits(*gaits)  # the first call compiles
     begin = time.process_time()
     evaluate_gaits(*gaits)
     each = (time.process_time() - begin) / _TIMED_GAITS
@@ -62,10 +65,23 @@ def run_study(
     say: Say,
     progress: Callable[[float], None],
 ) -> Counts:
-    """Computes what is open of a study into ``output``, on the cluster at ``scheduler`` or on this machine.
+    """Compute the unfinished points of a study into ``output``.
 
-    Raises `StoreError` or `ClusterError` if output or cluster cannot be used, `LostError` if the cluster is lost on
-    the way, OSError if the disk is full; whatever happens, finished blocks stay and the same call goes on.
+    If the call fails, finished blocks remain, and the same call continues with the others.
+
+    Args:
+        study: study.
+        output: folder of the store.
+        scheduler: address of a Dask scheduler, or an empty string for workers on this machine.
+        workers: number of workers on this machine; None for one per core.
+        say: function that is called with each message.
+        progress: function that is called with the finished share.
+
+    Raises:
+        StoreError: The output cannot be used.
+        ClusterError: The cluster cannot be used.
+        LostError: The cluster was lost.
+        OSError: The disk is full.
     """
     with held(output, study) as store:
         todo = store.open_blocks()

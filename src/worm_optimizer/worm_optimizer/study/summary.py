@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a study says in a few numbers: its best design, the columns that figures and page show, what failed."""
+"""Summary of a study: its best design, the columns for figures and page, and the failed points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Column:
-    """A quantity of every point: ``values`` of shape (points,) in ``unit``."""
+    """Quantity of every point: ``values`` of shape (points,) in ``unit``."""
 
     name: str
     unit: str
@@ -29,10 +29,19 @@ class Column:
 
 @dataclass(frozen=True)
 class Summary:
-    """Of the points that are done: what ``varied``, the ``figures`` found, ``rank`` (0 is best), index of the ``best``.
+    """Summary of the points that are done.
 
-    ``own`` is the index of the point that is the parameter file itself, None if none is; ``goal`` says in words
-    what best means. ``failed`` counts reasons; ``still`` are points at which no gait moves.
+    Attributes:
+        varied: quantities that vary.
+        figures: results to show. The first one decides which point is best.
+        rank: rank of each point, 0 is best, shape (points,).
+        best: index of the best point, None if there is none.
+        own: index of the point with the values of the parameter file, None if there is none.
+        goal: what is best, as text.
+        points: number of points of the study.
+        done: number of finished points, including failed ones.
+        failed: number of failed points by reason.
+        still: number of points without a gait that moves.
     """
 
     varied: tuple[Column, ...]
@@ -48,7 +57,7 @@ class Summary:
 
 
 def summarise(path: Path, study: Study) -> Summary:
-    """Reads a study's output."""
+    """Read the output of a study and return its summary."""
     with open_result(path) as data:
         state = data["state"].values
         done = np.flatnonzero(state == DONE)
@@ -78,7 +87,7 @@ def summarise(path: Path, study: Study) -> Summary:
 
 
 def _own(varied: tuple[Column, ...], study: Study) -> int | None:
-    """The point whose varied parameters are those of the one parameter file."""
+    """Return the point whose varied parameters have the values of the only parameter file."""
     values = study.files[0][1].parameters.as_dict()
     if len(study.files) > 1 or not all(column.name in values for column in varied):
         return None
@@ -88,7 +97,7 @@ def _own(varied: tuple[Column, ...], study: Study) -> int | None:
 
 
 def _figures(data: xarray.Dataset, study: Study) -> tuple[tuple[Column, ...], str]:
-    """The columns to look at, the one that decides first, and what is best in words."""
+    """Return the columns to show, the decisive one first, and the goal as text."""
 
     def column(name: str, gait: str = "", title: str = "") -> Column:
         array = data[name].sel(gait=gait) if gait else data[name]

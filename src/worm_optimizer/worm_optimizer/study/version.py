@@ -1,36 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which code a process would compute with, so that a study is never mixed from two."""
+"""Identity of the code of a process, so that a study is never computed by two versions."""
 
 from __future__ import annotations
 
 import hashlib
 import platform
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from worm_optimizer.search.cache import fingerprint
+import worm_model
 
-_NUMERIC = ("numpy", "scipy", "numba")  # whose versions may move last digits
+_NUMERIC = ("numpy", "scipy", "numba")  # their versions may change the last digits of results
+# Sources that determine the numbers of a study. Whole folders, so that new files are included.
+_SOURCES: Mapping[Path, tuple[str, ...]] = {
+    Path(worm_model.__file__).parent: (
+        "errors.py",
+        "gait.py",
+        "parameters.py",
+        "simulation/**/*.py",
+    ),
+    Path(__file__).parents[1]: (
+        "search/*.py",
+        "robustness/*.py",
+        "study/plan.py",
+        "study/point.py",
+    ),
+}
 _OTHERS = ("worm_model", "worm_optimizer", "xarray", "zarr", "distributed")
 
 
 def versions() -> dict[str, str]:
-    """Versions of this process's Python and packages, by name."""
+    """Return the versions of Python and packages, by name."""
     versions = {"python": platform.python_version()}
     for name in (*_NUMERIC, *_OTHERS):
         try:
             versions[name] = version(name)
-        except PackageNotFoundError:  # run from a checkout
+        except PackageNotFoundError:  # The packages run from a checkout.
             versions[name] = "not installed"
     return versions
 
 
-def identity() -> str:
-    """Hash of the sources that decide about a study's numbers, and the versions of the numerical packages.
+def sources() -> list[Path]:
+    """Return the source files that determine the numbers of a study."""
+    files = (folder.glob(pattern) for folder, patterns in _SOURCES.items() for pattern in patterns)
+    return sorted(path for paths in files for path in paths)
 
-    Every worker must share it.
-    """
-    digest = hashlib.sha256(fingerprint().encode())
-    for name in ("plan.py", "point.py"):
-        digest.update((Path(__file__).parent / name).read_bytes())
+
+def identity() -> str:
+    """Return a hash of `sources` with the versions of the numerical packages. Every worker must have the same one."""
+    digest = hashlib.sha256()
+    for path in sources():
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return " ".join([digest.hexdigest()[:24], *(f"{name}-{version(name)}" for name in _NUMERIC)])

@@ -24,7 +24,7 @@ def test_the_files_hold_what_is_true_of_the_robot(tmp_path: Path):
 def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture):
     assert bench_tests.main([str(tmp_path)]) == 0
     assert bench_tests.main([str(tmp_path)]) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
 
 
 def columns(path: Path, names: tuple[str, str]):

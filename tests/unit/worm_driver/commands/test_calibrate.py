@@ -242,7 +242,7 @@ def test_without_servos_it_says_what_to_check():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["{}/exists.yaml"], "nothing is overwritten"),
+        (["{}/exists.yaml"], "already exists"),
         (["{}/no/folder.yaml"], "its folder does not exist"),
         (["{}/new.yaml", "--points", "2"], "--points"),
         (["{}/new.yaml", "--turns", "nan"], "--turns"),

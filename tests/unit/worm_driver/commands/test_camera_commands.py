@@ -75,13 +75,13 @@ def test_track_shows_what_it_found(images, tmp_path, capsys):
 
 def test_a_film_gives_what_its_images_give(images, tmp_path):
     cv2 = pytest.importorskip("cv2")
-    film = tmp_path / "film.avi"
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (1280, 720))
+    video = tmp_path / "video.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (1280, 720))
     for index in range(3):
         writer.write(cv2.imread(str(images / f"{index}.png")))
     writer.release()
     output = tmp_path / "out.csv"
-    assert track.main(["--video", str(film), "--setup", str(SETUP), "--output", str(output)]) == 0
+    assert track.main(["--video", str(video), "--setup", str(SETUP), "--output", str(output)]) == 0
     rows = list(csv.DictReader(output.open()))
     assert [float(row["time_s"]) for row in rows] == pytest.approx([0.0, 0.1, 0.2])
     assert float(rows[1]["rear_position_m"]) == pytest.approx(0.005, abs=3e-4)
@@ -92,10 +92,10 @@ def test_a_film_gives_what_its_images_give(images, tmp_path):
     [
         ([], "give --output, --preview or both"),
         (["--preview", "{tmp}/picture.txt"], "must end in .png"),
-        (["--output", "{images}/times.csv"], "exists already"),
-        (["--output", "{tmp}/none/out.csv"], "make it first"),
+        (["--output", "{images}/times.csv"], "already exists"),
+        (["--output", "{tmp}/none/out.csv"], "create it first"),
         (["--output", "{tmp}/out.csv", "--setup", "{tmp}/none.yaml"], "none.yaml: No such file"),
-        (["--output", "{tmp}/out.csv", "--images", "{tmp}"], "holds no images"),
+        (["--output", "{tmp}/out.csv", "--images", "{tmp}"], "no images"),
     ],
 )
 def test_track_refuses_in_one_line(images, tmp_path, capsys, arguments, message):
@@ -212,5 +212,5 @@ def test_the_lens_is_found_again(board_views, tmp_path, capsys):
 def test_too_few_views_are_refused(images, tmp_path, capsys):
     output = tmp_path / "camera.yaml"
     assert calibrate_camera.main(["--images", str(images), "--output", str(output)]) == 2
-    assert "the board was found in 0 images that differ, 8 are needed" in complaint(capsys)
+    assert "the board was found in 0 different images; at least 8" in complaint(capsys)
     assert not output.exists()

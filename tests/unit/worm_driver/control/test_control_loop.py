@@ -23,7 +23,9 @@ class NotingRobot:
     def __init__(self) -> None:
         self.cycles = 0
         self.active = False
+        self.closing = False
         self.until_rest = 5
+        self.springs_back = False
         self.releasing = ""
         self.releases = 0
         self.threads: set[str] = set()
@@ -39,12 +41,14 @@ class NotingRobot:
             self.until_rest -= 1
         return now
 
-    def begin_release(self, now: float, reason: str) -> None:
+    def close(self, now: float, reason: str) -> None:
         self.releasing = reason
 
-    @property
-    def released(self) -> bool:
+    def is_closed(self, now: float) -> bool:
         return bool(self.releasing) and self.until_rest <= 0
+
+    def leave(self) -> list[str]:
+        return ["the torque stays on"] if self.springs_back else self.release()
 
     def release(self) -> list[str]:
         self.releases += 1
@@ -175,19 +179,31 @@ def test_leaving_brings_the_robot_to_rest_and_releases_it_once(robot, loop):
     assert loop.release_problems == ["a servo kept silent"]
 
 
-def test_a_robot_that_does_not_come_to_rest_is_released_all_the_same(robot):
-    robot.until_rest = 10**9
+def test_a_robot_that_does_not_come_to_rest_keeps_its_torque(robot):
+    robot.until_rest, robot.springs_back = 10**9, True
     loop = ControlLoop(robot, lambda _: None)
     loop.start()
     loop.leave("over")
     assert loop.join(0.05)
-    assert robot.releases == 1
+    assert robot.releases == 0
+    assert loop.release_problems == ["the torque stays on"]
 
 
-def test_letting_go_does_not_wait_for_rest(robot, loop):
+def test_leaving_twice_does_not_begin_a_second_return(robot, loop):
     robot.until_rest = 10**9
+    loop.leave("the signal")
+    wait_for(lambda: robot.releasing)
+    loop.leave("the end of the node")
+    done = robot.cycles
+    wait_for(lambda: robot.cycles > done + 5)
+    assert robot.releasing == "the signal"
+    loop.release_at_once()
+
+
+def test_a_person_who_lets_go_does_not_wait_for_rest(robot, loop):
+    robot.until_rest, robot.springs_back = 10**9, True
     loop.leave("over")
-    loop.ask_to_end()
+    loop.release_at_once()
     assert loop.join(PATIENCE)
     assert robot.releases == 1
 

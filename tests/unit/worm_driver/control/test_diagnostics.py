@@ -13,7 +13,7 @@ from worm_driver.errors import PortError
 from worm_driver.gait.gait_player import Phase, PlayerState
 from worm_driver.power.ina219 import SampleStatus
 from worm_driver.servos.bus_types import BusCounters
-from worm_driver.servos.registers import XM430_W350
+from worm_driver.servos.registers import XL430_W250, XM430_W350
 from worm_driver.servos.servo_setup import Servo
 
 SERVO = Servo(1, XM430_W350, 48, 4.8, (9.5, 16.0), 80.0)
@@ -35,7 +35,15 @@ def test_a_servo(state, alert, level, words):
     assert (report.level, report.name) == (level, "driver: servo 1")
     assert words in report.message
     assert report.hardware_id == "XM430-W350-T id 1 firmware 48"
-    assert {key for key, _ in report.values} >= {"position_rad", "voltage_V", "temperature_degC"}
+    keys = {key for key, _ in report.values}
+    assert keys == {"position_rad", "current_a", "voltage_v", "temperature_deg_c"}
+
+
+def test_a_servo_without_a_current_sensor_reports_its_load_as_a_ratio():
+    servo = replace(SERVO, model=XL430_W250)
+    assert (
+        dict(diagnostics.servo_report(servo, STATE, alert=False).values)["load_ratio"] == "0.3000"
+    )
 
 
 def test_the_bus_tells_what_went_wrong_since_the_last_report():

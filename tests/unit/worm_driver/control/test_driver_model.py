@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random lives of a driver on the virtual robot, byte for byte and on the virtual clock, against what must always hold.
 
-Ten thousand steps: goals, cancels, stops, transitions, services, faults on the wire and of servos, kills and restarts.
+Ten thousand steps: goals, cancels, stops, transitions, services, signals, faults on the wire and of servos, wrong
+samples and ids, kills and restarts.
 """
 
 import math
 from dataclasses import replace
 
 import pytest
-from driver_rig import Rig, settings
+from driver_rig import CABLE, Rig, settings
 from hypothesis import HealthCheck, Phase, seed
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
@@ -43,6 +44,12 @@ FASTEST = QUICK.max_cable_speed * 1.15
 CREEP, BRAKING = 0.001, 0.20
 #: m, beyond the range of a gait in which a goal may lie (an activation admits so much slack)
 SLACK = 0.0105
+#: m, from the shaft to a goal: the following error that is tolerated, and what the cable can move in two cycles
+REACH = QUICK.limits.following_error + 2 * QUICK.period * QUICK.max_cable_speed
+#: m, contracted by more than this a robot springs back when it is released
+SPRINGS_BACK = 2.5e-3
+#: m, by which a wrong sample may be off and not be noticed: see docs/safety.md
+OFF = 0.006
 MAY_MOVE = (GaitPhase.RUNNING, GaitPhase.STOPPING, GaitPhase.RETURNING)
 
 FAULTS = st.one_of(
@@ -60,6 +67,26 @@ FAULTS = st.one_of(
         st.sampled_from(["no_answer", "vanished", "stalled", "input_voltage", "overload"]),
         st.fixed_dictionaries(
             {"target": st.sampled_from([1, 11, 12]), "duration": st.floats(0.02, 0.4)}
+        ),
+    ),
+    st.tuples(
+        st.just("wrong_position"),
+        st.fixed_dictionaries(
+            {
+                "target": st.sampled_from([1, 11, 12]),
+                "count": st.integers(1, 3),
+                "value": st.integers(-9000, 9000),
+            }
+        ),
+    ),
+    st.tuples(
+        st.just("wrong_id"),
+        st.fixed_dictionaries(
+            {
+                "target": st.sampled_from([1, 11, 12]),
+                "count": st.integers(1, 6),
+                "value": st.sampled_from([1, 11, 12, 77]),
+            }
         ),
     ),
     st.tuples(
@@ -88,6 +115,9 @@ class Life(RuleBasedStateMachine):
         self.troubled_until = 0.0
         self.moved_until = 0.0
         self.stood_at: float | None = None
+        self.booted_at = self.virtual.servos[0]._booted_at
+        self.held = False  # the cable servo had its torque
+        self.person = False  # somebody let the robot go, wherever it was
         self.activate()
 
     # --- what happens ----------------------------------------------------------------------------
@@ -98,7 +128,11 @@ class Life(RuleBasedStateMachine):
         for _ in range(cycles):
             self.rig.speeds.clear()
             before = self.rig.robot.player
+            seen = self.rig.robot.actuators.track.last(CABLE)
+            self.rig.goals.clear()
             snapshot = self.rig.run(QUICK.period)
+            self.check_goals(self.clock.now if seen is None else seen.time)
+            self.check_release()
             if before.phase in MAY_MOVE or snapshot.player.phase in MAY_MOVE:
                 self.moved_until = self.clock.now
             self.check_motion()
@@ -129,10 +163,46 @@ class Life(RuleBasedStateMachine):
         self.rig.robot.cancel(self.clock.now)
 
     @precondition(lambda self: self.alive)
-    @rule()
-    def stop(self) -> None:
-        self.try_to(lambda now: self.rig.robot.stop(now, "stop"))
-        assert not gait_player.moving(self.rig.robot.player) or not self.rig.robot.active
+    @rule(gait=GAITS, queued=st.integers(0, 3), patience=st.integers(1, 30))
+    def stop(self, gait: Gait, queued: int, patience: int) -> None:
+        """Also with goals that wait: none of them is played after the stop."""
+        loop, robot = self.rig.loop, self.rig.robot
+        goals = [loop.submit(lambda now: robot.start(now, gait, 1)) for _ in range(queued)]
+        loop.submit(lambda now: robot.stop(now, "stop"), patience=math.inf)
+        self.time_passes(1)
+        self.goals += [goal.result() for goal in goals if goal.exception() is None]
+        for _ in range(patience):
+            assert robot.player.active_run is None
+            assert not gait_player.moving(robot.player) or not robot.active
+            self.time_passes(1)
+
+    @precondition(lambda self: self.alive)
+    @rule(stop_after=st.one_of(st.none(), st.integers(0, 120)), again=st.integers(0, 9))
+    def signal(self, stop_after: int | None, again: int) -> None:
+        """The process is asked to end, in any state; a stop may come at any moment of it, or a second Ctrl-C."""
+        robot, stopped = self.rig.robot, False
+        self.rig.loop.leave("the driver ends")
+        end = self.clock.now + 8.0
+        passed = 0
+        while not self.rig.ended and self.clock.now < end:
+            if passed == stop_after:
+                stopped = robot.active
+                self.rig.loop.submit(lambda now: robot.stop(now, "stop"), patience=math.inf)
+            self.time_passes(1)
+            assert robot.player.active_run is None or not stopped
+            passed += 1
+            if again == 0 and passed == 20:
+                self.rig.loop.release_at_once()
+                self.person = True
+                break
+        was_active = robot.active
+        problems = self.rig.end()
+        self.check_release()
+        if was_active and not self.person and self.contraction > SPRINGS_BACK:
+            assert problems
+        if not problems:
+            assert not any(self.torques())
+        self.restart(0.0)
 
     @precondition(lambda self: self.alive and self.rig.robot.active)
     @rule(patience=st.sampled_from([0.0, 0.1, 3.0]), again=st.booleans())
@@ -148,7 +218,7 @@ class Life(RuleBasedStateMachine):
         self.bring_to_rest(0.0)
         self.virtual.board.clear()
         if self.alive:
-            self.try_to(lambda _: self.rig.robot.reboot())
+            self.reboot()
             self.pass_without_driver(1.0)
             self.time_passes(5)
             if not self.rig.robot.actuators.homed:
@@ -161,7 +231,9 @@ class Life(RuleBasedStateMachine):
         end = self.clock.now + patience
         while not robot.released and self.clock.now < end:
             self.time_passes(1)
+        self.person = True  # deactivated in FAULT, or not waited for
         problems = robot.release()
+        self.check_release()
         assert not robot.active
         assert problems or not any(self.torques())
         if problems:  # as the node does: everything is closed, and opened again
@@ -178,7 +250,9 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: self.alive and not self.rig.robot.active)
     @rule()
     def reboot(self) -> None:
+        self.person = True  # who reboots a servo takes its torque
         self.try_to(lambda _: self.rig.robot.reboot())
+        self.check_release()
 
     @precondition(lambda self: self.alive)
     @rule(fault=FAULTS, delay=st.floats(0.0, 0.05))
@@ -234,6 +308,34 @@ class Life(RuleBasedStateMachine):
         return [servo.memory["torque_enable"] for servo in self.virtual.servos]
 
     # --- what must hold --------------------------------------------------------------------------------
+
+    @property
+    def contraction(self) -> float:
+        """By how much (m) the body is contracted from its home, by the shaft, which no fault of the wire touches."""
+        servo = self.virtual.servos[0]
+        return -QUICK.spools[0].length_change(servo._encoder.raw(servo.motor.position))
+
+    def check_goals(self, seen: float) -> None:
+        """Each goal lies within the limits of the stroke, and within reach of where the cable was last seen (s)."""
+        if not self.virtual.servos[0].memory["torque_enable"] or not self.rig.robot.active:
+            return
+        for goal in self.rig.goals:
+            if goal.servo != CABLE:
+                continue
+            change = QUICK.spools[0].length_change(goal.ticks)
+            assert -QUICK.max_stroke - SLACK <= change <= SLACK
+            unseen = max(0.0, goal.time - seen - QUICK.period)
+            # the cable itself has moved on unseen, too, and what was seen last may have been off by a little
+            assert goal.distance <= REACH + 2 * unseen * QUICK.max_cable_speed + OFF, goal
+
+    def check_release(self) -> None:
+        """Torque is never taken off a contracted robot, but by a person or by a servo that shuts down or restarts."""
+        cable = self.virtual.servos[0]
+        holds = bool(cable.memory["torque_enable"])
+        own_doing = cable._shut_down or cable._booted_at != self.booted_at
+        if self.held and not holds and not self.person and not own_doing:
+            assert self.contraction <= SPRINGS_BACK, self.rig.robot.player
+        self.held, self.person, self.booted_at = holds, False, cable._booted_at
 
     def check_motion(self, *, whole: bool = True) -> None:
         cable = self.virtual.servos[0]

@@ -1,44 +1,182 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emergency stop, which outlasts its driver."""
+"""The emergency stop: which robot it belongs to, where it is stored, who can clear it."""
 
+import os
 from pathlib import Path
 
-from worm_driver.control.emergency import EmergencyLatch, state_folder
+import pytest
+
+from worm_driver.control.emergency import (
+    SHARED_FOLDER,
+    EmergencyLatch,
+    StopPublishers,
+    latch_names,
+    state_folder,
+)
+
+SERVOS = (1, 11, 12)
+BUTTON, CONSOLE = b"button", b"console"
 
 
-def test_the_emergency_stop_outlasts_its_driver_for_its_robot_alone(tmp_path: Path):
-    first = EmergencyLatch(tmp_path / "state")
-    assert first.adopt("/dev/worm_bus") == ""
+@pytest.fixture
+def device(tmp_path: Path) -> Path:
+    """A serial device under two names."""
+    (tmp_path / "ttyUSB0").touch()
+    (tmp_path / "worm_bus").symlink_to("ttyUSB0")
+    return tmp_path
+
+
+def latch(folder: Path, namespace: str, port: object, servos: tuple[int, ...] = SERVOS):
+    made = EmergencyLatch(folder / "state")
+    assert made.adopt(latch_names(namespace, servos, str(port))) == ""
+    return made
+
+
+@pytest.mark.parametrize(
+    ("namespace", "port", "servos"),
+    [
+        ("/worm", "worm_bus", SERVOS),
+        ("/worm", "ttyUSB0", SERVOS),  # the same device under its other name
+        ("/worm", "ttyUSB7", SERVOS),  # the robot at another device
+        ("/worm", "ttyUSB7", (12, 11, 1)),
+        ("/other", "ttyUSB0", SERVOS),  # the device from another namespace
+        ("/", "worm_bus", (2,)),
+    ],
+)
+def test_the_next_driver_of_the_robot_finds_the_stop_by_whatever_name(
+    device: Path, namespace: str, port: str, servos: tuple[int, ...]
+):
+    first = latch(device, "/worm", device / "worm_bus")
     assert first.why_not_start() == ""
-    first.set(True)
-    for port, on in (("/dev/worm_bus", True), ("/dev/ttyUSB3", False)):
-        later = EmergencyLatch(tmp_path / "state")
-        later.adopt(port)
-        assert later.on == on
-    assert "emergency_stop off" in first.why_not_start()
-    first.set(False)
-    later = EmergencyLatch(tmp_path / "state")
-    later.adopt("/dev/worm_bus")
-    assert not later.on
+    assert first.latch() == ""
+    assert "reset_emergency_stop" in first.why_not_start()
+    later = latch(device, namespace, device / port, servos)
+    assert later.on
+    assert later.reset() == ""
+    assert not latch(device, namespace, device / port, servos).on
 
 
-def test_one_that_comes_before_the_robot_is_known_is_kept(tmp_path: Path):
-    latch = EmergencyLatch(tmp_path)
-    latch.set(True)
-    latch.adopt("/dev/worm_bus")
-    assert latch.on
-    assert len(list(tmp_path.iterdir())) == 1
+def test_another_robot_does_not_find_it_and_its_reset_does_not_clear_it(device: Path):
+    latch(device, "/worm", device / "worm_bus").latch()
+    assert not latch(device, "/other", device / "ttyUSB3").on
+    neighbour = latch(device, "/other", device / "ttyUSB0")  # got the number of the device
+    assert neighbour.on
+    neighbour.reset()
+    assert latch(device, "/worm", device / "ttyUSB5").on
 
 
-def test_one_that_cannot_be_kept_holds_all_the_same_and_that_is_said(tmp_path: Path):
+def test_a_virtual_robot_shares_no_stop_with_a_robot_of_its_namespace(device: Path):
+    leader, follower = os.openpty()
+    try:
+        (device / "servo_bus").symlink_to(os.ttyname(follower))
+        virtual = latch(device, "/worm", device / "servo_bus")
+        virtual.latch()
+        assert not latch(device, "/worm", device / "worm_bus").on
+        (device / "other_name").symlink_to("servo_bus")
+        assert latch(device, "/worm", device / "other_name").on
+        assert latch(device, "/other", device / "other_name").on
+        (device / "another_robot").symlink_to(
+            os.ttyname(follower)
+        )  # got the number of the terminal
+        assert not latch(device, "/worm", device / "another_robot").on
+    finally:
+        os.close(leader)
+        os.close(follower)
+
+
+def test_a_stop_that_comes_before_the_robot_is_known_is_stored(tmp_path: Path):
+    made = EmergencyLatch(tmp_path)
+    made.latch()
+    made.adopt(["one", "two"])
+    assert made.on
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]
+
+
+def test_the_stop_of_a_port_that_a_parameter_no_longer_names_is_left_to_its_robot(tmp_path: Path):
+    EmergencyLatch(tmp_path).adopt(["one"])
+    (tmp_path / "one").touch()
+    made = EmergencyLatch(tmp_path)
+    made.adopt(["one"])
+    assert made.on
+    made.adopt(["two"])
+    assert not made.on
+    assert [path.name for path in tmp_path.iterdir()] == ["one"]
+
+
+def test_a_stop_that_cannot_be_stored_holds_all_the_same_and_that_is_reported(tmp_path: Path):
     (tmp_path / "file").touch()
-    latch = EmergencyLatch(tmp_path / "file" / "state")
-    latch.adopt("/dev/worm_bus")
-    assert "the next driver will not know" in latch.set(True)
-    assert latch.on
+    made = EmergencyLatch(tmp_path / "file" / "state")
+    made.adopt(["one"])
+    assert "the next driver will not know" in made.latch()
+    assert made.on
 
 
-def test_where_it_is_kept():
-    assert state_folder({"STATE_DIRECTORY": "/var/lib/worm"}) == Path("/var/lib/worm")
-    assert state_folder({"XDG_STATE_HOME": "/s", "HOME": "/h"}) == Path("/s/worm_driver")
-    assert state_folder({"HOME": "/h"}) == Path("/h/.local/state/worm_driver")
+def test_a_stop_whose_file_cannot_be_removed_stays_on(tmp_path: Path):
+    made = EmergencyLatch(tmp_path)
+    made.adopt(["one"])
+    (tmp_path / "one").mkdir()  # in the place of a file, so that the removal fails for root, too
+    made.adopt(["one"])
+    assert made.on
+    assert "stays on" in made.reset()
+    assert made.on
+
+
+def test_one_folder_for_the_service_and_a_login_shell(tmp_path: Path):
+    shared, home = tmp_path / "worm", {"HOME": "/h"}
+    assert state_folder(home, shared) == Path("/h/.local/state/worm_driver")
+    assert state_folder({"XDG_STATE_HOME": "/s"}, shared) == Path("/s/worm_driver")
+    shared.mkdir()
+    service = {"STATE_DIRECTORY": str(shared), "HOME": "/nonexistent"}
+    assert state_folder(service, shared) == shared
+    assert state_folder(home, shared) == state_folder({"XDG_STATE_HOME": "/s"}, shared) == shared
+    assert state_folder({**service, "WORM_STATE_DIRECTORY": "/t"}, shared) == Path("/t")
+
+
+def test_a_stop_that_other_users_would_not_find_is_reported(tmp_path: Path, device: Path):
+    environment = {"HOME": str(tmp_path)}
+    personal = latch(device, "/worm", device / "worm_bus")
+    assert str(SHARED_FOLDER) in personal.restriction(environment)
+    assert personal.restriction({"HOME": "/home/other"}) == ""
+
+
+def test_the_last_message_of_each_publisher_counts_and_only_its_own_false_takes_it_back():
+    publishers, both = StopPublishers(), {BUTTON, CONSOLE}
+    assert publishers.note(BUTTON, 1, True, both)
+    assert publishers.note(CONSOLE, 2, False, both)
+    assert publishers.stopping(both) == {BUTTON}
+    assert publishers.note(CONSOLE, 3, True, both)
+    assert publishers.note(BUTTON, 4, False, both)
+    assert publishers.stopping(both) == {CONSOLE}
+
+
+def test_a_message_counts_once_by_whichever_subscription_and_in_whatever_order():
+    publishers = StopPublishers()
+    assert publishers.note(BUTTON, 1, True, {BUTTON})
+    assert publishers.note(BUTTON, 2, False, {BUTTON})
+    assert not publishers.note(BUTTON, 1, True, {BUTTON})
+    assert publishers.stopping({BUTTON}) == set()
+
+
+def test_a_publisher_that_ended_with_true_no_longer_counts_until_it_is_back():
+    publishers = StopPublishers()
+    publishers.note(BUTTON, 1, True, {BUTTON})
+    assert publishers.stopping(set()) == publishers.stopping({CONSOLE}) == set()
+    assert publishers.stopping({BUTTON, CONSOLE}) == {BUTTON}
+    assert publishers.forget_absent({CONSOLE}) == 1
+    assert publishers.stopping({BUTTON, CONSOLE}) == set()
+
+
+def test_where_messages_and_graph_name_publishers_differently_every_true_counts():
+    publishers = StopPublishers()
+    publishers.note(b"handle 7", 1, True, {BUTTON})
+    assert publishers.stopping({BUTTON}) == {b"handle 7"}
+    publishers.note(b"handle 7", 2, False, {BUTTON})
+    assert publishers.stopping({BUTTON}) == set()
+
+
+def test_many_short_lived_publishers_are_not_all_remembered():
+    publishers = StopPublishers()
+    for number in range(5000):
+        gid = number.to_bytes(16, "big")
+        publishers.note(gid, number, True, {gid})
+    assert publishers.forget_absent(set()) <= 1000

@@ -336,7 +336,7 @@ def test_an_unplugged_port_is_a_fault_that_stays_until_the_next_configuration():
     rig.wire.unplugged = True
     snapshot = rig.run(0.05)
     assert snapshot.player.phase is Phase.FAULT
-    assert "plug it in again" in snapshot.player.message
+    assert "is gone" in snapshot.player.message
     assert all(state is SILENT for state in snapshot.servos)
     assert math.isnan(snapshot.cable)
     rig.wire.unplugged = False
@@ -449,7 +449,7 @@ def test_a_position_that_jumps_by_a_turn_is_a_fault():
     rig.cable._fold()
     snapshot = rig.run(0.02)
     assert snapshot.player.phase is Phase.FAULT
-    assert "turn count of servo 1 jumped by -40" in snapshot.player.message
+    assert re.search("servo 1 jumped by -40.. ticks", snapshot.player.message)
     before = rig.cable.motor.position
     assert rig.time_to_stop(1.0) < STOP
     assert abs(rig.cable.motor.position - before) < 200

@@ -68,15 +68,3 @@ def test_each_register_tells_its_fault(health, words):
 def test_a_healthy_servo_has_no_fault_and_a_fins_led_does_not_matter():
     assert fault_in_health(1, Health(1, 1, 0, 4), is_cable=True) is None
     assert fault_in_health(11, Health(1, 0, 0, 4), is_cable=False) is None
-
-
-@pytest.mark.parametrize("turns", [-2, -1, 1, 3])
-def test_a_folded_turn_count_is_no_motion(turns):
-    assert supervision.turn_count_jumped(100, 100 + turns * 4096, 0.01, 4.8)
-
-
-def test_the_fastest_motion_is_no_fold_even_after_lost_cycles():
-    per_second = 4.8 / (2 * math.pi) * 4096
-    for elapsed in (0.01, 0.05, 0.5):
-        moved = round(per_second * elapsed)
-        assert not supervision.turn_count_jumped(0, moved, elapsed, 4.8)

@@ -43,7 +43,7 @@ def test_the_peak_speed_is_not_exceeded(gait, time):
         (Gait(0.0901, 0.2), 5, "limits.max_stroke_m"),
         (Gait(-0.07, 0.2), 5, "stroke -0.07"),
         (Gait(0.07, -0.2), 5, "frequency -0.2"),
-        (Gait(0.01, 0.41), 5, "limits.max_frequency_Hz"),
+        (Gait(0.01, 0.41), 5, "limits.max_frequency_hz"),
         (Gait(0.07, 0.2, 0), 5, "direction must be 1"),
         (Gait(0.07, 0.2, 1, -1e-3), 5, "margin -0.001 m is outside"),
         (Gait(0.07, 1e-300), 5, "frequency 1e-300 Hz is outside 0.02 to 0.4"),

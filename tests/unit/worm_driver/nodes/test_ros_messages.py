@@ -15,6 +15,7 @@ from worm_driver.gait.gait_player import Phase, PlayerState, Run
 from worm_driver.nodes import driver_messages as ros_messages
 from worm_driver.nodes.driver_messages import ClockPair
 from worm_driver.power.ina219 import PowerSample, SampleStatus
+from worm_driver.servos.registers import XL330_M288, XL430_W250, XM430_W350, ServoModel
 from worm_msgs.msg import BodyLength, GaitState, Power
 
 CLOCKS = ClockPair(1_700_000_000_000_000_000)
@@ -44,11 +45,28 @@ def test_a_step_of_the_clock_is_told_from_drift():
 
 
 def test_a_silent_servo_has_no_numbers_but_keeps_its_place():
-    message = ros_messages.joint_state(("cable_1", "fin_11"), snapshot(PlayerState()), CLOCKS)
+    models = (XM430_W350, XL330_M288)
+    message = ros_messages.joint_state(
+        ("cable_1", "fin_11"), models, snapshot(PlayerState()), CLOCKS
+    )
     assert list(message.name) == ["cable_1", "fin_11"]
     assert message.position[0] == 0.5
     assert math.isnan(message.position[1])
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1_700_000_008, 501_000_000)
+
+
+def test_effort_is_a_torque_or_unknown():
+    """By the manual of the XM430-W350: 4.1 N*m at 2.3 A."""
+    state = snapshot(PlayerState())
+    current = state.servos[0].effort
+
+    def effort(*models: ServoModel) -> list[float]:
+        return list(ros_messages.joint_state(("a", "b"), models, state, CLOCKS).effort)
+
+    torque, unknown = effort(XM430_W350, XL430_W250)
+    assert torque == pytest.approx(current * 4.1 / 2.3)
+    assert math.isnan(unknown)
+    assert effort(XL430_W250, XL430_W250) == []
 
 
 def test_a_length_is_the_initial_one_and_its_change():

@@ -156,8 +156,8 @@ def test_an_overflow_is_no_number(chip, fault):
 
 
 def test_the_chips_overflow_bit_counts_even_where_the_shunt_is_in_range():
-    """It is the current register that overflows, which happens first with a small max_current_A."""
-    registers = {1: 20_000, 2: 3000 << 3 | 0b11, 5: 4194}
+    """It is the current register that overflows, which happens first with a small max_current_a."""
+    registers = {0: RUNNING_CONFIGURATION, 1: 20_000, 2: 3000 << 3 | 0b11, 5: 4194}
     sensor = INA219(I2CDevice(Words(registers), "1", 0x40), 0.1, 4194)
     assert sensor.sample(1.0).status is SampleStatus.OVERFLOW
     registers[2] = 3000 << 3 | 0b10
@@ -177,6 +177,26 @@ def test_a_brown_out_is_noticed_with_the_next_sample_and_repaired(chip):
 def test_no_valid_sample_lies_between_a_brown_out_and_its_discovery(chip):
     chip.robot.chip.power_on()
     assert chip.sample().status is SampleStatus.SENSOR_RESET
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        RUNNING_CONFIGURATION & ~0x1800,  # range 40 mV: 4.8 W in the place of 13.4 W
+        RUNNING_CONFIGURATION & ~0x2000,  # range 16 V
+        RUNNING_CONFIGURATION & ~0x0007,  # power-down
+        RUNNING_CONFIGURATION & ~0x0078,  # 9 bit
+    ],
+)
+def test_a_stray_write_to_the_configuration_yields_no_number_and_is_repaired(chip, word):
+    usual = chip.sample().power
+    chip.robot.chip.write(0, word)
+    seen = [chip.sample() for _ in range(6)]
+    assert seen[0].status is SampleStatus.SENSOR_RESET
+    assert math.isnan(seen[0].power)
+    assert seen[-1].status is SampleStatus.VALID
+    assert all(s.power == pytest.approx(usual, rel=0.2) for s in seen if not math.isnan(s.power))
+    assert chip.sensor.is_set_up()
 
 
 @pytest.mark.parametrize("fault", ["i2c_nack", "i2c_timeout"])
@@ -249,7 +269,7 @@ def test_each_failure_of_the_bus_has_its_words(number, words):
 
 
 def test_a_sensor_that_repeats_the_same_bits_is_not_valid_and_one_that_repeats_a_few_is():
-    registers = {1: 2_000, 2: 3000 << 3 | 0b10, 3: 0, 5: 4194}
+    registers = {0: RUNNING_CONFIGURATION, 1: 2_000, 2: 3000 << 3 | 0b10, 3: 0, 5: 4194}
     sensor = INA219(I2CDevice(Words(registers), "1", 0x40), 0.1, 4194)
     seen = [sensor.sample(i * 0.01).status for i in range(465)]
     assert seen[: FROZEN - 1] == [SampleStatus.VALID] * (FROZEN - 1)

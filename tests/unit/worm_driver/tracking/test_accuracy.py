@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from camera_rig import SETTINGS, film, looking_at
+from camera_rig import SETTINGS, looking_at, video
 
 RMS, WORST = 0.1e-3, 0.3e-3  # m
 HARSH = replace(
@@ -41,7 +41,7 @@ SPARSE = replace(
 )
 def test_a_run_of_five_ridges_is_seen_to_a_tenth_of_a_millimetre(settings, yaw, pitch):
     rig = looking_at(replace(settings, yaw=yaw, pitch_angle=pitch), (0.2, -0.02, 0.0))
-    done = film(rig, np.arange(0.0, 12.5, 1.0 / 6.0))  # every fifth image of 30 a second
+    done = video(rig, np.arange(0.0, 12.5, 1.0 / 6.0))  # every fifth image of 30 a second
     seen = np.isfinite(done.errors)
     assert seen.mean() > 0.97, {s.reason for s in done.samples}
     errors = done.errors[seen.all(axis=1)]
@@ -54,7 +54,7 @@ def test_a_late_stamp_is_taken_back_by_the_delay():
     """At 44 mm/s, 20 ms are 0.9 mm."""
     from camera_rig import crawling, setup_of
 
-    late = film(
+    late = video(
         SETTINGS,
         np.arange(1.0, 2.0, 0.1),
         motion=lambda stamp: crawling(stamp - 0.02),

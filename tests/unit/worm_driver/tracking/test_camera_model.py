@@ -59,18 +59,21 @@ def test_where_the_lens_model_folds_over_there_is_no_direction():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"image_width": 0}, "0 x 720 pixels is none"),
+        ({"image_width": 0}, "0 x 720"),
         ({"camera_matrix": {"data": [0.0] * 9}}, "the camera is not calibrated"),
         ({"camera_matrix": {"data": [1.0] * 8}}, "nine finite numbers"),
         ({"camera_matrix": {"data": [900.0, 2.0, 640.0, 0, 900.0, 360.0, 0, 0, 1.0]}}, "skew"),
         ({"camera_matrix": [1.0]}, "camera_matrix has no list named data"),
-        ({"distortion_model": "thin_prism"}, "none of plumb_bob, rational_polynomial, equidistant"),
+        (
+            {"distortion_model": "thin_prism"},
+            "thin_prism.*plumb_bob, rational_polynomial, equidistant",
+        ),
         ({"distortion_coefficients": {"data": [0.1, 0.2]}}, "takes 4 or 5 coefficients, not 2"),
-        ({"distortion_coefficients": {"data": ["a"] * 5}}, "no number"),
+        ({"distortion_coefficients": {"data": ["a"] * 5}}, "distortion_coefficients"),
         ({"distortion_model": None}, "distortion_model None"),
     ],
 )
-def test_what_is_no_calibration_is_refused(change, message, tmp_path):
+def test_invalid_calibrations_are_rejected(change, message, tmp_path):
     content = yaml.safe_load(camera_info_text("camera", BROWN))
     path = tmp_path / "camera.yaml"
     path.write_text(yaml.safe_dump({**content, **change}))
@@ -81,5 +84,5 @@ def test_what_is_no_calibration_is_refused(change, message, tmp_path):
     with pytest.raises(SetupError, match="camera_matrix is missing"):
         load_camera_info(path)
     path.write_text("- 1")
-    with pytest.raises(SetupError, match="no camera_info"):
+    with pytest.raises(SetupError, match="camera_info"):
         load_camera_info(path)

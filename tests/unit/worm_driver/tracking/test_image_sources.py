@@ -8,8 +8,8 @@ import pytest
 
 from worm_driver.tracking.image_sources import (
     check_size,
-    frames_of_film,
     frames_of_folder,
+    frames_of_video,
     times_of_folder,
 )
 from worm_driver.tracking.tracking_errors import ImageError
@@ -44,7 +44,7 @@ def test_times_come_from_the_table(folder: Path):
     [
         ("name,time\n", "must name the columns file,time_s"),
         ("file,time_s\n", "has no rows"),
-        ("file,time_s\nimage_1.png,1\nimage_2.png,1\n", "line 3: time_s does not rise"),
+        ("file,time_s\nimage_1.png,1\nimage_2.png,1\n", "line 3: time_s"),
         ("file,time_s\nimage_1.png,x\n", "line 2: time_s is 'x', not a number"),
         ("file,time_s\nimage_1.png\n", "time_s is None"),
         ("file,time_s\nimage_3.png,1\n", "there is no file 'image_3.png'"),
@@ -60,7 +60,7 @@ def test_a_wrong_table_is_refused(folder: Path, table: str, message: str):
 def test_without_times_or_images_nothing_is_guessed(folder: Path, tmp_path_factory):
     with pytest.raises(ImageError, match=r"add times.csv .* or rate_hz"):
         times_of_folder(folder, 0.0)
-    with pytest.raises(ImageError, match="holds no images"):
+    with pytest.raises(ImageError, match="no images"):
         times_of_folder(tmp_path_factory.mktemp("empty"), 30.0)
     with pytest.raises(ImageError, match="is not a folder"):
         times_of_folder(folder / "image_1.png", 30.0)
@@ -71,10 +71,10 @@ def test_without_times_or_images_nothing_is_guessed(folder: Path, tmp_path_facto
 
 def test_what_is_no_film_is_refused(folder: Path):
     with pytest.raises(ImageError, match="is not a file"):
-        next(frames_of_film(folder, 30.0))
-    (folder / "film.mp4").write_bytes(b"no film")
-    with pytest.raises(ImageError, match="is it a film"):
-        next(frames_of_film(folder / "film.mp4", 30.0))
+        next(frames_of_video(folder, 30.0))
+    (folder / "video.mp4").write_bytes(b"no video")
+    with pytest.raises(ImageError, match="is it a video"):
+        next(frames_of_video(folder / "video.mp4", 30.0))
 
 
 def test_images_of_another_size_than_the_calibrations_are_refused():

@@ -58,9 +58,9 @@ def test_the_calibration_may_come_with_the_images(write):
     [
         ("rate_hz: 30.0", "rate: 30.0", "unknown key 'rate'"),
         ("offset_m: 0.0}", "offset_m: 0.0, colour: red}", "rear: unknown key 'colour'"),
-        ("  11: [0.30", "  10: [0.30", "line 8: 10 stands there twice"),
-        ("rate_hz: 30.0", "dictionary: DICT_4X4_50", "line 10: dictionary stands there twice"),
-        ("  11: [0.30, 0.0, 0.06]\n", "", "2 markers are needed, not 1: one alone"),
+        ("  11: [0.30", "  10: [0.30", "line 8: .*10"),
+        ("rate_hz: 30.0", "dictionary: DICT_4X4_50", "line 10: .*dictionary"),
+        ("  11: [0.30, 0.0, 0.06]\n", "", "2 markers are needed, not 1"),
         ("marker_size_m: 0.020", "marker_size_m: 20", "in m, not mm .did you mean 0.02"),
         ("marker_size_m: 0.020", "marker_size_m: 0", "must be above 0"),
         ("[0.30, 0.0, 0.06]", "[300, 0.0, 60]", "11: x is 300 m: lengths are in m, not mm"),
@@ -73,8 +73,8 @@ def test_the_calibration_may_come_with_the_images(write):
         ("id: 1", "id: 0", "same marker 0"),
         ("id: 1", "id: 10", "marker 10 is both front and a reference"),
         ("id: 1", "id: 50", "DICT_4X4_50 has 0 to 49"),
-        ("id: 1", "id: true", "0 or above, not True"),
-        ("DICT_4X4_50", "DICT_4X4", "no dictionary 'DICT_4X4'"),
+        ("id: 1", "id: true", "id: .*True"),
+        ("DICT_4X4_50", "DICT_4X4", "'DICT_4X4'"),
         ("camera_info: camera.yaml\n", "", "camera_info .the camera's calibration.* is missing"),
         ("camera.yaml", "lost.yaml", "lost.yaml: No such file.*calibrate_camera"),
         ("rate_hz: 30.0", "delay_s: -1.0", "delay_s must not be negative"),
@@ -82,7 +82,7 @@ def test_the_calibration_may_come_with_the_images(write):
         ("rate_hz: 30.0", "max_speed_m_s: 0", "max_speed_m_s must be above 0"),
         ("rear: {id: 0, offset_m: 0.0}", "rear: 0", "rear must be a mapping with id"),
         (REFERENCE, "reference: [10, 11]\n", "reference must map"),
-        ("dictionary: DICT_4X4_50", "dictionary: [", "no YAML"),
+        ("dictionary: DICT_4X4_50", "dictionary: [", "YAML"),
     ],
 )
 def test_a_wrong_one_is_refused_in_one_line(write, old, new, message):

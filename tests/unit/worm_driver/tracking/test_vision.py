@@ -50,9 +50,9 @@ def test_other_encodings_are_refused_by_name():
         ImageError, match="'bayer_rggb8' are not supported: set the camera to one of mono8"
     ):
         vision.grey(RAMP.ravel(), HEIGHT, WIDTH, WIDTH, "bayer_rggb8")
-    with pytest.raises(ImageError, match="cut off"):
+    with pytest.raises(ImageError, match="479 bytes"):
         vision.grey(RAMP.ravel()[:-1], HEIGHT, WIDTH, WIDTH, "mono8")
-    with pytest.raises(ImageError, match="are no image"):
+    with pytest.raises(ImageError, match="17 bytes"):
         vision.decode_image(b"\xff\xd8 half a picture")
 
 

@@ -74,7 +74,7 @@ def test_the_path_of_an_exposure():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("width: 3", "there is no 'centre'"),
+        ("width: 3", "'centre'"),
         ("[1]", "expected a mapping"),
         ("a: [", "no YAML"),
     ],

@@ -11,33 +11,16 @@ from worm_driver.virtual_robot.plant import (
     FORWARD,
     LOOSE,
     REVERSE,
-    BodyParameters,
     Plant,
     PlantEffects,
     make_grooves,
 )
+from worm_msgs.robot_parameters import RobotParameters
 
-PAPER = BodyParameters(
-    rear_mass=0.429,
-    front_mass=0.429,
-    unstressed_length=0.300,
-    initial_length=0.2952,
-    bellows_stiffness=968.8,
-    bellows_damping=862.4,
-    viscous_friction=86.97,
-    pitch=0.0173,
-    engaged_stiffness=1833.1,
-    disengaged_stiffness=442.0,
-    switching_threshold=0.0175,
-    clearance=0.00753,
-    time_constant=0.155,
-    gain=0.860,
-    slack=0.008,
-    idle_power=0.82,
-    power_factor=3.22,
-)
-NO_EFFECTS = PlantEffects(0.0, 0.0, 0.0, 0.0, math.inf)
-ROUGH = PlantEffects(0.3, 2e-4, 0.03, 5e-5, 1.0)
+PAPER = RobotParameters()
+NO_EFFECTS = PlantEffects(0.0, 0.0, 0.0, math.inf)
+ROUGH = PlantEffects(2e-4, 0.03, 5e-5, 1.0)
+DRY = replace(PAPER, rear_dry_friction=0.3, front_dry_friction=0.3)
 
 
 def make_plant(parameters=PAPER, effects=NO_EFFECTS, step=1e-3, seed=1):
@@ -107,7 +90,7 @@ def test_reverse_is_the_mirror_image_of_forward():
 
 
 def test_rest_is_rest():
-    plant = make_plant(effects=ROUGH)
+    plant = make_plant(DRY, ROUGH)
     state = plant.at_rest()
     for _ in range(2000):
         state = plant.step(state, 0.0, (FORWARD, FORWARD))
@@ -116,7 +99,7 @@ def test_rest_is_rest():
 
 
 def test_anchors_stand_in_grooves_near_their_fins():
-    plant = make_plant(effects=ROUGH)
+    plant = make_plant(DRY, ROUGH)
     for state in gait(0.08, 0.2, plant, cycles=2):
         for position, groove in zip(
             plant.positions(state), (state.rear_groove, state.front_groove), strict=True
@@ -127,7 +110,7 @@ def test_anchors_stand_in_grooves_near_their_fins():
 
 def test_the_cable_pays_for_all_losses():
     """Energy in by the cable, less what the bellows store, is never less than what friction takes."""
-    plant = make_plant(effects=ROUGH)
+    plant = make_plant(DRY, ROUGH)
     work = dissipated = 0.0
     previous = plant.at_rest()
     start = previous
@@ -144,14 +127,14 @@ def test_the_cable_pays_for_all_losses():
 
 
 def test_loose_fins_do_not_carry_the_robot_away():
-    plant = make_plant(effects=ROUGH)
+    plant = make_plant(DRY, ROUGH)
     states = gait(0.07, 0.2, plant, cycles=3, law=LOOSE)
     centre = [sum(plant.positions(state)) / 2 for state in states]
     assert max(centre) - min(centre) < PAPER.pitch
 
 
 def test_the_slack_comes_back_after_a_rest():
-    plant = make_plant(effects=ROUGH)
+    plant = make_plant(DRY, ROUGH)
     state = gait(0.07, 0.2, plant, cycles=1)[-1]
     assert state.length_change == pytest.approx(-PAPER.gain * PAPER.slack, abs=1e-3)
     for _ in range(3000):

@@ -11,14 +11,15 @@ from scipy.integrate import solve_ivp
 from worm_driver.virtual_robot.plant import FORWARD, LOOSE, Plant, PlantEffects, make_grooves
 from worm_driver.virtual_robot.virtual_settings import load_settings
 
-BODY = load_settings().body
+DRY = load_settings().body
+BODY = replace(DRY, rear_dry_friction=0.0, front_dry_friction=0.0)
 STIFFNESS = 6400.0  # N/m
-PULLED = PlantEffects(0.0, 0.0, 0.0, 0.0, math.inf, STIFFNESS)
+PULLED = PlantEffects(0.0, 0.0, 0.0, math.inf, STIFFNESS)
 RIGID = replace(PULLED, cable_stiffness=0.0)
 
 
-def plant_of(effects, step=1e-3):
-    return Plant(BODY, effects, *(make_grooves(BODY, effects, 1 + i) for i in range(2)), step)
+def plant_of(effects, step=1e-3, body=BODY):
+    return Plant(body, effects, *(make_grooves(body, effects, 1 + i) for i in range(2)), step)
 
 
 def play(plant, stroke, frequency, cycles=2, law=FORWARD):
@@ -103,7 +104,7 @@ def test_a_cable_never_pushes():
 
 
 def test_it_still_walks():
-    plant = plant_of(replace(PULLED, dry_friction=0.3))
+    plant = plant_of(PULLED, body=DRY)
     states = play(plant, 0.08, 0.2, cycles=5)
     assert plant.positions(states[-1])[0] > 3 * BODY.pitch
 

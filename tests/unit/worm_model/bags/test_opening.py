@@ -28,10 +28,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.bag_writer import new_bag
-from worm_model.bags.cdr import encode
-from worm_model.bags.message_block import Topic
-from worm_model.bags.message_types import topic_of
+from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.cdr import encode
+from worm_model.bags.formats.message_block import Topic
+from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_beside
@@ -317,7 +317,7 @@ def test_a_topic_that_the_bag_lacks(tmp_path: Path):
 
 
 def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
-    from worm_model.bags.recovery import recover
+    from worm_model.bags.recovery.recovery import recover
 
     path = by_mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
     data = bytearray(path.read_bytes())
@@ -328,7 +328,7 @@ def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
     check_one_line(error, "damaged", "recover")
     path.with_name("b.mcap").write_bytes(data[:-1])
     report = recover(path.with_name("b.mcap"), tmp_path / "saved")
-    assert len(report.lost) == 1
+    assert len(report.damaged[0].parts) == 1
     with open_bag(tmp_path / "saved") as bag:
         found = numbers(bag)
     assert 301 not in found
@@ -337,14 +337,14 @@ def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
 
 def test_recovery_does_not_trust_the_summary_of_a_spoilt_file(tmp_path: Path):
     """What reading advises when it finds damage: recovery walks through the records themselves."""
-    from worm_model.bags.recovery import recover
+    from worm_model.bags.recovery.recovery import recover
 
     path = by_mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
     data = bytearray(path.read_bytes())
     data[data.index(payload(301)) + 6] ^= 0xFF
     path.write_bytes(data)
     report = recover(path, tmp_path / "saved")
-    assert len(report.lost) == 1
+    assert len(report.damaged[0].parts) == 1
     with open_bag(tmp_path / "saved") as bag:
         assert COUNT - 100 < len(numbers(bag)) == report.messages < COUNT
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from worm_model.bags.opening import open_bag
-from worm_model.commands import bag_runs, bags
+from worm_model.commands import bag_runs, bag_table, bags
 
 SAMPLES = Path(__file__).resolve().parents[4] / "bags"
 
@@ -104,3 +104,16 @@ def test_what_is_split_and_merged_again_is_the_same(run, tmp_path):
     assert times == sorted(times)
     rows = json.loads(run(tmp_path / "both", "--json")[1])["runs"]
     assert [row["gait"]["direction"] for row in rows] == [1, -1]
+
+
+def test_a_column_is_a_row_of_the_table_of_columns(run, monkeypatch):
+    """An index from before it is not used."""
+    run("table", SAMPLES / "forward")
+    column = bag_table.Column("strokes", "strokes mm", lambda figures: figures.played.gait.stroke)
+    monkeypatch.setattr(bag_table, "COLUMNS", (*bag_table.COLUMNS, column))
+    monkeypatch.setattr(bag_runs, "COLUMNS", bag_table.COLUMNS)
+    (row,) = json.loads(run("table", SAMPLES / "forward", "--json")[1])["runs"]
+    assert row["strokes"] == row["gait"]["stroke"]
+    status, told, _ = run("table", SAMPLES / "forward")
+    assert (status, told.splitlines()[0].split()[-2:]) == (0, ["strokes", "mm"])
+    assert told.splitlines()[1].split()[-1] == "0.07"

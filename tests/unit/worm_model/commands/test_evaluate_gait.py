@@ -165,5 +165,6 @@ def test_help_does_not_wait_for_the_compiler() -> None:
         "sys.exit(bool({'numba', 'numpy', 'matplotlib', 'rosbags'} & set(sys.modules)))"
     )
     source = Path(command.__file__).resolve().parents[2]
-    path = {"PYTHONPATH": str(source), "PATH": "/usr/bin:/bin"}
+    sources = f"{source}:{source.parent / 'worm_msgs'}"
+    path = {"PYTHONPATH": sources, "PATH": "/usr/bin:/bin"}
     assert subprocess.run([sys.executable, "-c", code], env=path).returncode == 0

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from recorded_run import simulated_run, write_bag
 
-from worm_model.bags.bag_writer import new_bag
-from worm_model.bags.cdr import encode
-from worm_model.bags.message_block import Topic
-from worm_model.bags.message_types import topic_of, typestore
+from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.cdr import encode
+from worm_model.bags.formats.message_block import Topic
+from worm_model.bags.formats.message_types import topic_of, typestore
 from worm_model.bags.run_writer import write_run
 from worm_model.commands import export
 

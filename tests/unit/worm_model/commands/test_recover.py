@@ -11,10 +11,10 @@ import pytest
 from recorded_run import simulated_run, write_bag
 
 from worm_model.bags import opening
-from worm_model.bags.bag_writer import BagFiles, new_bag
+from worm_model.bags.formats.bag_writer import BagFiles, new_bag
 from worm_model.bags.opening import open_bag
-from worm_model.bags.recovery import Recovery
-from worm_model.bags.recovery import recover as recover_bag
+from worm_model.bags.recovery.recovery import Recovery
+from worm_model.bags.recovery.recovery import recover as recover_bag
 from worm_model.commands import recover
 
 RUN = simulated_run(cycles=1)
@@ -26,7 +26,7 @@ def cut(tmp_path: Path) -> Path:
     bag = write_bag(tmp_path / "bag", RUN)
     (bag / "metadata.yaml").unlink()
     file = bag / "bag_0.mcap"
-    file.write_bytes(file.read_bytes()[:-2000])
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2 + 100])
     return bag
 
 
@@ -42,7 +42,8 @@ def test_it_says_what_it_saved(cut: Path, tmp_path: Path, monkeypatch, capsys):
     with open_bag(tmp_path / "saved") as bag:
         assert bag.message_count == report["messages"]
         assert bag.metadata["worm_run"]["made_by"] == "tests/recorded_run.py"
-    assert report["lost_bytes"] > 0
+    assert report["damaged"][0]["cut_off"] > 0
+    assert report["damaged"][0]["file"] == "bag_0.mcap"
     assert (cut / "bag_0.mcap").read_bytes() == before
     assert not (cut / "metadata.yaml").exists()
 

@@ -97,7 +97,7 @@ def test_a_replayed_bag_is_replayed_again(bag: Path, tmp_path: Path, monkeypatch
 
 
 def test_two_robots_in_a_bag_are_told_apart(tmp_path: Path, monkeypatch, capsys):
-    from worm_model.bags.bag_writer import new_bag
+    from worm_model.bags.formats.bag_writer import new_bag
     from worm_model.bags.run_writer import write_run
 
     with new_bag(tmp_path / "two") as writer:

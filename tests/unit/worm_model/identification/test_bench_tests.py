@@ -63,7 +63,7 @@ def test_the_bellows_interval_also_holds_when_residuals_wander():
     [
         (COMPRESSION[:3], COMPRESSION[:3], "usable points"),
         (np.zeros(9), np.arange(9.0), "usable points"),
-        (COMPRESSION, -900.0 * COMPRESSION, "falls with compression"),
+        (COMPRESSION, -900.0 * COMPRESSION, "decreases with compression"),
     ],
 )
 def test_a_bellows_test_that_tells_nothing_is_refused(x, y, reason):

@@ -39,7 +39,7 @@ def test_a_late_camera_is_told_and_the_lag_of_the_servo_is_not_booked_on_it():
     assert late.note == f"add {late.value:+.4f} s to delay_s in the tracker's setup file"
     in_time = delay_of(recordings(LAG, 0.0))
     assert in_time.low < 0.0 < in_time.high
-    assert "may stay as it is" in in_time.note
+    assert "no change" in in_time.note
 
 
 def test_without_an_encoder_both_explanations_are_named():

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from virtual_campaign import SHORT
 
-from worm_model.identification.estimate import Estimate, not_told
+from worm_model.identification.estimate import Estimate, not_identifiable
 from worm_model.identification.identification_errors import IdentificationError
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -27,7 +27,7 @@ def test_every_robot_counts_once_and_no_row_is_nan(coverage):
     cases = [
         case_of(coverage, 1, Estimate(2.1, 1.9, 2.3)),
         case_of(coverage, 2, Estimate(2.5, 2.3, 2.7)),
-        case_of(coverage, 3, not_told(2.0, "why")),
+        case_of(coverage, 3, not_identifiable(2.0, "why")),
         coverage.Case(4, {}, {}, "nothing explains the motion"),
     ]
     first, *rows = coverage.rows_of(cases)

@@ -11,7 +11,11 @@ from worm_model.identification.fingerprint import (
 
 def test_what_identification_imports_is_in_it_and_nothing_else():
     files = {str(file.relative_to(PACKAGE)) for file in imported_files(PACKAGE, ENTRY)}
-    assert {"commands/identify.py", "identification/grooves.py", "bags/lab_logs.py"} <= files
+    assert {
+        "commands/identify.py",
+        "identification/grooves.py",
+        "bags/operations/lab_logs.py",
+    } <= files
     assert {"simulation/simulator.py", "simulation/smoothing.py", "bags/run_reader.py"} <= files
     assert not {"twin/core.py", "nodes/twin_node.py", "commands/health.py"} & files
 

@@ -165,7 +165,7 @@ def test_a_cable_that_cannot_push_is_identified_as_such_and_said_to_be(tmp_path)
         path.write_text(edited)
         with pytest.raises(ParameterError, match="identify again without --one-sided-cable"):
             load_parameters(path)
-    with pytest.raises(IdentificationError, match="fitted with a cable that pushes"):
+    with pytest.raises(IdentificationError, match="--one-sided-cable"):
         identify(replace(inputs, bellows=None), given)
     again = identify(replace(inputs, bellows=None), reference_by_file(ParameterFile(truth), "it"))
     assert again.parameters.one_sided_cable
@@ -197,7 +197,7 @@ def without_power_after(recording, time):
     return replace(recording, power_time=recording.power_time[kept], power=recording.power[kept])
 
 
-@pytest.mark.parametrize(("time", "said"), [(0.0, "saw 0 samples"), (1.5, "to 1.5 s")])
+@pytest.mark.parametrize(("time", "said"), [(0.0, "0 power samples"), (1.5, "to 1.5 s")])
 def test_power_that_ends_early_is_named(campaigns, time, said):
     spoilt = without_power_after(campaigns[0].inputs.recordings[0], time)
     (run,), seen = prepared([spoilt], PAPER.pitch)
@@ -224,7 +224,7 @@ def test_a_run_whose_power_ends_early_is_left_out_of_the_energy_alone(campaigns)
     assert np.isfinite(result.held_out[spoilt.name].x1_rmse)
     assert covers(result, "bellows_damping", campaign.truth)
     assert np.isnan(summary(result)["clock_offsets"][spoilt.name]["power_behind_camera"])
-    assert "not seen" in text_of(result, advise(result), [])
+    assert "unknown" in text_of(result, advise(result), [])
 
 
 def test_without_any_power_all_else_is_identified(campaigns):
@@ -242,7 +242,7 @@ def test_without_any_power_all_else_is_identified(campaigns):
     notes = {key: result.estimates[key].note for key in unknown}
     assert "no run has power samples at rest" in notes["idle_power"]
     assert "over its five ridges" in notes["power_factor"]
-    assert "not seen" in text_of(result, advise(result), [])
+    assert "unknown" in text_of(result, advise(result), [])
     assert set(parameter_file(result, inputs).intervals).isdisjoint(unknown)
     assert np.isnan(summary(result)["clock_offsets"]["run_1"]["power_behind_camera"])
 
@@ -267,7 +267,7 @@ def test_naming_the_softer_side_as_engaging_is_worth_a_warning(campaigns):
     fin = fit_fin(inputs.fin.x, inputs.fin.y)
     wrong = fit_fin(inputs.fin.x, inputs.fin.y, -fin.engages)
     assert bench_warnings(fin) == bench_warnings(None) == []
-    assert "softer one" in bench_warnings(wrong)[0]
+    assert "--fin-engages" in bench_warnings(wrong)[0]
 
 
 def test_an_odd_fin_test_is_named_where_nothing_fits(campaigns, monkeypatch):
@@ -277,7 +277,7 @@ def test_an_odd_fin_test_is_named_where_nothing_fits(campaigns, monkeypatch):
     inputs = campaigns[0].inputs
     engages = fit_fin(inputs.fin.x, inputs.fin.y).engages
     monkeypatch.setattr("worm_model.identification.stages.identify_locomotion", fail)
-    with pytest.raises(IdentificationError, match=r"nothing fits; fin test: .* softer one"):
+    with pytest.raises(IdentificationError, match=r"nothing fits; fin test: .*--fin-engages"):
         identify(inputs, campaigns[0].reference, 0, -engages)
 
 
@@ -288,7 +288,7 @@ def test_the_initial_length_is_a_mean_and_says_how_runs_scatter(campaigns, resul
         assert estimate.value == pytest.approx(lengths.mean())
         deviation = lengths.std(ddof=1)
         assert estimate.spread == pytest.approx(3.182 * deviation / 2.0, rel=1e-3)
-        assert f"scatter around it by {deviation * 1e3:.3f} mm" in estimate.note
+        assert f"{deviation * 1e3:.3f} mm" in estimate.note
         file = parameter_file(result, campaigns[0].inputs)
         assert file.run_to_run == {"initial_length": pytest.approx(deviation)}
         assert file.provenance["notes"]["initial_length"] == estimate.note
@@ -305,7 +305,7 @@ def test_a_slack_of_nothing_and_no_gait_that_goes_far_stop_no_advice(results, mo
     wide = Estimate(95.0, 60.0, 130.0)
     monkeypatch.setattr("worm_model.identification.advice.recorded", lambda *_: None)
     advice = advise(replace(result, estimates={**result.estimates, "viscous_friction": wide}))
-    assert "no gait tried passes 5 ridges" in advice
+    assert "5 ridges" in advice
 
 
 def test_validation_runs_are_checked_like_the_fitted_ones(campaigns):
@@ -318,7 +318,7 @@ def test_validation_runs_are_checked_like_the_fitted_ones(campaigns):
     with pytest.raises(IdentificationError, match="two validation runs are called kept"):
         prepared_validation([kept[0], kept[0]], fitted[:1], PAPER.pitch)
     same = replace(fitted[0], sources={"camera.csv": "a" * 64})
-    with pytest.raises(IdentificationError, match="run_1, which is fitted too"):
+    with pytest.raises(IdentificationError, match="run_1"):
         prepared_validation([replace(same, name="copy")], [same], PAPER.pitch)
     assert prepared_validation([], fitted, PAPER.pitch) == ([], [])
 

@@ -92,7 +92,7 @@ def test_a_later_gait_of_a_robot_that_was_put_back_is_a_run_of_its_own():
     assert second.x1[:100] == pytest.approx(first.x1[:100], nan_ok=True)
     assert not starts_apart([first, second])
     (said,) = starts_apart([first, replace(second, start=0.1)])
-    assert "r and r_gait_2 begin 100 mm apart" in said
+    assert all(fact in said for fact in ("r and r_gait_2", "100 mm"))
 
 
 def test_an_onset_that_is_told_anew_with_each_cycle_is_one_run():
@@ -236,7 +236,7 @@ def test_hidden_markers_are_named_and_bridged():
     assert longest_gap(found) == pytest.approx(1.5, abs=0.1)
     texts = remarks(found, length, traverse_of(found, length, PAPER.pitch))
     assert "hidden marker, longest gap 1.5" in texts[0]
-    assert "a guess" in texts[1]
+    assert "1.5 s" in texts[1]
     expected = measured_length(plain)
     at = np.linspace(2.0, 3.5, 50)
     bridge = np.interp(at, length.time, length.length_change)
@@ -248,7 +248,7 @@ def test_a_run_of_too_few_ridges_is_named():
     length = measured_length(found)
     traverse = traverse_of(found, length, PAPER.pitch)
     assert not traverse.complete
-    assert "never reached 5 ridges" in " ".join(remarks(found, length, traverse))
+    assert "5 ridges" in " ".join(remarks(found, length, traverse))
 
 
 def test_one_outlier_is_no_arrival():
@@ -271,7 +271,7 @@ def stuck(found, time):
 def test_a_tracker_that_sees_no_length_after_the_onset_is_named():
     found = recording()
     blind = with_hidden_marker(found, 0.0, np.inf)
-    assert "saw no length after the gait's onset" in follows_command(blind, measured_length(found))
+    assert "no length after the gait's onset" in follows_command(blind, measured_length(found))
 
 
 @pytest.mark.parametrize("time", [0.3, 2.0, 4.0])

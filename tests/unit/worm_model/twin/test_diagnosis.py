@@ -130,7 +130,10 @@ def test_a_slow_camera_and_noise_make_no_sound_robot_suspect(lab: Lab):
             output = twin.advance(twin.start(), rows, to_the_end=True)
             assert not [event.text for event in output.events if event.code]
             after = output.residuals[output.residuals["stamp_ns"] > ONSET + 10**9]
-            assert set(after["health"]) == {Health.HEALTHY}
+            first = after["stamp_ns"] < ONSET + round(1.1 * GAIT.period * 10**9)
+            # Without a length there is nothing to say before the first cycle has told how the fins stood.
+            assert set(after["health"][first]) <= {Health.HEALTHY, Health.UNKNOWN}
+            assert set(after["health"][~first]) == {Health.HEALTHY}
             power[tracker] = np.nanmean(after["power"])
         assert power[True] == pytest.approx(
             power[False], abs=0.12

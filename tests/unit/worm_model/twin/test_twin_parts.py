@@ -12,7 +12,7 @@ from worm_model.gait import REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import simulate
 from worm_model.twin.forecast import ForecastError, forecast
-from worm_model.twin.records import Activity, LengthSource, Severity, StateRecord
+from worm_model.twin.records import Activity, Health, LengthSource, Severity, StateRecord
 from worm_model.twin.scene import FREE, HOLDING, YIELDING, Sighting, engagement, scene
 from worm_model.twin.twin import Twin
 from worm_model.twin.twin_status import report
@@ -103,6 +103,8 @@ def test_a_twin_without_input_does_not_call_itself_well():
     state = twin.start()
     newest = twin.advance(state, rows_of(samples), to_the_end=True).residuals[-1]
     assert report(state, newest, 0.5).level is Severity.INFO
+    assert "before the first cycle" in report(state, newest, 0.5).message
+    state.record["start_known"], newest["health"] = 1, Health.HEALTHY
     assert "as expected" in report(state, newest, 0.5).message
     assert report(twin.start(), None).message == "no length yet"
     silent = report(state, newest, 3.2)

@@ -17,10 +17,11 @@ from twin_samples import (
     follow,
 )
 
-from worm_driver.virtual_robot.plant import BodyParameters, Plant, PlantEffects, make_grooves
+from worm_driver.virtual_robot.plant import Plant, PlantEffects, make_grooves
 from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_model.parameters import PAPER
 from worm_model.twin.records import Activity, Health
+from worm_msgs.robot_parameters import RobotParameters
 
 ONSET = 1_700_000_000_000_000_000
 CYCLES, PAUSE_S, STEP_S, ORIGIN = 3, 6.0, 1e-3, 0.4
@@ -37,10 +38,10 @@ def session(second: Gait, release_s: float = 0.5) -> list:
 
     The transmission gives its slack back when the cable has rested for ``release_s``.
     """
-    body = BodyParameters(
-        **{f.name: getattr(PAPER, f.name) for f in dataclasses.fields(BodyParameters)}
+    body = RobotParameters(
+        **{f.name: getattr(PAPER, f.name) for f in dataclasses.fields(RobotParameters)}
     )
-    effects = PlantEffects(0.0, 0.0, 0.0, 1e-4, release_s)
+    effects = PlantEffects(0.0, 0.0, 1e-4, release_s)
     grooves = make_grooves(body, effects, 0)
     plant = Plant(body, effects, grooves, grooves, STEP_S)
     state = plant.at_rest()

@@ -21,6 +21,7 @@ class Node:
         self.stops = threading.Semaphore(0)
         self.meanwhile: Callable[[], None] = lambda: None
         self.broken = ""
+        self.has_lost_driver = False
 
     def create_subscription(self, *_: object) -> None:
         pass
@@ -97,6 +98,15 @@ def bench() -> Iterator[Bench]:
 def test_what_is_asked_for_is_done_and_told(bench: Bench):
     bench.ask(lambda node: "done")
     assert bench.heard("done").good
+
+
+def test_a_driver_that_is_lost_is_told_once(bench: Bench):
+    bench.stopper.has_lost_driver = True
+    assert not bench.heard("the driver ended; torque may be on").good
+    bench.ask(lambda node: "done")
+    bench.heard("done")
+    assert sum("torque may be on" in word.text for word in bench.words) == 1
+    bench.stopper.has_lost_driver = False
 
 
 def test_a_failure_is_told_and_the_worker_goes_on(bench: Bench):

@@ -23,7 +23,7 @@ SCAN, FRONT = ScanOrder(1, 0.0, 0.004, 0.001), FrontOrder(1)
 
 class Goal:
     def __init__(self) -> None:
-        self.fraction, self.wanted, self.closed = 0.25, True, False
+        self.closed = False
 
     def close(self) -> None:
         self.closed = True
@@ -89,7 +89,7 @@ def bench() -> SimpleNamespace:
 
 def test_a_scan_goes_on_until_it_ends_and_is_kept(bench: SimpleNamespace):
     assert bench.studies.search(SCAN)
-    assert bench.studies.searching == "margin scan: 25 %"
+    assert bench.studies.searching == "margin scan"
     assert not bench.studies.search(FRONT)
     found = SearchResult(True, "the cliff is at 3.40 mm", (0.0, 0.001), (50.0, 60.0), 0.0034)
     bench.node.ends[0](found)
@@ -107,12 +107,9 @@ def test_a_new_front_makes_what_was_read_worthless(bench: SimpleNamespace):
     assert bench.hub.fronts == {}
 
 
-def test_a_cancelled_search_changes_nothing_and_is_no_good_word(bench: SimpleNamespace):
-    bench.studies.cancel_search()
+def test_a_failed_search_changes_nothing_and_is_no_good_word(bench: SimpleNamespace):
     bench.studies.search(FRONT)
-    bench.studies.cancel_search()
-    assert not bench.node.goals[0].wanted
-    bench.node.ends[0](SearchResult(False, "cancelled"))
+    bench.node.ends[0](SearchResult(False, "margin: -1.0 m"))
     assert bench.hub.fronts
     assert not bench.hub.words[-1].good
 

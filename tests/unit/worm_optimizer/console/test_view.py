@@ -106,26 +106,46 @@ def test_a_minute_is_remembered():
     assert len(history.samples) == 300
 
 
+PERIOD_NS, LATE_NS = 5 * 10**9, 450_000_000
+
+
 @pytest.mark.parametrize("direction", [1, -1])
-def test_the_grooves_of_each_cycle_are_counted_along_the_gait(direction: int):
+@pytest.mark.parametrize("before", [0, 7])
+def test_the_grooves_of_each_cycle_are_those_between_its_stamps_by_a_twin_that_is_behind(
+    direction: int, before: int
+):
+    """The twin still has the grooves of the run before when the driver says that the next one has begun."""
     history = History(lambda: NOW)
+    onset, gained = 10**12, (2, 1, 2)
 
-    def moment(run: int, cycle: int, groove: int, state: Activity = Activity.RUNNING) -> None:
-        driver = replace(IDLE, state=state, run=run, cycle=cycle, cycles=3, direction=direction)
-        twin = replace(TWIN, rear_groove=direction * groove)
-        history.add(Snapshot(driver=driver, twin=twin, heard=HEARD, lengths=lengths))
+    def rear_groove(stamp: int) -> int:
+        if stamp < onset:
+            return before
+        cycle = min((stamp - onset) // PERIOD_NS, 2)
+        part = ((stamp - onset) / PERIOD_NS - cycle) > 0.4
+        return direction * (sum(gained[:cycle]) + gained[cycle] * part)
 
-    lengths = {LengthSource.COMMANDED: 0.3}
-    for cycle, groove in ((0, 0), (1, 0), (1, 1), (2, 2), (3, 3)):
-        moment(1, cycle, groove)
-    moment(1, 3, 5, Activity.IDLE)
-    assert history.grooves == [2, 1, 2]
-    moment(2, 1, 5)
-    moment(2, 2, 6)
-    assert history.grooves == [1]
-    moment(2, 2, 6, Activity.IDLE)  # stopped before all cycles
-    assert history.grooves == [1]
-    moment(3, 3, 6)
-    lengths[LengthSource.COMMANDED] = 0.25
-    moment(3, 3, 8, Activity.IDLE)  # stopped within the last cycle
-    assert history.grooves == []
+    for now in range(onset - 10**9, onset + 4 * PERIOD_NS, 200_000_000):
+        cycle = min((now - onset) // PERIOD_NS + 1, 3)
+        over = now >= onset + 3 * PERIOD_NS
+        state = Activity.IDLE if over else (Activity.RUNNING if now >= onset else Activity.RESTING)
+        begun = now - now % 10**9 if not over else onset + 3 * PERIOD_NS + 3_000_000
+        driver = replace(IDLE, state=state, run=2, cycle=cycle, direction=direction, frequency=0.2)
+        driver = replace(driver, stamp_ns=begun, onset_ns=onset if onset <= now and not over else 0)
+        stamps = range(now - LATE_NS - 2 * 10**9, now - LATE_NS, 10_000_000)
+        states = tuple((stamp, rear_groove(stamp)) for stamp in stamps)
+        history.add(Snapshot(driver=driver, twin=TWIN, heard=HEARD, grooves=states))
+    assert history.grooves == list(gained)
+
+
+def test_a_cycle_that_was_stopped_has_no_grooves():
+    history = History(lambda: NOW)
+    onset = 10**12
+    stop = onset + PERIOD_NS + PERIOD_NS // 2
+    for now in range(onset, onset + 3 * PERIOD_NS, 200_000_000):
+        state = Activity.RUNNING if now < stop else Activity.IDLE
+        driver = replace(IDLE, state=state, run=1, frequency=0.2, stamp_ns=min(now, stop))
+        driver = replace(driver, onset_ns=onset if now < stop else 0)
+        states = tuple((now - LATE_NS - 10_000_000 * k, 1) for k in range(50, 0, -1))
+        history.add(Snapshot(driver=driver, twin=TWIN, heard=HEARD, grooves=states))
+    assert history.grooves == [0]

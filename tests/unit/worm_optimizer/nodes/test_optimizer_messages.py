@@ -5,7 +5,7 @@ import dataclasses
 import math
 
 import pytest
-from gaits_for_tests import QUICK, made_up, made_up_front
+from gaits_for_tests import QUICK, made_up, small_front
 
 pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
 
@@ -15,7 +15,6 @@ from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes.optimizer_messages import (
     direction_of,
     fill_response,
-    optimize_feedback,
     optimize_result,
     prediction_message,
     scan_of_goal,
@@ -23,7 +22,6 @@ from worm_optimizer.nodes.optimizer_messages import (
     settings_of_goal,
 )
 from worm_optimizer.robustness.prediction import Prediction
-from worm_optimizer.search.front import Progress
 from worm_optimizer.search.gait_request import GaitAnswer, Objective, RequestStatus
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.price_of_robustness import Cliff, MarginPoint, PriceOfRobustness
@@ -76,18 +74,15 @@ def test_an_answer_carries_its_gait():
 def test_a_goal_leaves_open_what_it_does_not_say():
     """But for the seed, which is a number like any other: 0 is seed 0."""
     settings = settings_of_goal(QUICK, OptimizeGaits.Goal(margin=math.nan))
-    seed_0 = dataclasses.replace(QUICK.search, seed=0)
-    assert QUICK.search.seed != 0
-    assert settings == dataclasses.replace(QUICK, search=seed_0)
+    assert QUICK.seed != 0
+    assert settings == dataclasses.replace(QUICK, seed=0)
 
 
 def test_a_goal_says_what_it_wants():
-    goal = OptimizeGaits.Goal(
-        margin=1e-3, population=30, generations=7, seed=5, robustness="chance", probability=0.9
-    )
+    goal = OptimizeGaits.Goal(margin=1e-3, seed=5, robustness="chance", probability=0.9)
     settings = settings_of_goal(QUICK, goal)
     assert settings.margin == 1e-3
-    assert dataclasses.astuple(settings.search) == (30, 7, 5)
+    assert settings.seed == 5
     assert settings.robustness is Robustness.CHANCE
     assert settings.probability == 0.9
 
@@ -96,7 +91,6 @@ def test_a_goal_says_what_it_wants():
     ("goal", "says"),
     [
         ({"margin": -1.0}, "margin"),
-        ({"population": 2}, "population"),
         ({"seed": 2**40}, "seed"),
         ({"robustness": "luck"}, "none of margin, chance, any_phase"),
     ],
@@ -121,35 +115,30 @@ def test_directions_are_the_two():
         direction_of(3)
 
 
-def test_a_generation_is_the_feedback():
-    message = optimize_feedback(Progress(0.8, "generation 3 of 7", 3, 7, 0.02, 40))
-    told = (message.fraction, message.generation, message.generations)
-    assert told == (0.8, 3, 7)
-    assert (message.hypervolume, message.front_size) == (0.02, 40)
-
-
 def test_the_result_of_an_optimisation():
-    front = dataclasses.replace(made_up_front(-1), missed_branches=(1,), source="map")
+    front = small_front()
     message = optimize_result(front)
     assert message.success
-    assert (message.margin, message.source) == (0.0034, "map")
-    assert list(message.missed_branches) == [1]
-    assert [gait.speed for gait in message.front] == [0.002, 0.005, 0.008]
-    assert message.min_power.power == 1.4
-    assert message.cruise.power == 2.6
-    assert message.max_speed.power == 4.5
+    assert message.margin == 0.0034
+    assert [gait.speed for gait in message.front] == [gait.speed for gait in front.gaits]
+    assert math.isnan(message.front[0].success_probability)
+    assert message.min_power.power == front.min_power.power
+    assert message.cruise.success_probability == front.cruise.success_probability
+    assert message.max_speed.power == front.max_speed.power
 
 
 def test_the_result_of_a_scan():
-    nothing = MarginPoint(2e-3, math.nan, math.nan, math.nan, 0, (), math.nan, math.nan)
-    points = (MarginPoint(1e-3, 50.0, 0.07, 0.2, 2, (1, 2), 0.01, 1.0), nothing)
-    message = scan_result(PriceOfRobustness(points, Cliff(1e-3, 2e-3, math.inf, 2), 1.4e-3, 1.1e-3))
+    nothing = MarginPoint(2e-3, math.nan, math.nan, math.nan, 0.0, ())
+    points = (MarginPoint(1e-3, 50.0, 0.07, 0.2, 2.0, (1.0, 2.0)), nothing)
+    message = scan_result(
+        PriceOfRobustness(points, Cliff(1.5e-3, 1e-3, 2e-3, math.inf, 2.0), 1.4e-3, 1.1e-3)
+    )
     assert message.success
     assert list(message.margins) == [1e-3, 2e-3]
     assert list(message.optimal_branch) == [2, 0]
     assert message.cost_of_transport[0] == 50.0
     assert math.isnan(message.cost_of_transport[1])
-    assert (message.cliff_margin, message.lost_branch) == (1e-3, 2)
+    assert (message.cliff_margin, message.lost_branch) == (1.5e-3, 2)
     without = scan_result(PriceOfRobustness(points[:1], None, 1.4e-3, 1.1e-3))
     assert math.isnan(without.cliff_margin)
     assert "no cliff" in without.message

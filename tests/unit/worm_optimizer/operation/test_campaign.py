@@ -21,25 +21,21 @@ from worm_optimizer.operation.campaign_runs import (
 )
 from worm_optimizer.operation.system import load_system_file
 from worm_optimizer.orders import Order
-from worm_optimizer.search.cache import Cache
-from worm_optimizer.search.gait_map import MapSettings
-from worm_optimizer.search.nsga2 import SearchSettings
+from worm_optimizer.search.exact import Resolution
 from worm_optimizer.search.search_settings import ScanSettings, Settings
 
 FILE = load_system_file(Path(__file__).parents[4] / "src/worm_optimizer/config/system.yaml")
 
 
 @pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory):
-    cache = Cache.at(tmp_path_factory.mktemp("cache"))
+def plan():
     coarse = Settings(
         margin=0.0034,
         scan=ScanSettings(0.003, 0.004, 0.0005),
-        map=MapSettings(21, 17, 1e-5, 1),
-        search=SearchSettings(24, 10, 1),
+        resolution=Resolution(21, 17),
         samples=20,
     )
-    return make_plan(ParameterFile(), coarse, 1, cache, lambda _: None)
+    return make_plan(ParameterFile(), coarse, 1)
 
 
 def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

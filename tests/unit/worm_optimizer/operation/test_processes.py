@@ -56,9 +56,9 @@ def test_a_process_ends_on_the_interrupt_at_the_end_of_the_group(tmp_path):
 
 def test_a_deaf_process_is_killed_with_its_children(tmp_path):
     group = ProcessGroup(tmp_path)
-    process = group.start("deaf", python(DEAF))
+    process = group.start("deaf", python(DEAF), grace_s=0.1)
     child = int(process.wait_for_line(r"^child (\d+)", 20.0)[1])
-    group.stop(grace_s=0.1)
+    group.stop()
     assert process.wait(5.0) == -signal.SIGKILL
     assert wait_for(lambda: not is_running(child), 5.0)
 

@@ -115,7 +115,7 @@ def test_an_argument_without_a_value_is_left_out(tmp_path):
     [
         (
             {"nodes": {"twin": {"package": "p", "executable": "t", "topics": 1}}},
-            "unknown key topics",
+            "no key 'topics'",
         ),
         ({"nodes": {"twin": {"package": "p"}}}, "twin: no setting or key 'executable'"),
         ({"settings": {}}, "driver: no setting or key 'port'"),
@@ -134,8 +134,43 @@ def test_unknown_modes_and_settings_are_refused(tmp_path):
     content = load_system_file(written(tmp_path, MINIMAL))
     with pytest.raises(SystemFileError, match="mode 'simulation': choose one of robot"):
         content.system("simulation")
-    with pytest.raises(SystemFileError, match="no setting 'bus'"):
-        content.system("robot", bus="x")
+    with pytest.raises(SystemFileError, match="no setting 'prot': did you mean port"):
+        content.system("robot", prot="x")
+
+
+def test_an_argument_makes_further_nodes_required():
+    content = load_system_file(SHIPPED)
+
+    def required(**settings: str) -> set[str]:
+        nodes = content.system("virtual", bag="b", **settings).nodes
+        return {node.name for node in nodes if node.required}
+
+    assert required() == {"virtual_robot", "driver"}
+    given = required(also_required="recorder, twin")
+    assert given == {"virtual_robot", "driver", "recorder", "twin"}
+    with pytest.raises(SystemFileError, match="no node 'recoder': did you mean recorder"):
+        required(also_required="recoder")
+
+
+def test_a_replay_ends_with_its_twin_and_a_robot_does_not():
+    content = load_system_file(SHIPPED)
+    assert content.system("replay").node("twin").required
+    assert not content.system("virtual").node("twin").required
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "was_ready", "holds"),
+    [
+        ("driver", -9, True, True),
+        ("driver", 1, True, True),
+        ("driver", 0, True, False),
+        ("driver", 2, False, False),  # it was rejected before it opened anything
+        ("twin", -9, True, False),
+    ],
+)
+def test_only_a_driver_that_fails_at_work_may_leave_torque_on(name, status, was_ready, holds):
+    node = load_system_file(SHIPPED).system("virtual").node(name)
+    assert ("torque may be on" in node.end_report(status, was_ready=was_ready)) == holds
 
 
 @pytest.mark.parametrize("mode", MODES)

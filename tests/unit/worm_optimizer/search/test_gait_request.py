@@ -1,80 +1,108 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaits chosen from a front, and answers to requests."""
+"""Requests and their exact answers."""
 
 import math
 
+import numpy as np
 import pytest
-from gaits_for_tests import made_up, made_up_front
-from hypothesis import given
+from gaits_for_tests import small_front
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.search.gait_request import (
-    GaitAnswer,
     GaitRequest,
     Objective,
     RequestStatus,
-    answer,
+    check_direction,
     request_of,
     select,
-    three_gaits,
 )
 from worm_optimizer.search.optimizer_errors import OptimizerError
 
-FRONT = made_up_front().predictions
+FRONT = small_front()
+SLOWEST, FASTEST = FRONT.min_power, FRONT.max_speed
 
 
-def test_the_three_gaits():
-    three = three_gaits(FRONT)
-    assert {name: gait.speed for name, gait in three.items()} == {
-        "min_power": 0.002,
-        "cruise": 0.005,
-        "max_speed": 0.008,
-    }
+def at_speed(speed: float):
+    return select(FRONT, GaitRequest(Objective.MIN_POWER_AT_SPEED, speed))
 
 
-@given(st.floats(0.0, 0.008))
+def at_power(power: float):
+    return select(FRONT, GaitRequest(Objective.MAX_SPEED_AT_POWER, power))
+
+
+def test_the_three_gaits_are_the_best_of_the_front():
+    for objective, key, sign in (
+        (Objective.MIN_POWER, "power", 1),
+        (Objective.CRUISE, "cost_of_transport", 1),
+        (Objective.MAX_SPEED, "speed", -1),
+    ):
+        gait = select(FRONT, GaitRequest(objective)).prediction
+        best = min(sign * getattr(each, key) for each in FRONT.gaits)
+        assert sign * getattr(gait, key) == pytest.approx(best, rel=1e-12)
+
+
+def test_the_issues_request_is_exact():
+    gait = at_speed(0.004).prediction
+    assert abs(gait.speed - 0.004) < 1e-8
+    assert gait.power <= 2.1155
+    assert evaluate_gait(gait.gait).speed == pytest.approx(gait.speed, rel=1e-12)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(SLOWEST.speed, FASTEST.speed))
 def test_the_lowest_power_at_a_reachable_speed(speed):
-    choice = select(FRONT, GaitRequest(Objective.MIN_POWER_AT_SPEED, speed))
-    fast_enough = [gait for gait in FRONT if gait.speed >= speed]
-    assert choice.status is RequestStatus.DONE
-    assert choice.prediction.power == min(gait.power for gait in fast_enough)
+    answer = at_speed(speed)
+    assert answer.status is RequestStatus.DONE
+    assert answer.prediction.speed >= speed * (1.0 - 1e-9)
+    fast_enough = [gait.power for gait in FRONT.gaits if gait.speed >= speed]
+    assert answer.prediction.power <= min(fast_enough, default=math.inf) * (1.0 + 1e-9)
 
 
-@given(st.floats(1.4, 100.0))
+@settings(max_examples=10, deadline=None)
+@given(st.floats(SLOWEST.power * 1.001, FASTEST.power * 1.2))
 def test_the_highest_speed_at_a_sufficient_power(power):
-    choice = select(FRONT, GaitRequest(Objective.MAX_SPEED_AT_POWER, power))
-    assert choice.status is RequestStatus.DONE
-    assert choice.prediction.speed == max(gait.speed for gait in FRONT if gait.power <= power)
+    answer = at_power(power)
+    assert answer.status is RequestStatus.DONE
+    assert answer.prediction.power <= power * (1.0 + 1e-9)
+    affordable = [gait.speed for gait in FRONT.gaits if gait.power <= power]
+    assert answer.prediction.speed >= max(affordable) * (1.0 - 1e-9)
+
+
+def test_speed_and_power_are_inverse_along_a_branch():
+    gait = at_power(at_speed(0.005).prediction.power).prediction
+    assert gait.speed == pytest.approx(0.005, rel=1e-5)
 
 
 def test_a_value_read_off_the_front_is_reachable():
-    front = [made_up(0.1 + 0.2, 1.0 / 3.0)]
-    assert (
-        select(front, GaitRequest(Objective.MIN_POWER_AT_SPEED, 0.3)).status is RequestStatus.DONE
-    )
-    assert (
-        select(front, GaitRequest(Objective.MAX_SPEED_AT_POWER, 0.333333333333)).status
-        is RequestStatus.DONE
-    )
+    assert at_speed(FASTEST.speed).status is RequestStatus.DONE
+    assert at_power(SLOWEST.power).status is RequestStatus.DONE
 
 
-def test_the_unreachable_is_refused_with_the_nearest():
-    fast = select(FRONT, GaitRequest(Objective.MIN_POWER_AT_SPEED, 0.02))
-    assert "reaches 0.02 m/s: the fastest makes 0.008 m/s" in fast.message
-    assert fast.prediction.speed == 0.008
-    frugal = select(FRONT, GaitRequest(Objective.MAX_SPEED_AT_POWER, 1.0))
-    assert "the lowest power is 1.4 W" in frugal.message
-    assert frugal.prediction.power == 1.4
+def test_a_speed_of_zero_asks_for_the_lowest_power():
+    assert at_speed(0.0).prediction.power == pytest.approx(SLOWEST.power, rel=1e-9)
+
+
+def test_the_unreachable_is_rejected_with_the_nearest():
+    fast = at_speed(0.02)
+    assert fast.status is RequestStatus.UNREACHABLE
+    assert "0.02 m/s" in fast.message
+    assert fast.prediction == FASTEST
+    frugal = at_power(1.0)
+    assert frugal.status is RequestStatus.UNREACHABLE
+    assert f"{SLOWEST.power:.6g} W" in frugal.message
+    assert frugal.prediction == SLOWEST
 
 
 @pytest.mark.parametrize("speed", [-1.0, math.nan, math.inf])
-def test_a_speed_that_is_none_is_refused(speed):
+def test_a_speed_that_is_none_is_rejected(speed):
     with pytest.raises(OptimizerError, match="speed"):
         request_of(3, speed, 1.0)
 
 
 @pytest.mark.parametrize("power", [0.0, -1.0, math.nan, math.inf])
-def test_a_power_that_is_none_is_refused(power):
+def test_a_power_that_is_none_is_rejected(power):
     with pytest.raises(OptimizerError, match="power"):
         request_of(4, 1.0, power)
 
@@ -83,35 +111,18 @@ def test_values_that_an_objective_does_not_use_do_not_matter():
     assert request_of(1, math.nan, -1.0).objective is Objective.CRUISE
 
 
-def test_an_unknown_objective_is_refused_with_those_there_are():
+def test_an_unknown_objective_is_rejected_with_those_there_are():
     with pytest.raises(OptimizerError, match="9 is none of 0 MIN_POWER, 1 CRUISE"):
         request_of(9, 0.0, 0.0)
 
 
-ABSENT = {1: GaitAnswer(RequestStatus.COMPUTING, "the front is being computed, 40 % done")}
+def test_a_direction_that_is_none_is_rejected():
+    with pytest.raises(OptimizerError, match="direction: 0 is neither"):
+        check_direction(0)
 
 
-def test_requests_are_answered_from_the_front_of_their_direction():
-    fronts = {1: made_up_front(1), -1: made_up_front(-1)}
-    told = answer(fronts, {}, -1, request_of(2, 0.0, 0.0))
-    assert told.status is RequestStatus.DONE
-    assert told.prediction is not None
-    assert told.prediction.direction == -1
-    assert "margin 3.40 mm" in told.message
-
-
-def test_without_a_front_the_reason_is_told():
-    assert answer({}, ABSENT, 1, request_of(1, 0.0, 0.0)) == ABSENT[1]
-
-
-def test_a_direction_that_is_none_is_refused():
-    told = answer({1: made_up_front()}, ABSENT, 0, request_of(1, 0.0, 0.0))
-    assert told.status is RequestStatus.INVALID
-    assert "direction: 0 is neither" in told.message
-
-
-def test_a_refusal_carries_the_nearest_gait():
-    told = answer({1: made_up_front()}, ABSENT, 1, request_of(3, 1.0, 0.0))
-    assert told.status is RequestStatus.UNREACHABLE
-    assert told.prediction is not None
-    assert told.prediction.speed == 0.008
+def test_the_reverse_front_answers_in_its_direction():
+    gait = select(small_front(3.4e-3, -1), GaitRequest(Objective.CRUISE)).prediction
+    assert gait.direction == -1
+    assert gait.power == pytest.approx(FRONT.cruise.power, rel=1e-6)
+    assert np.sign(gait.speed) == 1.0

@@ -20,7 +20,7 @@ def cloud(rows, violation=None) -> Points:
     speed, power = np.array(rows, dtype=float).T
     n = len(rows)
     return Points(
-        *(np.full(n, 0.07), np.full(n, 0.2), speed, power, np.ones(n, dtype=np.int64)),
+        *(np.full(n, 0.07), speed / 0.0173, speed, power, np.ones(n, dtype=np.int64)),
         np.zeros(n) if violation is None else np.asarray(violation, dtype=float),
     )
 

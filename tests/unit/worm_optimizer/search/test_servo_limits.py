@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from gaits_for_tests import COARSE_MAP
+from gaits_for_tests import coarse_front
 
 from worm_driver.servos import registers
 from worm_driver.virtual_robot.servo import control_table
 from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import PAPER
 from worm_optimizer.search.actuator_limits import NO_LIMITS, ActuatorLimits, peaks
-from worm_optimizer.search.gait_map import build_map
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.servo_limits import (
     DRIVER_DEFAULTS,
+    DRIVER_RENAMED,
     limits_of,
     load_driver_file,
     servo_model,
@@ -50,6 +50,25 @@ def test_the_defaults_are_those_of_the_driver(driver_file):
         assert value == default, name
 
 
+def test_former_names_of_the_drivers_parameters_hold_with_a_warning(driver_file):
+    former = driver_file(**{"limits.max_frequency_Hz": 0.21, "ina219.max_current_A": 1.5})
+    with pytest.warns(FutureWarning) as warned:
+        limits = load_driver_file(former)
+    assert (limits.max_frequency, limits.sensor_current) == (0.21, 1.5)
+    assert {name for name in DRIVER_RENAMED for w in warned if name in str(w.message)} == {
+        "limits.max_frequency_Hz",
+        "ina219.max_current_A",
+    }
+    both = driver_file(**{"limits.max_frequency_Hz": 0.21, "limits.max_frequency_hz": 0.3})
+    with pytest.raises(OptimizerError, match=r"remove limits\.max_frequency_Hz"):
+        load_driver_file(both)
+
+
+def test_the_former_names_are_those_of_the_driver():
+    renamed = pytest.importorskip("worm_msgs.parameter_rows", reason="no ROS").RENAMED
+    assert {k: v for k, v in renamed.items() if v in DRIVER_DEFAULTS} == DRIVER_RENAMED
+
+
 def test_the_models_are_those_that_the_driver_knows():
     known = {model.name.removesuffix("-T"): model for model in registers.MODELS.values()}
     assert set(servo_models()) == set(known) == set(control_table.MODELS)
@@ -62,6 +81,9 @@ def test_the_models_are_those_that_the_driver_knows():
         limit = virtual.registers["velocity_limit"].initial * 0.0239691227
         assert model.velocity_limit == pytest.approx(limit, rel=2e-3)
         assert model.measures_current == known[name].measures_current
+        if model.measures_current:
+            constant = model.stall_torque / model.stall_current
+            assert known[name].torque_constant == pytest.approx(constant)
 
 
 def test_an_xm430_on_the_drivers_spool():
@@ -111,7 +133,7 @@ def test_the_range_of_the_sensor_is_that_of_its_shunt_or_none(driver_file):
 
 
 def test_a_driver_that_takes_less_narrows_the_box_and_a_stricter_limit_stays(driver_file):
-    file = driver_file(limits={"max_stroke_m": 0.05, "max_frequency_Hz": 1.0})
+    file = driver_file(limits={"max_stroke_m": 0.05, "max_frequency_hz": 1.0})
     bounds, limits = within(Bounds(), ActuatorLimits(cable_speed=0.01), str(file), "", None)
     assert bounds == Bounds(stroke_high=0.05)
     assert limits == ActuatorLimits(cable_speed=0.01)
@@ -146,8 +168,7 @@ def test_what_says_nothing_is_refused():
 
 
 def front_under(limits: ActuatorLimits):
-    task = MarginTask(margin=0.002, limits=limits)
-    return build_map(task, COARSE_MAP).front
+    return coarse_front(MarginTask(margin=0.002, limits=limits)).front
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ WRONG = {
     "compute: expected a list": {"compute": None},
     "sample: nothing under vary has a range": {"sample": {"points": 4}},
     "resolution: strokes: 2 is not a whole number from 3": {"resolution": {"strokes": 2}},
-    "map: tolerance 0.5 m": {"resolution": {"tolerance_m": 0.5}},
+    "resolution: no such key as 'tolerance_m'": {"resolution": {"tolerance_m": 0.5}},
     "scan: from 0.0 to -1.0 m": {"scan": {"highest_m": -1.0}},
     "spool_radius_m: says something only with a servo": {"vary": {"spool_radius_m": [0.02]}},
     "groove_phase_m: it sets initial_length": {

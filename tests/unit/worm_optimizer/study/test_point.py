@@ -10,7 +10,7 @@ from worm_model.gait import Gait
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import evaluate_gait
-from worm_optimizer.search.gait_map import build_map
+from worm_optimizer.search.front import front_of_task
 from worm_optimizer.search.task import MarginTask
 from worm_optimizer.study.plan import parse_study
 from worm_optimizer.study.point import (
@@ -34,7 +34,7 @@ def test_the_gaits_are_those_of_the_front_of_the_point():
         STUDY, {"parameter_file": 0, "slack": 0.004, "switching_threshold": 0.0175}
     )
     robot = PAPER.replace(slack=0.004)
-    front = build_map(MarginTask(robot, margin=0.002), STUDY.resolution.map).front
+    front = front_of_task(MarginTask(robot, margin=0.002), STUDY.resolution.scan).front
     assert gait_names(STUDY) == ["min_power", "cruise", "max_speed", "max_speed_at_power"]
     assert found["speed"][2] == front.speed.max()
     assert found["power"][0] == front.power.min()
@@ -101,7 +101,7 @@ def test_a_larger_spool_pulls_faster_and_weaker(tmp_path):
     driver = tmp_path / "driver.yaml"
     driver.write_text(
         "driver:\n  ros__parameters:\n    cable_servos.spool_radius_m: [0.025]\n"
-        "    limits.max_cable_speed_m_s: 10.0\n"
+        "    limits.max_cable_speed_m_per_s: 10.0\n"
     )
     text = SMALL + f"hardware: {{driver: {driver}, servo_model: XL330-M288}}\n"
     study = parse_study(text, Path())
@@ -123,7 +123,7 @@ def test_cliff_success_and_any_phase():
         study, {"parameter_file": 0, "slack": 0.008, "switching_threshold": 0.0175}
     )
     assert found["cliff_margin"] == pytest.approx(0.0034, abs=2.1e-4)
-    assert found["margin"] == found["cliff_margin"]
+    assert found["margin"] <= found["cliff_margin"] <= found["margin"] + 5e-4
     assert found["closed_form_cliff_margin"] == pytest.approx(0.0034, abs=1e-4)
     assert len(found["scan_cost_of_transport"]) == len(dimensions(study)["scan_margin"]) == 6
     success = found["success_probability"]

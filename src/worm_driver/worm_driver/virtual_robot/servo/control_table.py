@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control tables of the virtual servos, one row per register, one table per model.
 
-Written from the ROBOTIS e-manual, apart from the driver's tables. Names are the manual's in lower
-case. Left out: indirect addressing (168 and above), which answers with an access error.
+Written from the ROBOTIS e-manual, independently of the driver's tables. Names are the manual's in lower case.
+Indirect addressing (168 and above) is not implemented and returns an access error.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+
+from worm_msgs.servo_models import RPM, SERVO_MODELS, Initial, ServoRow
 
 EEPROM_END = 64  # addresses below are locked while torque is on
 TABLE_END = 168
@@ -26,7 +28,7 @@ BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4
 
 @dataclass(frozen=True)
 class Register:
-    """One row: initial is the factory value; low and high bound what may be written, raw."""
+    """One register. initial: factory value; low, high: allowed raw values."""
 
     name: str
     address: int
@@ -38,25 +40,29 @@ class Register:
 
     @property
     def signed(self) -> bool:
-        """Whether the raw value is two's complement."""
+        """True if the raw value is in two's complement."""
         return self.low < 0
 
     def encode(self, value: int) -> bytes:
-        """Little-endian bytes of a raw value."""
+        """Return the little-endian bytes of a raw value."""
         return value.to_bytes(self.size, "little", signed=self.signed)
 
     def decode(self, data: bytes | bytearray) -> int:
-        """The raw value of little-endian bytes."""
+        """Return the raw value of little-endian bytes."""
         return int.from_bytes(data, "little", signed=self.signed)
 
 
 @dataclass(frozen=True)
 class ServoModel:
-    """A servo model: its table and what its motor can do.
+    """Servo model: control table and motor data.
 
-    modes: values that Operating Mode takes. current_unit (A): scale of the current registers, 0 for
-    a model that reports load instead. supply_range: V. no_load_speed (rad/s) at nominal_voltage
-    (V), stall_torque (N*m) at stall_current (A), from the data sheets.
+    Attributes:
+        modes: allowed values of Operating Mode.
+        current_unit: scale of the current registers, A; 0 for a model that reports load instead.
+        supply_range: lowest and highest supply voltage, V.
+        nominal_voltage: voltage of the motor data, V.
+        no_load_speed: rad/s, from the data sheet.
+        stall_torque, stall_current: N*m and A, from the data sheet.
     """
 
     name: str
@@ -72,7 +78,7 @@ class ServoModel:
 
     @property
     def torque_constant(self) -> float:
-        """N*m/A, stall torque over stall current."""
+        """Torque constant, N*m/A: stall torque divided by stall current."""
         return self.stall_torque / self.stall_current
 
 
@@ -137,7 +143,7 @@ _COMMON = (
     _status("backup_ready", 147, 1),
 )
 
-# Goals that a servo in the Bus Watchdog's error state does not take.
+# Goals that a servo rejects in the Bus Watchdog's error state.
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 
 
@@ -152,10 +158,8 @@ def _current_registers(limit: int) -> tuple[Register, ...]:
 _LOAD_REGISTERS = (_status("present_load", 126, 2, _INT16),)
 
 
-def _table(
-    extra: tuple[Register, ...], **initial: int | tuple[int, int, int]
-) -> dict[str, Register]:
-    """The common rows with others added; initial: factory value, or (factory value, low, high)."""
+def _table(extra: tuple[Register, ...], initial: Mapping[str, Initial]) -> dict[str, Register]:
+    """Return the common and extra registers; initial: factory value, or (factory value, low, high)."""
     rows = {row.name: row for row in sorted(_COMMON + extra, key=lambda row: row.address)}
     for name, value in initial.items():
         if isinstance(value, int):
@@ -165,69 +169,24 @@ def _table(
     return rows
 
 
-XL330_M288 = ServoModel(
-    name="XL330-M288",
-    number=1200,
-    modes=frozenset({0, 1, 3, 4, 5, 16}),
-    registers=_table(
-        _current_registers(1750),
-        model_number=1200,
-        firmware_version=52,
-        baud_rate=(1, 0, 6),
-        temperature_limit=70,
-        max_voltage_limit=(70, 31, 70),
-        min_voltage_limit=(35, 31, 70),
-        velocity_limit=(445, 0, 2047),
-        shutdown=53,
-        velocity_i_gain=1600,
-        velocity_p_gain=180,
-        position_p_gain=400,
-    ),
-    current_unit=1e-3,
-    supply_range=(3.7, 6.0),
-    nominal_voltage=5.0,
-    no_load_speed=10.8,
-    stall_torque=0.52,
-    stall_current=1.47,
-)
+def _model(row: ServoRow) -> ServoModel:
+    extra = _current_registers(row.current_limit) if row.measures_current else _LOAD_REGISTERS
+    own = {**row.initial, "model_number": row.number, "velocity_limit": row.velocity_limit}
+    return ServoModel(
+        name=row.name,
+        number=row.number,
+        modes=row.modes,
+        registers=_table(extra, own),
+        current_unit=row.current_unit,
+        supply_range=row.supply_range,
+        nominal_voltage=row.nominal_voltage,
+        no_load_speed=row.no_load_speed * RPM,
+        stall_torque=row.stall_torque,
+        stall_current=row.stall_current,
+    )
 
-XL430_W250 = ServoModel(
-    name="XL430-W250",
-    number=1060,
-    modes=frozenset({1, 3, 4, 16}),
-    registers=_table(
-        _LOAD_REGISTERS,
-        model_number=1060,
-        firmware_version=47,
-        temperature_limit=72,
-        max_voltage_limit=(140, 60, 140),
-        min_voltage_limit=(60, 60, 140),
-        velocity_limit=(265, 0, 1023),
-        velocity_i_gain=1000,
-        position_d_gain=4000,
-        position_p_gain=640,
-    ),
-    current_unit=0.0,
-    supply_range=(6.0, 14.0),
-    nominal_voltage=12.0,
-    no_load_speed=6.39,
-    stall_torque=1.5,
-    stall_current=1.4,
-)
 
-XM430_W350 = ServoModel(
-    name="XM430-W350",
-    number=1020,
-    modes=frozenset({0, 1, 3, 4, 5, 16}),
-    registers=_table(_current_registers(1193), model_number=1020, firmware_version=48),
-    current_unit=2.69e-3,
-    supply_range=(9.5, 16.0),
-    nominal_voltage=12.0,
-    no_load_speed=4.82,
-    stall_torque=4.1,
-    stall_current=2.3,
+MODELS: Mapping[str, ServoModel] = {row.name: _model(row) for row in SERVO_MODELS}
+XL330_M288, XL430_W250, XM430_W350 = (
+    MODELS[name] for name in ("XL330-M288", "XL430-W250", "XM430-W350")
 )
-
-MODELS: Mapping[str, ServoModel] = {
-    model.name: model for model in (XL330_M288, XL430_W250, XM430_W350)
-}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From registers to what they ask of the motor."""
+"""Conversion of servo registers to motor commands."""
 
 import math
 
@@ -26,17 +26,21 @@ _ACCELERATION_UNIT = 214.577 / 3600 * PULSES_PER_TURN  # pulses/s^2
 
 
 def direction_of(memory: RegisterMemory) -> int:
-    """1, or -1 in reverse mode."""
+    """Return 1, or -1 in reverse mode."""
     return -1 if memory["drive_mode"] & REVERSE_DRIVE else 1
 
 
 def motor_command(
     memory: RegisterMemory, model: ServoModel, voltage: float, goal: float, planned: float
 ) -> MotorCommand:
-    """The command.
+    """Return the motor command for the present registers.
 
-    voltage: V at the servo. goal: pulses of the shaft that the goal position means. planned: pulses
-    where the profile stands, from which a time-based profile starts.
+    Args:
+        memory: registers of the servo.
+        model: servo model.
+        voltage: supply voltage, V.
+        goal: shaft position of the goal, pulses.
+        planned: present position of the profile, pulses, at which a time-based profile starts.
     """
     full_speed = _full_speed(model, voltage)
     speed = _speed_goal(memory, full_speed)
@@ -53,14 +57,14 @@ def motor_command(
 
 
 def _full_speed(model: ServoModel, voltage: float) -> float:
-    """pulses/s that the motor reaches at a voltage (V)."""
+    """Return the no-load speed at a voltage (V), pulses/s."""
     return model.no_load_speed * voltage / model.nominal_voltage * PULSES_PER_RADIAN
 
 
 def _speed_goal(memory: RegisterMemory, full_speed: float) -> float | None:
-    """pulses/s that the operating mode asks for; None in the modes that go to a position.
+    """Return the commanded speed, pulses/s; None in position modes.
 
-    A motor that the Bus Watchdog has stopped holds its position in all modes.
+    After the Bus Watchdog has fired, the motor holds its position in all modes.
     """
     if memory["bus_watchdog"] < 0:
         return None
@@ -77,14 +81,14 @@ def _speed_goal(memory: RegisterMemory, full_speed: float) -> float | None:
 
 
 def _torque_limit(memory: RegisterMemory, model: ServoModel) -> float:
-    """N*m that the current goal allows."""
+    """Return the torque limit set by the goal current, N*m."""
     if memory["operating_mode"] not in (CURRENT_MODE, CURRENT_POSITION_MODE):
         return math.inf
     return abs(memory["goal_current"]) * model.current_unit * model.torque_constant
 
 
 def _profile(memory: RegisterMemory, distance: float) -> tuple[float, float]:
-    """Acceleration (pulses/s^2) and velocity (pulses/s) of the profile; 0 in a register: none."""
+    """Return acceleration (pulses/s^2) and velocity (pulses/s) of the profile; register value 0 means no limit."""
     velocity, acceleration = memory["profile_velocity"], memory["profile_acceleration"]
     if memory["drive_mode"] & TIME_BASED_PROFILE:  # duration and ramp in ms
         if velocity == 0:

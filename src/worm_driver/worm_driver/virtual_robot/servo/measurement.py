@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a servo measures of itself and its surroundings, and when it protects itself."""
+"""Measured registers of a servo, and its protections."""
 
 import math
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ OVERHEATING_ERROR = 1 << 2
 OVERLOAD_ERROR = 1 << 5
 
 _IN_POSITION = 20  # pulses
-_BLOCKED_ERROR = 0.2  # rad of following error at which a blocked motor takes its full current
-_OVERLOAD_LEVEL = 0.9  # of the strongest torque
+_BLOCKED_ERROR = 0.2  # rad; following error at which a blocked motor reaches its full current
+_OVERLOAD_LEVEL = 0.9  # relative to the strongest torque
 _OVERLOAD_TIME = 1.0  # s
 _HEATING_TIME = 300.0  # s
 _IDLE_HEAT = 5.0  # degC
@@ -26,10 +26,13 @@ _STALL_HEAT = 20.0  # degC
 
 @dataclass
 class Surroundings:
-    """What acts on a servo from outside, set by its owner before a step.
+    """External conditions of a servo, set by the caller before each step.
 
-    load: N*m on the shaft, positive when it turns it backward. voltage: V. ambient: degC.
-    blocked: the shaft cannot turn.
+    Attributes:
+        load: torque on the shaft, N*m; positive when it turns the shaft backward.
+        voltage: supply voltage, V.
+        ambient: ambient temperature, degC.
+        blocked: True if the shaft cannot turn.
     """
 
     load: float = 0.0
@@ -40,14 +43,14 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Wear:
-    """What builds up over time. heat: degC above the ambient; overload: s that it has lasted."""
+    """Accumulated load. heat: temperature rise above ambient, degC; overload: duration of the overload, s."""
 
     heat: float = _IDLE_HEAT
     overload: float = 0.0
 
 
 def strongest_torque(memory: RegisterMemory, model: ServoModel) -> float:
-    """N*m that the motor gives at most."""
+    """Return the motor's largest torque, N*m."""
     if "current_limit" not in memory:
         return model.stall_torque
     limit = memory["current_limit"] * model.current_unit * model.torque_constant
@@ -57,7 +60,7 @@ def strongest_torque(memory: RegisterMemory, model: ServoModel) -> float:
 def motor_torque(
     command: MotorCommand, state: MotorState, around: Surroundings, strongest: float
 ) -> float:
-    """N*m, positive when the motor pushes forward: against the load, or against what blocks it."""
+    """Return the motor torque, N*m; positive when it acts forward against the load or the obstacle."""
     if command.kind == motor.LIMP:
         return 0.0
     if not around.blocked:
@@ -76,7 +79,7 @@ def supervise(
     around: Surroundings,
     duration: float,
 ) -> tuple[Wear, int]:
-    """Wear after a duration (s) with a torque (N*m), and the error bits that it brings."""
+    """Return the wear after a duration (s) with a torque (N*m), and the resulting error bits."""
     heating = _IDLE_HEAT + _STALL_HEAT * (torque / model.stall_torque) ** 2
     heat = wear.heat + (heating - wear.heat) * min(duration / _HEATING_TIME, 1.0)
     overloaded = abs(torque) >= _OVERLOAD_LEVEL * strongest_torque(memory, model)
@@ -93,14 +96,14 @@ def supervise(
 
 
 def voltage_raw(around: Surroundings) -> int:
-    """The supply in the register's 0.1 V."""
+    """Return the supply voltage in units of 0.1 V."""
     return max(round(around.voltage * 10), 0)
 
 
 def motion_registers(
     memory: RegisterMemory, encoder: Encoder, state: MotorState, command: MotorCommand
 ) -> dict[str, int]:
-    """The registers that tell of the motion."""
+    """Return the registers of the measured motion."""
     direction = encoder.direction
     velocity = direction * round(state.velocity / SPEED_UNIT)
     return {
@@ -116,7 +119,7 @@ def motion_registers(
 def torque_registers(
     memory: RegisterMemory, model: ServoModel, torque: float, noise: float
 ) -> dict[str, int]:
-    """The registers that tell of a torque (N*m); noise: counts of current or load."""
+    """Return the registers of the measured torque (N*m); noise: counts of current or load."""
     signed = direction_of(memory) * torque
     share = signed / model.stall_torque
     registers = {"present_pwm": round(min(max(share, -1.0), 1.0) * FULL_PWM)}

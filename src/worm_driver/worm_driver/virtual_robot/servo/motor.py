@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion of a servo's shaft: profile, position loop, speed limit, stall, back-driving.
 
-Positions in pulses of the shaft (4096 a turn, never folded), speeds in pulses/s, torques in N*m.
+Positions in pulses of the shaft (4096 per turn, never folded), speeds in pulses/s, torques in N*m.
 """
 
 import math
@@ -12,10 +12,10 @@ from worm_driver.virtual_robot.servo.control_table import PULSES_PER_TURN, Servo
 PULSES_PER_RADIAN = PULSES_PER_TURN / (2 * math.pi)
 
 _POSITION_LOOP_TIME = 0.020  # s, error over speed of the position loop
-_VELOCITY_LOOP_TIME = 0.006  # s, lag of the speed behind what the position loop asks for
-_BREAKAWAY = 0.1  # of the stall torque: gear friction that a load must overcome to turn the shaft
-_BACKDRIVE_SPEED = 2.0  # rad/s at a load of the stall torque beyond the breakaway
-_STILL = 1e-3  # pulses and pulses/s below which a motor at its goal is left alone
+_VELOCITY_LOOP_TIME = 0.006  # s, lag of the speed behind the command of the position loop
+_BREAKAWAY = 0.1  # gear friction that a load must overcome, relative to the stall torque
+_BACKDRIVE_SPEED = 2.0  # rad/s at a load of one stall torque above the breakaway
+_STILL = 1e-3  # pulses and pulses/s; below, a motor at its goal is not integrated
 
 LIMP = 0
 POSITION = 1
@@ -24,7 +24,7 @@ BLOCKED = 3
 
 
 class MotorState(NamedTuple):
-    """Shaft and trajectory (what the profile asks for at this moment)."""
+    """Shaft motion and the present point of the profile (trajectory)."""
 
     position: float
     velocity: float = 0.0
@@ -33,12 +33,14 @@ class MotorState(NamedTuple):
 
 
 class MotorCommand(NamedTuple):
-    """What the registers ask of the motor.
+    """Command of the registers to the motor.
 
-    kind: LIMP (torque off), POSITION or VELOCITY. goal: pulses, or pulses/s for VELOCITY.
-    acceleration (pulses/s^2) and velocity (pulses/s) of the profile, inf: none. speed_limit:
-    pulses/s, what the supply and the PWM goal allow. torque_limit: N*m, what the current goal
-    allows; inf: the motor's own.
+    Attributes:
+        kind: LIMP (torque off), POSITION or VELOCITY.
+        goal: pulses, or pulses/s for VELOCITY.
+        acceleration, velocity: limits of the profile, pulses/s^2 and pulses/s; inf for none.
+        speed_limit: limit by supply voltage and goal PWM, pulses/s.
+        torque_limit: limit by goal current, N*m; inf for the motor's own.
     """
 
     kind: int
@@ -50,14 +52,14 @@ class MotorCommand(NamedTuple):
 
 
 def at_rest(position: float) -> MotorState:
-    """A motor that stands still."""
+    """Return the state of a motor at rest."""
     return MotorState(position, 0.0, position, 0.0)
 
 
 def step(
     state: MotorState, command: MotorCommand, load: float, model: ServoModel, step_s: float
 ) -> MotorState:
-    """The state a step (s) later; load (N*m) is positive when it turns the shaft backward."""
+    """Return the state one step (s) later; a positive load (N*m) turns the shaft backward."""
     kind, goal = command.kind, command.goal
     if kind == POSITION and load_is_held(load, command, model):
         if (
@@ -82,12 +84,12 @@ def step(
 
 
 def load_is_held(load: float, command: MotorCommand, model: ServoModel) -> bool:
-    """Whether motor and gear friction together stand the load."""
+    """Return True if motor and gear friction together hold the load."""
     return abs(load) <= command.torque_limit + _BREAKAWAY * model.stall_torque
 
 
 def backdrive_velocity(load: float, motor_torque: float, model: ServoModel) -> float:
-    """Speed (pulses/s) at which a load (N*m) turns a shaft that is held with a torque (N*m)."""
+    """Return the speed (pulses/s) at which a load (N*m) turns a shaft held with a torque (N*m)."""
     excess = abs(load) - motor_torque - _BREAKAWAY * model.stall_torque
     if excess <= 0:
         return 0.0
@@ -96,7 +98,7 @@ def backdrive_velocity(load: float, motor_torque: float, model: ServoModel) -> f
 
 
 def _profile(state: MotorState, command: MotorCommand, step_s: float) -> tuple[float, float]:
-    """Position and velocity of the trapezoidal profile a step later."""
+    """Return position and velocity of the trapezoidal profile one step later."""
     distance = command.goal - state.trajectory_position
     if command.velocity == math.inf and command.acceleration == math.inf:
         return command.goal, 0.0

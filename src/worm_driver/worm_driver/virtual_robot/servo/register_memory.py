@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The register memory of one virtual servo: raw values by name, bytes by address, write rules."""
+"""Register memory of one virtual servo: raw values by name, bytes by address, write rules."""
 
 from collections.abc import Iterable, Mapping
 
@@ -24,7 +24,7 @@ _LIMITED_BY = {
 
 
 class RegisterError(Exception):
-    """An access that a servo refuses; number is what its status packet says."""
+    """Access that a servo rejects; number is the error number of its status packet."""
 
     def __init__(self, number: Error) -> None:
         super().__init__(number.name)
@@ -32,10 +32,10 @@ class RegisterError(Exception):
 
 
 class RegisterMemory:
-    """The control table of a servo with its present contents."""
+    """Control table of a servo with its present values."""
 
     def __init__(self, model: ServoModel, settings: Mapping[str, int]) -> None:
-        """settings: EEPROM values, raw, that differ from the factory's."""
+        """Create the memory. settings: raw EEPROM values that differ from the factory values."""
         self._rows = model.registers
         self._modes = model.modes
         self._by_address = {row.address: row for row in self._rows.values()}
@@ -56,7 +56,7 @@ class RegisterMemory:
         return name in self._rows
 
     def set_to_factory(self, keep: Iterable[str]) -> None:
-        """All registers back to the factory's values, but for those to keep."""
+        """Reset all registers to factory values, except those to keep."""
         kept = {name: self[name] for name in keep}
         for row in self._rows.values():
             self[row.name] = row.initial
@@ -64,34 +64,34 @@ class RegisterMemory:
             self[name] = value
 
     def power_up(self) -> None:
-        """RAM as it is after power-up; EEPROM stays."""
+        """Reset the RAM to its values after power-up; the EEPROM is unchanged."""
         for row in self._rows.values():
             if row.address >= EEPROM_END:
                 self[row.name] = row.initial
         self.reset_goals()
 
     def reset_mode_dependents(self) -> None:
-        """What a change of the operating mode sets back: gains, profile, goals."""
+        """Reset gains, profile and goals, as a change of the operating mode does."""
         for name, row in self._rows.items():
             if name.endswith("_gain") or name.startswith("profile_"):
                 self[name] = row.initial
         self.reset_goals()
 
     def reset_goals(self) -> None:
-        """Goal PWM and goal current to their limits, goal velocity to zero."""
+        """Set goal PWM and goal current to their limits, and goal velocity to zero."""
         self["goal_pwm"] = self["pwm_limit"]
         if "goal_current" in self:
             self["goal_current"] = self["current_limit"]
         self["goal_velocity"] = 0
 
     def read(self, address: int, length: int) -> bytes:
-        """Bytes of a range; gaps between registers read as 0."""
+        """Return the bytes of a range; gaps between registers read as 0."""
         if address + length > TABLE_END:
             raise RegisterError(Error.ACCESS)
         return bytes(self._bytes[address : address + length])
 
     def check_write(self, address: int, data: bytes) -> list[tuple[Register, int]]:
-        """The registers that a write sets, with their new raw values; nothing is written yet."""
+        """Return the registers that a write would set, with their new raw values, without writing."""
         changes = []
         while data:
             row = self._by_address.get(address)

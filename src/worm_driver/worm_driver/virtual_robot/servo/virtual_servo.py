@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One virtual servo: its life, the instructions it obeys, its shaft.
+"""Virtual servo: power cycle, instructions and shaft.
 
-Times are seconds of the virtual robot's clock and never go back. What the e-manual leaves open is
-decided here as follows: the Bus Watchdog is fed only by packets that name this servo or that are
-broadcast writes; after it fired the shaft holds where it stopped until a new goal is written;
-torque cannot be enabled after a shutdown (Result Fail), nor a factory reset be done with torque on.
+Times are seconds of the virtual robot's clock and do not decrease. Where the e-manual is silent, the servo behaves as
+follows. Only packets for this servo and broadcast writes reset the Bus Watchdog. After it has fired, the shaft holds
+its position until a new goal is written. The servo rejects enabling torque after a shutdown, and a factory reset with
+torque on (Result Fail).
 """
 
 import math
@@ -43,7 +43,7 @@ _FACTORY_RESET_KEEPS: Mapping[int, tuple[str, ...]] = {
 
 @dataclass
 class Servo:
-    """State of one servo. settings: EEPROM values, raw; start: pulses of the shaft, unfolded."""
+    """State of one servo. settings: raw EEPROM values; start: shaft position, pulses, unfolded."""
 
     model: ServoModel
     settings: Mapping[str, int]
@@ -63,7 +63,7 @@ class Servo:
     # --- life ---------------------------------------------------------------------------------
 
     def reboot(self, time: float) -> None:
-        """Power-up or Reboot: RAM is lost, torque is off, the position is folded to one turn."""
+        """Power up or reboot: RAM is reset, torque is off, the position is folded to one turn."""
         self._silent_until = time + self.boot_time
         self._time = time
         self._power_up()
@@ -79,41 +79,41 @@ class Servo:
         self._hold()
 
     def answers(self, time: float) -> bool:
-        """Whether the servo listens (it does not while it boots)."""
+        """Return True if the servo answers, which it does not while it boots."""
         return time >= self._silent_until
 
     @property
     def servo_id(self) -> int:
-        """Its id on the bus."""
+        """Id of the servo on the bus."""
         return self.memory["id"]
 
     @property
     def shaft_angle(self) -> float:
-        """rad, unfolded."""
+        """Shaft angle, rad, unfolded."""
         return self.motor.position / PULSES_PER_RADIAN
 
     @property
     def return_delay(self) -> float:
-        """Time (s) between an instruction and its status."""
+        """Delay between an instruction and its status packet, s."""
         return self.memory["return_delay_time"] * 2e-6
 
     def alert(self) -> int:
-        """The alert bit of the error byte."""
+        """Return the alert bit of the error byte."""
         return ALERT if self.memory["hardware_error_status"] else 0
 
     def feed_watchdog(self, time: float) -> None:
-        """An instruction packet for this servo was seen."""
+        """Reset the Bus Watchdog's timer."""
         self._fed_at = time
 
     # --- instructions -------------------------------------------------------------------------
 
     def read(self, address: int, length: int) -> bytes:
-        """Register bytes, the measured ones fresh. Raises RegisterError."""
+        """Return register bytes with updated measurements. Raises RegisterError."""
         self._measure()
         return self.memory.read(address, length)
 
     def write(self, address: int, data: bytes) -> None:
-        """Sets registers, all or none. Raises RegisterError."""
+        """Set registers, all or none. Raises RegisterError."""
         changes = self.memory.check_write(address, data)
         turns_on = any(row.name == "torque_enable" and value for row, value in changes)
         if turns_on and self._shut_down:
@@ -123,13 +123,13 @@ class Servo:
         self._update_command()
 
     def register_write(self, address: int, data: bytes) -> None:
-        """Keeps a write for action(). Raises RegisterError."""
+        """Store a write for action(). Raises RegisterError."""
         self.memory.check_write(address, data)
         self._registered = (address, data)
         self.memory["registered_instruction"] = 1
 
     def action(self) -> None:
-        """Does the registered write. Raises RegisterError."""
+        """Execute the registered write. Raises RegisterError."""
         if self._registered is None:
             raise RegisterError(Error.INSTRUCTION)
         (address, data), self._registered = self._registered, None
@@ -137,7 +137,7 @@ class Servo:
         self.write(address, data)
 
     def clear_turns(self, parameters: bytes) -> None:
-        """The Clear instruction: folds the position to one turn. Raises RegisterError."""
+        """Execute the Clear instruction: fold the position to one turn. Raises RegisterError."""
         if parameters != _CLEAR_KEY:
             raise RegisterError(Error.DATA_RANGE)
         if self.memory["firmware_version"] < _CLEAR_FIRMWARE:
@@ -149,7 +149,7 @@ class Servo:
         self._hold()
 
     def factory_reset(self, parameters: bytes, time: float) -> None:
-        """The Factory Reset instruction, then a reboot. Raises RegisterError."""
+        """Execute the Factory Reset instruction, then reboot. Raises RegisterError."""
         if len(parameters) != 1 or parameters[0] not in _FACTORY_RESET_KEEPS:
             raise RegisterError(Error.DATA_RANGE)
         if self.memory["torque_enable"]:
@@ -158,7 +158,7 @@ class Servo:
         self.reboot(time)
 
     def _apply(self, row: Register, value: int) -> None:
-        """Sets one register and does what follows from it."""
+        """Set one register and apply its side effects."""
         self._wake_by_goal(row.name)
         self.memory[row.name] = value
         if row.name == "operating_mode":
@@ -178,7 +178,7 @@ class Servo:
             self._hold()
 
     def _wake_by_goal(self, name: str) -> None:
-        """A goal turns torque on by itself in one of the drive modes."""
+        """Turn torque on if the drive mode has Torque On by Goal Update."""
         asleep = not self.memory["torque_enable"] and not self._shut_down
         if name in GOALS and asleep and self.memory["drive_mode"] & TORQUE_ON_BY_GOAL:
             self.memory["torque_enable"] = 1
@@ -191,7 +191,7 @@ class Servo:
         return Encoder(direction_of(self.memory), self._folded_turns, self.memory["homing_offset"])
 
     def _fold(self) -> None:
-        """Present Position loses its whole turns."""
+        """Remove the whole turns from Present Position."""
         self._folded_turns = turns_of(self.motor.position, direction_of(self.memory))
 
     def _fold_in_position_mode(self) -> None:
@@ -199,7 +199,7 @@ class Servo:
             self._fold()
 
     def _hold(self) -> None:
-        """The goal is where the shaft is."""
+        """Set the goal to the shaft's position."""
         self.motor = motor.at_rest(self.motor.position)
         self._goal = self.motor.position
         self.memory["goal_position"] = self._encoder.raw(self._goal)
@@ -208,7 +208,7 @@ class Servo:
     # --- motion -------------------------------------------------------------------------------
 
     def step(self, time: float, step_s: float) -> None:
-        """Moves the shaft to a time, a step (s) after the last one."""
+        """Advance the shaft to a time, one step (s) after the last one."""
         self._time = time
         if time - self._fed_at > self._watchdog_time:
             self._stop_by_watchdog()
@@ -227,7 +227,7 @@ class Servo:
         self.memory["goal_position"] = goal  # the register is read-only now
 
     def _update_command(self) -> None:
-        """Puts what the registers ask for into numbers, so that a step needs no register."""
+        """Compute the motor command from the registers, so that a step does not decode them."""
         watchdog = self.memory["bus_watchdog"]
         armed = watchdog > 0 and self.memory["torque_enable"]
         self._watchdog_time = watchdog * _WATCHDOG_UNIT if armed else math.inf
@@ -238,7 +238,7 @@ class Servo:
     # --- measurements and protections ---------------------------------------------------------
 
     def supervise(self, duration: float) -> None:
-        """Temperature and protections over the duration (s) since the last call."""
+        """Update temperature and protections for the duration (s) since the last call."""
         self._wear, bits = supervise(
             self._wear, self._torque(), self.memory, self.model, self.surroundings, duration
         )
@@ -246,7 +246,7 @@ class Servo:
             self.raise_alert(bits)
 
     def raise_alert(self, bits: int) -> None:
-        """Sets bits of Hardware Error Status, and shuts down if the Shutdown mask says so."""
+        """Set bits of Hardware Error Status, and shut down if the Shutdown mask contains them."""
         self.memory["hardware_error_status"] |= bits
         if bits & self.memory["shutdown"]:
             self.memory["torque_enable"] = 0
@@ -258,7 +258,7 @@ class Servo:
         return motor_torque(self._command, self.motor, self.surroundings, strongest)
 
     def _measure(self) -> None:
-        """Puts the measured values into their registers."""
+        """Write the measured values into their registers."""
         memory, around = self.memory, self.surroundings
         noise = self.random.gauss(0.0, 1.0) if memory["torque_enable"] else 0.0
         registers = {

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bytes of the virtual robot: servo line, I2C line, and their faults."""
+"""Byte-level interfaces of the virtual robot: servo bus, I2C bus, and fault injection."""

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual robot's doors: a pseudo-terminal for the servo bus, sockets for the I2C line and for its clock.
+"""Server of the virtual robot: a pseudo-terminal for the servo bus, sockets for I2C and clock.
 
-One thread owns the robot. It waits in select() and never polls, so that an answer leaves some
-hundred microseconds after its question; in between it wakes up often enough for the worm to move.
-While somebody takes part in its time (virtual_clock), that passes from one event to the next and
-waits for whoever is late; with nobody there it passes as the machine's does.
+One thread owns the robot. It waits in select(), so that an answer leaves some hundred microseconds after its request,
+and wakes up regularly to advance the plant. With clients of its clock (virtual_clock), simulated time advances from
+event to event and waits for clients that are late. Without clients it advances at the machine's pace.
 """
 
 import contextlib
@@ -44,22 +43,22 @@ SERIAL_NAME = "servo_bus"
 I2C_NAME = "i2c.sock"
 
 _LOCK_NAME = ".virtual_robot.lock"
-_WAKE_UP = 0.004  # s at most between two looks at the clock
-_LOOK = 0.1  # s of the machine between two looks while somebody keeps the time
+_WAKE_UP = 0.004  # s; longest time between two updates
+_LOOK = 0.1  # s of machine time between two updates while a client computes
 _CHUNK = 4096  # bytes
 
-# pyserial puts the rate into the terminal's settings, where the other end can read it.
+# pyserial stores the baud rate in the terminal's settings, where the other end can read it.
 _SPEEDS = {
     getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES if hasattr(termios, f"B{rate}")
 }
 
 
 class DirectoryError(Exception):
-    """A directory that cannot be used; the message says why and what to do."""
+    """Unusable directory; the message contains reason and remedy."""
 
 
 class SerialDoor:
-    """A pseudo-terminal with a symbolic link to its far end."""
+    """Pseudo-terminal with a symbolic link to its client side."""
 
     def __init__(self, link: Path) -> None:
         self._link = link
@@ -70,19 +69,19 @@ class SerialDoor:
         link.symlink_to(os.ttyname(self._slave))
 
     def baud_rate(self) -> int:
-        """The rate (bit/s) that the client has set; 0 if it is none of a servo's."""
+        """Return the client's baud rate (bit/s); 0 if servos do not support it."""
         return _SPEEDS.get(termios.tcgetattr(self._slave)[5], 0)
 
     def read(self) -> bytes:
-        """What has arrived."""
+        """Return the received bytes."""
         return os.read(self.master, _CHUNK)
 
     def send(self, data: bytes) -> None:
-        """Sends. Raises BlockingIOError when a client that does not read leaves no room."""
+        """Send bytes. Raises BlockingIOError if the client does not read and the buffer is full."""
         os.write(self.master, data)
 
     def close(self) -> None:
-        """Takes the port away from whoever has it open."""
+        """Close the port, also for its clients."""
         self._link.unlink(missing_ok=True)
         os.close(self.master)
         os.close(self._slave)
@@ -93,7 +92,7 @@ Door = SerialDoor | socket.socket
 
 @dataclass(order=True)
 class _Pending:
-    """Bytes that leave later."""
+    """Bytes to send at a later time."""
 
     time: float
     order: int
@@ -102,12 +101,16 @@ class _Pending:
 
 
 class Endpoints:
-    """Serves a robot in a directory; open(), run() in a thread, stop() from any other, close().
+    """Server of a robot in a directory: open(), run() in a thread, stop() from any other thread, close().
 
-    on_samples: called in the serving thread with samples of the camera that have become available.
-    rate: virtual seconds per second at most, inf: as fast as those who take part can; None: in real time, nobody can
-    take part, as with a real robot. epoch_ns: the ROS time (ns) of the robot's time 0. on_time: called in the serving
-    thread with the time (s), often.
+    Args:
+        robot: the robot to serve.
+        directory: directory of the pseudo-terminal and the sockets.
+        on_samples: called in the serving thread with new camera samples.
+        rate: largest ratio of simulated to machine time; inf for as fast as the clients allow; None for real time
+            without clock clients, as with a real robot.
+        epoch_ns: ROS time (ns) of the robot's time 0.
+        on_time: called in the serving thread with the time (s) at each update.
     """
 
     def __init__(
@@ -129,10 +132,10 @@ class Endpoints:
         self.time = Timekeeper(1.0 if rate is None else rate)
         self.time.begin(self._clock())
         self._page: Page | None = None
-        self._parties: dict[socket.socket, Party] = {}  # that take part in the time
-        # over the serial line since somebody took part; infinite once they are not worth counting
+        self._parties: dict[socket.socket, Party] = {}  # clients of the clock
+        # over the serial line since a client connected; infinite when the counts no longer matter
         self._bytes_sent = self._bytes_received = 0.0
-        self._selector = selectors.SelectSelector()  # epoll would round waits up to 1 ms
+        self._selector = selectors.SelectSelector()  # epoll would round timeouts up to 1 ms
         self._serial: SerialDoor | None = None
         self._opened = False
         self._pending: list[_Pending] = []
@@ -143,18 +146,18 @@ class Endpoints:
         self._wake_reader, self._wake_writer = socket.socketpair()
 
     def now(self) -> float:
-        """Time (s) on the robot's clock."""
+        """Return the time (s) on the robot's clock."""
         return self.time.now if self._parties else self.time.alone(self._clock())
 
     @property
     def waits(self) -> bool:
-        """Whether the robot's time waits for whoever is late, as somebody takes part in it."""
+        """True if the robot's clock has clients and waits for them."""
         return bool(self._parties)
 
     # --- life ---------------------------------------------------------------------------------
 
     def open(self) -> None:
-        """Takes the directory and opens both doors. Raises DirectoryError."""
+        """Lock the directory and create the devices. Raises DirectoryError."""
         self._lock = _take(self._directory)
         try:
             for name in (SERIAL_NAME, I2C_NAME, SOCKET_NAME):
@@ -172,7 +175,7 @@ class Endpoints:
         self.time.begin(self._clock())
 
     def run(self) -> None:
-        """Serves until stop()."""
+        """Serve until stop()."""
         while not self._stopped:
             for key, _ in self._selector.select(self._patience()):
                 key.data()
@@ -186,24 +189,24 @@ class Endpoints:
                 self._on_samples(samples)
 
     def stop(self) -> None:
-        """Ends run(); from any thread."""
+        """End run(); may be called from any thread."""
         self._stopped = True
         self._wake_writer.send(b"x")
 
     def quiet_for(self, duration: float) -> bool:
-        """Whether nothing has come over the servo bus for so long (s of the machine); from any thread."""
+        """Return True if the servo bus was silent for a duration (s of machine time); from any thread."""
         return self._clock() - self._last_heard > duration
 
     def inject(self, fault: Fault) -> None:
-        """Asks for a fault whose start counts from now; from any thread."""
+        """Inject a fault whose start is relative to now; from any thread."""
         self._order(lambda now: self._robot.board.add(fault.delayed(now)))
 
     def clear_faults(self) -> None:
-        """Ends all faults; from any thread."""
+        """End all faults; from any thread."""
         self._order(lambda _: self._robot.board.clear())
 
     def close(self) -> None:
-        """Removes what open() made, once run() is over; may be repeated."""
+        """Remove what open() created, after run() has ended; repeated calls have no effect."""
         if not self._opened:
             return
         self._opened = False
@@ -226,7 +229,7 @@ class Endpoints:
     # --- events -------------------------------------------------------------------------------
 
     def _go_on(self) -> float:
-        """Lets the time pass as far as it may."""
+        """Advance simulated time as far as allowed and return it."""
         machine, parties = self._clock(), self._parties.values()
         if any(party.has_lost(machine) for party in parties):
             self._cut_line()
@@ -243,13 +246,13 @@ class Endpoints:
             self._page.time = now
 
     def _next_event(self) -> float:
-        """The time (s) that must not be passed over."""
+        """Return the time (s) of the next event, which must not be skipped."""
         dues = [party.wait.until for party in self._parties.values() if party.wait is not None]
         dues += [item.time for item in self._pending[:1]]
         return min([*dues, self.time.now + _WAKE_UP])
 
     def _patience(self) -> float:
-        """How long (s of the machine) there is nothing to do, unless something comes."""
+        """Return the time (s of machine time) until the next update, if no data arrives."""
         machine, parties = self._clock(), self._parties.values()
         if not parties:
             wait = _WAKE_UP
@@ -261,7 +264,7 @@ class Endpoints:
         return _LOOK
 
     def _wake_due(self) -> None:
-        """Ends the waits whose time has come."""
+        """End the waits that are due."""
         now = self.time.now
         for connection, party in self._parties.items():
             if party.wait is None or party.wait.until > now:
@@ -314,7 +317,7 @@ class Endpoints:
             self._write(item.data, item.door)
 
     def _write(self, data: bytes, door: Door) -> None:
-        """Sends, and whoever has waited for it works again."""
+        """Send bytes and end the waits of the clients that expect them."""
         _send(door, data)
         is_serial = isinstance(door, SerialDoor)
         self._bytes_sent += len(data) if is_serial else 0
@@ -326,7 +329,7 @@ class Endpoints:
     # --- the time -----------------------------------------------------------------------------
 
     def _on_clock(self, connection: socket.socket) -> None:
-        """Takes what somebody says who takes part: first the door that it works with, then each wait."""
+        """Process a packet of a clock client: first its interface, then each wait."""
         try:
             packet = _received(connection)
             party = self._parties.get(connection)
@@ -339,24 +342,24 @@ class Endpoints:
             if not self._parties:
                 self.time.begin(self._clock())
             return
-        self._show(self.now())  # it is going to look at once
+        self._show(self.now())  # the client reads the time at once
         self._parties[connection] = Party(packet)
         _send(connection, WAKE.pack(0))
         if packet == SERIAL:
             self._begin_line()
 
     def _begin_line(self) -> None:
-        """Counts from now on, and forgets what was on its way to somebody else."""
+        """Reset the byte counts and drop bytes in transit to an earlier client."""
         self._bytes_sent = self._bytes_received = 0.0
         self._pending = [item for item in self._pending if item.door is not self._serial]
         heapq.heapify(self._pending)
 
     def _cut_line(self) -> None:
-        """Counts no longer: bytes that nobody will ever see must not keep the time."""
+        """Stop counting: bytes that no client will receive must not stop the time."""
         self._bytes_sent, self._bytes_received = -math.inf, math.inf
 
     def _let_wait(self, door: bytes) -> None:
-        """Those at a door that answers late wait, for as long as it takes; they do not say so themselves."""
+        """Mark the clients of an interface as waiting for its delayed answer."""
         for party in self._parties.values():
             if party.door == door:
                 party.wait, party.since = Wait(-1, math.inf, True, 0, 0), self._clock()
@@ -364,7 +367,7 @@ class Endpoints:
     # --- doors --------------------------------------------------------------------------------
 
     def _listen(self, name: str, serve: Callable[[socket.socket], None]) -> None:
-        """Has clients of a socket served. Raises DirectoryError."""
+        """Accept clients on a socket. Raises DirectoryError."""
         listener = _listening(self._directory / name)
 
         def accept() -> None:
@@ -382,7 +385,7 @@ class Endpoints:
         self._selector.register(self._serial.master, selectors.EVENT_READ, self._on_serial)
 
     def _follow_plug(self) -> None:
-        """Closes the serial port while its fault lasts."""
+        """Close the serial port while it is unplugged by a fault."""
         unplugged = self._robot.board.active(faults.UNPLUGGED, self.now()) is not None
         if unplugged and self._serial is not None:
             self._selector.unregister(self._serial.master)
@@ -396,7 +399,7 @@ class Endpoints:
 
 
 def _take(directory: Path) -> int:
-    """A lock on a directory, made if need be, that ends with the process."""
+    """Lock a directory, creating it if necessary; the lock ends with the process."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         lock = os.open(directory / _LOCK_NAME, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
@@ -416,7 +419,7 @@ def _take(directory: Path) -> int:
 
 
 def _received(connection: socket.socket) -> bytes:
-    """The next packet of a client. Raises ConnectionError when it is gone."""
+    """Return the next packet of a client. Raises ConnectionError if it has disconnected."""
     packet = connection.recv(_CHUNK)
     if not packet:
         raise ConnectionResetError
@@ -424,13 +427,13 @@ def _received(connection: socket.socket) -> bytes:
 
 
 def _send(door: Door, data: bytes) -> None:
-    """Sends; what a client leaves no room for is lost, as on a wire, and one that has gone gets nothing."""
+    """Send bytes; they are lost if the client's buffer is full, as on a bus, or if it has disconnected."""
     with contextlib.suppress(OSError):
         door.send(data)
 
 
 def _listening(path: Path) -> socket.socket:
-    """A socket that waits for clients, whose every send is a packet."""
+    """Return a listening socket that preserves packets."""
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
         listener.bind(str(path))
@@ -444,7 +447,7 @@ def _listening(path: Path) -> socket.socket:
 
 
 def _remove_leftover(path: Path) -> None:
-    """Removes what a robot that was killed left there, and nothing else."""
+    """Remove a file that a killed robot left behind. Raises DirectoryError for any other file."""
     if path.is_symlink() or path.is_socket():
         path.unlink()
     elif path.exists():

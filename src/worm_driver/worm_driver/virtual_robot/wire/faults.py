@@ -14,8 +14,11 @@ DUPLICATED: Final = "duplicated"
 LATE: Final = "late"
 FUZZED: Final = "fuzzed"
 ERROR_NUMBER: Final = "error"
+WRONG_ID: Final = "wrong_id"
+WRONG_POSITION: Final = "wrong_position"
 # What happens to the whole robot at once.
 PUT_BACK: Final = "put_back"
+OCCLUDED: Final = "occluded"
 # Faults of servos, of the serial port and of the power sensor: each lasts `duration`.
 VANISHED: Final = "vanished"
 STALLED: Final = "stalled"
@@ -52,7 +55,12 @@ KINDS: dict[str, FaultKind] = {
     LATE: FaultKind("status packets come value seconds late", count=1, value=0.045),
     FUZZED: FaultKind("status packets have bytes changed, lost and added at random", count=1),
     ERROR_NUMBER: FaultKind("status packets carry error number value (1 to 7)", count=1, value=1),
+    WRONG_ID: FaultKind("status packets carry value as their servo's id", count=1, value=1),
+    WRONG_POSITION: FaultKind(
+        "status packets give a position that is value ticks off", count=1, value=600
+    ),
     PUT_BACK: FaultKind("somebody puts the robot back to its first place, fins straight", count=1),
+    OCCLUDED: FaultKind("both markers are hidden from the camera", duration=1.0),
     VANISHED: FaultKind("a servo loses its supply, and boots when it has it again", duration=1.0),
     STALLED: FaultKind("a servo's shaft is blocked, which overloads it in the end", duration=1.0),
     OVERLOAD: FaultKind("a servo reports overload until it is rebooted", duration=0.1),
@@ -102,6 +110,8 @@ class Fault:
             raise FaultError(f"fault {self.name}: value must be a finite number")
         if self.name == ERROR_NUMBER and self.value not in range(1, 8):
             raise FaultError(f"fault {self.name}: value must be an error number from 1 to 7")
+        if self.name == WRONG_ID and self.value not in range(253):
+            raise FaultError(f"fault {self.name}: value must be a servo id from 0 to 252")
 
     def delayed(self, time: float) -> "Fault":
         """The same fault, later by a time (s)."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The I2C line with one INA219 on it: transactions in, bytes or an error number out."""
+"""I2C bus with one INA219: executes transactions and returns bytes or an error number."""
 
 import errno
 
@@ -9,11 +9,11 @@ from worm_driver.virtual_robot.wire.faults import FaultBoard
 from worm_driver.virtual_robot.wire.ina219_chip import Ina219
 from worm_driver.virtual_robot.wire.smbus_frames import Answer, Request
 
-_RELEASED = 0xFF  # what a line reads that no device pulls down
+_RELEASED = 0xFF  # value of a bus that no device drives
 
 
 class I2cLine:
-    """Answers transactions to the chip's address; nobody acknowledges any other."""
+    """I2C bus that acknowledges only the chip's address."""
 
     def __init__(self, chip: Ina219, address: int, board: FaultBoard) -> None:
         self._chip = chip
@@ -21,13 +21,13 @@ class I2cLine:
         self._board = board
 
     def transact(self, request: Request, time: float) -> Answer:
-        """Carries a transaction out at a time (s)."""
+        """Execute a transaction at a time (s)."""
         if hang := self._board.take(faults.I2C_TIMEOUT, time):
             return Answer(errno.ETIMEDOUT, delay=hang.value)
         if request.address != self._address or self._board.take(faults.I2C_NACK, time):
             return Answer(errno.EREMOTEIO)
         if request.operation == frames.WRITE:
-            # The chip takes a register's two bytes, most significant first, and no other number.
+            # The chip accepts exactly two bytes per register, most significant byte first.
             if len(request.data) == 2:
                 self._chip.write(request.register, int.from_bytes(request.data, "big"))
             return Answer(0)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An INA219 at register level: conversions on a clock, integer arithmetic of SBOS448G.
+"""INA219 at register level: timed conversions, integer arithmetic of SBOS448G.
 
-The chip is told shunt voltage and bus voltage (V) at each step of the virtual robot and converts
-what it saw on average in each conversion's window.
+Each step of the virtual robot sets shunt and bus voltage (V). A conversion is the mean over its window.
 """
 
 import math
@@ -24,7 +23,7 @@ _UNAVERAGED = 532e-6  # s, one 12-bit conversion
 
 @dataclass(frozen=True)
 class Converter:
-    """What an ADC field of the configuration means: time (s), samples averaged, lost low bits."""
+    """Meaning of an ADC field of the configuration: time (s), averaged samples, lost low bits."""
 
     time: float
     samples: int
@@ -32,7 +31,7 @@ class Converter:
 
 
 def converter(field: int) -> Converter:
-    """The meaning of a 4-bit ADC field (BADC or SADC)."""
+    """Return the meaning of a 4-bit ADC field (BADC or SADC)."""
     if field & 0x8:
         samples = 1 << (field & 0x7)
         return Converter(_UNAVERAGED * samples, samples, 0)
@@ -49,9 +48,9 @@ class AdcNoise:
 
 
 class Ina219:
-    """The chip. Registers are 16-bit raw values; times in s, never going back.
+    """INA219 chip with 16-bit raw registers; times in s must not decrease.
 
-    ``forced_overflow`` raises the overflow bit from outside, whatever the arithmetic says.
+    ``forced_overflow`` sets the overflow bit regardless of the arithmetic.
     """
 
     def __init__(self, noise: AdcNoise, random: Random) -> None:
@@ -62,7 +61,7 @@ class Ina219:
         self.power_on()
 
     def power_on(self) -> None:
-        """All registers as after power-up; calibration 0, so that current and power read 0."""
+        """Reset all registers. Calibration is 0, so that current and power read 0."""
         self._registers = [POWER_ON_CONFIGURATION, 0, 0, 0, 0, 0]
         self._ready = False
         self._math_overflow = False
@@ -71,7 +70,7 @@ class Ina219:
     # --- the bus side -------------------------------------------------------------------------
 
     def read(self, register: int) -> int:
-        """A register's value; pointers beyond the last register read 0."""
+        """Return a register's value; pointers beyond the last register read 0."""
         if register > CALIBRATION:
             return 0
         value = self._registers[register]
@@ -83,7 +82,7 @@ class Ina219:
         return value
 
     def write(self, register: int, value: int) -> None:
-        """Sets a register; writes to measured ones are ignored, as the chip does."""
+        """Set a register; writes to measured registers are ignored, as on the chip."""
         if register == CONFIGURATION:
             if value & _RESET_BIT:
                 self.power_on()
@@ -98,7 +97,7 @@ class Ina219:
     # --- the analogue side ----------------------------------------------------------------------
 
     def _restart(self) -> None:
-        """Reads the configuration and begins its first conversion."""
+        """Apply the configuration and start its first conversion."""
         configuration = self._registers[CONFIGURATION]
         mode = configuration & 0x7
         self._continuous = mode > 4
@@ -120,7 +119,7 @@ class Ina219:
         self._weight = 0.0
 
     def advance(self, time: float, shunt_voltage: float, bus_voltage: float) -> None:
-        """Shows the chip what stood at its pins since the last call until a time."""
+        """Apply the pin voltages (V) from the last call until a time (s)."""
         start = self._time
         while self._end <= time:
             self._observe(self._end - start, shunt_voltage, bus_voltage)
@@ -164,7 +163,7 @@ class Ina219:
         return min(max(counts, 0), self._bus_limit)
 
     def _compute(self) -> None:
-        """Current = Shunt x Calibration / 4096, Power = Current x Bus / 5000, in integers."""
+        """Compute Current = Shunt x Calibration / 4096 and Power = Current x Bus / 5000, in integers."""
         shunt = _signed(self._registers[SHUNT])
         product = shunt * self._registers[CALIBRATION]
         current = abs(product) // 4096 * (1 if product >= 0 else -1)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dynamixel Protocol 2.0 packets as a servo sees them: checksum, byte stuffing, framing.
+"""Dynamixel Protocol 2.0 packets on the servo's side: checksum, byte stuffing, framing.
 
-Written from the ROBOTIS e-manual, without the SDK, so that agreement with it means something.
+Written from the ROBOTIS e-manual, independently of the SDK, so that agreement between the two is evidence.
 """
 
 import re
@@ -21,7 +21,7 @@ _BARE_HEADER = re.compile(rb"\xff\xff\xfd(?!\xfd)")
 
 
 class Instruction(IntEnum):
-    """Instruction codes that a servo of the X series obeys."""
+    """Instruction codes of the X series."""
 
     PING = 0x01
     READ = 0x02
@@ -54,10 +54,9 @@ class Error(IntEnum):
 
 @dataclass(frozen=True)
 class Packet:
-    """An instruction packet, unstuffed.
+    """Instruction packet without byte stuffing.
 
-    instruction is the byte on the wire (it may be none of Instruction's); intact tells whether the
-    checksum was right.
+    instruction is the received byte, which may not be a valid Instruction. intact is True if the checksum is correct.
     """
 
     servo_id: int
@@ -80,44 +79,45 @@ _CRC_TABLE = _crc_table()
 
 
 def crc16(data: bytes, crc: int = 0) -> int:
-    """CRC-16 of the protocol: polynomial 0x8005, most significant bit first, no final xor."""
+    """Return the protocol's CRC-16: polynomial 0x8005, most significant bit first, no final xor."""
     for byte in data:
         crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
     return crc
 
 
 def stuff(body: bytes) -> bytes:
-    """The body (instruction to last parameter) with 0xFD after each FF FF FD."""
+    """Return the body (instruction to last parameter) with 0xFD inserted after each FF FF FD."""
     return body.replace(HEADER, HEADER + b"\xfd")
 
 
 def unstuff(body: bytes) -> bytes:
-    """The inverse of stuff()."""
+    """Return the body without byte stuffing, the inverse of stuff()."""
     return body.replace(HEADER + b"\xfd", HEADER)
 
 
 def frame(servo_id: int, body: bytes) -> bytes:
-    """A whole packet around a body that is already stuffed."""
+    """Return the packet of a body that is already stuffed."""
     packet = _PREFIX + bytes([servo_id]) + (len(body) + 2).to_bytes(2, "little") + body
     return packet + crc16(packet).to_bytes(2, "little")
 
 
 def instruction_packet(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """The bytes of an instruction packet."""
+    """Return the bytes of an instruction packet."""
     return frame(servo_id, stuff(bytes([instruction]) + parameters))
 
 
 def status_packet(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
-    """The bytes of a status packet; error is the whole error byte with the alert bit."""
+    """Return the bytes of a status packet; error is the complete error byte including the alert bit."""
     return frame(servo_id, stuff(bytes([STATUS, error]) + parameters))
 
 
 def fast_status_packet(answers: list[tuple[int, int, bytes]], asked: list[int]) -> bytes:
-    """The one status packet of a Fast Sync Read or Fast Bulk Read, which is not stuffed.
+    """Return the single status packet of a Fast Sync Read or Fast Bulk Read, which is not stuffed.
 
-    answers: (error byte, servo id, data) of each servo in the order of the request.
-    asked: number of data bytes of every servo asked for. With fewer answers the packet ends early,
-    as on the wire when a servo is silent.
+    Args:
+        answers: (error byte, servo id, data) of each servo in the order of the request.
+        asked: requested number of data bytes of each servo. With fewer answers the packet ends early, as on a bus
+            with a silent servo.
     """
     length = 1 + sum(size + 4 for size in asked)
     packet = _PREFIX + bytes([BROADCAST_ID]) + length.to_bytes(2, "little") + bytes([STATUS])
@@ -132,10 +132,10 @@ def fast_status_packet(answers: list[tuple[int, int, bytes]], asked: list[int]) 
 
 
 class InstructionReader:
-    """Finds instruction packets in a stream of bytes.
+    """Parser of instruction packets in a byte stream.
 
-    A real servo drops a packet whose bytes pause for more than 1.5 ms. A pseudo-terminal hands over
-    bytes when the reader is scheduled, so the allowed gap is an argument (s).
+    A real servo drops a packet with a gap of more than 1.5 ms between bytes. A pseudo-terminal delivers bytes when the
+    reader is scheduled, so that the allowed gap (s) is an argument.
     """
 
     def __init__(self, allowed_gap: float) -> None:
@@ -144,7 +144,7 @@ class InstructionReader:
         self._last_time = 0.0
 
     def feed(self, data: bytes, time: float) -> list[Packet]:
-        """The packets that these bytes, received at a time (s), complete."""
+        """Return the packets that are complete after these bytes, received at a time (s)."""
         if self._pending and time - self._last_time > self._allowed_gap:
             self._pending = b""
         self._pending += data
@@ -173,7 +173,7 @@ class InstructionReader:
             body = self._pending[_OVERHEAD : end - 2]
             bare = _BARE_HEADER.search(body)
             if bare is not None:
-                # A header inside the body: the receiver takes it for the start of the next packet.
+                # An unstuffed header inside the body starts the next packet.
                 self._pending = self._pending[_OVERHEAD + bare.start() :]
                 continue
             return self._take(end, body)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets that carry single SMBus transactions over a socket that keeps them apart (SOCK_SEQPACKET).
+"""Packets with single SMBus transactions, for a socket that preserves packets (SOCK_SEQPACKET).
 
-A request is four bytes (operation, address, register, read length) and the data to write; an answer is errno as two
-bytes and the data read. Data bytes are in the order of the wire: what a word means is the client's business, as with
-a real adapter.
+A request is four bytes (operation, address, register, read length) followed by the data to write. An answer is errno
+as two bytes followed by the data read. Data bytes are in bus order; the client interprets words, as with a real
+adapter.
 """
 
 import struct
@@ -18,7 +18,7 @@ WRITE = 1  # write the register pointer and the data
 
 @dataclass(frozen=True)
 class Request:
-    """One transaction. address: 7 bit; length: bytes to read."""
+    """SMBus transaction. address: 7 bit; length: number of bytes to read."""
 
     operation: int
     address: int
@@ -29,9 +29,9 @@ class Request:
 
 @dataclass(frozen=True)
 class Answer:
-    """errno of the failed transaction, 0 for none, the bytes read, and how long (s) it all took.
+    """Result of a transaction: errno (0 if successful), the bytes read, and its duration (s).
 
-    The time is not part of the packet: it is how much later the packet is sent.
+    The duration is not part of the packet; it delays the packet.
     """
 
     errno: int
@@ -40,23 +40,23 @@ class Answer:
 
 
 def pack_request(request: Request) -> bytes:
-    """The packet of a request."""
+    """Return the packet of a request."""
     head = _REQUEST.pack(request.operation, request.address, request.register, request.length)
     return head + request.data
 
 
 def unpack_request(packet: bytes) -> Request:
-    """The request of a packet. Raises struct.error where it is too short."""
+    """Return the request of a packet. Raises struct.error if it is too short."""
     operation, address, register, length = _REQUEST.unpack_from(packet)
     return Request(operation, address, register, length, packet[_REQUEST.size :])
 
 
 def pack_answer(answer: Answer) -> bytes:
-    """The packet of an answer."""
+    """Return the packet of an answer."""
     return _ANSWER.pack(answer.errno) + answer.data
 
 
 def unpack_answer(packet: bytes) -> Answer:
-    """The answer of a packet; the time that it took is not in it."""
+    """Return the answer of a packet, without its duration."""
     (number,) = _ANSWER.unpack_from(packet)
     return Answer(number, packet[_ANSWER.size :])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far the virtual robot's time may go: never past what somebody waits for, never while somebody works.
+"""Advance of simulated time: never past an event that a client waits for, never while a client computes.
 
-Pure: the machine's time is an argument.
+Pure functions of the machine's time, which is an argument.
 """
 
 import math
@@ -10,20 +10,20 @@ from dataclasses import dataclass
 
 from worm_driver.virtual_robot.wire.virtual_clock import SERIAL, Wait
 
-#: s, which a robot that was held back may hurry to make up for
+#: Delay that a robot may catch up by running faster than its rate, s.
 _SLACK = 0.1
-#: s of the machine, after which bytes that are said to be on their way are taken for lost
+#: Machine time after which bytes in transit count as lost, s.
 _LOST = 2.0
 
 
 @dataclass
 class Party:
-    """One who takes part.
+    """Client of the simulated clock.
 
     Attributes:
-        door: which it works with (virtual_clock.SERIAL, I2C).
-        wait: what it waits for; None while it works.
-        since: s of the machine, when it began to wait.
+        door: interface that the client uses (virtual_clock.SERIAL or I2C).
+        wait: event that the client waits for; None while it computes.
+        since: machine time at which the wait started, s.
     """
 
     door: bytes
@@ -31,25 +31,25 @@ class Party:
     since: float = 0.0
 
     def waits(self, sent: float, received: float) -> bool:
-        """Whether it does nothing but wait, by the bytes sent to it and received from it over the serial line."""
+        """Return True if the client is idle, given the bytes sent to it and received from it over the serial line."""
         if self.wait is None or self.door != SERIAL:
             return self.wait is not None
         heard = not self.wait.listening or self.wait.read >= sent
         return heard and received >= self.wait.written
 
     def has_lost(self, machine: float) -> bool:
-        """Whether what is on its way to or from it has been for too long at a time of the machine (s)."""
+        """Return True if bytes to or from the client have been in transit for too long at a machine time (s)."""
         return self.wait is not None and self.door == SERIAL and machine - self.since > _LOST
 
 
 @dataclass
 class Timekeeper:
-    """The time, and its pace.
+    """Simulated time and its rate.
 
     Attributes:
-        rate: virtual seconds per second of the machine at most; inf: as fast as it can.
-        now: s, the time.
-        held: s, by which the time has fallen behind its pace, as it waited for somebody or for the machine.
+        rate: largest ratio of simulated to machine time; inf for as fast as possible.
+        now: simulated time, s.
+        held: total time that simulated time has waited for clients or for the machine, s.
     """
 
     rate: float = 1.0
@@ -59,7 +59,7 @@ class Timekeeper:
     _machine: float = 0.0
 
     def begin(self, machine: float) -> None:
-        """The time goes on from a time of the machine (s)."""
+        """Continue from a machine time (s)."""
         self._start, self._machine = machine - self.now / self._pace, machine
 
     @property
@@ -67,13 +67,13 @@ class Timekeeper:
         return self.rate if math.isfinite(self.rate) else 1.0
 
     def alone(self, machine: float) -> float:
-        """The time with nobody taking part: it passes at its pace, whatever the machine does."""
+        """Return the simulated time without clients: it advances at its rate."""
         self.now = max(self.now, (machine - self._start) * self._pace)
         self._machine = machine
         return self.now
 
     def together(self, machine: float, parties: Iterable[bool], until: float) -> float:
-        """The time with parties of which each does nothing but wait or not, and an event that must not be passed."""
+        """Return the simulated time with clients, each idle or not, bounded by the next event (s)."""
         waiting = all(parties)
         self._machine = machine
         if waiting:
@@ -86,5 +86,5 @@ class Timekeeper:
         return self.now
 
     def machine_time(self, event: float) -> float:
-        """When (s of the machine) the time of an event comes, if nobody keeps it."""
+        """Return the machine time (s) at which an event is due if no client delays it."""
         return self._machine if math.isinf(self.rate) else self._start + event / self.rate

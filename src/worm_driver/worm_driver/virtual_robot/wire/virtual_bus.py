@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from random import Random
 
-from worm_driver.virtual_robot.servo.control_table import BAUD_RATES
+from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, XM430_W350
 from worm_driver.virtual_robot.servo.register_memory import RegisterError
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.wire import faults
@@ -21,6 +21,8 @@ from worm_driver.virtual_robot.wire.packet import (
     status_packet,
 )
 
+#: at the same address in every model
+_POSITION = XM430_W350.registers["present_position"]
 _ALLOWED_GAP = 0.050  # s; 1.5 ms on the wire, but the scheduler decides when a pty is read
 
 
@@ -84,13 +86,35 @@ class ServoBus:
             return self._send_each(answers, time)
         match packet.instruction:
             case Instruction.SYNC_READ | Instruction.BULK_READ:
-                return self._send_each(_group_read(packet, listening, time)[0], time)
+                answers = _group_read(packet, listening, time)[0]
+                return self._send_each(self._misread(packet, answers, time), time)
             case Instruction.FAST_SYNC_READ | Instruction.FAST_BULK_READ:
                 return self._send_fast(*_group_read(packet, listening, time), time)
             case Instruction.SYNC_WRITE | Instruction.BULK_WRITE:
                 _group_write(packet, listening, time)
                 return []
-        return self._send_each(_obey(packet, listening, time), time)
+        answers = _obey(packet, listening, time)
+        return self._send_each(self._misread(packet, answers, time), time)
+
+    def _misread(
+        self, packet: Packet, answers: Sequence[_Answer], time: float
+    ) -> Sequence[_Answer]:
+        """Answers to a read or sync read whose position may be off by a fault."""
+        is_read = packet.instruction in (Instruction.READ, Instruction.SYNC_READ)
+        if not is_read or len(packet.parameters) < 4:
+            return answers
+        address, length = _range(packet.parameters, exactly=False)
+        begin = _POSITION.address - address
+        end = begin + _POSITION.size
+        if begin < 0 or end > length:
+            return answers
+        return [
+            replace(answer, data=_offset(answer.data, begin, end, int(fault.value)))
+            if answer.data
+            and (fault := self._board.take(faults.WRONG_POSITION, time, answer.servo_id))
+            else answer
+            for answer in answers
+        ]
 
     def _send_each(self, answers: Sequence[_Answer], time: float) -> list[Transmission]:
         sent: list[Transmission] = []
@@ -122,7 +146,9 @@ class ServoBus:
             return []
         if fault := take(faults.ERROR_NUMBER):
             answer = replace(answer, error=int(fault.value) | answer.error & ALERT, data=b"")
-        data = status_packet(answer.servo_id, answer.error, answer.data)
+        sender = take(faults.WRONG_ID)
+        servo_id = answer.servo_id if sender is None else int(sender.value)
+        data = status_packet(servo_id, answer.error, answer.data)
         if take(faults.CORRUPTED_CRC):
             data = data[:-1] + bytes([data[-1] ^ 0x5A])
         if take(faults.TRUNCATED):
@@ -134,6 +160,12 @@ class ServoBus:
         if fault := take(faults.LATE):
             due += fault.value
         return [Transmission(due, data)]
+
+
+def _offset(data: bytes, begin: int, end: int, ticks: int) -> bytes:
+    """The data with a number of ticks added to the position in it."""
+    wrong = int.from_bytes(data[begin:end], "little", signed=True) + ticks
+    return data[:begin] + wrong.to_bytes(end - begin, "little", signed=True) + data[end:]
 
 
 def _fuzz(data: bytes, random: Random) -> bytes:

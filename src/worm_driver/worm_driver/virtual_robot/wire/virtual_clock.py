@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual robot's time, as seen from other processes: a page to read it from, a socket to wait on.
+"""Clients of the virtual robot's simulated clock: a memory page to read the time, a socket to wait.
 
-The page holds the ROS time of the clock's zero (int64, ns) and the time (float64, s). A thread that connects takes
-part: the time stands from then on unless the thread waits. A wait names its number, how long it lasts at most, whether
-bytes from the door end it, and how many bytes the thread has written to and read from the serial line: a
-pseudo-terminal carries them late when the machine is busy, and no time may pass while any are on their way. The end
-of a wait by time is told with its number; bytes that end it tell it by themselves.
+The page contains the ROS time of the clock's zero (int64, ns) and the time (float64, s). When a thread connects as a
+client, simulated time advances only while the thread waits. A wait request contains its number, its latest end,
+whether bytes from the device end it, and the number of bytes that the thread has written to and read from the serial
+line. The byte counts matter because a pseudo-terminal on a busy machine delivers bytes late, and no simulated time may
+pass while bytes are in transit. The server reports the end of a wait by its number, except when bytes end it.
 """
 
 import contextlib
@@ -29,15 +29,15 @@ SERIAL: Final = b"S"
 I2C: Final = b"I"
 
 _WAIT = struct.Struct("<Qd?QQ")
-WAKE = struct.Struct("<Q")  # the number of a wait that has ended
+WAKE = struct.Struct("<Q")  # number of a wait that has ended
 _PAGE_SIZE = 16
-_SHORTEST = 1e-6  # s, of a wait: shorter ones would not end for rounding
+_SHORTEST = 1e-6  # shortest wait, s; shorter ones would not end because of rounding
 _PATIENCE = 60.0  # s
 
 
 @dataclass(frozen=True)
 class Wait:
-    """See the module. ``until`` in s, inf for as long as it takes."""
+    """Wait request, see the module. until: latest end, s; inf for none."""
 
     number: int
     until: float
@@ -46,32 +46,32 @@ class Wait:
     read: int
 
     def pack(self) -> bytes:
-        """As it goes over the socket."""
+        """Return the packet for the socket."""
         return _WAIT.pack(self.number, self.until, self.listening, self.written, self.read)
 
     @staticmethod
     def unpack(packet: bytes) -> "Wait":
-        """From what has gone over the socket. Raises struct.error where it is no wait."""
+        """Return the wait of a packet. Raises struct.error if it is invalid."""
         return Wait(*_WAIT.unpack(packet))
 
 
 class Page:
-    """The time in shared memory; written by one process, read by others."""
+    """Simulated time in shared memory, written by one process and read by others."""
 
     def __init__(self, path: Path) -> None:
-        """Opens a page that is there. Raises OSError."""
+        """Open an existing page. Raises OSError."""
         descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         try:
             memory = memoryview(mmap.mmap(descriptor, _PAGE_SIZE))
         finally:
             os.close(descriptor)
-        # Aligned words: each is read and written in one piece.
+        # Aligned words are read and written atomically.
         self._epoch = memory[:8].cast("q")
         self._time = memory[8:].cast("d")
 
     @staticmethod
     def make(path: Path, epoch_ns: int) -> "Page":
-        """A new page at time 0, whole from the moment on at which it is there."""
+        """Create a page at time 0; it appears atomically."""
         unfinished = path.with_suffix(".unfinished")
         unfinished.write_bytes(bytes(_PAGE_SIZE))
         page = Page(unfinished)
@@ -81,12 +81,12 @@ class Page:
 
     @property
     def epoch_ns(self) -> int:
-        """The ROS time of the clock's zero, ns."""
+        """ROS time of the clock's zero, ns."""
         return self._epoch[0]
 
     @property
     def time(self) -> float:
-        """Since the clock's zero, s."""
+        """Time since the clock's zero, s."""
         return self._time[0]
 
     @time.setter
@@ -95,11 +95,16 @@ class Page:
 
 
 class VirtualClock:
-    """Takes part in a virtual robot's time, for one thread at a time; see clock.Clock.
+    """Client of a virtual robot's clock, for one thread; see clock.Clock.
 
-    Once the robot is gone its time goes on as the machine's does, so that nobody waits for ever.
+    When the robot's process has ended, the clock continues at the machine's pace, so that no thread waits for ever.
 
-    The thread works with a door of the robot in a directory, SERIAL or I2C. Raises OSError where there is no clock.
+    Args:
+        directory: the robot's directory.
+        door: the interface that the thread uses, SERIAL or I2C.
+
+    Raises:
+        OSError: The directory has no clock.
     """
 
     patience = _PATIENCE
@@ -120,30 +125,30 @@ class VirtualClock:
             raise
 
     def __call__(self) -> float:
-        """Now."""
+        """Return the time, s."""
         if math.isnan(self._offset):
             return self._page.time
         return time.monotonic() + self._offset
 
     def sleep_until(self, due: float) -> None:
-        """Returns at a time (s)."""
+        """Wait until a time (s)."""
         if due > self():
             self._wait(due, None)
 
     def wait_readable(self, descriptor: int, timeout: float) -> bool:
-        """Waits for something to read from a file for at most a time (s); whether there is."""
+        """Wait until a file is readable, at most for a timeout (s); return True if it is."""
         if select.select([descriptor], [], [], 0.0)[0]:
             return True
         return timeout > 0.0 and self._wait(self() + max(timeout, _SHORTEST), descriptor)
 
     def close(self) -> None:
-        """Takes part no longer; may be repeated. From then on the time goes on as the machine's does."""
+        """Disconnect; repeated calls have no effect. From then on the clock continues at the machine's pace."""
         if math.isnan(self._offset):
             self._offset = self._page.time - time.monotonic()
         self._socket.close()
 
     def _wait(self, until: float, descriptor: int | None) -> bool:
-        """Whether the file has something to read."""
+        """Return True if the file is readable."""
         self._number += 1
         traffic = self.traffic
         listening = descriptor is not None
@@ -167,7 +172,7 @@ class VirtualClock:
             pass
 
     def _take_number(self) -> int:
-        """Raises ConnectionError when the robot is gone."""
+        """Return the number of a wait that ended. Raises ConnectionError if the robot's process has ended."""
         received = self._socket.recv(WAKE.size)
         if not received:
             raise ConnectionResetError
@@ -181,7 +186,7 @@ class VirtualClock:
 
 
 def clock_of(device: str, door: bytes) -> Clock:
-    """The clock for the thread of a device: that of the virtual robot which the device belongs to, or the machine's."""
+    """Return the clock for a device: the virtual robot's if the device belongs to one, else the machine's."""
     directory = Path(device).parent
     if not device or not (directory / SOCKET_NAME).is_socket():
         return MachineClock()

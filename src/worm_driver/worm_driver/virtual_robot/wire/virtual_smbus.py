@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stand-in for smbus2.SMBus whose transactions cross to the virtual robot's process.
+"""Replacement for smbus2.SMBus that sends transactions to the virtual robot's process.
 
-As with the kernel, a word's first byte on the wire is its low byte, and a device that does not acknowledge is
+As with the kernel, the first byte of a word on the bus is its low byte, and a missing acknowledgement raises
 OSError(EREMOTEIO).
 """
 
@@ -12,18 +12,18 @@ import socket
 from worm_driver.virtual_robot.wire import smbus_frames as frames
 from worm_driver.virtual_robot.wire.smbus_frames import Request
 
-_TIMEOUT = 60.0  # s; a bus that hangs is the robot's to tell, in its own time: here only a robot that hangs ends it
-_LONGEST = 512  # bytes of an answer, of which 255 may be data
+_TIMEOUT = 60.0  # s; the robot itself simulates a hanging bus, so that this timeout only detects a hanging process
+_LONGEST = 512  # longest answer, bytes; at most 255 of them are data
 
 
 class SocketSMBus:
-    """What is used of smbus2.SMBus (power/i2c.py), on the socket of a virtual robot; all calls raise OSError.
+    """Methods of smbus2.SMBus that power/i2c.py uses, on the socket of a virtual robot. All raise OSError.
 
-    i2c_addr is the 7-bit address; register and value are a byte and a word.
+    i2c_addr is the 7-bit address; register is a byte and value a word.
     """
 
     def __init__(self, bus: str) -> None:
-        """Connects to a path; FileNotFoundError or ConnectionRefusedError without a robot there."""
+        """Connect to a path. Raises FileNotFoundError or ConnectionRefusedError if no robot is running there."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(_TIMEOUT)
         try:
@@ -33,15 +33,15 @@ class SocketSMBus:
             raise
 
     def close(self) -> None:
-        """Ends the connection; may be repeated."""
+        """Close the connection; repeated calls have no effect."""
         self._socket.close()
 
     def read_word_data(self, i2c_addr: int, register: int) -> int:
-        """Two bytes of a register, the first one taken for the low byte."""
+        """Read two bytes of a register, low byte first."""
         return int.from_bytes(self._transact(Request(frames.READ, i2c_addr, register, 2)), "little")
 
     def write_word_data(self, i2c_addr: int, register: int, value: int) -> None:
-        """Two bytes to a register, the low byte first."""
+        """Write two bytes to a register, low byte first."""
         data = value.to_bytes(2, "little")
         self._transact(Request(frames.WRITE, i2c_addr, register, data=data))
 
@@ -50,11 +50,11 @@ class SocketSMBus:
             self._socket.sendall(frames.pack_request(request))
             packet = self._socket.recv(_LONGEST)
         except TimeoutError:
-            self.close()  # a late answer must not be taken for the next one's
+            self.close()  # a late answer must not be read as the next one's
             raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT)) from None
         except ConnectionError:
             packet = b""
-        # a robot that is gone leaves nothing to read
+        # no packet: the robot's process has ended
         answer = frames.unpack_answer(packet) if packet else frames.Answer(errno.EIO)
         if answer.errno:
             raise OSError(answer.errno, os.strerror(answer.errno))

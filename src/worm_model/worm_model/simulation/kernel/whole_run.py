@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -30,29 +31,6 @@ from worm_model.simulation.kernel.march import (
 )
 from worm_model.simulation.kernel.mode import Constants, Motion, nearest_groove_of, region_of
 
-# Columns of a parameter row, in the order of `worm_model.parameters.Parameters`; the last one is 0 or 1
-(
-    REAR_MASS,
-    FRONT_MASS,
-    UNSTRESSED_LENGTH,
-    INITIAL_LENGTH,
-    BELLOWS_STIFFNESS,
-    BELLOWS_DAMPING,
-    VISCOUS_FRICTION,
-    PITCH,
-    ENGAGED_STIFFNESS,
-    DISENGAGED_STIFFNESS,
-    SWITCHING_THRESHOLD,
-    CLEARANCE,
-    TIME_CONSTANT,
-    GAIN,
-    SLACK,
-    IDLE_POWER,
-    POWER_FACTOR,
-    REAR_DRY_FRICTION,
-    FRONT_DRY_FRICTION,
-    ONE_SIDED_CABLE,
-) = range(20)
 # Columns of a result row
 MEAN_ADVANCE, MEAN_POWER, LEAST_ADVANCE, RUN_SWITCHES, RUN_CHATTER = range(5)
 RESULT_COLUMNS = 5
@@ -64,27 +42,29 @@ STEADY = 1e-14  # m, m/s, to which two states are one: as exactly as events are 
 
 
 @entry
-def constants_of(p: np.ndarray, direction: float, margin: float) -> Constants:
+def constants_of(p: Any, direction: float, margin: float) -> Constants:
     """Constants of a parameter row; forward, the fin is stiff when pushed backward (below its clearance)."""
-    mass = p[REAR_MASS] + p[FRONT_MASS]
-    forward = direction > 0
+    mass = p.rear_mass + p.front_mass
+    below, above = p.engaged_stiffness, p.disengaged_stiffness
+    if direction < 0:
+        below, above = above, below
     return Constants(
-        mass,
-        p[FRONT_MASS] / mass,
-        p[VISCOUS_FRICTION],
-        p[ENGAGED_STIFFNESS] if forward else p[DISENGAGED_STIFFNESS],
-        p[DISENGAGED_STIFFNESS] if forward else p[ENGAGED_STIFFNESS],
-        0.5 * p[CLEARANCE],
-        p[SWITCHING_THRESHOLD] + margin,
-        p[PITCH],
-        p[INITIAL_LENGTH],
-        p[REAR_MASS],
-        p[BELLOWS_STIFFNESS],
-        p[BELLOWS_DAMPING],
-        p[UNSTRESSED_LENGTH],
-        p[REAR_DRY_FRICTION],
-        p[FRONT_DRY_FRICTION],
-        p[ONE_SIDED_CABLE] != 0.0,
+        mass=mass,
+        mu=p.front_mass / mass,
+        friction=p.viscous_friction,
+        stiffness_below=below,
+        stiffness_above=above,
+        half_clearance=0.5 * p.clearance,
+        threshold=p.switching_threshold + margin,
+        pitch=p.pitch,
+        initial_length=p.initial_length,
+        rear_mass=p.rear_mass,
+        bellows_stiffness=p.bellows_stiffness,
+        bellows_damping=p.bellows_damping,
+        unstressed_length=p.unstressed_length,
+        rear_dry=p.rear_dry_friction,
+        front_dry=p.front_dry_friction,
+        one_sided_cable=p.one_sided_cable != 0.0,
     )
 
 
@@ -98,17 +78,16 @@ def start_motion(c: Constants, a: Actuator) -> Motion:
 
 
 @inlined
-def actuator_of(p: np.ndarray) -> Actuator:
+def actuator_of(p: Any) -> Actuator:
     """K, δ_s and τ of a parameter row."""
-    return Actuator(p[GAIN], p[SLACK], p[TIME_CONSTANT])
+    return Actuator(p.gain, p.slack, p.time_constant)
 
 
 @compiled
 def play(
     first: float,
     last: float,
-    stroke: float,
-    frequency: float,
+    g: Any,
     length_change: float,
     motion: Motion,
     c: Constants,
@@ -119,9 +98,10 @@ def play(
 ) -> tuple[float, Motion]:
     """Plays a gait from ``first`` to ``last`` in s since its onset; returns (ΔL in m, the motion) at the end.
 
-    ``length_change`` is ΔL at the start; the arrays are those of `march`. Within a cycle the command leaves the
-    slack at the phase arccos(1 − 2·δ_s/S) and comes back to it as long before the end.
+    ``g`` is a gait's row, ``length_change`` is ΔL at the start; the arrays are those of `march`. Within a cycle the
+    command leaves the slack at the phase arccos(1 − 2·δ_s/S) and comes back to it as long before the end.
     """
+    stroke, frequency = g.stroke, g.frequency
     period = 1.0 / frequency
     opening = 0.5 * period
     if stroke > a.slack:
@@ -150,20 +130,17 @@ def play(
 
 @entry
 def run_gait(
-    stroke: float,
-    frequency: float,
-    direction: float,
-    margin: float,
-    p: np.ndarray,
+    g: Any,
+    p: Any,
     cycles: int,
     totals: np.ndarray,
     samples: np.ndarray,
     events: np.ndarray,
 ) -> None:
     """Runs a gait from the start for a number of cycles; the arrays are those of `march`."""
-    c, a = constants_of(p, direction, margin), actuator_of(p)
-    motion, last = start_motion(c, a), cycles * (1.0 / frequency)
-    play(0.0, last, stroke, frequency, 0.0, motion, c, a, totals, samples, events)
+    c, a = constants_of(p, g.direction, g.margin), actuator_of(p)
+    motion, last = start_motion(c, a), cycles * (1.0 / g.frequency)
+    play(0.0, last, g, 0.0, motion, c, a, totals, samples, events)
 
 
 @inlined
@@ -182,8 +159,7 @@ def _alike(before: Motion, after: Motion, c: Constants) -> bool:
 
 @compiled
 def run_cycles(
-    stroke: float,
-    frequency: float,
+    g: Any,
     c: Constants,
     a: Actuator,
     boundaries: np.ndarray,
@@ -197,7 +173,7 @@ def run_cycles(
     """
     nothing = np.empty((0, SAMPLE_COLUMNS))
     motion, length_change, steady = start_motion(c, a), 0.0, False
-    before, period = motion, 1.0 / frequency
+    before, period = motion, 1.0 / g.frequency
     boundaries[0] = 0.0
     for cycle in range(boundaries.shape[0] - 1):
         now, then = boundaries[cycle], boundaries[cycle + 1]
@@ -210,7 +186,7 @@ def run_cycles(
         before, length_before, first = motion, length_change, cycle * period
         last = first + period
         length_change, motion = play(
-            first, last, stroke, frequency, length_change, motion, c, a, totals, nothing, nothing
+            first, last, g, length_change, motion, c, a, totals, nothing, nothing
         )
         if totals[CHATTER] != 0.0:
             return
@@ -223,11 +199,8 @@ def run_cycles(
 
 @entry
 def evaluate(
-    stroke: float,
-    frequency: float,
-    direction: float,
-    margin: float,
-    p: np.ndarray,
+    g: Any,
+    p: Any,
     cycles: int,
     averaged: int,
     result: np.ndarray,
@@ -237,10 +210,11 @@ def evaluate(
     Its entries: mean advance of x1 a cycle in m along the direction, mean power in W, least advance of an
     averaged cycle in m, switches in the whole run, and whether the run gave up.
     """
+    frequency, direction = g.frequency, g.direction
     boundaries = np.empty((cycles + 1, BOUNDARY_COLUMNS))
     totals = np.zeros(TOTALS_SIZE)
-    c, a = constants_of(p, direction, margin), actuator_of(p)
-    run_cycles(stroke, frequency, c, a, boundaries, totals)
+    c, a = constants_of(p, direction, g.margin), actuator_of(p)
+    run_cycles(g, c, a, boundaries, totals)
     result[RUN_SWITCHES] = totals[SWITCHES]
     result[RUN_CHATTER] = totals[CHATTER]
     if totals[CHATTER] != 0.0:
@@ -255,51 +229,42 @@ def evaluate(
     way = boundaries[cycles, REACHED] - boundaries[first, REACHED]
     result[MEAN_ADVANCE] = direction * way / averaged
     work = boundaries[cycles, CABLE_WORK] - boundaries[first, CABLE_WORK]
-    result[MEAN_POWER] = p[IDLE_POWER] + p[POWER_FACTOR] * work * frequency / averaged
+    result[MEAN_POWER] = p.idle_power + p.power_factor * work * frequency / averaged
 
 
 @unlocked
 def evaluate_many(
     gaits: np.ndarray, parameters: np.ndarray, cycles: int, averaged: int, results: np.ndarray
 ) -> None:
-    """`evaluate` of rows (stroke, frequency, direction, margin), without the interpreter's lock.
+    """`evaluate` of rows, without the interpreter's lock.
 
-    ``gaits`` (n, 4); ``parameters`` (n, columns as above) or one row, shared; ``results`` (n, RESULT_COLUMNS).
+    ``gaits`` (n,) of GAIT_ROW; ``parameters`` (n,) of PARAMETER_ROW, or one row, shared (`simulation.rows`);
+    ``results`` (n, RESULT_COLUMNS).
     """
     shared = parameters.shape[0] == 1
     for k in range(gaits.shape[0]):
-        evaluate(
-            gaits[k, 0],
-            gaits[k, 1],
-            gaits[k, 2],
-            gaits[k, 3],
-            parameters[0 if shared else k],
-            cycles,
-            averaged,
-            results[k],
-        )
+        evaluate(gaits[k], parameters[0 if shared else k], cycles, averaged, results[k])
 
 
 @unlocked
 def sample_many(
     gaits: np.ndarray,
-    p: np.ndarray,
+    p: Any,
     cycle: int,
     phases: np.ndarray,
     force: np.ndarray,
     length_rate: np.ndarray,
 ) -> None:
-    """Samples a cycle, counted from 0, of rows (stroke, frequency, direction, margin), without the interpreter's lock.
+    """Samples a cycle, counted from 0, of gaits (n,) of GAIT_ROW, without the interpreter's lock.
 
     ``phases`` (m,), ascending, are shares of the cycle; ``force`` and ``length_rate`` (n, m) receive F_c in N and L̇ in
     m/s there, NaN where the run gave up.
     """
     samples = np.empty((phases.size, SAMPLE_COLUMNS))
     for k in range(gaits.shape[0]):
-        stroke, frequency, direction, margin = gaits[k, 0], gaits[k, 1], gaits[k, 2], gaits[k, 3]
         totals = np.zeros(TOTALS_SIZE)
-        samples[:, TIME] = (cycle + phases) / frequency
-        run_gait(stroke, frequency, direction, margin, p, cycle + 1, totals, samples, samples[:0])
+        samples[:, TIME] = (cycle + phases) / gaits[k].frequency
+        run_gait(gaits[k], p, cycle + 1, totals, samples, samples[:0])
         if totals[CHATTER] != 0.0:
             samples[:] = math.nan
         force[k], length_rate[k] = samples[:, FORCE], samples[:, LENGTH_RATE]
@@ -356,9 +321,8 @@ def step(
 
 @entry
 def play_on(
-    stroke: float,
-    frequency: float,
-    p: np.ndarray,
+    g: Any,
+    p: Any,
     c: Constants,
     length_change: float,
     motion: Motion,
@@ -368,7 +332,5 @@ def play_on(
     """Plays a gait that begins at time 0 with a motion and ΔL (m), up to the last row's time of ``samples``."""
     last = samples[samples.shape[0] - 1, TIME]
     a = actuator_of(p)
-    _, motion = play(
-        0.0, last, stroke, frequency, length_change, motion, c, a, totals, samples, samples[:0]
-    )
+    _, motion = play(0.0, last, g, length_change, motion, c, a, totals, samples, samples[:0])
     return motion

@@ -18,6 +18,7 @@ Where no length is known ahead, the motion waits, and what instruments say then 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,7 @@ from worm_model.simulation.kernel.march import (
     Segment,
 )
 from worm_model.simulation.kernel.mode import Constants, Motion, nearest_groove_of, region_of
-from worm_model.simulation.kernel.whole_run import IDLE_POWER, POWER_FACTOR, step
+from worm_model.simulation.kernel.whole_run import step
 from worm_model.simulation.kernel.work import cable_power_of
 from worm_model.twin.core.intake import COMMAND, GAIT, JUMPED_BACK, LENGTH, POSITION, QUIET, admit
 from worm_model.twin.core.memory import LENGTH as LENGTH_CHANNEL
@@ -252,9 +253,7 @@ def drag_of(c: Constants) -> float:
 
 
 @entry
-def _spend(
-    memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: np.ndarray
-) -> float:
+def _spend(memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: Any) -> float:
     """Power at a stamp that the motion has come to, with the energy up to it; returns the length's rate in m/s."""
     m, sample = memory.record[0], memory.sample[0]
     rate, variance = math.nan, 0.0
@@ -268,11 +267,11 @@ def _spend(
             rate = (effective(m.command, a) - m.answer) / a.time_constant if m.engaged else 0.0
     force = sample[FORCE] - drag_of(c) * (rate - sample[LENGTH_RATE])
     mechanical = cable_power_of(force, rate, c.one_sided_cable)
-    power = p[IDLE_POWER] + p[POWER_FACTOR] * max(mechanical - drag_of(c) * variance, 0.0)
+    power = p.idle_power + p.power_factor * max(mechanical - drag_of(c) * variance, 0.0)
     before = m.power if stamp > m.track_ns else power
     m.energy += 0.5 * (before + power) * (stamp - m.power_ns) * SECOND
     m.power_ns, m.power = stamp, power
-    m.power_variance = (p[POWER_FACTOR] * (drag_of(c) * rate - force)) ** 2 * variance
+    m.power_variance = (p.power_factor * (drag_of(c) * rate - force)) ** 2 * variance
     return rate
 
 
@@ -304,7 +303,7 @@ def publish(memory: Memory, rate: float, c: Constants, out: Rows) -> None:
 
 @entry
 def begin_track(
-    memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: np.ndarray, out: Rows
+    memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: Any, out: Rows
 ) -> None:
     """Puts the twin at rest at a stamp, the length being the answer to the command, and publishes it."""
     m = memory.record[0]
@@ -334,9 +333,7 @@ def _follow_command(memory: Memory, next_command: int, a: Actuator) -> None:
 
 
 @entry
-def _follow(
-    memory: Memory, rules: Rules, c: Constants, a: Actuator, p: np.ndarray, out: Rows
-) -> None:
+def _follow(memory: Memory, rules: Rules, c: Constants, a: Actuator, p: Any, out: Rows) -> None:
     """Answer and motion at the sample that is taken.
 
     `answered` and `arrived` say whether they came there, `drives` whether it is a length that drives.
@@ -351,7 +348,9 @@ def _follow(
     fresh = fresh and memory.rows[next_length].stamp - m.measured_ns <= rules.stale
     measured = row.kind == LENGTH
     m.arrived = 1
-    m.drives = 1 if measured or (row.kind == COMMAND and not fresh) else 0
+    # A motion begins with a measured length where one is ahead: a stop may hold the cable anywhere.
+    commanded = row.kind == COMMAND and not fresh and (m.moving or next_length < 0)
+    m.drives = 1 if measured or commanded else 0
     if measured:
         m.measured_ns = stamp
     if m.drives:
@@ -440,9 +439,7 @@ def _gap(memory: Memory, rules: Rules) -> bool:
 
 
 @entry
-def _take_next(
-    memory: Memory, rules: Rules, c: Constants, a: Actuator, p: np.ndarray, out: Rows
-) -> int:
+def _take_next(memory: Memory, rules: Rules, c: Constants, a: Actuator, p: Any, out: Rows) -> int:
     """Takes the next row, or says why Python is asked first."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     if m.cycle_end_ns and row.stamp >= m.cycle_end_ns:
@@ -488,7 +485,7 @@ def advance(
     rules: Rules,
     c: Constants,
     a: Actuator,
-    p: np.ndarray,
+    p: Any,
     out: Rows,
 ) -> tuple[int, int]:
     """Admits samples from the ``first`` on and takes those whose time has come, ``lag`` ns behind the newest.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from worm_model.gait import WAVEFORM
 from worm_model.simulation.kernel.march import SAMPLE_COLUMNS, TOTALS_SIZE
 from worm_model.twin.records import RESIDUAL_ROW, STATE_ROW
 from worm_model.twin.samples import SAMPLE
@@ -41,7 +42,7 @@ _WHOLE = """
     measured_ns on_estimate moving motion_ns track_ns source answered arrived drives
     rear_groove front_groove rear_region front_region switched
     power_ns
-    run start_ns end_ns has_gait direction length_seen length_fitted origin_known pose_front moved
+    run start_ns end_ns has_gait direction length_seen length_fitted origin_known start_known pose_front moved
     cycle cycle_end_ns told_cycle
     instrument_ns warned_until warning
     sight_ns refused_ns published_ns estimated_ns
@@ -50,14 +51,14 @@ _WHOLE = """
 _REAL = """
     command answer length_change y y_rate track_change
     power power_variance energy
-    stroke frequency initial_length origin pose_x1
+    initial_length origin pose_x1
     instrument_power instrument_energy
     sight refused event_value blind_s
 """
 MEMORY = np.dtype(
     [
         *((name, np.int64) for name in _WHOLE.split()),
-        *((name, np.float64) for name in _REAL.split()),
+        *((name, np.float64) for name in (*_REAL.split(), *WAVEFORM)),
         ("newest", np.int64, (KINDS,)),
         ("counts", np.int64, (len(VERDICTS),)),
         ("channel_ns", np.int64, (CHANNELS,)),
@@ -82,9 +83,10 @@ class Memory(NamedTuple):
     of which those from ``place`` on are not taken yet, ``taken_ns``); the answer to the command (``command`` u_cmd in
     m at ``command_ns``, ``answer`` ΔL in m); the motion at ``motion_ns`` in the frame of the run's first rear groove;
     the run (``origin``: the tracker's position of that groove in m, ``moved``: grooves by which the robot is found
-    further along +x than the motion alone would have it); the residuals by channel (mean square in usual sizes; that of
-    their noise in the channel's unit); the tracker's last accepted position and the first refused one. Stamps in ns,
-    0: none. ``totals`` and ``sample`` are the kernel's.
+    further along +x than the motion alone would have it, ``start_known``: whether its fins stand as the twin has
+    them; else residuals of position and power do not count for the health); the residuals by channel (mean square in
+    usual sizes; that of their noise in the channel's unit); the tracker's last accepted position and the first refused
+    one. Stamps in ns, 0: none. ``totals`` and ``sample`` are the kernel's.
     """
 
     record: NDArray[np.void]

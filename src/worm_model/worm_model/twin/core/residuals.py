@@ -182,7 +182,8 @@ def _judge_position(
         m.origin, m.origin_known = position - expected, 1
     residual = position - expected - m.origin
     if accepted:
-        observe(memory, POSITION, stamp, residual, rules.position_scale)
+        if m.start_known:
+            observe(memory, POSITION, stamp, residual, rules.position_scale)
         _sum_up(memory, stamp, POSITION_SUM, residual)
         _record(memory, stamp, POSITION, residual, math.nan, rules, out)
     elif stamp - m.refused_ns >= rules.moved:
@@ -206,7 +207,8 @@ def _judge_power(memory: Memory, stamp: int, power: float, rules: Rules, out: Ro
     if (stamp - m.start_ns) * 1e-9 > 4.0 * rules.smoothing:
         # What the noise of the length makes of the prediction is smooth, and no noise of the residual.
         scale = math.sqrt(rules.power_scale**2 + m.power_variance)
-        observe(memory, POWER, stamp, residual, scale)
+        if m.start_known:
+            observe(memory, POWER, stamp, residual, scale)
         _sum_up(memory, stamp, POWER_SUM, residual)
     _record(memory, stamp, POWER, residual, m.instrument_energy - m.energy, rules, out)
 
@@ -224,8 +226,9 @@ def judge(memory: Memory, rules: Rules, c: Constants, out: Rows) -> bool:
     """Compares the sample that is being taken, as far as answer and motion came to it; True if the tracker moved."""
     m = memory.record[0]
     row = memory.rows[m.place]
-    if row.kind == LENGTH_SAMPLE and m.answered and not m.end_ns:
-        # After a run the slack of a resting cable comes back, the actuation model does not say when.
+    if row.kind == LENGTH_SAMPLE and m.answered and m.start_ns and not m.end_ns:
+        # After a run the slack of a resting cable comes back, the actuation model does not say when; before the first
+        # one a stop may hold the cable anywhere.
         residual = row.a - m.initial_length - m.answer
         observe(memory, LENGTH, row.stamp, residual, rules.length_scale)
         _sum_up(memory, row.stamp, LENGTH_SUM, residual)

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Last plausible position of each servo, and the check whether a new sample is reachable from it."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from worm_driver.servos.registers import TICKS_PER_TURN
+
+#: Ratio of the fastest rotation of a shaft to its velocity limit, as a load may turn it faster than its motor does.
+_FASTER = 2.0
+#: Difference between two positions that is always plausible, ticks. A delay of 1 ms causes 3 ticks at full speed.
+_SLACK = 64
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Plausible position.
+
+    Attributes:
+        ticks: position, raw.
+        time: time at which it was received, s, monotonic.
+    """
+
+    ticks: int
+    time: float
+
+
+class PositionTrack:
+    """Plausible positions of servos by id.
+
+    While the torque is on, a sample is rejected if the servo cannot have reached it since the last plausible one. With
+    the torque off every sample is accepted, as a person may turn the spool at any speed.
+
+    Args:
+        fastest: velocity limits, rad/s by servo id.
+
+    Attributes:
+        lost: distance from the last plausible position to a confirmed implausible one, ticks by servo id. No sample of
+            such a servo is accepted before the next `begin`, as waiting makes no wrong position plausible.
+    """
+
+    def __init__(self, fastest: Mapping[int, float]):
+        self._fastest = dict(fastest)
+        self._last: dict[int, Sighting] = {}
+        self._watches = False
+        self.lost: dict[int, int] = {}
+
+    def begin(self, positions: Mapping[int, Sighting]) -> None:
+        """Begin to reject implausible samples, starting from confirmed positions."""
+        self._last.update(positions)
+        self._watches = True
+        self.lost.clear()
+
+    def end(self) -> None:
+        """Accept every sample from now on, as the torque is off."""
+        self._watches = False
+        self.lost.clear()
+
+    def last(self, servo: int) -> Sighting | None:
+        """Return the last plausible position of a servo, None before the first one."""
+        return self._last.get(servo)
+
+    def accepts(self, servo: int, ticks: int, time: float) -> bool:
+        """Record a sample received at a time (s) and return True, or return False if it is implausible."""
+        if self._watches and not self._is_plausible(servo, ticks, time):
+            return False
+        self._last[servo] = Sighting(ticks, time)
+        return True
+
+    def lose(self, servo: int, ticks: int) -> None:
+        """Reject all further samples of a servo, because a second reading confirmed an implausible position (ticks)."""
+        self.lost.setdefault(servo, ticks - self._last[servo].ticks)
+
+    def _is_plausible(self, servo: int, ticks: int, time: float) -> bool:
+        last = self._last.get(servo)
+        if servo in self.lost:
+            return False
+        return last is None or is_reachable(last, ticks, time, self._fastest[servo])
+
+
+def is_reachable(last: Sighting, ticks: int, time: float, fastest: float) -> bool:
+    """Return True if a servo with a velocity limit (rad/s) can be at a position (ticks) at a time (s)."""
+    turned = _FASTER * fastest * max(0.0, time - last.time) / math.tau * TICKS_PER_TURN
+    return abs(ticks - last.ticks) <= turned + _SLACK

@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reader and writer of rosbag2's ``metadata.yaml``, version 9 (ROS 2 Jazzy), and of other YAML in bags."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import indent
+from typing import Any
+
+import yaml
+
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.finding import METADATA_FILE
+from worm_model.bags.formats.message_block import Topic
+
+METADATA_ROOT = "rosbag2_bagfile_information"
+VERSION = 9
+LARGEST_YAML = 16 << 20  # bytes; a bag of a thousand files and topics has a tenth of that
+DEEPEST_YAML = 32  # levels; metadata.yaml has eight
+MOST_NODES = 250_000  # a bag of a thousand topics and ten thousand files has fewer
+MOST_ALIASES = 10_000  # a writer that repeats QoS profiles by reference has a few per topic
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the C loader is ten times faster
+_DUMPER: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+@dataclass
+class Extent:
+    """Number of messages and span of their log times (ns since the epoch)."""
+
+    count: int = 0
+    first: int = 0
+    last: int = 0
+
+    def add(self, time: int) -> None:
+        """Extend by one message."""
+        self.first = min(self.first, time) if self.count else time
+        self.last = max(self.last, time) if self.count else time
+        self.count += 1
+
+    def fields(self) -> dict[str, Any]:
+        """Return the fields of metadata.yaml."""
+        return {
+            "duration": {"nanoseconds": self.last - self.first},
+            "starting_time": {"nanoseconds_since_epoch": self.first},
+            "message_count": self.count,
+        }
+
+
+# --- reading --------------------------------------------------------------------------------------
+
+
+def load_yaml(text: str) -> Any:
+    """Return the content of YAML from an untrusted source.
+
+    Raises:
+        yaml.YAMLError, ValueError: It is not YAML, or it is larger, nested more deeply or has more references than
+            any bag's.
+    """
+    if len(text) > LARGEST_YAML:
+        raise ValueError(f"{len(text)} bytes are more than the {LARGEST_YAML} of any bag")
+    depth = aliases = nodes = 0
+    for event in yaml.parse(text, Loader=_LOADER):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        aliases += isinstance(event, yaml.AliasEvent)
+        if depth > DEEPEST_YAML or aliases > MOST_ALIASES:
+            raise ValueError("it is nested deeper, or refers to itself more often, than any bag")
+        nodes += isinstance(event, yaml.NodeEvent)
+        if nodes > MOST_NODES:
+            raise ValueError(f"it has more than the {MOST_NODES} values and keys of any bag")
+        if isinstance(event, yaml.ScalarEvent) and event.value == "<<" and event.implicit[0]:
+            raise ValueError("it merges keys (<<), which no bag does")
+    return yaml.load(text, Loader=_LOADER)
+
+
+def read_metadata(directory: Path) -> dict[str, Any]:
+    """Return the content of a bag's metadata.yaml below its root key.
+
+    Raises:
+        BagError: The file is missing or not rosbag2's.
+    """
+    path = directory / METADATA_FILE
+    if path.exists() and not path.is_file():
+        raise BagError(f"{path} cannot be read: it is not a regular file; move it away")
+    try:
+        if path.stat().st_size > LARGEST_YAML:
+            raise ValueError(f"{path.stat().st_size} bytes are more than any bag's")
+        document = load_yaml(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BagError(f"{path} is missing; worm_model recover {directory} makes one") from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise BagError(f"{path} cannot be read: {reason}") from None
+    content = document.get(METADATA_ROOT) if isinstance(document, dict) else None
+    files = content.get("relative_file_paths") if isinstance(content, dict) else None
+    if (
+        not isinstance(content, dict)
+        or not isinstance(files, list)
+        or not all(isinstance(name, str) for name in files)
+    ):
+        raise BagError(f"{path} is not rosbag2's: no {METADATA_ROOT} with relative_file_paths")
+    return content
+
+
+def custom_data(content: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the entries that a writer added to metadata.yaml for its own use."""
+    custom = content.get("custom_data")
+    return custom if isinstance(custom, dict) else {}
+
+
+def declared_counts(content: Mapping[str, Any]) -> dict[str, int]:
+    """Return the number of messages by topic as declared by metadata.yaml; empty without a declaration."""
+    counts: dict[str, int] = {}
+    for entry in _topics(content):
+        with suppress(KeyError, TypeError, ValueError):
+            name, count = entry["topic_metadata"]["name"], entry["message_count"]
+            counts[str(name)] = counts.get(str(name), 0) + int(count)
+    return counts
+
+
+def _topics(content: Mapping[str, Any]) -> list[Any]:
+    topics = content.get("topics_with_message_count")
+    return topics if isinstance(topics, list) else []
+
+
+def silent_topics(content: Mapping[str, Any]) -> list[Topic]:
+    """Return the topics that metadata.yaml declares without messages, with their types and QoS."""
+    topics = []
+    for entry in _topics(content):
+        with suppress(KeyError, TypeError):
+            description = entry["topic_metadata"]
+            profiles = description.get("offered_qos_profiles") or ""
+            metadata = {
+                "offered_qos_profiles": profiles
+                if isinstance(profiles, str)
+                else dump_yaml(profiles),
+                "topic_type_hash": description.get("type_description_hash") or "",
+            }
+            name, kind, encoding = (
+                description["name"],
+                description["type"],
+                description["serialization_format"],
+            )
+            texts = (name, kind, encoding, *metadata.values())
+            if entry["message_count"] == 0 and all(isinstance(text, str) for text in texts):
+                topics.append(Topic(name, kind, 0, "", "", encoding, tuple(metadata.items())))
+    return topics
+
+
+def qos_profiles(text: str) -> list[Any]:
+    """Return the QoS profiles of a channel; empty if its text is not a list of profiles."""
+    try:
+        profiles = load_yaml(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return []
+    return profiles if isinstance(profiles, list) else []
+
+
+def first_qos_profile(topic: Topic) -> dict[str, Any]:
+    """Return the QoS that a topic's first publisher offered; empty if the bag does not contain it."""
+    first, *_ = qos_profiles(topic.offered_qos) or [None]
+    return first if isinstance(first, dict) else {}
+
+
+# --- writing --------------------------------------------------------------------------------------
+
+
+class _Dumper(_DUMPER):
+    """YAML writer that repeats an object instead of a reference to its first occurrence."""
+
+    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - applies to any data
+        return True
+
+
+def dump_yaml(document: Any) -> str:
+    """Return YAML text without references."""
+    text: str = yaml.dump(document, Dumper=_Dumper, sort_keys=False)
+    return text
+
+
+def metadata_text(
+    total: Extent,
+    topics: Iterable[tuple[Topic, int]],
+    files: Mapping[str, Extent],
+    custom: Mapping[str, str],
+) -> str:
+    """Return the content of metadata.yaml below its root key, which the MCAP record "rosbag2" repeats."""
+    return dump_yaml(
+        {
+            "version": VERSION,
+            "storage_identifier": "mcap",
+            **total.fields(),
+            "topics_with_message_count": [
+                {"topic_metadata": _describe(topic), "message_count": count}
+                for topic, count in topics
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": list(files),
+            "files": [{"path": name, **extent.fields()} for name, extent in files.items()],
+            "custom_data": dict(custom),
+            "ros_distro": "jazzy",
+        }
+    )
+
+
+def _describe(topic: Topic) -> dict[str, Any]:
+    return {
+        "name": topic.name,
+        "type": topic.type_name,
+        "serialization_format": topic.encoding,
+        "offered_qos_profiles": qos_profiles(topic.offered_qos),
+        "type_description_hash": topic.type_hash,
+    }
+
+
+def write_metadata(directory: Path, text: str, synchronise: Callable[[int], None]) -> None:
+    """Write metadata.yaml from its content below the root key; after a crash, the old or the new file is complete.
+
+    Args:
+        directory: the bag.
+        text: content below the root key.
+        synchronise: writes an open file, given by its descriptor, to the disk.
+
+    Raises:
+        OSError: The disk is full or missing.
+    """
+    unfinished = directory / f"{METADATA_FILE}.tmp"
+    with unfinished.open("w", encoding="utf-8") as stream:
+        stream.write(f"{METADATA_ROOT}:\n{indent(text, '  ')}")
+        stream.flush()
+        synchronise(stream.fileno())
+    unfinished.replace(directory / METADATA_FILE)
+    sync_directory(directory, synchronise)
+
+
+def sync_directory(directory: Path, synchronise: Callable[[int], None] | None = None) -> None:
+    """Write the names in a directory to the disk, so that they survive a power cut."""
+    handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        (synchronise or os.fsync)(handle)
+    finally:
+        os.close(handle)
+
+
+def qos_profile(
+    history: str,
+    depth: int,
+    reliability: str,
+    durability: str,
+    liveliness: str,
+    times: Sequence[int],
+) -> dict[str, Any]:
+    """Return one offered QoS profile in the format of rosbag2 version 9.
+
+    Args:
+        history, reliability, durability, liveliness: rosbag2's names, such as ``keep_last``, ``reliable``.
+        depth: number of stored samples.
+        times: deadline, lifespan and liveliness lease duration, ns.
+    """
+    deadline, lifespan, lease = ({"sec": t // 10**9, "nsec": t % 10**9} for t in times)
+    return {
+        "history": history,
+        "depth": depth,
+        "reliability": reliability,
+        "durability": durability,
+        "deadline": deadline,
+        "lifespan": lifespan,
+        "liveliness": liveliness,
+        "liveliness_lease_duration": lease,
+        "avoid_ros_namespace_conventions": False,
+    }

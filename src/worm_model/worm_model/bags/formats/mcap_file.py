@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""MCAP files, open for reading."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Attachment
+
+from worm_model.bags.bag import AttachedFile
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.contents import Contents, Extent
+from worm_model.bags.formats.mcap_contents import extent_records, salvage, scan
+from worm_model.bags.formats.mcap_records import (
+    HEAD,
+    MAGIC,
+    MESSAGE_BODY,
+    Buffer,
+    message_heads,
+    read_record,
+    release,
+)
+from worm_model.bags.formats.message_block import Messages, Topic
+from worm_model.bags.formats.stored_bag import StoredFile, explained
+
+TOGETHER_BYTES = 1 << 20  # of small extents per block: numpy's cost is per call
+
+
+class McapFile(StoredFile):
+    """MCAP file; heads of chunks are trusted if the file's checksums and summary are consistent with its data."""
+
+    survey: Callable[[Buffer], Contents] = staticmethod(scan)
+
+    def _survey(self) -> Contents:
+        if self.data[: len(MAGIC)] != MAGIC:
+            first = bytes(self.data[: len(MAGIC)])
+            raise BagError(
+                f"{self.path} is not an MCAP file: it begins with {first!r}, not {MAGIC!r}"
+            )
+        return self.survey(self.data)
+
+    @property
+    def channels(self) -> dict[int, Topic]:
+        """Topics by the number of their channel, without their counts."""
+        topics = {}
+        for number, channel in sorted(self.contents.channels.items()):
+            schema = self.contents.schemas.get(channel.schema_id)
+            topics[number] = Topic(
+                name=channel.topic,
+                type_name=schema.name if schema else "",
+                count=0,
+                definition=schema.data.decode(errors="replace") if schema else "",
+                definition_format=schema.encoding if schema else "",
+                encoding=channel.message_encoding,
+                metadata=tuple(channel.metadata.items()),
+            )
+        return topics
+
+    def blocks(
+        self, extents: Iterable[Extent], topics: frozenset[str]
+    ) -> Iterator[tuple[int, Messages]]:
+        """Yield messages of some topics in some extents in order of start, each block with its start (ns).
+
+        Consecutive small extents form one block, because a recorder that synchronises often writes many.
+        """
+        start, end, size = 0, 0, 0
+        parts: list[Buffer] = []
+        with explained(self.path):
+            for extent in extents:
+                records = extent_records(self.data, extent)
+                release(self.data)
+                if parts and size + len(records) > TOGETHER_BYTES:
+                    yield start, self._messages(parts, (start, end), topics)
+                    parts, end, size = [], 0, 0
+                start, end = start if parts else extent.start, max(end, extent.end)
+                parts.append(records)
+                size += len(records)
+            if parts:
+                yield start, self._messages(parts, (start, end), topics)
+
+    def _messages(
+        self, parts: Sequence[Buffer], span: tuple[int, int], topics: frozenset[str]
+    ) -> Messages:
+        """Return messages of some topics in file order. Raises ValueError for a message outside of ``span`` (ns)."""
+        records = b"".join(parts) if len(parts) > 1 else parts[0]
+        offset, heads = message_heads(records)
+        times = heads["log_time"]
+        if len(times) and not (span[0] <= int(times.min()) and int(times.max()) <= span[1]):
+            raise ValueError("a message lies outside of the time span of its chunk")
+        channels = self.channels
+        lookup = np.full(1 << 16, -1)
+        for row, (number, topic) in enumerate(channels.items()):
+            lookup[number] = row if topic.name in topics else -1
+        channel = lookup[heads["channel"].astype(np.int64)]
+        rows = np.flatnonzero(channel >= 0)
+        return Messages(
+            tuple(channels.values()),
+            np.frombuffer(records, np.uint8),
+            channel[rows],
+            offset[rows] + HEAD.itemsize,
+            heads["length"][rows].astype(np.int64) - MESSAGE_BODY,
+            times[rows].astype(np.uint64),
+            heads["publish_time"][rows].astype(np.uint64),
+        )
+
+    def attachments(self) -> Iterator[AttachedFile]:
+        """Yield the attached files."""
+        for first, last in self.contents.attachments:
+            attached = read_record(Opcode.ATTACHMENT, self.data[first:last])
+            assert isinstance(attached, Attachment)
+            yield AttachedFile(attached.name, attached.media_type, attached.data)
+
+
+class SalvagedMcapFile(McapFile):
+    """MCAP file of which all intact data is read, whether or not the rest is damaged."""
+
+    survey = staticmethod(salvage)

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Iteration over the records of an MCAP file, which continues after damage at the next plausible record.
+
+A record is plausible if all of these hold:
+
+- Its kind is allowed at its place, and its length fits into the data.
+- Its body is valid for its kind. A chunk decompresses to its declared size, its checksum is correct, and it consists
+  of complete records. The checksum of an attachment is correct. A message belongs to a defined channel. An index of
+  messages consists of complete entries. Texts and maps of all others are UTF-8 and end where the record ends.
+- The next record is plausible by the same rules, or there is none. A chunk with a checksum does not need this.
+
+Messages outside of chunks are plausible only in a file whose chunks have no checksums, or that has no chunks. In
+other files they could only be the content of a damaged chunk, which nothing could verify.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property
+from typing import NamedTuple
+
+from mcap.opcode import Opcode
+
+from worm_model.bags.formats.mcap_records import (
+    DAMAGE,
+    MESSAGE_BODY,
+    RECORD,
+    Buffer,
+    ChunkHead,
+    chunk_head,
+    chunk_pieces,
+    chunk_records,
+    joined,
+    read_record,
+    records_in,
+)
+
+DAMAGED = 0  # used as an opcode: bytes that are not part of a complete record
+FIRST_PRIVATE_OPCODE = 0x80
+_INDEX = struct.Struct("<HI")  # channel, bytes of entries
+_ENTRY_BYTES = 16
+_INSIDE = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})  # allowed inside a chunk
+_MESSAGE = Opcode.MESSAGE.value
+_PROTECTED = frozenset(
+    {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
+)
+_DATA = _INSIDE | _PROTECTED | {Opcode.HEADER}
+_PROVEN = frozenset(
+    {DAMAGED, Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.DATA_END}
+)  # whose end is verified
+_SUMMARY = range(Opcode.FOOTER, Opcode.DATA_END)
+
+Judge = Callable[[Buffer], bool]
+
+
+class Part(NamedTuple):
+    """Record, or damaged bytes between two records.
+
+    Attributes:
+        opcode: opcode of the record, or DAMAGED.
+        first, last: location including the head of the record, the last byte exclusive.
+        runs: ranges of a damaged chunk's decompressed bytes that are complete records.
+    """
+
+    opcode: int
+    first: int
+    last: int
+    runs: tuple[tuple[int, int], ...] = ()
+
+
+def has_chunk_head(body: Buffer) -> bool:
+    """Return True if the head of a chunk is valid."""
+    try:
+        return chunk_head(body).last == len(body)
+    except DAMAGE:
+        return False
+
+
+def is_intact_chunk(body: Buffer) -> bool:
+    """Return True if the content of a chunk is valid."""
+    try:
+        return all(
+            _belongs(opcode, _INSIDE) and (opcode != _MESSAGE or last - first >= MESSAGE_BODY)
+            for opcode, first, last in records_in(chunk_records(body))
+        )
+    except DAMAGE:
+        return False
+
+
+def _belongs(opcode: int, kinds: frozenset[int]) -> bool:
+    return opcode in kinds or opcode >= FIRST_PRIVATE_OPCODE
+
+
+class Walk:
+    """Iterable over the parts of a file's data section, in their order.
+
+    Args:
+        data: the records.
+        first: location of the first record.
+        channels: numbers of the defined channels; the caller adds those that are defined inside of chunks.
+        judge: returns True if a chunk is complete.
+        kinds: allowed opcodes, those of a chunk's records or of a data section.
+    """
+
+    def __init__(
+        self,
+        data: Buffer,
+        first: int,
+        channels: set[int],
+        judge: Judge,
+        kinds: frozenset[int] = _DATA,
+    ) -> None:
+        self._data = data
+        self._size = len(data)
+        self._first = first
+        self._channels = channels
+        self._judge = judge
+        self._kinds = kinds
+
+    def __iter__(self) -> Iterator[Part]:
+        part = self._part(self._first)
+        while part is not None:
+            behind = None
+            if part.opcode not in _PROVEN:
+                behind = self._part(part.last)
+                if behind is not None and behind.opcode == DAMAGED:
+                    # If some of its bytes are missing, or its length is too large, it covers later
+                    # records.
+                    inner = self._next_plausible(part.first + 1, part.last)
+                    if inner < part.last:
+                        part, behind = Part(DAMAGED, part.first, inner), None
+            yield part
+            if part.opcode == Opcode.DATA_END:
+                return
+            part = behind or self._part(part.last)
+
+    def _part(self, place: int) -> Part | None:
+        """Return the part that begins at a place; None at the end."""
+        if place >= self._size:
+            return None
+        part = self._record(place, self._judge) or self._damaged_chunk(place)
+        return part or Part(DAMAGED, place, self._next_plausible(place + 1, self._size))
+
+    def _record(self, place: int, judge: Judge) -> Part | None:
+        """Return the complete record at a place, or None."""
+        if place + RECORD.size > self._size:
+            return None
+        opcode, length = RECORD.unpack_from(self._data, place)
+        first, last = place + RECORD.size, place + RECORD.size + length
+        if last <= self._size and _belongs(opcode, self._kinds):
+            body = self._data[first:last]
+            hidden = opcode >= FIRST_PRIVATE_OPCODE and is_intact_chunk(
+                body
+            )  # a chunk with a damaged opcode
+            if not hidden and self._is_whole(opcode, body, judge):
+                if opcode == Opcode.CHANNEL:
+                    self._channels.add(int.from_bytes(body[:2], "little"))
+                return Part(opcode, place, last)
+        return self._chunk_by_content(place, last)
+
+    def _is_whole(self, opcode: int, body: Buffer, judge: Judge) -> bool:
+        if opcode == Opcode.MESSAGE:
+            return (
+                len(body) >= MESSAGE_BODY and int.from_bytes(body[:2], "little") in self._channels
+            )
+        if opcode == Opcode.MESSAGE_INDEX:
+            return len(body) % _ENTRY_BYTES == _INDEX.size
+        if opcode == Opcode.DATA_END:
+            return len(body) == 4
+        if opcode == Opcode.CHUNK:
+            return has_chunk_head(body) and judge(body)
+        try:
+            read_record(opcode, body)
+        except DAMAGE:
+            return False
+        return True
+
+    def _chunk_by_content(self, place: int, last: int) -> Part | None:
+        """Return an intact chunk with a wrong opcode or declared length; None if there is none."""
+        head, first = self._chunk_head(place), place + RECORD.size
+        for end in (first + head.last, last) if head else ():
+            if end <= self._size and is_intact_chunk(self._data[first:end]):
+                return Part(Opcode.CHUNK, place, end)
+        return None
+
+    def _damaged_chunk(self, place: int) -> Part | None:
+        """Return a damaged chunk without a checksum, also a truncated one, with the ranges of its complete records."""
+        head = self._chunk_head(place)
+        if head is None or head.checksum or self._data[place] != Opcode.CHUNK:
+            return None
+        records = first_records(self._data[place + RECORD.size :])
+        runs = _whole_runs(Walk(records, 0, self._channels, has_chunk_head, _INSIDE))
+        if not runs:
+            return None
+        if head.compression:  # its end is uncertain, and other records may follow inside it
+            return Part(Opcode.CHUNK, place, self._next_plausible(place + 1, self._size), runs)
+        last = min(place + RECORD.size + head.last, self._size)
+        return Part(Opcode.CHUNK, place, last, runs)
+
+    def _chunk_head(self, place: int) -> ChunkHead | None:
+        if Opcode.CHUNK not in self._kinds:
+            return None
+        try:
+            return chunk_head(self._data[place + RECORD.size :])
+        except DAMAGE:
+            return None
+
+    # --- after damage -------------------------------------------------------------------------
+
+    @cached_property
+    def _beginnings(self) -> re.Pattern[bytes]:
+        """Pattern of the possible beginnings of a plausible record: a kind, and a length below a terabyte."""
+        kinds = self._kinds - {Opcode.HEADER}
+        if Opcode.CHUNK in kinds and self._has_checksums:
+            kinds = _PROTECTED
+        codes = b"".join(b"\\x%02x" % kind for kind in kinds)
+        return re.compile(rb"(?s)(?=[" + codes + rb"].{5}\0\0\0)")
+
+    @property
+    def _has_checksums(self) -> bool:
+        """True if the first intact chunk of the file has a checksum."""
+        for match in re.finditer(rb"(?s)(?=\x06.{5}\0\0\0)", self._data):
+            first = match.start() + RECORD.size
+            _, length = RECORD.unpack_from(self._data, match.start())
+            body = self._data[first : first + length]
+            if is_intact_chunk(body):
+                return bool(chunk_head(body).checksum)
+        return False
+
+    def _next_plausible(self, place: int, end: int) -> int:
+        """Return the location of the next plausible record; the end of the search if there is none before it."""
+        for match in self._beginnings.finditer(self._data, place):
+            if match.start() >= end:
+                return end
+            if self._is_plausible(match.start()):
+                return match.start()
+        return end
+
+    def _is_plausible(self, place: int) -> bool:
+        part = self._certain(place)
+        if part is None:
+            return False
+        if part.opcode == Opcode.CHUNK and chunk_head(self._data[place + RECORD.size :]).checksum:
+            return True
+        if part.opcode == Opcode.DATA_END and part.last < self._size:
+            return self._data[part.last] in _SUMMARY
+        return part.last == self._size or self._certain(part.last) is not None
+
+    def _certain(self, place: int) -> Part | None:
+        """Return the record at a place if it is valid for its kind, else None."""
+        part = self._record(place, is_intact_chunk)
+        if part is None or part.opcode >= FIRST_PRIVATE_OPCODE:
+            return None
+        if part.opcode == Opcode.MESSAGE_INDEX:
+            _, size = _INDEX.unpack_from(self._data, place + RECORD.size)
+            if size != part.last - place - RECORD.size - _INDEX.size:
+                return None
+        return part
+
+
+def first_records(body: Buffer) -> Buffer:
+    """Return the decompressed records of a chunk up to the first damage of its compressed bytes."""
+    pieces: list[Buffer] = []
+    try:
+        for piece in chunk_pieces(chunk_head(body), body):
+            pieces.append(piece)
+    except DAMAGE:
+        pass
+    return joined(pieces)
+
+
+def _whole_runs(parts: Iterable[Part]) -> tuple[tuple[int, int], ...]:
+    """Return the ranges of consecutive complete records without damage."""
+    runs: list[tuple[int, int]] = []
+    for part in parts:
+        if part.opcode == DAMAGED:
+            continue
+        if runs and runs[-1][1] == part.first:
+            runs[-1] = runs[-1][0], part.last
+        else:
+            runs.append((part.first, part.last))
+    return tuple(runs)
+
+
+def message_index(body: Buffer) -> tuple[int, int]:
+    """Return the channel of an index of messages and the number of messages that it lists."""
+    channel, _ = _INDEX.unpack_from(body)
+    return channel, len(body) // _ENTRY_BYTES

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Message definitions: search for installed ones, their text inside bags, and their fields.
+
+The text has the format ``ros2msg`` of rosbag2 and MCAP. It contains the root type's text and, for each type that it
+needs, a line of 80 ``=``, a line ``MSG: package/Type``, and its text. Reading a bag requires no installed
+definitions, because the bag contains them. For writing, the definitions come from the sourced workspaces
+(AMENT_PREFIX_PATH). If these lack them, worm_msgs comes from the checkout that contains this package, and standard
+types come from `rosbags`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from textwrap import shorten
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import (
+    Stores,
+    TypesysError,
+    get_types_from_idl,
+    get_types_from_msg,
+    get_typestore,
+)
+from rosbags.typesys.store import Typestore
+
+from worm_model.bags.bag_errors import DefinitionError
+from worm_model.bags.formats.message_block import Topic
+
+PACKAGE = "worm_msgs"
+SEPARATOR = "=" * 80
+REMEDY = "give the definitions that it was recorded with by --definitions FOLDER, or source that workspace"
+REASON_LENGTH = 200  # limit for the reason of a parser, which repeats the complete definition
+_CONSTANT = re.compile(r"[A-Za-z]\w*\s+[A-Z]\w*\s*=")
+_UNREADABLE = (TypesysError, ValueError, KeyError, IndexError, RecursionError)
+
+Fields = list[tuple[str, Any]]
+Types = Mapping[str, Fields]
+
+
+# --- what is installed ----------------------------------------------------------------------------
+
+
+def _folders(package: str, definitions: Path | None = None) -> Iterator[Path]:
+    if package == PACKAGE and definitions is not None:
+        yield definitions
+        return  # no other sources: the layouts of two versions would mix
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix, "share", package, "msg")
+    if package == PACKAGE:
+        yield Path(__file__).resolve().parents[4] / PACKAGE / "msg"
+
+
+def _installed_text(package: str, kind: str, definitions: Path | None) -> str:
+    for folder in _folders(package, definitions):
+        path = folder / f"{kind}.msg"
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    standard, name = _standard_types(), f"{package}/msg/{kind}"
+    if package == PACKAGE and definitions is not None:
+        raise DefinitionError(f"{definitions} has no {kind}.msg, which {name} needs")
+    if name not in standard.fielddefs:
+        raise DefinitionError(
+            f"no definition of {name} is installed; source the workspace that has it"
+        )
+    return standard.generate_msgdef(name, ros_version=2)[0].split(SEPARATOR)[0]
+
+
+@lru_cache(maxsize=1)
+def _standard_types() -> Typestore:
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@lru_cache(maxsize=256)
+def installed_definition(type_name: str, definitions: Path | None = None) -> str:
+    """Return the ``ros2msg`` text of an installed type with all types that it needs.
+
+    Args:
+        type_name: ``package/msg/Type``.
+        definitions: folder with the ``.msg`` files of worm_msgs; None: the installed ones.
+
+    Raises:
+        DefinitionError: The name is not that of a message type, or a definition is missing.
+    """
+    package, _, kind = type_name.partition("/msg/")
+    if not (package and kind) or "/" in package + kind:
+        raise DefinitionError(f"{type_name!r} is not a message type; expected package/msg/Type")
+    texts: dict[str, str] = {}
+    waiting = [type_name]
+    while waiting:
+        name = waiting.pop(0)
+        if name in texts:
+            continue
+        package, _, kind = name.partition("/msg/")
+        texts[name] = _installed_text(package, kind, definitions)
+        with suppress(*_UNREADABLE):  # errors are reported by `parse_types`
+            (_, fields) = get_types_from_msg(without_comments(texts[name]), name)[name]
+            waiting += [needed for _, field in fields for needed in _named(field)]
+    parts = [
+        text if name == type_name else f"{SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{text}"
+        for name, text in texts.items()
+    ]
+    return "\n".join(part.rstrip("\n") + "\n" for part in parts)
+
+
+def _named(field: Any) -> Iterator[str]:
+    """Yield the message types that a field consists of."""
+    kind, argument = field
+    if kind == Nodetype.NAME:
+        yield argument
+    elif kind != Nodetype.BASE:
+        yield from _named(argument[0])
+
+
+@lru_cache(maxsize=256)
+def topic_of(
+    name: str, type_name: str, offered_qos: str = "", definitions: Path | None = None
+) -> Topic:
+    """Return a topic for writing: definition with all types that it needs, type hash, offered QoS (YAML).
+
+    Args:
+        name, type_name: full name of the topic and its type.
+        offered_qos: quality of service of the publishers, YAML.
+        definitions: folder of definitions, see `installed_definition`.
+
+    Raises:
+        DefinitionError: The type is not installed.
+    """
+    definition = installed_definition(type_name, definitions)
+    metadata = (
+        ("offered_qos_profiles", offered_qos),
+        ("topic_type_hash", type_hash(type_name, definition, "ros2msg")),
+    )
+    return Topic(name, type_name, 0, definition, "ros2msg", "cdr", metadata)
+
+
+def parse_ahead(type_names: Iterable[str]) -> None:
+    """Parse definitions now rather than with the first bag that contains messages of these types.
+
+    The function does nothing if worm_msgs is not installed, because a bag may contain all definitions.
+    """
+    with suppress(DefinitionError):
+        for type_name in type_names:
+            topic_of("", type_name)
+
+
+# --- content of a definition
+# -----------------------------------------------------------------------
+
+
+def parse_types(type_name: str, definition: str, definition_format: str) -> Types:
+    """Return the fields of a type and of all types that it needs.
+
+    Raises:
+        DefinitionError: The definition cannot be read, or is that of another type.
+    """
+    store = typestore(type_name, definition, definition_format)
+    return {name: fields for name, (_, fields) in store.fielddefs.items()}
+
+
+@lru_cache(maxsize=256)  # the parser is slow
+def typestore(type_name: str, definition: str, definition_format: str) -> Typestore:
+    """Return the types of a definition as a store of `rosbags`, which decodes and encodes messages.
+
+    Raises:
+        DefinitionError: As in `parse_types`.
+    """
+    try:
+        types = _parsed(type_name, definition, definition_format)
+        for name in [type_name, *(n for _, fs in types.values() for _, f in fs for n in _named(f))]:
+            if name not in types:
+                raise DefinitionError(f"the definition of {name} is missing")
+        store = get_typestore(Stores.EMPTY)
+        store.register(types)
+    except DefinitionError:
+        raise
+    except (*_UNREADABLE, SyntaxError) as error:  # SyntaxError: in the code that rosbags generates
+        reason = shorten(str(error), REASON_LENGTH, placeholder=" …")
+        raise DefinitionError(f"the definition of {type_name} cannot be read: {reason}") from None
+    return store
+
+
+def _parsed(type_name: str, definition: str, definition_format: str) -> dict[str, Any]:
+    if definition_format == "ros2idl":
+        types: dict[str, Any] = {}
+        for part in definition.split(f"{SEPARATOR}\n"):
+            idl = part.split("\n", 1)[1] if part.startswith("IDL:") else part
+            types.update(get_types_from_idl(idl) if idl.strip() else {})
+        return types
+    try:
+        return dict(get_types_from_msg(without_comments(definition), type_name))
+    except _UNREADABLE:
+        return dict(get_types_from_msg(definition, type_name))
+
+
+def without_comments(definition: str) -> str:
+    """Return the lines of a definition that determine the layout, without comments and constants."""
+    lines = (line.split("#", 1)[0].strip() for line in definition.splitlines())
+    return "\n".join(line for line in lines if line and not _CONSTANT.match(line)) + "\n"
+
+
+def type_hash(type_name: str, definition: str, definition_format: str) -> str:
+    """Return the RIHS01 hash of a type; empty if `rosbags` cannot compute it.
+
+    Raises:
+        DefinitionError: As in `parse_types`.
+    """
+    store = typestore(type_name, definition, definition_format)
+    try:
+        return str(store.hash_rihs01(type_name))
+    except (TypesysError, KeyError, ValueError):
+        return ""
+
+
+def with_definition(topic: Topic, definitions: Path | None = None) -> Topic:
+    """Return the topic with a definition: its own, or the installed one if it has none.
+
+    Args:
+        topic: the topic.
+        definitions: folder of definitions, see `installed_definition`.
+
+    Raises:
+        DefinitionError: The topic has none, and the installed one is missing or has another type hash.
+    """
+    if topic.definition:
+        return topic
+    if not topic.type_name:
+        raise DefinitionError(f"{topic.name} tells neither its type nor a definition")
+    installed = topic_of(topic.name, topic.type_name, definitions=definitions)
+    if topic.type_hash not in ("", installed.type_hash):
+        raise DefinitionError(
+            f"{topic.name} carries no definition, and the {topic.type_name} "
+            f"{'that is installed' if definitions is None else f'in {definitions}'} is another one by its type "
+            f"hash; {REMEDY}"
+        )
+    metadata = dict(installed.metadata) | {"offered_qos_profiles": topic.offered_qos}
+    return Topic(
+        topic.name,
+        topic.type_name,
+        topic.count,
+        installed.definition,
+        "ros2msg",
+        topic.encoding,
+        tuple(metadata.items()),
+    )

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Atomic creation of a folder: it appears complete or not at all, even after a power cut."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from worm_model.bags.bag_errors import BagError, ExistsError
+from worm_model.bags.formats.bag_metadata import sync_directory
+
+
+@contextmanager
+def new_folder(target: Path) -> Iterator[Path]:
+    """Create a folder to fill, which becomes the target when the context ends; after an exception nothing is left.
+
+    An unfinished folder of the same target from a killed process is removed first.
+
+    Raises:
+        ExistsError: The target exists, or another process has created it in the meantime.
+        BagError: Another process is writing it at this moment.
+        OSError: The operating system does not permit to create or write it.
+    """
+    if target.exists():
+        raise ExistsError(f"{target} exists already and is not overwritten; choose another name")
+    unfinished = target.with_name(f".{target.name}.unfinished")
+    handle = _own(unfinished, target)
+    try:
+        _clear(unfinished)
+        yield unfinished
+        _synchronise(unfinished)
+        _move(unfinished, target)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        os.close(handle)
+
+
+def _own(unfinished: Path, target: Path) -> int:
+    """Create and lock the unfinished folder, and return its descriptor.
+
+    The lock ends with the process, so that the folder of a dead process is free.
+    """
+    while True:
+        unfinished.mkdir(parents=True, exist_ok=True)
+        handle = os.open(unfinished, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(handle)
+            raise BagError(
+                f"{target} is being written by another process; wait until that has ended"
+            ) from None
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(handle), unfinished.stat()):
+                return handle
+        os.close(handle)  # between mkdir and lock, its owner finished and renamed it
+
+
+def _clear(folder: Path) -> None:
+    for entry in folder.iterdir():
+        if entry.is_dir():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()
+
+
+def _synchronise(folder: Path) -> None:
+    """Write files and their names to the disk."""
+    for entry in folder.iterdir():
+        with entry.open("rb") as stream:
+            os.fsync(stream.fileno())
+    sync_directory(folder)
+
+
+def _move(unfinished: Path, target: Path) -> None:
+    try:
+        unfinished.rename(target)  # also replaces an empty folder; one with content stays
+    except OSError as error:
+        if error.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+            raise
+        raise ExistsError(f"{target} was made by somebody else meanwhile") from None
+    sync_directory(target.parent)

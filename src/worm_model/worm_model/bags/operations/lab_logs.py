@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Import of a lab's raw logs, one CSV file per instrument, as a run.
+
+A run's folder contains ``camera.csv`` (time_s, x1_m, x2_m; an empty position is an occluded marker), ``power.csv``
+(time_s, bus_voltage_V, current_A) and ``servo.csv`` (time_s, goal_ticks; positive ticks shorten the body). At least
+one of them is required. Times are s since the start of the recording. ``runs.json`` next to the folder or in it
+contains each run's gait (stroke_m, frequency_Hz; direction and margin_m if they differ from 1 and 0).
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.errors import InputError
+from worm_model.gait import GAIT_COLUMNS, GAIT_DEFAULTS, Gait, GaitError, gait_of
+from worm_model.run import (
+    RESTING,
+    RUNNING,
+    GaitStates,
+    LengthSamples,
+    PowerSamples,
+    Run,
+    Stamps,
+    TrackerSamples,
+)
+
+TICKS_PER_TURN = 4096  # Dynamixel X series, ROBOTIS e-manual
+FILES = {
+    "camera.csv": ("time_s", "x1_m", "x2_m"),
+    "power.csv": ("time_s", "bus_voltage_V", "current_A"),
+    "servo.csv": ("time_s", "goal_ticks"),
+}
+GAITS_FILE = "runs.json"
+USUAL_ONSET = 2.0  # s, used if the logs do not show the onset
+USUAL_SPOOL = 0.012  # m, used if the logs do not show the spool radius
+SPOOL_TOLERANCE = 2e-3  # relative; beyond it a radius and a stroke contradict each other
+FEWEST_MOVED = 10  # samples that are necessary to estimate the onset
+FEWEST_TICKS = 200  # range of the goal from which the radius is known to half a percent
+
+
+class LabError(InputError):
+    """Lab folder that cannot be used; the message is one line with place and reason."""
+
+
+@dataclass(frozen=True)
+class LabSettings:
+    """Data that the logs do not contain.
+
+    Attributes:
+        epoch: stamp of t = 0, ns since the epoch.
+        onset: start of the gait, s; None: the time at which the servo's goal leaves its first value.
+        spool_radius: spool radius of the cable servo, m; None: the radius for which its goals give the gait's stroke.
+        initial_length: L0, m; None: the camera's median before the onset, else `fallback_length`.
+        fallback_length: L0 if no camera measured the body at rest, m.
+    """
+
+    epoch: int
+    onset: float | None = None
+    spool_radius: float | None = None
+    initial_length: float | None = None
+    fallback_length: float = 0.2952
+
+
+@dataclass(frozen=True)
+class Transmission:
+    """``onset`` in s, ``spool_radius`` in m, and ``remarks`` that explain the source of both."""
+
+    onset: float
+    spool_radius: float
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class LabRun:
+    """Imported run of a lab.
+
+    Attributes:
+        run: its samples.
+        gait: the gait of the run; None if the folder does not contain it.
+        initial_length: L0, the reference of the length changes, m.
+        checksums: SHA-256 of the source files, by name.
+        transmission: onset and spool radius, given or estimated.
+    """
+
+    run: Run
+    gait: Gait | None
+    initial_length: float
+    checksums: Mapping[str, str]
+    transmission: Transmission
+
+
+def read_lab_run(folder: Path, settings: LabSettings) -> LabRun:
+    """Read a run's folder.
+
+    Raises:
+        LabError: A file is missing or does not have the format described above.
+    """
+    if not folder.is_dir():
+        raise LabError(f"{folder} is not a folder; expected one with {', '.join(FILES)}")
+    tables = {
+        name: read_table(folder / name, columns)
+        for name, columns in FILES.items()
+        if (folder / name).exists()
+    }
+    if not tables:
+        raise LabError(f"{folder} holds none of {', '.join(FILES)}")
+    gait = read_gait(folder)
+    transmission = _transmission(tables.get("servo.csv"), gait, settings)
+    length = _initial_length(tables.get("camera.csv"), settings, transmission.onset)
+    end = max(table["time_s"][-1] for table in tables.values())
+    series: dict[str, Any] = {}
+    if (servo := tables.get("servo.csv")) is not None:
+        series["commanded"] = _commanded(servo, length, settings, transmission.spool_radius)
+    if (camera := tables.get("camera.csv")) is not None:
+        series["measured"] = _measured(camera, length, settings)
+        positions = camera["x1_m"], camera["x2_m"]
+        series["tracker"] = TrackerSamples(_stamp(camera, settings), *positions)
+    if (power := tables.get("power.csv")) is not None:
+        series["power"] = _power(power, settings)
+    if gait is not None:
+        series["gait_state"] = _gait_states(gait, end, settings, transmission.onset)
+    run = Run(origin=settings.epoch, **series)
+    checksums = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in tables}
+    return LabRun(run, gait, length, checksums, transmission)
+
+
+def _transmission(table: Table | None, gait: Gait | None, settings: LabSettings) -> Transmission:
+    """Return the given onset and radius, or those estimated from the servo's log, or else the usual ones.
+
+    A remark reports a given radius that contradicts the log.
+    """
+    remarks = []
+    command_onset = _onset_of(table, gait) if table is not None else None
+    onset = settings.onset
+    if onset is None:
+        onset = USUAL_ONSET if command_onset is None else command_onset
+        source = "assumed" if command_onset is None else "where the servo's goal begins to move"
+        remarks.append(f"gait from {onset:.2f} s on, {source}")
+    spool = _spool_of(table, gait) if table is not None and gait is not None else None
+    radius = settings.spool_radius
+    if radius is None:
+        radius = USUAL_SPOOL if spool is None else spool
+        source = "assumed" if spool is None else "with which the servo's goals play the stroke"
+        remarks.append(f"spool radius {1e3 * radius:.2f} mm, {source}")
+    elif spool is not None and abs(radius / spool - 1.0) > SPOOL_TOLERANCE:
+        remarks.append(
+            f"spool radius {1e3 * radius:.2f} mm as given, but the servo's goals play the stroke of the gait with "
+            f"{1e3 * spool:.2f} mm: one of them is wrong, and K is off by as much"
+        )
+    return Transmission(onset, radius, tuple(remarks))
+
+
+def _onset_of(table: Table, gait: Gait | None) -> float | None:
+    """Return the time at which the goal begins to move, s; None if it never does.
+
+    With a known gait, the first samples are extrapolated back along the cosine of the command, which begins as a
+    parabola.
+    """
+    moved = np.abs(table["goal_ticks"] - table["goal_ticks"][0])
+    rows = np.flatnonzero(moved > 0.5)[:FEWEST_MOVED]
+    if rows.size < FEWEST_MOVED:
+        return None
+    if gait is None:
+        return float(table["time_s"][rows[0]])
+    share = np.minimum(moved[rows] / np.nanmax(moved), 1.0)
+    since = np.arccos(1.0 - 2.0 * share) / (2.0 * math.pi * gait.frequency)
+    return float(np.median(table["time_s"][rows] - since))
+
+
+def _spool_of(table: Table, gait: Gait) -> float | None:
+    """Return the radius (m) for which the goals give a stroke, or None if the log is too short.
+
+    The radius is rounded to a tenth of a millimetre if the rounding of the goals permits this value.
+    """
+    ticks = float(np.ptp(table["goal_ticks"][np.isfinite(table["goal_ticks"])]))
+    time = table["time_s"]
+    enough = time.size >= FEWEST_MOVED and ticks >= FEWEST_TICKS
+    if not enough or time[-1] - time[0] < gait.period:
+        return None
+    low, middle, high = (
+        gait.stroke / (2.0 * math.pi * (ticks + rounding) / TICKS_PER_TURN)
+        for rounding in (1.0, 0.0, -1.0)
+    )
+    whole = round(middle, 4)
+    return whole if low <= whole <= high else middle
+
+
+Table = Mapping[str, NDArray[np.float64]]
+
+
+def read_table(path: Path, columns: tuple[str, ...]) -> Table:
+    """Return the columns of a CSV file by name; an empty cell is NaN. The first column is the time, which must rise.
+
+    Raises:
+        LabError: A column is missing, a cell is not a number, or the time does not rise.
+    """
+    table = read_columns(path, columns)
+    time = table[columns[0]]
+    wrong = np.flatnonzero(~(np.diff(time) > 0.0))
+    if not np.isfinite(time).all() or len(wrong):
+        line = int(wrong[0]) + 3 if len(wrong) else 2
+        raise LabError(f"{path}, near line {line}: {columns[0]} does not rise")
+    return table
+
+
+def read_columns(path: Path, columns: tuple[str, ...]) -> Table:
+    """Return the columns of a CSV file by name; an empty cell is NaN. The order of the rows does not matter.
+
+    Raises:
+        LabError: A column is missing, there are no rows, or a cell is not a number.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.DictReader(stream)
+            header = [name.strip() for name in reader.fieldnames or []]
+            reader.fieldnames = header
+            missing = [name for name in columns if name not in header]
+            if missing:
+                raise LabError(
+                    f"{path} has no column {missing[0]}; its first line is {','.join(header)!r}"
+                )
+            rows = [
+                [_number(row[name], path, reader.line_num, name) for name in columns]
+                for row in reader
+            ]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise LabError(f"{path} cannot be read: {error}") from None
+    if not rows:
+        raise LabError(f"{path} has no rows")
+    values = np.array(rows)
+    return {name: values[:, index] for index, name in enumerate(columns)}
+
+
+def _number(text: str | None, path: Path, line: int, name: str) -> float:
+    if text is None:
+        raise LabError(f"{path}, line {line}: {name} is missing: the line is cut off")
+    try:
+        value = float(text) if text.strip() else math.nan
+    except ValueError:
+        raise LabError(f"{path}, line {line}: {name} is {text!r}, not a number") from None
+    if math.isinf(value):
+        raise LabError(f"{path}, line {line}: {name} is infinite")
+    return value
+
+
+def read_gait(folder: Path) -> Gait | None:
+    """Return the gait of a run's folder from runs.json, None without such a file.
+
+    Raises:
+        LabError: runs.json lacks the run, or its gait is invalid.
+    """
+    path = next(
+        (p for p in (folder / GAITS_FILE, folder.resolve().parent / GAITS_FILE) if p.is_file()),
+        None,
+    )
+    if path is None:
+        return None
+    name = folder.resolve().name
+    try:
+        entry: Any = json.loads(path.read_text(encoding="utf-8"))[name]
+        given = {
+            name: entry[column]
+            for name, column in GAIT_COLUMNS.items()
+            if name not in GAIT_DEFAULTS or column in entry
+        }
+        return gait_of(given)
+    except KeyError as error:
+        raise LabError(f"{path} lacks {error} of {name}") from None
+    except GaitError as error:
+        raise LabError(f"{path}: the gait of {name} is not one: {error}") from None
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise LabError(f"{path} is not a list of gaits by run: {error}") from None
+
+
+def _initial_length(camera: Table | None, settings: LabSettings, onset: float) -> float:
+    if settings.initial_length is not None:
+        return settings.initial_length
+    if camera is not None:
+        at_rest = camera["time_s"] < onset
+        lengths = (camera["x2_m"] - camera["x1_m"])[at_rest]
+        known = lengths[np.isfinite(lengths)]
+        if len(known):
+            return float(np.median(known))
+    return settings.fallback_length
+
+
+def _stamp(table: Table, settings: LabSettings) -> Stamps:
+    nanoseconds: Stamps = np.rint(table["time_s"] * 1e9).astype(np.int64)
+    return nanoseconds + settings.epoch
+
+
+def _commanded(
+    table: Table, initial_length: float, settings: LabSettings, radius: float
+) -> LengthSamples:
+    turns = table["goal_ticks"] / TICKS_PER_TURN
+    change = -turns * 2.0 * math.pi * radius
+    present = np.isfinite(change)
+    stamp = _stamp(table, settings)
+    return LengthSamples(stamp[present], initial_length + change[present], change[present])
+
+
+def _measured(table: Table, initial_length: float, settings: LabSettings) -> LengthSamples:
+    """Return the length samples as the tracker publishes them; an occluded marker gives no sample."""
+    length = table["x2_m"] - table["x1_m"]
+    known = np.isfinite(length)
+    stamp = _stamp(table, settings)
+    return LengthSamples(stamp[known], length[known], length[known] - initial_length)
+
+
+def _power(table: Table, settings: LabSettings) -> PowerSamples:
+    voltage, current = table["bus_voltage_V"], table["current_A"]
+    power = voltage * current
+    bus_error = 3  # Power.BUS_ERROR, for a line of the log without a reading
+    status = np.where(np.isfinite(power), 0, bus_error)
+    return PowerSamples(_stamp(table, settings), status.astype(np.int64), voltage, current, power)
+
+
+def _gait_states(gait: Gait, end: float, settings: LabSettings, onset: float) -> GaitStates:
+    """Return the states that the driver would publish: at rest from the start, then one at each cycle's start."""
+    cycles = max(math.ceil((end - onset) * gait.frequency), 0)
+    begins = onset + np.arange(cycles) / gait.frequency
+    times = np.concatenate([[0.0], begins])
+    stamp: Stamps = np.rint(times * 1e9).astype(np.int64) + settings.epoch
+    count = len(times)
+    cycle = np.arange(count)
+    onset_ns = settings.epoch + round(onset * 1e9)
+    return GaitStates.of(
+        gait,
+        stamp,
+        state=np.where(cycle == 0, RESTING, RUNNING),
+        onset=np.where(cycle == 0, 0, onset_ns),
+        cycle=cycle,
+        cycles=np.full(count, cycles),
+    )

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of a bag as tables, one row per message and one column per field, read in batches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from worm_model.bags.bag import Bag
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.cdr import ColumnBuilder, Columns
+from worm_model.bags.formats.message_block import Messages, Topic
+
+LOG_TIME = "log_time_ns"
+TEXT = "text"
+SECONDS, NANOSECONDS = ".sec", ".nanosec"
+MOST_ELEMENTS = 256  # of an array with one column per element; an image is one column of lists
+
+Kind = str  # numpy's name of a number type, or TEXT
+Rows = Mapping[str, list[Any]]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of a topic in their order. A time is one column in ns; an array has one column per element.
+
+    Attributes:
+        topic: topic whose messages are the rows.
+        kinds: kind of the columns with one value per row, by name.
+        lists: kind of the elements of the columns with an array of more than MOST_ELEMENTS per row, by name.
+    """
+
+    topic: Topic
+    kinds: Mapping[str, Kind]
+    lists: Mapping[str, Kind]
+
+
+@dataclass
+class _Field:
+    """Values of a topic's field: `width` is None for one value, else the largest number of elements of an array."""
+
+    kind: Kind
+    width: int | None
+    values: list[Any]
+
+    def joined(self, other: _Field) -> _Field:
+        """Return an empty field with the kind and width that can represent both."""
+        texts = TEXT in (self.kind, other.kind)
+        kind = TEXT if texts else str(np.result_type(self.kind, other.kind))
+        widths = [width for width in (self.width, other.width) if width is not None]
+        return _Field(kind, max(widths, default=None), [])
+
+    @property
+    def is_list(self) -> bool:
+        """True if the field is too wide for one column per element."""
+        return (self.width or 0) > MOST_ELEMENTS
+
+    def columns(self, path: str, width: int | None) -> Iterator[tuple[str, list[Any]]]:
+        """Yield one column, or one column for each of ``width`` elements."""
+        if width is None or width > MOST_ELEMENTS:
+            yield path, self.values
+            return
+        for i in range(width):
+            yield f"{path}[{i}]", [_element(value, i) for value in self.values]
+
+
+def find_tables(bag: Bag, topics: Iterable[str]) -> tuple[list[Table], dict[str, BagError]]:
+    """Return the tables of some topics, and the errors of the others by name.
+
+    The whole bag is read once, because sequences may grow within it.
+    """
+    fields: dict[str, dict[str, _Field]] = {name: {} for name in topics}
+    failed: dict[str, BagError] = {}
+    for block in bag.blocks(fields):
+        for name, messages in block.by_topic():
+            if name in failed:
+                continue
+            try:
+                read = _fields(messages)
+            except BagError as error:
+                failed[name] = error
+                continue
+            for path, new in read.items():
+                known = fields[name].get(path)
+                fields[name][path] = new.joined(known or new)
+    tables = [_table(bag.topics[name], fields[name]) for name in fields if name not in failed]
+    return [table for table in tables if table.kinds], failed
+
+
+def _table(topic: Topic, fields: Mapping[str, _Field]) -> Table:
+    kinds = {
+        column: known.kind
+        for path, known in fields.items()
+        if not known.is_list
+        for column, _ in known.columns(path, known.width)
+    }
+    return Table(topic, kinds, {p: known.kind for p, known in fields.items() if known.is_list})
+
+
+def read_tables(bag: Bag, tables: Iterable[Table]) -> Iterator[tuple[Table, Rows]]:
+    """Yield the rows of tables in batches: lists by column name, None if a message lacks the field."""
+    by_topic = {table.topic.name: table for table in tables}
+    for block in bag.blocks(by_topic):
+        for name, messages in block.by_topic():
+            table = by_topic[name]
+            columns_read: dict[str, list[Any]] = {}
+            for path, here in _fields(messages).items():
+                width = MOST_ELEMENTS + 1 if path in table.lists else here.width
+                columns_read.update(here.columns(path, width))
+            missing = [None] * len(messages)
+            yield table, {n: columns_read.get(n, missing) for n in (*table.kinds, *table.lists)}
+
+
+def _fields(messages: Messages) -> dict[str, _Field]:
+    """Return kind, width and values of the fields of messages."""
+    builder = ColumnBuilder()
+    builder.add(messages)
+    columns = builder.columns()
+    fields_read = {LOG_TIME: _Field("int64", None, messages.log_time.tolist())}
+    for path, values in columns.numbers.items():
+        stem = path.removesuffix(SECONDS).removesuffix(NANOSECONDS)
+        if stem + SECONDS in columns.numbers and stem + NANOSECONDS in columns.numbers:
+            fields_read[f"{stem}_ns"] = _Field("int64", None, _nanoseconds(columns, stem))
+        else:
+            fields_read[path] = _number_field(values)
+    for path, texts in columns.texts.items():
+        fields_read[path] = _Field(TEXT, None, list(texts))
+    return fields_read
+
+
+def _nanoseconds(columns: Columns, stem: str) -> list[Any]:
+    """Return times as Python integers, which do not overflow like the type of the seconds."""
+    seconds, rest = columns.numbers[stem + SECONDS], columns.numbers[stem + NANOSECONDS]
+    pairs = zip(seconds.tolist(), rest.tolist(), strict=True)
+    return [
+        None if whole is None or part is None else int(whole) * 10**9 + int(part)
+        for whole, part in pairs
+    ]
+
+
+def _number_field(values: np.ndarray[Any, Any]) -> _Field:
+    if values.dtype != object:
+        width = None if values.ndim == 1 else values.shape[1]
+        return _Field(str(values.dtype), width, values.tolist() if width is None else list(values))
+    present = [value for value in values if value is not None]
+    kind = str(np.result_type(*(np.asarray(value) for value in present))) if present else "float64"
+    arrays = [np.size(value) for value in present if np.ndim(value)]
+    return _Field(kind, max(arrays, default=None), list(values))
+
+
+def _element(value: Any, index: int) -> Any:
+    """Return an element of a message's field, None if it has no such element."""
+    if value is None or np.size(value) <= index:
+        return None
+    return np.ravel(value)[index].item()

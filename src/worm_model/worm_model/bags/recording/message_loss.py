@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Counter of a topic's lost messages, based on the publishers' sequence numbers.
+
+The middleware numbers the messages of each publisher (1, 2, 3, …) but does not identify the publisher of a number.
+The number of lost messages is the progress of all publishers minus the number of received messages. It does not
+depend on the assignment of similar numbers to publishers. Only a publisher that joins late must not be mistaken for a
+jump of an older one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+
+class LossCounter:
+    """Loss of one topic.
+
+    Args:
+        publishers: returns the present number of publishers of the topic; called only for a number out of sequence.
+
+    Attributes:
+        lost: messages sent between two received ones.
+        missed: messages that later publishers sent before the first received one.
+    """
+
+    def __init__(self, publishers: Callable[[], int]) -> None:
+        self._publishers = publishers
+        self._heard = 0
+        self._unheard = 0
+        self._last: list[
+            int
+        ] = []  # last number of each publisher, the least recently received first
+        self.lost = 0
+        self.missed = 0
+
+    def expect(self, publishers: int) -> None:
+        """Set the number of publishers from before the recording; their earlier messages do not count as missed."""
+        self._unheard = max(publishers - self._heard, 0)
+
+    def observe(self, sequence: int) -> None:
+        """Record a received message's sequence number (counted by its publisher, from 1)."""
+        if sequence - 1 in self._last:  # the usual case
+            self._last.remove(sequence - 1)
+        else:
+            self._out_of_turn(sequence)
+        self._last.append(sequence)
+
+    def _out_of_turn(self, sequence: int) -> None:
+        """Process a number out of sequence: a publisher is new or has restarted, or messages were lost."""
+        publishers = max(self._publishers(), 1)
+        earlier = [last for last in self._last if last < sequence]
+        if earlier and len(self._last) >= publishers:
+            self.lost += sequence - max(earlier) - 1
+            self._last.remove(max(earlier))
+        else:
+            self.missed += 0 if self._unheard else sequence - 1
+            self._heard += 1
+            self._unheard = max(self._unheard - 1, 0)
+        while len(self._last) >= publishers:  # numbers of publishers that have ended
+            self._last.pop(0)

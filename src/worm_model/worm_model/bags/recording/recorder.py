@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorder of raw CDR messages into a bag that stays readable if the recorder is killed.
+
+Each call of `sync` closes, flushes and fsyncs the open chunk. ``kill -9`` or a power cut then loses only the messages
+since the last call. A bag has a provisional metadata.yaml from the start; `worm_model recover` completes the bag of a
+killed recorder. Nothing is ever overwritten.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from worm_model.bags.bag import AttachedFile
+from worm_model.bags.bag_errors import ExistsError
+from worm_model.bags.formats.bag_metadata import sync_directory
+from worm_model.bags.formats.bag_writer import BagFiles, WriteOptions
+
+STATE = "state"  # key in the bag's custom_data
+UNFINISHED, CLOSED = "being recorded", "closed"
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """Data of a run in addition to its messages, repeated in every file of a bag.
+
+    Attributes:
+        metadata: MCAP metadata records by name, each with text by key.
+        attachments: files stored in the bag.
+    """
+
+    metadata: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    attachments: tuple[AttachedFile, ...] = ()
+
+
+class BagRecorder(BagFiles):
+    """Bag that is being recorded. Not thread-safe: one thread writes.
+
+    Args:
+        directory: the bag, a directory that must not exist.
+        manifest: content of every file of the bag.
+        options: options of writing.
+
+    Raises:
+        ExistsError: The directory exists.
+        OSError: It cannot be created or written.
+    """
+
+    def __init__(self, directory: Path, manifest: Manifest, options: WriteOptions) -> None:
+        try:
+            directory.mkdir(parents=True)
+        except FileExistsError:
+            raise ExistsError(
+                f"{directory} exists already and is not overwritten; choose another name"
+            ) from None
+        super().__init__(directory, directory.name, options, {STATE: UNFINISHED})
+        for name, values in manifest.metadata.items():
+            self.add_metadata(name, values)
+        for attached in manifest.attachments:
+            self.add_attachment(attached)
+        super().sync()
+        self.describe()
+        sync_directory(directory.parent)
+
+    def sync(self) -> None:
+        """Write all messages to the disk.
+
+        Raises:
+            FileNotFoundError: The bag was removed, and its content is lost.
+            OSError: The disk is full or missing.
+        """
+        super().sync()
+        if not self._file.is_there:
+            raise FileNotFoundError(
+                errno.ENOENT, "it was removed while it was recorded", str(self.directory)
+            )
+
+    def close(self) -> None:
+        """Finish the bag: index, summary and the final metadata.yaml.
+
+        Raises:
+            OSError: The disk is full or missing; the bag then requires `worm_model recover`.
+        """
+        self.custom = {STATE: CLOSED}
+        self.sync()
+        self.finish()

@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands to a running recorder: start, stop, pause, resume, split, snapshot."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from operator import methodcaller
+from pathlib import Path
+
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_metadata import first_qos_profile
+from worm_model.bags.formats.bag_writer import WriteOptions
+from worm_model.bags.formats.message_block import Message, Topic
+from worm_model.bags.opening import is_unclosed
+from worm_model.bags.recording.recorder import BagRecorder, Manifest
+from worm_model.bags.recording.recording_thread import RecordingThread, Tally
+
+BACKLOG_BYTES = 100 * 2**20  # rosbag2's cache size; also the limit of a ring
+
+
+@dataclass(frozen=True)
+class SessionOptions:
+    """Content and location of a recording.
+
+    Attributes:
+        output: the first bag. The next ones get numbers from 2 on, snapshots ``_snapshot_1`` and so on.
+        manifest: returns the manifest of a bag that begins now.
+        write: options of writing.
+        sync_s: longest time between synchronisations, s.
+        ring_s: length of the ring in memory, s, which is written only on request; 0: all messages are written
+            immediately.
+    """
+
+    output: Path
+    manifest: Callable[[], Manifest]
+    write: WriteOptions = field(default_factory=WriteOptions)
+    sync_s: float = 0.5
+    ring_s: float = 0.0
+
+
+class RecordingSession:
+    """Sequence of the bags of a recorder. Not thread-safe: one thread calls it.
+
+    Raises:
+        BagError: In `start` and other methods that begin a bag, if the bag exists.
+        OSError: In the same methods, if the bag cannot be created.
+    """
+
+    def __init__(self, options: SessionOptions) -> None:
+        self.options = options
+        self.is_paused = False
+        self.bags: list[Path] = []
+        self._threads: list[RecordingThread] = []
+        self._current: RecordingThread | None = None
+        self._ring = _Ring(round(options.ring_s * 1e9))
+        self._numbers = {"": 0, "_snapshot": 0}
+        self._notes: dict[str, Mapping[str, str]] = {}
+        self._topics: dict[Topic, None] = {}
+        if not options.ring_s:
+            self.start()
+
+    @property
+    def error(self) -> Exception | None:
+        """Error that ended the writing of a bag early, or None."""
+        return next((t.error for t in self._threads if t.error is not None), None)
+
+    @property
+    def failed(self) -> Path | None:
+        """Bag whose writing ended early, or None."""
+        return next((t.directory for t in self._threads if t.error is not None), None)
+
+    @property
+    def offered(self) -> Tally:
+        """Messages passed on for writing."""
+        return sum((thread.offered for thread in self._threads), Tally())
+
+    @property
+    def dropped(self) -> Tally:
+        """Messages of these that were not written to the disk."""
+        return sum((thread.dropped for thread in self._threads), Tally())
+
+    def offer(self, messages: Sequence[Message]) -> None:
+        """Record messages, unless the recording is paused or stopped; never block."""
+        if self.is_paused or not messages:
+            return
+        if self.options.ring_s:
+            self._ring.add(messages)
+        elif self._current is not None:
+            self._current.offer(messages)
+
+    def know(self, topics: Iterable[Topic]) -> None:
+        """Add topics, which the present and the following bags list even without messages."""
+        new = [topic for topic in topics if topic not in self._topics]
+        self._topics.update(dict.fromkeys(new))
+        if self._current is not None:
+            for topic in new:
+                self._current.act(methodcaller("add_topic", topic))
+
+    def note(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a metadata record to the present and the following bags."""
+        self._notes[name] = values
+        if self._current is not None:
+            self._current.act(methodcaller("add_metadata", name, values))
+
+    def start(self) -> str:
+        """Begin a bag, or continue a paused one."""
+        if self.options.ring_s:
+            return self.resume()
+        if self._current is None:
+            self._current = self._begin("")
+        self.is_paused = False
+        return f"recording to {self._current.directory}"
+
+    def stop(self) -> str:
+        """End the bag; `start` begins another one."""
+        if self._current is None:
+            raise BagError("nothing is being recorded")
+        directory = self._current.directory
+        self._current.finish()
+        self._current = None
+        return f"{directory} is closed"
+
+    def pause(self) -> str:
+        """Discard messages until `resume`."""
+        self.is_paused = True
+        return "paused"
+
+    def resume(self) -> str:
+        """Record messages again."""
+        self.is_paused = False
+        return "recording"
+
+    def split(self) -> str:
+        """Continue in a new file of the bag."""
+        if self._current is None:
+            raise BagError("nothing is being recorded")
+        self._current.act(BagRecorder.split)
+        return f"{self._current.directory} goes on in a new file"
+
+    def snapshot(self) -> str:
+        """Write the content of the ring into a separate bag."""
+        if not self.options.ring_s:
+            raise BagError("there is no ring: record with --snapshot S")
+        messages = self._ring.take()
+        if not messages:
+            raise BagError("nothing has been received since the last snapshot")
+        thread = self._begin("_snapshot")
+        thread.offer(messages)
+        thread.finish()
+        return f"the last {self.options.ring_s:g} s are written to {thread.directory}"
+
+    def close(self) -> None:
+        """End all bags and wait for their threads."""
+        if self._current is not None:
+            self._current.finish()
+            self._current = None
+        for thread in self._threads:
+            thread.close()
+
+    def _begin(self, kind: str) -> RecordingThread:
+        self._numbers[kind] += 1
+        number = self._numbers[kind]
+        output = self.options.output
+        suffix = kind if number == 1 and not kind else f"{kind}_{number}"
+        directory = Path(f"{output}{suffix}")
+        recorder = BagRecorder(directory, self.options.manifest(), self.options.write)
+        for name, values in self._notes.items():
+            recorder.add_metadata(name, values)
+        for topic in self._topics:
+            recorder.add_topic(topic)
+        limit = BACKLOG_BYTES * (2 if kind else 1)  # a ring is written all at once
+        thread = RecordingThread(recorder, self.options.sync_s, limit)
+        self._threads.append(thread)
+        self.bags.append(directory)
+        return thread
+
+
+def after_crash(output: Path) -> Path:
+    """Return the first of OUTPUT, OUTPUT_2, OUTPUT_3 and so on that is not an unclosed bag."""
+    number, directory = 1, output
+    while directory.is_dir() and is_unclosed(directory):
+        number += 1
+        directory = Path(f"{output}_{number}")
+    return directory
+
+
+class _Ring:
+    """Messages of the last ``length_ns``, at most BACKLOG_BYTES, and the last older one of each latched topic."""
+
+    def __init__(self, length_ns: int) -> None:
+        self._length_ns = length_ns
+        self._bytes = 0
+        self._messages: deque[Message] = deque()
+        self._latched: dict[str, Message] = {}
+
+    def add(self, messages: Sequence[Message]) -> None:
+        """Append messages in the order of reception and remove the oldest ones."""
+        self._messages.extend(messages)
+        self._bytes += sum(len(message.data) for message in messages)
+        oldest = self._messages[-1].log_time - self._length_ns
+        while self._messages and (
+            self._messages[0].log_time < oldest or self._bytes > BACKLOG_BYTES
+        ):
+            gone = self._messages.popleft()
+            self._bytes -= len(gone.data)
+            if is_latched(gone.channel):
+                self._latched[gone.topic] = gone
+
+    def take(self) -> list[Message]:
+        """Return all messages and empty the ring, except for the latched messages."""
+        if not self._messages:
+            return []
+        messages = [*self._latched.values(), *self._messages]
+        self._latched |= {m.topic: m for m in self._messages if is_latched(m.channel)}
+        self._messages.clear()
+        self._bytes = 0
+        return messages
+
+
+def is_latched(topic: Topic) -> bool:
+    """Return True if a topic was published with transient-local durability, for later subscribers."""
+    durability = first_qos_profile(topic).get("durability")
+    return durability in ("transient_local", 1)  # a number before version 9 of metadata.yaml

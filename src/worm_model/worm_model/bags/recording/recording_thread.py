@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Thread that writes a bag, so that a slow disk never delays the reception of messages."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from worm_model.bags.formats.message_block import Message
+from worm_model.bags.recording.recorder import BagRecorder
+
+
+@dataclass
+class Tally:
+    """Number of messages and size of their payload, bytes."""
+
+    messages: int = 0
+    bytes: int = 0
+
+    def add(self, batch: Sequence[Message]) -> None:
+        """Count the messages of a batch."""
+        self.messages += len(batch)
+        self.bytes += sum(len(message.data) for message in batch)
+
+    def __add__(self, other: Tally) -> Tally:
+        return Tally(self.messages + other.messages, self.bytes + other.bytes)
+
+
+Act = Callable[[BagRecorder], None]
+
+
+class RecordingThread:
+    """Thread that writes messages, synchronises regularly, and closes the bag at the end.
+
+    Args:
+        recorder: the bag; from now on only the thread uses it.
+        sync_s: longest time between synchronisations, s.
+        backlog_bytes: payload that may wait for the disk; messages beyond it are dropped and counted.
+
+    Attributes:
+        offered: messages passed to `offer`.
+        dropped: messages of these that are not in the bag. After an error they include those not synchronised, some
+            of which a recovery may still find, and all of them if the bag was removed.
+        error: error that ended the writing early.
+    """
+
+    def __init__(self, recorder: BagRecorder, sync_s: float, backlog_bytes: int) -> None:
+        self.directory = recorder.directory
+        self._recorder = recorder
+        self._sync_s = sync_s
+        self._backlog_limit = backlog_bytes
+        self._backlog = 0
+        self._accounting = threading.Lock()
+        self._unsynchronised: list[Sequence[Message]] = []
+        self._synchronised = Tally()
+        self._queue: queue.SimpleQueue[Sequence[Message] | Act | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="bag writer")
+        self.offered = Tally()
+        self.dropped = Tally()
+        self.error: Exception | None = None
+        self._thread.start()
+
+    def offer(self, batch: Sequence[Message]) -> None:
+        """Queue messages for writing; never block."""
+        size = sum(len(message.data) for message in batch)
+        with self._accounting:
+            self.offered.add(batch)
+            if self.error is not None or self._backlog + size > self._backlog_limit:
+                self.dropped.add(batch)
+                return
+            self._backlog += size
+            self._queue.put(batch)
+
+    def act(self, act: Act) -> None:
+        """Queue another operation on the bag, after the messages offered so far."""
+        self._queue.put(act)
+
+    def finish(self) -> None:
+        """Let the thread write the queued messages and close the bag, without waiting for it."""
+        self._queue.put(None)
+
+    def close(self) -> None:
+        """Write the queued messages, close the bag, and wait for it; `error` is then None on success."""
+        self.finish()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self._write_all()
+            self._recorder.close()
+        except Exception as error:  # noqa: BLE001 - any error ends the recording
+            self._recorder.abandon()
+            with self._accounting:  # from now on, `offer` drops messages
+                self.error = error
+                if isinstance(error, FileNotFoundError):
+                    self.dropped += self._synchronised  # lost with the folder
+                for batch in [*self._unsynchronised, *self._waiting()]:
+                    self.dropped.add(batch)
+
+    def _write_all(self) -> None:
+        due = time.monotonic() + self._sync_s
+        while True:
+            try:
+                item = self._queue.get(timeout=max(due - time.monotonic(), 0.0))
+            except queue.Empty:
+                item = ()
+            if item is None:
+                return
+            if callable(item):
+                item(self._recorder)
+            else:
+                self._write(item)
+            if time.monotonic() >= due:
+                self._recorder.sync()
+                for written in self._unsynchronised:
+                    self._synchronised.add(written)
+                self._unsynchronised.clear()
+                due = time.monotonic() + self._sync_s
+
+    def _write(self, batch: Sequence[Message]) -> None:
+        self._unsynchronised.append(batch)
+        self._recorder.write_all(batch)
+        with self._accounting:
+            self._backlog -= sum(len(message.data) for message in batch)
+
+    def _waiting(self) -> Iterator[Sequence[Message]]:
+        """Yield the queued messages, which will not be written."""
+        while not self._queue.empty():
+            item = self._queue.get()
+            if item is not None and not callable(item):
+                yield item

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Data of a run that a bag stores in addition to the messages: parameters, seed, versions, notes."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import yaml
+
+from worm_model.bags.bag import AttachedFile, Bag
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.recording.recorder import Manifest
+from worm_model.errors import printable
+from worm_model.parameters import ParameterError, ParameterFile, parse_parameter_file
+
+RUN_RECORD = "worm_run"
+HOST = "host"  # key of the computer's name
+GAIT_RECORD = "worm_gait"
+PARAMETER_ATTACHMENT = "parameters.yaml"
+VERSIONED = (
+    "worm_driver",
+    "worm_model",
+    "worm_optimizer",
+    "worm_msgs",
+    "rclpy",
+    "mcap",
+    "dynamixel-sdk",
+    "numpy",
+)
+
+
+class ManifestError(BagError):
+    """Note or parameter file that cannot be used."""
+
+
+def run_manifest(
+    parameter_file: Path | None,
+    seed: int | None,
+    notes: Sequence[str],
+    command: Sequence[str],
+    now_ns: int,
+) -> Manifest:
+    """Return the manifest of a run that begins now.
+
+    Args:
+        parameter_file: stored completely, with its hash; None: the run has none and uses the paper's values.
+        seed: seed of the run's random numbers; None: there is none.
+        notes: further entries as ``key=value``.
+        command: the command line of the recorder.
+        now_ns: the time, ns since the epoch.
+
+    Raises:
+        ManifestError: A note is not ``key=value``, or the parameter file cannot be read.
+    """
+    attachments: tuple[AttachedFile, ...] = ()
+    record = {
+        "recorded_at": datetime.fromtimestamp(now_ns / 1e9, tz=timezone.utc).isoformat(
+            timespec="seconds"
+        ),
+        "command": printable(" ".join([Path(command[0]).name, *command[1:]])),
+        HOST: platform.node(),
+        "seed": "" if seed is None else str(seed),
+        "parameter_file": "",
+        "parameter_sha256": "",
+        **_versions(),
+        **_notes(notes),
+    }
+    if parameter_file is not None:
+        data = _read(parameter_file)
+        attachments = (AttachedFile(PARAMETER_ATTACHMENT, "application/yaml", data),)
+        record["parameter_file"] = printable(str(parameter_file))
+        record["parameter_sha256"] = hashlib.sha256(data).hexdigest()
+    return Manifest({RUN_RECORD: record}, attachments)
+
+
+def recorded_parameters(bag: Bag) -> ParameterFile | None:
+    """Return the parameter file inside a bag, None without one.
+
+    Raises:
+        ManifestError: It cannot be used, or there are several different ones, as in merged bags.
+    """
+    texts = {file.data for file in bag.attachments() if file.name == PARAMETER_ATTACHMENT}
+    if not texts:
+        return None
+    if len(texts) > 1:
+        raise ManifestError(
+            f"{bag.path}: its runs were recorded with different parameter files; give --parameters FILE for all of them"
+        )
+    try:
+        return parse_parameter_file(yaml.safe_load(texts.pop()))
+    except (ParameterError, yaml.YAMLError) as error:
+        raise ManifestError(
+            f"{bag.path}: its parameter file cannot be used ({error}); give --parameters"
+        ) from None
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ManifestError(f"cannot read the parameter file {path}: {error.strerror}") from None
+
+
+def _notes(notes: Sequence[str]) -> Mapping[str, str]:
+    texts = {}
+    for note in notes:
+        key, separator, value = note.partition("=")
+        if not key or not separator:
+            raise ManifestError(f"a note is written KEY=VALUE, not {note!r}")
+        if not is_text(note):
+            raise ManifestError(f"a note is not UTF-8 text: {note!r}")
+        texts[f"note.{key}"] = value
+    return texts
+
+
+def is_text(text: str) -> bool:
+    """Return True if a text can be written as UTF-8; an argument with invalid bytes cannot."""
+    return not any("\ud800" <= character <= "\udfff" for character in text)
+
+
+def _versions() -> Mapping[str, str]:
+    versions = {
+        "version.python": platform.python_version(),
+        "version.ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
+    }
+    for package in VERSIONED:
+        try:
+            versions[f"version.{package}"] = version(package)
+        except PackageNotFoundError:
+            continue  # not installed as a Python distribution, hence without a version
+    return versions

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""JSON text of the twin's memory, which a recording stores so that a replay resumes from the live twin's state.
+
+It contains the core's record by field name, the measured lengths near its stamp, the residuals of the running cycle and
+the history of the run. It is valid for one set of parameters and settings, identified by their digest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from worm_model.twin.causes import Told
+from worm_model.twin.core.memory import MEMORY, NANOSECONDS
+from worm_model.twin.cycle_data import CycleData, Step
+from worm_model.twin.diagnosis import History
+from worm_model.twin.samples import SAMPLE, Kind
+from worm_model.twin.samples import Rows as SampleRows
+from worm_model.twin.twin import Twin, TwinState
+
+VERSION = 1
+AT_REST_NS = NANOSECONDS  # interval between stored memories while no gait runs
+# fields of the intake: they describe waiting samples and this process
+_NOT_STORED = frozenset(("present", "old_in_a_row", "ahead", "filled", "place", "counts", "newest"))
+_STORED = tuple(name for name in MEMORY.names or () if name not in _NOT_STORED)
+
+
+class StoringTimes:
+    """Schedule of storing: each second at rest, at the beginning and end of a run, and at the end of each cycle."""
+
+    def __init__(self) -> None:
+        self._mark: tuple[int, ...] = ()
+        self._stored_ns = 0
+
+    def is_due(self, state: TwinState) -> bool:
+        """Return True if the caller must store the memory now."""
+        m = state.record
+        stamp = int(m["taken_ns"])
+        mark = int(m["start_ns"]), int(m["end_ns"]), int(m["cycle"])
+        apart = abs(stamp - self._stored_ns) >= AT_REST_NS
+        due = bool(stamp) and (mark != self._mark or (apart and not state.is_running))
+        if due:
+            self._mark, self._stored_ns = mark, stamp
+        return due
+
+
+def stored_memory(twin: Twin, state: TwinState) -> str:
+    """Return the memory as JSON."""
+    memory, m = state.memory, state.record
+    filled, place = int(m["filled"]), int(m["place"])
+    waiting = memory.rows[place:filled]
+    waiting = waiting[waiting["kind"] == Kind.GAIT]["heard"]
+    lengths = memory.rows[:place]
+    lengths = lengths[_is_stored(twin, lengths, int(m["taken_ns"]))]
+    some = np.flatnonzero(memory.sums.any(axis=1))
+    content = {
+        "version": VERSION,
+        "holds_for": digest(twin),
+        "record": {name: m[name].tolist() for name in _STORED},
+        "gait_heard_ns": int(min([int(m["newest"][Kind.GAIT]), *(waiting - 1).tolist()])),
+        "lengths": lengths.tolist(),
+        "sums": {str(row): memory.sums[row].tolist() for row in some.tolist()},
+        "history": _history_content(state.history if state.is_running else History()),
+        "warnings": state.warnings,
+        "joined_cycle": state.joined_cycle,
+        "unusable": state.unusable,
+    }
+    return json.dumps(content, separators=(",", ":"))
+
+
+def digest(twin: Twin) -> str:
+    """Return the digest of a twin's parameters and settings."""
+    content = json.dumps([asdict(twin.parameters), asdict(twin.settings)], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class StoredMemory:
+    """Memory read from a recording; it includes all samples up to ``stamp_ns``."""
+
+    stamp_ns: int
+    content: Mapping[str, Any]
+
+    @property
+    def at_rest(self) -> bool:
+        """True if no gait was running."""
+        record = self.content["record"]
+        return not record["start_ns"] or bool(record["end_ns"])
+
+    def holds_for(self, twin: Twin) -> bool:
+        """Return True if the twin has the parameters and settings with which this memory was stored."""
+        return bool(self.content["holds_for"] == digest(twin))
+
+    def is_new(self, rows: SampleRows) -> np.ndarray:
+        """Return a mask (n,) of the samples that the memory does not include."""
+        heard = rows["heard"] > self.content["gait_heard_ns"]
+        return np.where(rows["kind"] == Kind.GAIT, heard, rows["stamp"] > self.stamp_ns)
+
+    def resume(self, twin: Twin, before: SampleRows) -> TwinState:
+        """Return the twin's state at the stamp; ``before`` are the recording's samples up to the stamp."""
+        state = twin.start()
+        m = state.record
+        for name, value in self.content["record"].items():
+            m[name] = value
+        m["present"] = self.stamp_ns
+        m["newest"][:] = self.stamp_ns
+        m["newest"][Kind.GAIT] = self.content["gait_heard_ns"]
+        stored = np.array([tuple(row) for row in self.content["lengths"]], SAMPLE)
+        recent = before["stamp"] >= self.stamp_ns - _look_back_ns(twin)
+        recent &= ~_is_stored(twin, before, self.stamp_ns) & (before["kind"] != Kind.GAIT)
+        past = before[recent].copy()
+        past["c"][past["kind"] == Kind.LENGTH] = np.nan
+        past = np.concatenate([stored, past])
+        past = past[np.lexsort((past["kind"], past["stamp"]))][-len(state.memory.rows) // 2 :]
+        state.memory.rows[: len(past)] = past
+        m["filled"] = m["place"] = len(past)
+        for row, sums in self.content["sums"].items():
+            state.memory.sums[int(row)] = sums
+        state.history = _history_of(self.content["history"])
+        state.warnings = {int(number): text for number, text in self.content["warnings"].items()}
+        state.joined_cycle = self.content["joined_cycle"]
+        state.unusable = {int(run): text for run, text in self.content["unusable"].items()}
+        return state
+
+
+def read_memory(stamp_ns: int, text: str) -> StoredMemory | None:
+    """Return a stored memory, or None if the text is invalid or of another version."""
+    try:
+        content = json.loads(text)
+        if content["version"] != VERSION or set(content["record"]) != set(_STORED):
+            return None
+        return StoredMemory(stamp_ns, content)
+    except (ValueError, TypeError, KeyError):
+        return None
+
+
+def memory_to_resume(
+    memories: Sequence[StoredMemory], rows: SampleRows, onsets: Sequence[int]
+) -> StoredMemory | None:
+    """Return the memory from which to follow a recording, or None if no memory is usable.
+
+    It is the first memory after the recording's first sample, because no samples are missing in between. If a gait
+    begins before that memory, the last memory before the recording is used instead, provided that the robot was at
+    rest.
+    """
+    instruments = rows[rows["kind"] != Kind.GAIT]["stamp"]
+    if not instruments.size:
+        return None
+    first = int(instruments.min())
+    later = [memory for memory in memories if memory.stamp_ns >= first]
+    earlier = [memory for memory in memories if memory.stamp_ns < first]
+    begins = min((onset for onset in onsets if onset >= first), default=None)
+    in_time = later and (begins is None or later[0].stamp_ns <= begins)
+    if not in_time and begins is not None and earlier and earlier[-1].at_rest:
+        return earlier[-1]
+    return later[0] if later else None
+
+
+def _is_stored(twin: Twin, rows: SampleRows, stamp_ns: int) -> np.ndarray:
+    """Return a mask (n,) of the samples that a memory contains itself.
+
+    These are the measured lengths that determine the slope at its stamp.
+    """
+    since = stamp_ns - round(twin.settings.smoothing_s * NANOSECONDS) - 1
+    found: np.ndarray = (rows["kind"] == Kind.LENGTH) & (rows["stamp"] >= since)
+    return found
+
+
+def _look_back_ns(twin: Twin) -> int:
+    return round((twin.settings.rest_s + twin.settings.smoothing_s + 1.0) * NANOSECONDS)
+
+
+def _history_content(history: History) -> dict[str, Any]:
+    return asdict(history, dict_factory=lambda items: {key: _plain(value) for key, value in items})
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return value
+
+
+def _history_of(content: Mapping[str, Any]) -> History:
+    cycles = tuple(
+        CycleData(
+            **{
+                **cycle,
+                "values": np.array(cycle["values"]),
+                "variance": np.array(cycle["variance"]),
+                "step": None if cycle["step"] is None else Step(**cycle["step"]),
+            }
+        )
+        for cycle in content["cycles"]
+    )
+    told = tuple(Told(**told) for told in content["told"])
+    return History(**{**content, "cycles": cycles, "told": told})

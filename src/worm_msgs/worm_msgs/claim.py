@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Exclusive use of a namespace: one driver and one node graph for each robot on this computer.
+
+A claim is a listening socket in Linux's abstract socket namespace. The kernel admits one socket of a name, whichever
+user binds it, and removes it with its process, however that process ends: a claim is exact at once, and never stale.
+Computers on the network do not share it; the driver looks for their drivers in the ROS graph.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import socket
+import struct
+from collections.abc import Mapping
+
+DRIVER = "driver"
+GRAPH = "node graph"
+_CREDENTIALS = struct.Struct("3i")  # pid, uid, gid: struct ucred, unix(7)
+
+
+class ClaimedError(RuntimeError):
+    """Another process has the claim; the message says which one and what to do."""
+
+
+def claim(role: str, namespace: str, domain: int) -> socket.socket:
+    """Claim a role in a namespace of a ROS domain until the returned socket is closed or the process ends.
+
+    Raises:
+        ClaimedError: another process has the claim.
+    """
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        made.bind(_address(role, namespace, domain))
+        made.listen()
+    except OSError as error:
+        made.close()
+        if error.errno != errno.EADDRINUSE:
+            raise
+        raise ClaimedError(
+            f"/{namespace.strip('/')} has a {role} already, {_holder(role, namespace, domain)} of this computer, in "
+            f"ROS domain {domain}: end it first, or use another namespace or ROS_DOMAIN_ID"
+        ) from None
+    return made
+
+
+def claim_graph(namespace: str, domain: int) -> socket.socket:
+    """Claim a namespace for a node graph that is about to start, which must not have a driver yet.
+
+    Raises:
+        ClaimedError: a node graph or a driver runs in the namespace.
+    """
+    made = claim(GRAPH, namespace, domain)
+    try:
+        claim(DRIVER, namespace, domain).close()
+    except ClaimedError:
+        made.close()
+        raise
+    return made
+
+
+def domain_of(environment: Mapping[str, str]) -> int:
+    """Return the ROS domain that an environment chooses; 0 for what is no number, which ROS itself rejects."""
+    text = environment.get("ROS_DOMAIN_ID", "")
+    return int(text) if text.isdecimal() else 0
+
+
+def _address(role: str, namespace: str, domain: int) -> bytes:
+    """Return the address, whose name would be too long for a socket with the namespace in full."""
+    digest = hashlib.sha256(namespace.strip("/").encode()).hexdigest()[:32]
+    return f"\0worm {role} {domain} {digest}".encode()
+
+
+def _holder(role: str, namespace: str, domain: int) -> str:
+    """Name the process that has a claim; nobody accepts the connection, so that it must not block."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        client.setblocking(False)
+        try:
+            client.connect(_address(role, namespace, domain))
+            credentials = client.getsockopt(
+                socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size
+            )
+        except OSError:  # it has just ended, or too many have asked
+            return "another process"
+    return f"process {_CREDENTIALS.unpack(credentials)[0]}"

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reasons of rejected goals on a topic, as the response of ROS 2 to a goal has no room for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from worm_msgs.msg import GoalRejection
+
+#: also for a client that the publisher finds only after the rejection
+REJECTIONS_QOS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def rejections_topic(action: str) -> str:
+    """Return the topic on which the reasons of an action's rejections are published."""
+    return f"{action}/rejections"
+
+
+class GoalRejections:
+    """Publisher of the reasons of an action's rejections; ``now`` returns the stamp of one."""
+
+    def __init__(self, node: Node, action: str, now: Callable[[], Any]) -> None:
+        self._now = now
+        self._publisher = node.create_publisher(
+            GoalRejection, rejections_topic(action), REJECTIONS_QOS
+        )
+
+    def publish(self, goal_id: bytes, reason: str) -> None:
+        """Publish why a goal is rejected. In any thread."""
+        rejection = GoalRejection(goal=list(goal_id), reason=reason)
+        rejection.header.stamp = self._now()
+        self._publisher.publish(rejection)

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a node reports to the process that started it that it is ready: the protocol of systemd, sd_notify(3).
+
+Unlike the ROS graph, this needs no discovery, and cannot be mistaken for a node of the same name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+
+_VARIABLE = "NOTIFY_SOCKET"
+_MESSAGE = b"READY=1"
+_ABSTRACT = "@"  # stands for the zero byte with which such an address begins
+
+
+def announce() -> None:
+    """Report that this process is ready; does nothing where the process that started it does not listen."""
+    address = os.environ.get(_VARIABLE)
+    if not address:
+        return
+    if address.startswith(_ABSTRACT):
+        address = "\0" + address[1:]
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
+        contextlib.suppress(OSError),  # nobody listens any more, as to a node that was restarted
+    ):
+        sender.sendto(_MESSAGE, address)
+
+
+class Readiness:
+    """Receives the report of one process, which must get ``environment`` in addition to its own."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self._socket.bind("")  # the kernel chooses a free address: autobind, unix(7)
+        name = self._socket.getsockname()[1:].decode()
+        self.environment = {_VARIABLE: _ABSTRACT + name}
+        self._received = False
+
+    def __call__(self) -> bool:
+        """Return whether the report has arrived."""
+        with contextlib.suppress(BlockingIOError):
+            while not self._received:
+                self._received = self._socket.recv(4096) == _MESSAGE
+        return self._received
+
+    def fileno(self) -> int:
+        """Return the descriptor, which gets readable with a report."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Receive no more."""
+        self._socket.close()

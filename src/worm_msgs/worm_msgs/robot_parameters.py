@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Table of the robot's parameters, the one place that declares them: key, default, unit, range and symbol.
+
+The model, identification, the optimizer and the virtual robot take the parameters from here by key. A further one is a
+row of this table and, where it acts on the robot, a term in the equations of the simulator's kernel and of the plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import Field, dataclass, field, fields
+from typing import Any
+
+
+def _row(
+    default: float,
+    unit: str,
+    low: float,
+    high: float,
+    paper: str,
+    *,
+    power_only: bool = False,
+) -> float:
+    """Return a row of the table.
+
+    Args:
+        default: the paper's value, 0 for an effect that the paper's model does not have.
+        unit: of the value, SI.
+        low, high: admissible range, a range of orders of magnitude that detects wrong units.
+        paper: symbol.
+        power_only: the value decides about power and not about motion.
+    """
+    metadata = {"unit": unit, "low": low, "high": high, "paper": paper, "power_only": power_only}
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class RobotParameters:
+    """Parameters of the worm in its pipe, SI units. The defaults are the values of the paper's table ``tab1``."""
+
+    rear_mass: float = _row(0.429, "kg", 1e-3, 1e2, "M1")
+    front_mass: float = _row(0.429, "kg", 1e-3, 1e2, "M2")
+    unstressed_length: float = _row(0.300, "m", 1e-2, 1e1, "L_free", power_only=True)
+    initial_length: float = _row(0.2952, "m", 1e-2, 1e1, "L0")
+    bellows_stiffness: float = _row(968.8, "N/m", 1.0, 1e6, "k_b", power_only=True)
+    bellows_damping: float = _row(862.4, "N·s/m", 0.0, 1e6, "c_b", power_only=True)
+    viscous_friction: float = _row(86.97, "N·s/m", 1e-2, 1e5, "η")
+    pitch: float = _row(0.0173, "m", 1e-3, 0.2, "d")
+    engaged_stiffness: float = _row(1833.1, "N/m", 1.0, 1e6, "k_eng")
+    disengaged_stiffness: float = _row(442.0, "N/m", 1.0, 1e6, "k_dis")
+    switching_threshold: float = _row(0.0175, "m", 5e-4, 0.2, "p_sw")
+    clearance: float = _row(0.00753, "m", 0.0, 0.1, "δ_c")
+    time_constant: float = _row(0.155, "s", 1e-3, 1e1, "τ")
+    gain: float = _row(0.860, "1", 1e-2, 1e1, "K")
+    slack: float = _row(0.008, "m", 0.0, 0.1, "δ_s")
+    idle_power: float = _row(0.82, "W", 0.0, 1e3, "P_idle", power_only=True)
+    power_factor: float = _row(3.22, "1", 1e-2, 1e3, "α_P", power_only=True)
+    rear_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D1")
+    front_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D2")
+
+
+def rows_of(table: type[RobotParameters]) -> list[Field[float]]:
+    """Return the rows of the table that are numbers."""
+    return [row for row in fields(table) if row.metadata]
+
+
+ROWS: Mapping[str, Mapping[str, Any]] = {row.name: row.metadata for row in rows_of(RobotParameters)}

@@ -1,0 +1,349 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The exact front: the lower edges of all branches over the frequency, and minima along them.
+
+At a fixed frequency the grooves gained are a step function of the stroke, and within a step the power rises with the
+stroke. The Pareto set therefore consists of lower edges: for each number of grooves and each frequency the shortest
+stroke that gains them. `survey` finds the edges in columns of the frequency; `minimise` follows them between the
+columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.pareto import front_of
+from worm_optimizer.search.task import (
+    EDGE_ALLOWANCE,
+    EDGE_TOLERANCE,
+    Array,
+    Bounds,
+    Edges,
+    Index,
+    Mask,
+    Points,
+    Task,
+)
+
+# A figure of gaits to be minimised, infinite for a gait that does not qualify; shape (n,).
+Cost = Callable[[Points], Array]
+# Edges of a task at frequencies (n,) in Hz within strokes (n, scan) in m, for the candidates (n,) that they belong to.
+FindEdges = Callable[[Index, Array, Array], Edges]
+
+_NEAR_BEST = (
+    0.02  # of the lowest cost: local minima within it may turn out lowest between the columns
+)
+_WINDOW_SCAN = 5  # strokes of a scan in the window around an edge that is followed
+_LEAST_WINDOW = 1e-6  # m
+_LONGER = 4  # longer strokes at which the rise of the power is verified
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Scan of the box: ``strokes`` at each of ``frequencies``, evenly over it."""
+
+    strokes: int = 41
+    frequencies: int = 161
+
+    def __post_init__(self) -> None:
+        if self.strokes < 3 or self.frequencies < 2:
+            raise OptimizerError(
+                f"resolution: {self.strokes} strokes, {self.frequencies} frequencies: give at least 3 and 2"
+            )
+
+    def columns(self, bounds: Bounds) -> Array:
+        """Frequencies of the columns in Hz."""
+        return np.unique(np.linspace(bounds.frequency_low, bounds.frequency_high, self.frequencies))
+
+
+@dataclass(frozen=True)
+class Zoom:
+    """Refinement of a minimum: ``points`` over the bracket in each of ``rounds``, which narrows to both neighbours."""
+
+    points: int = 17
+    rounds: int = 6
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Edges of all branches: ``columns`` in Hz, rising, and ``points``, each at the frequency of a column."""
+
+    columns: Array
+    points: Points
+
+    def joined(self, more: Points) -> Survey:
+        """The survey with further edges."""
+        columns = np.union1d(self.columns, more.frequency)
+        return Survey(columns, Points.join(self.points, more))
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """A ``count`` of grooves whose ``cost`` is lowest between frequencies in Hz, on an edge within strokes in m.
+
+    ``owner`` tells the caller what the bracket was made for.
+    """
+
+    count: int
+    cost: Cost
+    frequency: tuple[float, float]
+    stroke: tuple[float, float]
+    owner: int = 0
+
+
+def survey(task: Task, resolution: Resolution, zoom: Zoom) -> Survey:
+    """Find the edges of all branches of a task's box, among them the ends of those that lie on the front."""
+    columns = resolution.columns(task.bounds)
+    scan = np.linspace(task.bounds.stroke_low, task.bounds.stroke_high, resolution.strokes)
+    edges = task.edges(columns, np.tile(scan, (columns.size, 1)))
+    surveyed = _completed(task, Survey(columns, edges.points), float(scan[1] - scan[0]))
+    ends = _ends(surveyed)
+    return surveyed.joined(minimise(finder(task), ends, zoom)) if ends else surveyed
+
+
+def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
+    """The survey with the thin parts of branches, which lie between the strokes of the scan, ``step`` m apart.
+
+    Where a branch lacks a column, or begins there at a longer stroke, its edge is looked for near that of the
+    neighbouring column, and from there on in the next one.
+    """
+    tried: set[tuple[int, int, int]] = set()
+    while True:
+        seeds = [seed for seed in _seeds(surveyed, step) if seed[:3] not in tried]
+        tried |= {seed[:3] for seed in seeds}
+        if not seeds:
+            return surveyed
+        columns = surveyed.columns[[place for _, place, _, _ in seeds]]
+        windows = np.array([_window(np.array(near), step / 16.0) for *_, near in seeds])
+        scan = np.linspace(windows[:, 0], windows[:, 1], 2 * _WINDOW_SCAN, axis=1)
+        edges = task.edges(columns, scan)
+        counts = np.array([count for count, *_ in seeds])
+        found = edges.points.take(edges.points.count == counts[edges.column])
+        surveyed = surveyed.joined(found)
+
+
+def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[float, float]]]:
+    """(count, place of a column, side, strokes in m near which the edge may pass there) for `_completed`."""
+    seeds = []
+    for count in np.unique(surveyed.points.count):
+        _, strokes = _by_column(surveyed, surveyed.points.stroke, int(count))
+        for side in (-1, 1):
+            near, beyond = (np.roll(strokes, by * side) for by in (1, 2))
+            near[0 if side > 0 else -1] = np.nan  # a box has no neighbour around its corner
+            missed = np.isfinite(near) & ~(strokes <= near + 0.5 * step)
+            for place in np.flatnonzero(missed):
+                pair = near[place], beyond[place] if np.isfinite(beyond[place]) else near[place]
+                if abs(pair[0] - pair[1]) > step:
+                    pair = near[place], near[place]
+                seeds.append((int(count), int(place), side, pair))
+    return seeds
+
+
+def finder(task: Task) -> FindEdges:
+    """The edges of a task, whatever the candidate."""
+    return lambda _, frequency, strokes: task.edges(frequency, strokes)
+
+
+def speed_cost(points: Points) -> Array:
+    """Negative speed."""
+    return -points.speed
+
+
+def power_cost(points: Points) -> Array:
+    """Power."""
+    return points.power
+
+
+def transport_cost(points: Points) -> Array:
+    """Cost of transport but for the weight."""
+    return points.power / points.speed
+
+
+def lowest(task: Task, surveyed: Survey, costs: Sequence[Cost], zoom: Zoom) -> Points:
+    """Minimise each cost along the edges, continuously in the frequency.
+
+    Returns the local minima that come near the lowest one, of all costs; none of a cost that no gait qualifies for.
+    """
+    brackets = [bracket for cost in costs for bracket in brackets_of(surveyed, cost)]
+    return minimise(finder(task), brackets, zoom)
+
+
+def brackets_of(surveyed: Survey, cost: Cost, owner: int = 0) -> list[Bracket]:
+    """Brackets around the local minima of a cost over the columns that come near the lowest one."""
+    points, columns = surveyed.points, surveyed.columns
+    costs = cost(points)
+    least = costs.min(initial=np.inf)
+    if not np.isfinite(least):
+        return []
+    brackets = []
+    for count in np.unique(points.count):
+        of_column, strokes = _by_column(surveyed, costs, int(count))
+        padded = np.r_[np.inf, of_column, np.inf]
+        low = (of_column <= padded[:-2]) & (of_column <= padded[2:])
+        near = of_column <= least + _NEAR_BEST * abs(least)
+        for place in np.flatnonzero(low & near & np.isfinite(of_column)):
+            ends = max(place - 1, 0), min(place + 1, columns.size - 1)
+            window = _window(strokes[ends[0] : ends[1] + 1])
+            span = float(columns[ends[0]]), float(columns[ends[1]])
+            brackets.append(Bracket(int(count), cost, span, window, owner))
+    return brackets
+
+
+def _by_column(surveyed: Survey, costs: Array, count: int) -> tuple[Array, Array]:
+    """Lowest cost of a count in each column and the stroke of it; infinite and NaN where there is none."""
+    columns, points = surveyed.columns, surveyed.points
+    rows = np.flatnonzero(points.count == count)
+    rows = rows[np.argsort(-costs[rows], kind="stable")]  # the last to be written is the lowest
+    place = np.searchsorted(columns, points.frequency[rows])
+    lowest_cost, strokes = np.full(columns.size, np.inf), np.full(columns.size, np.nan)
+    lowest_cost[place], strokes[place] = costs[rows], points.stroke[rows]
+    return lowest_cost, strokes
+
+
+def _window(strokes: Array, least: float = _LEAST_WINDOW) -> tuple[float, float]:
+    """Strokes between which an edge lies that passes through these; NaN are passed over."""
+    low, high = float(np.nanmin(strokes)), float(np.nanmax(strokes))
+    reach = max(high - low, least)
+    return low - reach, high + reach
+
+
+def _ends(surveyed: Survey) -> list[Bracket]:
+    """Brackets around the highest frequency of each branch of the front that ends between two columns."""
+    columns, front = surveyed.columns, front_of(surveyed.points)
+    brackets = []
+    for count in np.unique(front.count):
+        _, strokes = _by_column(surveyed, surveyed.points.stroke, int(count))
+        present = np.isfinite(strokes)
+        for place in np.flatnonzero(present[:-1] & ~present[1:]):
+            span = float(columns[place]), float(columns[place + 1])
+            window = _window(strokes[max(place - 1, 0) : place + 1])
+            brackets.append(Bracket(int(count), speed_cost, span, window))
+    return brackets
+
+
+def minimise(find: FindEdges, brackets: Sequence[Bracket], zoom: Zoom) -> Points:
+    """Minimise the cost of each bracket, all at once; the best gait of each that has one, in order."""
+    best, known = followed(find, brackets, zoom)
+    return best.take(known)
+
+
+def followed(find: FindEdges, brackets: Sequence[Bracket], zoom: Zoom) -> tuple[Points, Mask]:
+    """Like `minimise`: (one row for each bracket, which of them hold a gait)."""
+    frequency = np.array([bracket.frequency for bracket in brackets]).reshape(-1, 2)
+    stroke = np.array([bracket.stroke for bracket in brackets]).reshape(-1, 2)
+    rows = np.arange(len(brackets))
+    best, lowest_cost = _nothing(len(brackets)), np.full(len(brackets), np.inf)
+    for _ in range(zoom.rounds):
+        at = np.linspace(frequency[:, 0], frequency[:, 1], zoom.points, axis=1)
+        points, costs = _costs(find, brackets, at, stroke)
+        place = np.argmin(costs, axis=1)
+        cost = costs[rows, place]
+        better = cost < lowest_cost
+        lowest_cost = np.where(better, cost, lowest_cost)
+        best = _where(better, points.take(rows * zoom.points + place), best)
+        ends = np.clip(np.stack([place - 1, place + 1], axis=1), 0, zoom.points - 1)
+        frequency = np.take_along_axis(at, ends, axis=1)
+        strokes = points.stroke.reshape(at.shape)
+        for row in np.flatnonzero(np.isfinite(cost)):
+            stroke[row] = _window(strokes[row, ends[row, 0] : ends[row, 1] + 1])
+    return best, np.isfinite(lowest_cost)
+
+
+def _costs(
+    find: FindEdges, brackets: Sequence[Bracket], at: Array, window: Array
+) -> tuple[Points, Array]:
+    """(points, costs (brackets, n)) on the edges of the brackets' counts at frequencies (brackets, n) in Hz.
+
+    Of several edges the cheapest; NaN and infinite where there is none.
+    """
+    owner = np.repeat(np.arange(len(brackets)), at.shape[1])
+    scan = np.linspace(window[owner, 0], window[owner, 1], _WINDOW_SCAN, axis=1)
+    edges = find(owner, at.ravel(), scan)
+    counts = np.array([bracket.count for bracket in brackets])
+    mine = edges.points.count == counts[owner[edges.column]]
+    column, points = edges.column[mine], edges.points.take(mine)
+    costs = np.full(len(points), np.inf)
+    for cost in {bracket.cost for bracket in brackets}:
+        rows = np.array([bracket.cost is cost for bracket in brackets])[owner[column]]
+        costs[rows] = cost(points.take(rows))
+    order = np.argsort(-costs, kind="stable")  # the last to be written is the lowest
+    place = np.full(at.size, -1)
+    place[column[order]] = order
+    table = np.full(at.size, np.inf)
+    table[column[order]] = costs[order]
+    return Points.join(points, _nothing(1)).take(place), table.reshape(at.shape)
+
+
+def _nothing(count: int) -> Points:
+    unknown = np.full(count, np.nan)
+    return Points(unknown, unknown, unknown, unknown, np.zeros(count, np.int64), np.ones(count))
+
+
+def _where(condition: Mask, first: Points, second: Points) -> Points:
+    """Rows of the first where the condition holds, else of the second."""
+    count = len(second)
+    return Points.join(first, second).take(
+        np.where(condition, np.arange(count), np.arange(count) + count)
+    )
+
+
+@dataclass(frozen=True)
+class ExactFront:
+    """The non-dominated edges of a task, by rising speed, with all that answers further questions about them.
+
+    ``front`` holds the gaits of lowest power, lowest cost of transport and highest speed, minimised continuously.
+    ``power_rises``: none of the verified longer strokes of a front's branches needs less power than its edge. A longer
+    stroke that does is in the front instead.
+    """
+
+    task: Task
+    resolution: Resolution
+    zoom: Zoom
+    surveyed: Survey
+    front: Points
+    power_rises: bool
+
+    def cheapest(self, cost: Cost) -> Points:
+        """Minimise a cost over all edges, continuously in the frequency; one row, or none if no gait qualifies."""
+        found = lowest(self.task, self.surveyed, [cost], self.zoom)
+        candidates = Points.join(self.surveyed.points, self.front, found)
+        costs = cost(candidates)
+        qualified = np.flatnonzero(np.isfinite(costs))
+        return candidates.take(qualified[np.argsort(costs[qualified], kind="stable")[:1]])
+
+    @property
+    def verification(self) -> dict[str, float | int | bool]:
+        """Statement of what was verified, in SI units."""
+        box, scan = self.task.bounds, self.resolution
+        return {
+            "strokes": scan.strokes,
+            "frequencies": scan.frequencies,
+            "stroke_step": (box.stroke_high - box.stroke_low) / (scan.strokes - 1),
+            "frequency_step": (box.frequency_high - box.frequency_low) / (scan.frequencies - 1),
+            "edge_tolerance": EDGE_TOLERANCE,
+            "edge_allowance": EDGE_ALLOWANCE,
+            "counts_verified": len(self.front),
+            "power_rises": self.power_rises,
+        }
+
+
+def exact_front(task: Task, resolution: Resolution, zoom: Zoom) -> ExactFront:
+    """Compute the exact front of a task; it is empty if no gait of the box qualifies."""
+    surveyed = survey(task, resolution, zoom)
+    best = lowest(task, surveyed, (power_cost, transport_cost), zoom)
+    front = front_of(Points.join(surveyed.points, best))
+    cheaper = _cheaper(task, front)
+    front = front_of(Points.join(front, cheaper)) if len(cheaper) else front
+    return ExactFront(task, resolution, zoom, surveyed, front, not len(cheaper))
+
+
+def _cheaper(task: Task, front: Points) -> Points:
+    """Longer strokes on the branches of a front's gaits that need less power than these."""
+    shares = np.arange(1, _LONGER + 1)[:, np.newaxis] / _LONGER
+    strokes = front.stroke + shares**2 * (task.bounds.stroke_high - front.stroke)
+    tried = task.points(strokes.ravel(), np.tile(front.frequency, _LONGER))
+    same = tried.admissible & (tried.count == np.tile(front.count, _LONGER))
+    return tried.take(same & (tried.power < np.tile(front.power, _LONGER)))

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of a step function of the stroke: a scan finds its steps, bisection locates each one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# Labels of strokes in m, each in a column (say, a frequency), both of shape (n,).
+Label = Callable[[Array, Index], Index]
+
+_PARTS = 8  # into which an interval with a step is first divided, so that a thin run next to the step shows
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Maximal intervals of the stroke with one label, by column and rising stroke; every field has shape (n,).
+
+    ``low`` and ``high`` in m are the shortest and the longest stroke that was seen with the ``label``. ``stepped`` is
+    whether a shorter stroke with another label precedes ``low`` by the tolerance at most; else ``low`` is the first
+    stroke of the scan.
+    """
+
+    column: Index
+    label: Index
+    low: Array
+    high: Array
+    stepped: NDArray[np.bool_]
+
+
+def find_runs(label: Label, strokes: Array, tolerance: float) -> Runs:
+    """Find the runs of all columns at once.
+
+    ``strokes`` in m of shape (columns, scan), not decreasing along each row, are evaluated first. Every interval
+    between neighbours with different labels is then halved until it is at most ``tolerance`` m wide. A run that
+    lies between two strokes of the scan with equal labels is not found.
+    """
+    columns, scan = strokes.shape
+    column = np.repeat(np.arange(columns), scan)
+    stroke = strokes.ravel()
+    values = label(stroke, column)
+    parts = _PARTS
+    while True:
+        step = (column[1:] == column[:-1]) & (values[1:] != values[:-1])
+        gap = stroke[1:] - stroke[:-1]
+        open_ = np.flatnonzero(step & (gap > tolerance))
+        if not open_.size:
+            break
+        shares = np.arange(1, parts) / parts
+        between = (stroke[open_][:, np.newaxis] + gap[open_][:, np.newaxis] * shares).ravel()
+        of_column = np.repeat(column[open_], parts - 1)
+        place = np.repeat(open_ + 1, parts - 1)
+        values = np.insert(values, place, label(between, of_column))
+        stroke, column = np.insert(stroke, place, between), np.insert(column, place, of_column)
+        parts = 2
+    if not stroke.size:
+        return Runs(column, values, stroke, stroke, np.empty(0, dtype=bool))
+    first = np.flatnonzero(np.r_[True, (column[1:] != column[:-1]) | (values[1:] != values[:-1])])
+    last = np.r_[first[1:], column.size] - 1
+    new_column = np.r_[True, column[first][1:] != column[first][:-1]]
+    return Runs(column[first], values[first], stroke[first], stroke[last], ~new_column)

@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A typical change is one edit: a copy of the sources gets an entry more, and the whole chain handles it.
+
+The copies run in processes of their own, the kernel uncompiled, which takes milliseconds a gait.
+"""
+
+import dataclasses
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("worm_msgs", "worm_driver", "worm_model", "worm_optimizer")
+
+
+class Copy:
+    """A copy of the sources that a test may edit."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        for package in PACKAGES:
+            shutil.copytree(
+                ROOT / "src" / package,
+                folder / package,
+                ignore=shutil.ignore_patterns("__pycache__", "*.md", "fronts"),
+            )
+
+    def edit(self, file: str, before: str, after: str) -> None:
+        """Replace the one place that has a text."""
+        path = self.folder / file
+        text = path.read_text(encoding="utf-8")
+        assert text.count(before) == 1, (file, before)
+        path.write_text(text.replace(before, after), encoding="utf-8")
+
+    def run(self, code: str) -> dict:
+        """Run code on the copy and return the JSON object that it prints last."""
+        path = os.pathsep.join(str(self.folder / package) for package in PACKAGES)
+        environment = os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"}
+        environment.pop("AMENT_PREFIX_PATH", None)  # definitions of messages are the copy's
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env=environment,
+            cwd=self.folder,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture
+def copy(tmp_path):
+    return Copy(tmp_path / "src")
+
+
+PARAMETER = """
+import dataclasses, json, sys
+from pathlib import Path
+import numpy as np, yaml
+from worm_model.gait import Gait
+from worm_model.identification.reference_values import reference_by_file
+from worm_model.parameters import KEYS, PAPER, ParameterFile, format_parameter_file, parse_parameter_file
+from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
+from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.robustness.uncertainty import phase_known
+from worm_optimizer.study.sensitivity import _reach
+from worm_driver.virtual_robot.offline_run import run_offline
+from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, load_settings
+
+loaded = PAPER.replace(rear_pull=1.0)
+content = ParameterFile(loaded, {"rear_pull": (0.5, 1.5), "front_pull": (-0.5, 0.5)})
+again = parse_parameter_file(yaml.safe_load(format_parameter_file(content)))
+Path("gaits.csv").write_text("stroke_m,frequency_Hz,rear_pull\\n0.07,0.2,1.0\\n")
+overrides, table = evaluate_table(read_gaits("gaits.csv"), PAPER)
+write_table(Path("out.csv"), table, overrides, PAPER)
+draws = phase_known(content, 500, 1).overrides
+robot = yaml.safe_load(DEFAULT_FILE.read_text())
+robot["body"]["rear_pull"] = -2.0
+Path("robot.yaml").write_text(yaml.safe_dump(robot))
+run = run_offline(load_settings(Path("robot.yaml")), lambda time: 0.0, 0.1, rest=0.1)
+print(json.dumps({
+    "keys": list(KEYS)[-2:],
+    "round_trip": again == content,
+    "speed": evaluate_gait(Gait(0.07, 0.2), loaded).speed,
+    "speed_of_table": float(table.speed[0]),
+    "column": "rear_pull" in Path("out.csv").read_text().splitlines()[0],
+    "drawn": [float(np.ptp(draws[key])) for key in ("rear_pull", "front_pull")],
+    "below_zero": float(np.mean(draws["front_pull"] < 0.0)),
+    "sensitivity": {"rear_pull", "front_pull"} <= set(_reach(content)),
+    "truth": type(loaded)(**dataclasses.asdict(run.truth)).rear_pull,
+    "estimate": reference_by_file(content, "a file").estimate("rear_pull").low,
+}))
+"""
+
+
+def test_a_parameter_is_a_row_of_the_table(copy):
+    """Every step from the parameter file to draws and plant has it; the equations are the author's to write."""
+    row = '    front_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D2")\n'
+    more = "".join(
+        f'    {key}_pull: float = _row(0.0, "N", -1e3, 1e3, "Q{n}")\n'
+        for n, key in enumerate(("rear", "front"), 1)
+    )
+    copy.edit("worm_msgs/worm_msgs/robot_parameters.py", row, row + more)
+    seen = copy.run(PARAMETER)
+    assert seen["keys"] == ["rear_pull", "front_pull"]
+    assert all(seen[step] for step in ("round_trip", "column", "sensitivity"))
+    assert seen["speed"] == pytest.approx(0.0173 * 0.2, rel=1e-6)
+    assert seen["speed_of_table"] == pytest.approx(seen["speed"], rel=1e-9)
+    assert all(width > 0.5 for width in seen["drawn"])
+    assert 0.4 < seen["below_zero"] < 0.6
+    assert seen["truth"] == -2.0
+    assert seen["estimate"] == 0.5
+
+
+GAIT = """
+import dataclasses, json
+from pathlib import Path
+import numpy as np
+from worm_model.bags.formats.cdr import Converter, encode
+from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.message_types import topic_of
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.bags.run_writer import write_run
+from worm_model.bags.operations.tables import find_tables
+from worm_model.analysis.run_metrics import last_played_gait
+from worm_model.analysis.simulated_run import simulated_run
+from worm_model.commands.evaluate_gait import _parser
+from worm_model.gait import GAIT_COLUMNS, Gait, gait_of
+from worm_model.parameters import PAPER
+from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
+from worm_model.twin.core.memory import MEMORY
+from worm_model.twin.run_start import word_of
+from worm_model.twin.samples import Kind, rows_of_run
+from worm_driver.gait.gait_limits import Gait as DriverGait
+from worm_optimizer.report.expectation import expect
+from worm_optimizer.robustness.prediction import predict
+from worm_optimizer.search.task import MarginTask
+from worm_model.parameters import ParameterFile
+
+gait = Gait(0.07, 0.2, contraction_share=0.4)
+run = simulated_run(gait, PAPER, 2, 50.0).as_recorded()
+with new_bag(Path("new")) as writer:
+    write_run(writer, run, "/worm")
+with open_bag(Path("new")) as bag:
+    again = read_run(bag)
+with open_bag(Path(OLD)) as bag:
+    old = read_run(bag)
+    channel = next(c for c in bag.channels if c.name == "/worm/gait_state")
+    data = next(iter(bag.messages([channel.name]))).data
+state_type = topic_of(channel.name, channel.type_name)
+converted = Converter(channel, state_type)(data)
+share = np.frombuffer(converted, "<f8", 1, converted.index(np.float64(0.5).tobytes()))[0]
+rows = rows_of_run(again, 10**9)
+Path("gaits.csv").write_text("stroke_m,frequency_Hz,contraction_share\\n0.07,0.2,0.4\\n")
+overrides, table = evaluate_table(read_gaits("gaits.csv"), PAPER)
+write_table(Path("out.csv"), table, overrides, PAPER)
+some = np.array([0.07]), np.array([0.2]), np.array([0.0])
+prediction = predict(MarginTask(), ParameterFile(), *some, 2, 1)[0]
+options = _parser().parse_args(["--stroke", "0.07", "--frequency", "0.2", "--contraction-share", "0.4"])
+print(json.dumps({
+    "bag": last_played_gait(again.gait_state).gait == gait,
+    "old": sorted({float(v) for v in old.gait_state.contraction_share}),
+    "converted": float(share),
+    "twin": word_of(rows[rows["kind"] == Kind.GAIT][1]).gait == gait,
+    "memory": "contraction_share" in (MEMORY.names or ()),
+    "table": float(table.gait["contraction_share"][0]),
+    "header": Path("out.csv").read_text().splitlines()[0].split(","),
+    "prediction": prediction.gait.contraction_share,
+    "expected": expect(gait, ParameterFile()).robust.gait == gait,
+    "options": gait_of(options) == gait,
+    "driver": [row.name for row in dataclasses.fields(DriverGait)],
+    "rebuilt": dataclasses.replace(gait, margin=0.001).contraction_share,
+}))
+"""
+
+
+def test_a_field_of_the_gait_is_a_field_of_its_three_declarations(copy):
+    """The message and the two dataclasses, then every step has it; the waveform is the author's to write."""
+    field = '    margin: float = _row("m", "robustness margin", 0.0)\n'
+    more = '    contraction_share: float = _row("1", "share of a cycle", 0.5)\n'
+    copy.edit("worm_model/worm_model/gait.py", field, field + more)
+    copy.edit(
+        "worm_driver/worm_driver/gait/gait_limits.py",
+        "    margin: float = 0.0\n",
+        "    margin: float = 0.0\n    contraction_share: float = 0.5\n",
+    )
+    message = copy.folder / "worm_msgs/msg/Gait.msg"
+    message.write_text(
+        message.read_text(encoding="utf-8") + "float64 contraction_share\n", encoding="utf-8"
+    )
+    shutil.copytree(ROOT / "bags" / "forward", copy.folder / "forward")
+    seen = copy.run(GAIT.replace("OLD", "'forward'"))
+    assert all(seen[step] for step in ("bag", "twin", "memory", "expected", "options"))
+    assert seen["old"] == [0.5]
+    assert seen["converted"] == 0.5
+    assert seen["table"] == seen["rebuilt"] == 0.4
+    assert "contraction_share" in seen["header"]
+    assert seen["prediction"] == 0.5
+    assert "contraction_share" in seen["driver"]
+
+
+SERVO = """
+import dataclasses, json, sys
+from pathlib import Path
+sys.path.insert(0, TESTS)
+import yaml
+from driver_rig import Rig
+from worm_driver.servos.registers import MODELS
+from worm_driver.virtual_robot.servo import control_table
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, load_settings
+from worm_optimizer.search.servo_limits import limits_of, load_driver_file, servo_model
+
+robot = yaml.safe_load(DEFAULT_FILE.read_text())
+robot["cable_servos"][0]["model"] = "XM540-W270"
+Path("robot.yaml").write_text(yaml.safe_dump(robot))
+rig = Rig(virtual=VirtualRobot(load_settings(Path("robot.yaml"))))
+rig.activate()
+rig.start(frequency=0.2)
+rig.run(5.0, until=lambda snapshot: snapshot.player.phase.name == "RUNNING")
+rig.run(1.0)
+limits = limits_of(
+    load_driver_file("worm_driver/config/driver.yaml"), servo_model("XM540-W270-R"), None
+)
+print(json.dumps({
+    "driver": MODELS[1120].name,
+    "strongest": MODELS[1120].strongest_current,
+    "virtual": control_table.MODELS["XM540-W270"].number,
+    "identified": rig.robot.actuators.servos[0].model.name,
+    "cable_speed": [rig.robot.limits.max_cable_speed, rig.cable_speed],
+    "stall_force": limits.stall_force,
+}))
+"""
+
+
+def test_a_servo_model_is_a_row_of_the_table(copy):
+    """The driver identifies it, the virtual robot moves with it and the optimizer keeps its limits."""
+    first = "SERVO_MODELS: tuple[ServoRow, ...] = (\n"
+    row = """    ServoRow(
+        name="XM540-W270",
+        number=1120,
+        minimum_firmware=38,
+        modes=frozenset({0, 1, 3, 4, 5, 16}),
+        supply_range=(10.0, 14.8),
+        nominal_voltage=12.0,
+        no_load_speed=30.0,
+        stall_torque=10.6,
+        stall_current=4.4,
+        velocity_limit=(128, 0, 1023),
+        current_unit=2.69e-3,
+        current_limit=2047,
+        initial={"firmware_version": 48},
+    ),
+"""
+    copy.edit("worm_msgs/worm_msgs/servo_models.py", first, first + row)
+    seen = copy.run(SERVO.replace("TESTS", repr(str(ROOT / "tests"))))
+    assert seen["driver"] == seen["identified"] == "XM540-W270-T"
+    assert seen["strongest"] == pytest.approx(2047 * 2.69e-3)
+    assert seen["virtual"] == 1120
+    slowest, moving = seen["cable_speed"]
+    assert slowest == pytest.approx(128 * 0.0239691227 * 0.025)
+    assert 0.01 < moving < slowest
+    assert seen["stall_force"] == pytest.approx(10.6 / 0.025)
+
+
+def test_the_declarations_of_the_gait_agree():
+    """Message, driver and model have the same fields with the same defaults, and the same u_cmd."""
+    from worm_driver.gait.gait_limits import Gait as DriverGait
+    from worm_model.gait import GAIT_DEFAULTS, GAIT_UNITS, Gait
+    from worm_msgs.msg import Gait as GaitMessage
+
+    assert list(GaitMessage.get_fields_and_field_types()) == list(GAIT_UNITS)
+    assert [row.name for row in dataclasses.fields(DriverGait)] == list(GAIT_UNITS)
+    plain = DriverGait(0.07, 0.2)
+    assert {name: getattr(plain, name) for name in GAIT_DEFAULTS} == GAIT_DEFAULTS
+    times = np.linspace(0.0, 12.0, 500)
+    played = [plain.length_change(time) for time in times.tolist()]
+    assert Gait(0.07, 0.2).command(times) == pytest.approx(np.array(played), abs=1e-16)

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pictures of the pages: each is drawn by code, small, and shown by a page."""
+
+import runpy
+from pathlib import Path
+
+import pytest
+from documented_commands import PAGES, ROOT
+
+pytest.importorskip("matplotlib")
+FOLDER = ROOT / "docs" / "figures" / "model"
+GENERATOR = runpy.run_path(str(ROOT / "docs" / "generate_pictures.py"))
+DRAWN = {f"{name}.png" for name in GENERATOR["PICTURES"]} | {GENERATOR["ANIMATION"]}
+
+
+def test_the_folder_holds_what_the_generator_draws():
+    assert {path.name for path in FOLDER.iterdir()} == DRAWN
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.iterdir()), ids=lambda path: path.name)
+def test_a_picture_is_small(path: Path):
+    assert path.stat().st_size < (1_500_000 if path.suffix == ".gif" else 150_000)
+
+
+def test_each_picture_is_shown():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert {name for name in DRAWN if f"figures/model/{name})" not in text} == set()
+
+
+@pytest.mark.parametrize("name", ["robot", "stride", "fin_force", "cable_slack", "groove_phase"])
+def test_it_is_drawn(name: str):
+    figure = GENERATOR["PICTURES"][name]()
+    figure.draw_without_rendering()
+    texts = {text.get_text() for axes in figure.axes for text in axes.texts}
+    assert figure.axes
+    assert texts

@@ -1,0 +1,380 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver never moves the robot on bad data: wrong samples on the wire, judged by the goals that are written."""
+
+from dataclasses import replace
+
+import pytest
+from driver_rig import CABLE, Rig, settings
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from worm_driver.errors import DriverError
+from worm_driver.gait.gait_player import Phase, PlayerSettings
+from worm_driver.servos.transmission import Spool
+from worm_driver.virtual_robot.servo.control_table import XM430_W350
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import load_settings
+
+GIVEN = settings()
+#: m, from the shaft to a goal: the following error that is tolerated, and two cycles at full speed
+REACH = GIVEN.limits.following_error + 2 * GIVEN.period * GIVEN.max_cable_speed
+#: m, by which a robot that stands may move because of one wrong sample, or by which a hold may be off
+STANDS = 0.001
+JUMPS = [-8192, -4096, -1000, -600, -300, -200, 200, 300, 600, 1000, 4096, 12288]
+FIN = 11
+
+
+def idle() -> Rig:
+    rig = Rig()
+    rig.activate()
+    rig.run(0.2)
+    return rig
+
+
+def running() -> Rig:
+    rig = Rig()
+    rig.run_into_motion()
+    return rig
+
+
+def moved(rig: Rig, since: int) -> float:
+    """M by which the cable was away from where it was, since a count of positions."""
+    positions = [position for _, position in rig.positions[since:]]
+    return abs(GIVEN.spools[0].length_change(max(positions) - min(positions)))
+
+
+def check_goals(rig: Rig, since: int = 0) -> None:
+    """Every goal on the wire lies in the range of the stroke and within reach of the shaft."""
+    low, high = GIVEN.spools[0].ticks(0.0101), GIVEN.spools[0].ticks(-GIVEN.max_stroke - 0.0101)
+    for goal in rig.goals[since:]:
+        if goal.servo == CABLE:
+            assert low <= goal.ticks <= high, goal
+            assert goal.distance <= REACH, goal
+
+
+@pytest.mark.parametrize("jump", JUMPS)
+def test_one_wrong_sample_moves_nothing_while_idle_and_ends_nothing(jump):
+    rig = idle()
+    since = len(rig.positions)
+    rig.inject("wrong_position", target=CABLE, count=1, value=jump)
+    rig.run(1.0)
+    assert rig.bus.counters.implausible == 1
+    assert rig.robot.player.phase is Phase.IDLE
+    assert moved(rig, since) < STANDS
+    assert all(abs(s.cable) < 1e-3 for s in rig.snapshots if s.active)
+    check_goals(rig)
+
+
+@pytest.mark.parametrize("jump", JUMPS)
+def test_one_wrong_sample_does_not_disturb_a_gait(jump):
+    rig = running()
+    rig.inject("wrong_position", target=CABLE, count=1, value=jump)
+    begin = len(rig.snapshots)
+    rig.run(0.5)
+    assert rig.bus.counters.implausible == 1
+    assert rig.robot.player.phase is Phase.RUNNING
+    lengths = [s.cable for s in rig.snapshots[begin:]]
+    assert lengths == pytest.approx([s.commanded for s in rig.snapshots[begin:]], abs=6e-3)
+    check_goals(rig)
+
+
+@pytest.mark.parametrize("count", [2, 3, 20, 0], ids=["twice", "thrice", "for a while", "for ever"])
+@pytest.mark.parametrize("jump", JUMPS)
+def test_wrong_samples_while_idle_are_a_fault_and_move_nothing(jump, count):
+    rig = idle()
+    since = len(rig.positions)
+    length = {"count": count} if count else {"duration": 1e6}
+    rig.inject("wrong_position", target=CABLE, value=jump, **length)
+    snapshot = rig.run(2.0)
+    assert snapshot.player.phase is Phase.FAULT
+    assert f"servo 1 jumped by {jump} ticks" in snapshot.player.message
+    assert moved(rig, since) < STANDS
+    assert rig.cable.memory["torque_enable"] == 1
+    check_goals(rig)
+
+
+@pytest.mark.parametrize("jump", JUMPS)
+def test_wrong_samples_during_a_gait_stop_it_where_it_is(jump):
+    rig = running()
+    rig.inject("wrong_position", target=CABLE, value=jump, duration=1e6)
+    here = rig.cable.motor.position
+    assert rig.time_to_stop(1.0) < 0.100
+    assert rig.robot.player.phase is Phase.FAULT
+    travelled = abs(GIVEN.spools[0].length_change(rig.cable.motor.position - here))
+    assert travelled < 0.010  # at 88 mm/s
+    check_goals(rig)
+
+
+def test_wrong_samples_are_not_published():
+    rig = running()
+    rig.inject("wrong_position", target=CABLE, value=2000, duration=1e6)
+    begin = len(rig.snapshots)
+    rig.run(0.5)
+    assert all(s.servos[0].ticks < 3000 for s in rig.snapshots[begin:])
+
+
+@hypothesis_settings(max_examples=60)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 8), st.integers(-5000, 5000), st.integers(1, 3)),
+        min_size=1,
+        max_size=6,
+    ),
+    st.booleans(),
+)
+def test_sequences_of_wrong_samples(errors, in_motion):
+    rig = running() if in_motion else idle()
+    here = rig.cable.motor.position
+    for cycles, jump, count in errors:
+        rig.inject("wrong_position", target=CABLE, count=count, value=jump)
+        if cycles:
+            rig.run(cycles * GIVEN.period)
+    rig.run(0.5)
+    check_goals(rig)
+    if not in_motion:
+        assert abs(GIVEN.spools[0].length_change(rig.cable.motor.position - here)) < 0.006
+
+
+def test_a_wrong_sample_followed_by_a_real_fault_holds():
+    rig = running()
+    rig.inject("wrong_position", target=CABLE, count=1, value=600)
+    rig.inject("no_answer", duration=5.0)
+    assert rig.time_to_stop(1.0) < 0.100
+    check_goals(rig)
+
+
+def test_a_wrong_sample_at_a_stop_does_not_move_the_hold():
+    rig = running()
+    rig.inject("wrong_position", target=CABLE, count=1, value=1000)
+    rig.run(GIVEN.period)
+    here = rig.cable.motor.position
+    rig.robot.stop(rig.clock.now, "stop")
+    assert rig.time_to_stop(0.5) < 0.100
+    assert abs(GIVEN.spools[0].length_change(rig.cable.motor.position - here)) < 0.005
+    check_goals(rig)
+
+
+@pytest.mark.parametrize("ticks_per_cycle", [5, 20, 60, 110])
+def test_samples_that_drift_become_a_fault_and_move_nothing(ticks_per_cycle):
+    """Each step is one that the servo could have made; but no servo pulls where the cable is said to be off."""
+    rig = idle()
+    since = len(rig.positions)
+    for step in range(400):
+        rig.virtual.board.clear()
+        rig.inject("wrong_position", target=CABLE, value=step * ticks_per_cycle, duration=1e6)
+        rig.run(GIVEN.period)
+    assert rig.robot.player.phase is Phase.FAULT
+    assert moved(rig, since) < STANDS
+    check_goals(rig)
+
+
+# --- ids ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 4, 0], ids=["once", "four times", "for ever"])
+@pytest.mark.parametrize(("sender", "claimed"), [(11, 1), (12, 1), (1, 11), (12, 11), (1, 77)])
+@pytest.mark.parametrize("quiet", [None, 1])
+def test_a_status_packet_with_another_servos_id_moves_nothing(sender, claimed, count, quiet):
+    rig = idle()
+    since = len(rig.positions)
+    length = {"count": count} if count else {"duration": 1e6}
+    rig.inject("wrong_id", target=sender, value=claimed, **length)
+    if quiet is not None and quiet != sender:
+        rig.inject("no_answer", target=quiet, **length)
+    rig.run(1.0)
+    if not count:
+        assert rig.robot.player.phase is Phase.FAULT
+    assert moved(rig, since) < STANDS
+    check_goals(rig)
+
+
+@pytest.mark.parametrize("sender", [11, 12])
+def test_another_servos_packet_during_a_gait(sender):
+    rig = running()
+    rig.inject("wrong_id", target=sender, value=CABLE, duration=1e6)
+    rig.inject("no_answer", target=CABLE, duration=1e6)
+    assert rig.time_to_stop(1.0) < 0.100
+    assert rig.robot.player.phase is Phase.FAULT
+    check_goals(rig)
+
+
+# --- activation and homing -----------------------------------------------------------------------
+
+
+def before_nth_read(rig: Rig, number: int, deed) -> None:
+    """Do something before the nth read or sync read of a present position from now on."""
+    send, left = rig.wire.write, [number]
+
+    def write(packet: bytes) -> int:
+        covers = int.from_bytes(packet[8:10], "little") in (120, 132)
+        if packet[7] in (2, 0x82) and covers:
+            left[0] -= 1
+            if left[0] == 0:
+                deed()
+        return send(packet)
+
+    rig.wire.write = write
+
+
+@pytest.mark.parametrize("jump", [-600, 4096])
+@pytest.mark.parametrize("number", range(1, 11))
+def test_a_wrong_sample_at_any_moment_of_an_activation_moves_nothing(number, jump):
+    rig = Rig()
+    rig.run(0.1)
+    since = len(rig.positions)
+    before_nth_read(
+        rig, number, lambda: rig.inject("wrong_position", target=CABLE, count=1, value=jump)
+    )
+    rig.robot.activate(rig.clock.now)
+    rig.run(0.5)
+    assert moved(rig, since) < STANDS
+    assert rig.robot.player.phase is Phase.IDLE
+    check_goals(rig)
+
+
+@pytest.mark.parametrize("jump", [-600, 4096])
+@pytest.mark.parametrize("number", range(1, 11))
+def test_a_wrong_sample_while_a_contracted_robot_is_taken_over_moves_nothing(number, jump):
+    """Its torque is on: a wrong goal would act at once."""
+    first = running()
+    rig = first.restarted_driver(settings(home_at_start=False))
+    rig.run(0.1)
+    assert rig.robot.actuators.left_on
+    since = len(rig.positions)
+    before_nth_read(
+        rig, number, lambda: rig.inject("wrong_position", target=CABLE, count=1, value=jump)
+    )
+    rig.robot.activate(rig.clock.now)
+    rig.run(0.5)
+    assert moved(rig, since) < STANDS
+    check_goals(rig)
+
+
+@pytest.mark.parametrize("jump", [5, 600])
+@pytest.mark.parametrize("number", range(1, 8))
+def test_a_wrong_sample_while_homing_does_not_move_the_home(number, jump):
+    rig = Rig()
+    before_nth_read(
+        rig, number, lambda: rig.inject("wrong_position", target=CABLE, count=1, value=jump)
+    )
+    try:
+        rig.robot.home()
+    except DriverError:
+        assert not rig.robot.actuators.homed
+    else:
+        shaft = rig.cable._encoder.raw(rig.cable.motor.position)
+        assert abs(shaft) <= 10
+
+
+# --- several cable servos -------------------------------------------------------------------------
+
+
+def two_cables() -> Rig:
+    usual = load_settings(None)
+    (cable,) = usual.cable_servos
+    cables = [
+        replace(cable, id=n, model=XM430_W350, spool_radius=0.025, sign=s)
+        for n, s in ((1, 1), (2, -1))
+    ]
+    virtual = VirtualRobot(replace(usual, cable_servos=tuple(cables), fin_servos=()))
+    given = settings(
+        spools=(Spool(1, 1, 0.025), Spool(2, -1, 0.025)),
+        fins=(),
+        player=PlayerSettings(rest_duration=0.2, settle_time=0.1),
+    )
+    rig = Rig(given, virtual)
+    rig.activate()
+    rig.start(0.05, 0.4, cycles=3)
+    rig.run(6.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig.run(0.6)
+    return rig
+
+
+@pytest.mark.parametrize("servo", [1, 2])
+@pytest.mark.parametrize("jump", [-4096, -600, 600, 4096])
+def test_a_wrong_position_of_one_of_two_cable_servos_stops_both(servo, jump):
+    rig = two_cables()
+    rig.inject("wrong_position", target=servo, value=jump, duration=1e6)
+    here = [s.motor.position for s in rig.virtual.servos]
+    rig.run(1.0)
+    assert rig.robot.player.phase is Phase.FAULT
+    for shaft, virtual in zip(here, rig.virtual.servos, strict=True):
+        assert abs(GIVEN.spools[0].length_change(virtual.motor.position - shaft)) < 0.010
+    assert all(goal.distance <= REACH for goal in rig.goals)
+
+
+# --- fins -----------------------------------------------------------------------------------------
+
+
+def flipping() -> Rig:
+    rig = Rig()
+    rig.activate()
+    rig.start(0.05, 0.4, cycles=1, direction=-1)
+    rig.run(1.0, until=lambda s: s.player.phase is Phase.FLIPPING)
+    rig.run(0.15)
+    assert abs(rig.virtual.servos[1].motor.velocity) > 500  # ticks/s
+    return rig
+
+
+def fin_positions(rig: Rig) -> list[float]:
+    return [servo.motor.position for servo in rig.virtual.servos[1:]]
+
+
+@pytest.mark.parametrize("deed", ["stop", "fault"])
+def test_a_stop_stops_the_fins_too(deed):
+    rig = flipping()
+    if deed == "stop":
+        rig.robot.stop(rig.clock.now, "emergency stop")
+    else:
+        rig.robot.fail(rig.clock.now, "a fault")
+    rig.run(0.1)
+    stopped = fin_positions(rig)
+    rig.run(1.0)
+    assert fin_positions(rig) == pytest.approx(stopped, abs=5)
+    assert all(abs(servo.shaft_angle - 3.927) > 0.3 for servo in rig.virtual.servos[1:])
+
+
+def test_after_a_stop_during_a_flip_the_next_gait_sets_the_fins_at_rest():
+    rig = flipping()
+    rig.robot.stop(rig.clock.now, "stop")
+    rig.run(0.5)
+    rig.start(0.03, 0.4, cycles=1, direction=-1)
+    rig.run(6.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    for servo in rig.virtual.servos[1:]:
+        assert servo.shaft_angle == pytest.approx(3.927, abs=0.07)
+
+
+@pytest.mark.parametrize("jump", [-600, 600])
+def test_a_wrong_position_of_a_fin_during_a_stop_moves_no_fin_there(jump):
+    rig = flipping()
+    rig.inject("wrong_position", target=FIN, value=jump, duration=1e6)
+    rig.run(0.02)
+    rig.robot.stop(rig.clock.now, "stop")
+    here = fin_positions(rig)
+    rig.run(1.0)
+    assert fin_positions(rig) == pytest.approx(here, abs=200)
+
+
+# --- late cycles ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("late", [0.02, 0.05])
+def test_a_return_to_rest_keeps_to_its_speed_after_late_cycles(late):
+    rig = running()
+    rig.robot.stop(rig.clock.now, "stop")
+    rig.run(0.5)
+    rig.robot.begin_release(rig.clock.now, "over")
+    rig.positions.clear()
+    while not rig.robot.released:
+        rig.run(0.1)
+        rig.clock.now += late
+    assert rig.robot.player.phase is Phase.IDLE
+    assert fastest_over(rig, 0.03) < 1.1 * GIVEN.player.return_speed
+
+
+def fastest_over(rig: Rig, span: float) -> float:
+    """Largest mean speed of the cable (m/s) over a span (s)."""
+    steps = round(span / rig.virtual.settings.step)
+    pairs = zip(rig.positions, rig.positions[steps:], strict=False)
+    return max(abs(GIVEN.spools[0].length_change(b[1] - a[1])) / (b[0] - a[0]) for a, b in pairs)

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The end of the driver, on the virtual robot's bytes: what a stop, a fault or a person changes about the torque."""
+
+import math
+
+import pytest
+from driver_rig import Rig
+
+from worm_driver.errors import LimitError
+from worm_driver.gait.gait_player import Phase
+
+
+def closing(passed: float) -> Rig:
+    """A driver that was asked to end in the middle of a stroke, and returns to rest for a time (s)."""
+    rig = Rig()
+    rig.run_into_motion()
+    rig.loop.leave("the driver ends")
+    if passed:
+        rig.run(passed)
+    return rig
+
+
+def ended(rig: Rig, longest: float = 10.0) -> list[str]:
+    """What is reported once the driver's thread has ended."""
+    end = rig.clock.now + longest
+    while not rig.ended:
+        rig.run(rig.settings.period)
+        assert rig.clock.now < end
+    return rig.end()
+
+
+def contraction(rig: Rig) -> float:
+    """M."""
+    return (rig.cable.motor.position - rig.home_ticks) * 2 * math.pi / 4096 * 0.025
+
+
+def stop(rig: Rig) -> None:
+    rig.loop.submit(lambda now: rig.robot.stop(now, "stop"), patience=math.inf)
+
+
+@pytest.mark.parametrize("passed", [0.0, 0.05, 0.3, 0.6, 0.8])
+def test_a_stop_at_any_time_of_the_return_leaves_the_torque_on(passed):
+    rig = closing(passed)
+    stop(rig)
+    (problem,) = ended(rig)
+    held = contraction(rig)
+    assert held > 0.003
+    assert f"contracted by {held * 1e3:.1f} mm" in problem
+    assert rig.cable.memory["torque_enable"] == 1
+    rig.clock.now += 1.0
+    rig.advance(rig.clock.now)  # the bus watchdog has fired by now
+    assert contraction(rig) == pytest.approx(held, abs=1e-4)
+
+
+def test_the_next_driver_brings_a_robot_to_rest_that_was_left_so():
+    rig = closing(0.3)
+    stop(rig)
+    ended(rig)
+    again = rig.restarted_driver()
+    again.run(0.1)
+    assert "the torque is on" in again.run(0.02).player.message
+    again.robot.activate(again.clock.now)
+    again.robot.begin_release(again.clock.now, "deactivated")
+    while not again.robot.released:
+        again.run(0.01)
+    assert again.robot.release() == []
+    assert contraction(again) == pytest.approx(0.0, abs=1e-3)
+    assert again.cable.memory["torque_enable"] == 0
+
+
+def test_without_a_stop_it_is_released_at_rest():
+    rig = closing(0.0)
+    assert ended(rig) == []
+    assert contraction(rig) == pytest.approx(0.0, abs=1e-3)
+    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+
+
+def test_a_stop_that_comes_when_it_is_at_rest_does_not_keep_the_torque():
+    rig = closing(0.0)
+    while not rig.ended:
+        rig.run(rig.settings.period)
+    stop(rig)
+    assert rig.end() == []
+    assert rig.cable.memory["torque_enable"] == 0
+
+
+def test_a_robot_that_was_stopped_before_is_brought_to_rest():
+    """The signal is a new command of a person."""
+    rig = Rig()
+    rig.run_into_motion()
+    rig.robot.stop(rig.clock.now, "stop")
+    rig.run(0.5)
+    rig.loop.leave("the driver ends")
+    assert ended(rig) == []
+    assert rig.cable.memory["torque_enable"] == 0
+
+
+def test_while_nothing_may_start_it_is_not_brought_to_rest_either():
+    rig = Rig()
+    rig.run_into_motion()
+    rig.robot._why_not_start = lambda: "the emergency stop is on"
+    rig.robot.stop(rig.clock.now, "the emergency stop is on")
+    rig.run(0.5)
+    held = contraction(rig)
+    rig.loop.leave("the driver ends")
+    assert ended(rig) != []
+    assert contraction(rig) == pytest.approx(held, abs=1e-3)
+    assert rig.cable.memory["torque_enable"] == 1
+
+
+def test_a_fault_while_it_shuts_down_leaves_the_torque_on():
+    rig = closing(0.2)
+    rig.inject("no_answer", target=11, duration=1e6)
+    assert ended(rig) != []
+    assert rig.robot.player.phase is Phase.FAULT
+    assert rig.cable.memory["torque_enable"] == 1
+
+
+def test_no_gait_begins_while_it_shuts_down():
+    rig = closing(0.2)
+    with pytest.raises(LimitError, match="shuts down"):
+        rig.start()
+
+
+def test_a_person_lets_it_go_at_once():
+    rig = closing(0.2)
+    stop(rig)
+    rig.run(0.1)
+    rig.loop.release_at_once()
+    assert rig.end() == []
+    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+
+
+def test_an_idle_driver_ends_at_once():
+    rig = Rig()
+    rig.run(0.1)
+    rig.loop.leave("the driver ends")
+    rig.run(rig.settings.period)
+    assert rig.ended
+    assert rig.end() == []

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""No goal beyond its bounds is written, whatever asks for it: on the bytes of the virtual robot's servos."""
+
+import pytest
+from driver_rig import CABLE, Clock, SimulatedPort, Wire
+from hypothesis import given
+from hypothesis import strategies as st
+
+from worm_driver.errors import LimitError
+from worm_driver.servos.goal_gate import Bound, GoalGate
+from worm_driver.servos.position_track import PositionTrack, Sighting
+from worm_driver.servos.registers import COMMON
+from worm_driver.servos.servo_bus import ServoBus
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import load_settings
+
+GOAL = COMMON["goal_position"]
+
+
+class Gated:
+    """A gate to cable servo 1, which was seen at 0 at the time 0."""
+
+    def __init__(self, bound: Bound) -> None:
+        self.clock = Clock()
+        robot = VirtualRobot(load_settings(None))
+        wire = Wire(
+            self.clock, lambda data, now: [(t.time, t.data) for t in robot.receive(data, now)]
+        )
+        self.bus = ServoBus(SimulatedPort(wire, self.clock))
+        self.track = PositionTrack({CABLE: 4.8})
+        self.track.begin({CABLE: Sighting(0, 0.0)})
+        self.gate = GoalGate(self.bus, self.track)
+        self.gate.bounds = {CABLE: bound}
+
+    def goal(self) -> int:
+        return self.bus.read(CABLE, GOAL)
+
+
+@given(st.integers(-(10**6), 10**6), st.floats(0.0, 0.2))
+def test_a_goal_is_within_the_range_and_the_reach_or_not_written(ticks, age):
+    gated = Gated(Bound(-1000, 500, lead=400, speed=3000.0))
+    before = gated.goal()
+    gated.clock.now = age
+    gated.gate.send({CABLE: ticks})
+    reach = 400 + 3000.0 * age
+    within = -1000 <= ticks <= 500 and abs(ticks) <= reach
+    assert gated.bus.counters.withheld == (not within)
+    assert gated.goal() == (ticks if within else before)
+    assert gated.gate.last_sent(CABLE) == (ticks if within else None)
+
+
+def test_an_acknowledged_goal_has_the_same_bounds():
+    gated = Gated(Bound(-1000, 500))
+    gated.gate.write(CABLE, -1000)
+    with pytest.raises(LimitError, match="501"):
+        gated.gate.write(CABLE, 501)
+    assert gated.goal() == -1000
+
+
+def test_a_servo_whose_position_is_lost_gets_no_goal():
+    gated = Gated(Bound(-1000, 500))
+    before = gated.goal()
+    gated.track.lose(CABLE, 4096)
+    gated.gate.send({CABLE: 1})
+    assert gated.goal() == before
+
+
+def test_a_servo_without_bounds_gets_no_goal():
+    gated = Gated(Bound(-1000, 500))
+    gated.track.accepts(11, 1500, 0.0)
+    gated.gate.send({11: 1500})
+    assert gated.bus.counters.withheld == 1

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is written is read back equal by other readers, with what belongs beside the messages."""
+
+import errno
+import resource
+import struct
+from collections import Counter
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader as RosbagsReader
+
+from worm_model.bags.bag import AttachedFile
+from worm_model.bags.bag_errors import UnwritableError
+from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.message_block import Message, Topic
+from worm_model.bags.opening import open_bag
+from worm_model.bags.recovery.recovery import recover
+
+TYPE = "std_msgs/msg/UInt64"
+METADATA = (("offered_qos_profiles", ""), ("topic_type_hash", "RIHS01_" + "0" * 64))
+NAMES = ("/a", "/b", "/c")
+TOPICS = [Topic(n, TYPE, 0, "uint64 data\n", "ros2msg", "cdr", METADATA) for n in NAMES]
+ATTACHED = AttachedFile("parameters.yaml", "application/yaml", b"pitch: 0.0173\n")
+TIMES = st.integers(0, 5) | st.integers(0, 2**64 - 1)
+
+
+def message(topic: Topic, log_time: int, data: bytes, publish_time: int) -> Message:
+    return Message(topic.name, log_time, data, publish_time, topic)
+
+
+MESSAGES = st.lists(
+    st.builds(message, st.sampled_from(TOPICS), TIMES, st.binary(max_size=90), TIMES), max_size=40
+)
+
+
+def write(path: Path, messages: list[Message]) -> Path:
+    with new_bag(path) as writer:
+        writer.add_attachment(ATTACHED)
+        for topic in TOPICS:
+            writer.add_topic(topic)
+        assert writer.write_all(messages) == len(messages)
+        writer.add_metadata("worm_run", {"seed": "4"})
+    return path
+
+
+def file_of(bag: Path) -> Path:
+    return bag / f"{bag.name}_0.mcap"
+
+
+def columns(messages: list[Message]) -> Counter:
+    return Counter((m.topic, m.log_time, m.data, m.publish_time) for m in messages)
+
+
+@settings(max_examples=100, deadline=None)
+@given(MESSAGES)
+def test_any_messages_are_read_back(messages: list[Message]):
+    with TemporaryDirectory() as folder:
+        bag = write(Path(folder, "bag"), messages)
+        reader = make_reader(BytesIO(file_of(bag).read_bytes()), validate_crcs=True)
+        by_library = Counter(
+            (c.topic, m.log_time, m.data, m.publish_time) for _, c, m in reader.iter_messages()
+        )
+        assert by_library == columns(messages)
+        with open_bag(bag) as own:
+            assert list(own.messages()) == sorted(messages, key=lambda m: m.log_time)
+            counts = Counter(message.topic for message in messages)
+            assert {n: t.count for n, t in own.topics.items()} == {n: counts[n] for n in NAMES}
+            times = [m.log_time for m in messages if m.log_time < 1 << 63]
+            times = times or [min((m.log_time for m in messages), default=0)]
+            assert (own.start, own.end) == (min(times), max(times))
+            assert list(own.attachments()) == [ATTACHED]
+            assert own.metadata["worm_run"] == {"seed": "4"}
+
+
+@settings(max_examples=40, deadline=None)
+@given(MESSAGES.map(lambda found: [m for m in found if m.log_time < 2**62]))
+def test_rosbags_reads_them(messages: list[Message]):
+    with (
+        TemporaryDirectory() as folder,
+        RosbagsReader(write(Path(folder, "bag"), messages)) as reader,
+    ):
+        found = [(c.topic, time, bytes(data)) for c, time, data in reader.messages()]
+        assert reader.message_count == len(messages)
+    assert Counter(found) == Counter((m.topic, m.log_time, m.data) for m in messages)
+
+
+def test_two_layouts_of_a_topic_stay_two(tmp_path: Path):
+    """Also through a recovery: no message gets the definition of another."""
+    other = replace(TOPICS[0], definition="int64 data\n")
+    messages = [message((TOPICS[0], other)[i % 2], i, bytes(12), i) for i in range(10)]
+    bag = write(tmp_path / "bag", messages)
+    recover(bag, tmp_path / "saved")
+    for path in (bag, tmp_path / "saved"):
+        with open_bag(path) as own:
+            assert [m.channel.definition for m in own.messages()] == [
+                m.channel.definition for m in messages
+            ]
+            assert own.topics["/a"].count == 10
+
+
+def test_a_bag_without_messages_keeps_its_topics(tmp_path: Path):
+    with open_bag(write(tmp_path / "bag", [])) as bag:
+        assert tuple(bag.topics) == NAMES
+        assert list(bag.messages()) == []
+
+
+def test_an_entirely_empty_bag(tmp_path: Path):
+    with new_bag(tmp_path / "bag"):
+        pass
+    with open_bag(tmp_path / "bag") as bag:
+        assert (list(bag.messages()), bag.topics, bag.start, bag.end) == ([], {}, 0, 0)
+
+
+def test_a_disk_that_is_full_in_the_middle_is_said_and_nothing_is_left(tmp_path: Path):
+    """By a limit of the process, at which writing fails as on a full disk."""
+    draw = np.random.default_rng(4)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        messages = [message(TOPICS[0], i, draw.bytes(1000), i) for i in range(100)]
+        with pytest.raises(UnwritableError, match="bag cannot be written: File too large"):
+            write(tmp_path / "bag", messages)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_takes_no_file_at_all_is_said_and_nothing_is_left(tmp_path: Path, monkeypatch):
+    def refuse(path: Path, mode: str):
+        raise OSError(errno.ENOSPC, "No space left on device", path)
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(UnwritableError, match="bag cannot be written: No space left on device"):
+        write(tmp_path / "bag", [])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_summary_that_is_not_what_was_written_is_not_believed_and_that_is_told(tmp_path: Path):
+    """With any of its bits flipped, all messages come, in their order, of their topics."""
+    messages = [message(TOPICS[i % 3], i, bytes(40), i) for i in range(60)]
+    file = file_of(write(tmp_path / "bag", messages))
+    data = bytearray(file.read_bytes())
+    summary = data.rindex(Opcode.DATA_END.to_bytes(1, "little") + struct.pack("<Q", 4)) + 13
+    for place in np.random.default_rng(1).integers(summary, len(data) - 37, 40):
+        data[place] ^= 0x40
+        file.write_bytes(data)
+        told: list[str] = []
+        with open_bag(file, told.append) as bag:
+            assert list(bag.messages()) == messages
+        assert any("summary" in line for line in told)
+        data[place] ^= 0x40
+
+
+def test_metadata_of_a_bag_beside_and_inside_its_file(tmp_path: Path):
+    """Also with texts that YAML has to quote or to fold."""
+    odd = {"state": "a: b # c", "lines": "one\n\n  two\n", "long": "word " * 60 + "é"}
+    with new_bag(tmp_path / "bag", odd) as writer:
+        for topic in TOPICS:
+            writer.add_topic(topic)
+        writer.write(TOPICS[1], b"12", 7, 7)
+        writer.write(TOPICS[1], b"12", 5, 7)
+    beside = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text(encoding="utf-8"))
+    content = beside["rosbag2_bagfile_information"]
+    reader = make_reader(BytesIO(file_of(tmp_path / "bag").read_bytes()))
+    copies = [yaml.safe_load(m.metadata["serialized_metadata"]) for m in reader.iter_metadata()]
+    extent = {
+        "duration": {"nanoseconds": 2},
+        "starting_time": {"nanoseconds_since_epoch": 5},
+        "message_count": 2,
+    }
+    assert content["custom_data"] == odd
+    assert content["relative_file_paths"] == ["bag_0.mcap"]
+    assert content["files"] == [{"path": "bag_0.mcap", **extent}]
+    counts = {
+        t["topic_metadata"]["name"]: t["message_count"]
+        for t in content["topics_with_message_count"]
+    }
+    assert counts == {"/a": 0, "/b": 2, "/c": 0}
+    assert copies[-1] == {**content, "relative_file_paths": [], "files": []}
+    assert copies[0]["message_count"] == 0

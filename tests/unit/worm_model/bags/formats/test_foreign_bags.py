@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags that others merged, renamed or made by hand: what is odd about them is told, and nothing ends in a traceback."""
+
+import json
+import math
+import shutil
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from recorded_run import simulated_run, write_bag
+
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_writer import new_bag
+from worm_model.bags.formats.message_block import Message, Topic
+from worm_model.bags.formats.message_types import parse_types
+from worm_model.bags.opening import open_bag
+from worm_model.bags.run_reader import read_run
+from worm_model.bags.run_writer import write_run
+from worm_model.commands import export, recover, replay
+from worm_model.run import Run
+
+RUN = simulated_run(cycles=1)
+POWER = "/worm/power"
+SECOND = 10**9
+Change = Callable[[Message], Message | None]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("bags") / "bag", RUN)
+
+
+@pytest.fixture(scope="module")
+def recorded(whole: Path) -> list[Message]:
+    with open_bag(whole) as bag:
+        return list(bag.messages())
+
+
+def by_mcap(path: Path, messages: Iterable[Message]) -> Path:
+    """As the library of MCAP writes messages, whatever they are; a type without a name gets no schema."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        numbers: dict[Topic, int] = {}
+        for message in messages:
+            topic = message.channel
+            if topic not in numbers:
+                schema = 0
+                if topic.type_name:
+                    schema = writer.register_schema(
+                        topic.type_name, "ros2msg", topic.definition.encode()
+                    )
+                numbers[topic] = writer.register_channel(topic.name, topic.encoding, schema)
+            writer.add_message(numbers[topic], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    return path
+
+
+def of_power(**changes: str) -> Callable[[Message], Message]:
+    """Changes the channel of power samples."""
+
+    def change(message: Message) -> Message:
+        if message.topic != POWER:
+            return message
+        fields = {**vars(message.channel), **changes}
+        return message._replace(channel=Topic(**fields))
+
+    return change
+
+
+def later(message: Message, log_s: int, stamp_s: int) -> Message:
+    data = bytearray(message.data)
+    struct.pack_into("<i", data, 4, struct.unpack_from("<i", data, 4)[0] + stamp_s)
+    return message._replace(log_time=message.log_time + log_s * 10**9, data=bytes(data))
+
+
+def told_of(path: Path) -> list[str]:
+    told: list[str] = []
+    with open_bag(path, told.append) as bag:
+        read_run(bag)
+    return told
+
+
+def test_nothing_is_told_of_a_bag_that_is_right(tmp_path: Path, recorded: list[Message]):
+    assert told_of(by_mcap(tmp_path / "a.mcap", recorded)) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (of_power(type_name="foo_msgs/msg/Power"), f"{POWER} is not read: it is a foo_msgs/msg/"),
+        (of_power(type_name="", definition=""), f"{POWER} is not read: it is a message without a"),
+        (of_power(name="/power"), "topics of /, /worm/ are taken for those of one robot"),
+    ],
+)
+def test_topics_that_are_not_what_they_are_called_are_told(
+    tmp_path: Path, recorded: list[Message], change: Change, words: str
+):
+    assert any(
+        words in line for line in told_of(by_mcap(tmp_path / "a.mcap", map(change, recorded)))
+    )
+
+
+def test_stamps_that_go_back_are_told(tmp_path: Path, recorded: list[Message]):
+    merged = by_mcap(tmp_path / "a.mcap", [*recorded, *(later(m, 1000, -1000) for m in recorded)])
+    assert any(f"stamps of {POWER} go back 1 times" in line for line in told_of(merged))
+    in_order = by_mcap(tmp_path / "b.mcap", [*recorded, *(later(m, 1000, 1000) for m in recorded)])
+    assert told_of(in_order) == []
+
+
+def test_a_recording_merged_with_itself_counts_once_which_is_told(
+    tmp_path: Path, recorded: list[Message]
+):
+    path = by_mcap(tmp_path / "a.mcap", [m for m in recorded for _ in range(2)])
+    told: list[str] = []
+    with open_bag(path, told.append) as bag:
+        found = read_run(bag)
+    for name in ("commanded", "measured", "tracker", "power", "gait_state"):
+        for mine, right in zip(
+            vars(getattr(found, name)).values(), vars(getattr(RUN, name)).values(), strict=True
+        ):
+            np.testing.assert_array_equal(mine, right)
+    assert (
+        f"{path}: {len(RUN.power.stamp)} messages of {POWER} are there twice; each counts once"
+        in told
+    )
+    assert len(told) == 5
+
+
+def test_the_twin_follows_it_as_if_it_were_there_once(
+    tmp_path: Path, recorded: list[Message], monkeypatch, capsys
+):
+    errors = []
+    for name, times in (("once", 1), ("twice", 2)):
+        path = by_mcap(tmp_path / f"{name}.mcap", [m for m in recorded for _ in range(times)])
+        output = ["--output", str(tmp_path / f"{name}_out")]
+        monkeypatch.setattr("sys.argv", ["replay", str(path), "--json", *output])
+        assert replay.main() == 0
+        found = json.loads(capsys.readouterr().out)
+        errors.append({k: v for k, v in found.items() if k.endswith("_rmse")})
+    assert errors[0] == errors[1]
+
+
+def test_samples_of_one_stamp_that_differ_all_count(tmp_path: Path):
+    """A lab's clock may tick more rarely than its sensor."""
+    stamp = RUN.power.stamp // 10**8 * 10**8
+    run = replace(RUN, power=replace(RUN.power, stamp=stamp))
+    with open_bag(write_bag(tmp_path / "bag", run)) as bag:
+        assert len(read_run(bag).power.stamp) == len(stamp)
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf])
+def test_samples_that_are_infinite_are_left_out_which_is_told(tmp_path: Path, value: float):
+    power = RUN.power.power.copy()
+    power[7] = value
+    path = write_bag(tmp_path / "bag", replace(RUN, power=replace(RUN.power, power=power)))
+    told: list[str] = []
+    with open_bag(path, told.append) as bag:
+        found = read_run(bag).power
+    np.testing.assert_array_equal(found.power, np.delete(RUN.power.power, 7))
+    np.testing.assert_array_equal(found.stamp, np.delete(RUN.power.stamp, 7))
+    assert told == [f"{path}: 1 messages of {POWER} hold an infinite number; they are left out"]
+
+
+def test_runs_that_overlap_are_refused(tmp_path: Path):
+    """Two recordings merged by time; one after the other they are two runs."""
+    longer = simulated_run(cycles=2)
+    with new_bag(tmp_path / "late") as writer:
+        write_run(writer, longer, "/worm")
+        write_run(writer, later_run(longer, 3_600 * SECOND), "/worm")
+    with open_bag(tmp_path / "late") as bag:
+        assert len(read_run(bag).gait_state.rows_of_runs()) == 2
+    with new_bag(tmp_path / "mixed") as writer:
+        write_run(writer, longer, "/worm")
+        write_run(writer, later_run(longer, SECOND), "/worm")
+    with (
+        open_bag(tmp_path / "mixed", lambda _: None) as bag,
+        pytest.raises(BagError, match="runs of gaits overlap"),
+    ):
+        read_run(bag)
+
+
+def later_run(run: Run, by: int) -> Run:
+    """The same, later by some ns."""
+    states = run.gait_state
+    moved = {
+        name: replace(getattr(run, name), stamp=getattr(run, name).stamp + by)
+        for name in ("commanded", "measured", "tracker", "power")
+    }
+    onset = np.where(states.onset > 0, states.onset + by, 0)
+    return replace(run, gait_state=replace(states, stamp=states.stamp + by, onset=onset), **moved)
+
+
+def test_a_file_that_metadata_does_not_name_is_told(tmp_path: Path, whole: Path):
+    bag = tmp_path / "bag"
+    shutil.copytree(whole, bag)
+    shutil.copy(next(whole.glob("*.mcap")), bag / "other.mcap")
+    assert any("other.mcap not read" in line for line in told_of(bag))
+
+
+def test_a_file_behind_a_file_is_told(tmp_path: Path, recorded: list[Message]):
+    one = by_mcap(tmp_path / "a.mcap", recorded).read_bytes()
+    (tmp_path / "both.mcap").write_bytes(one + one)
+    told = told_of(tmp_path / "both.mcap")
+    assert any(f"behind its end lie {len(one)} bytes" in line for line in told)
+
+
+def test_what_metadata_tells_differently_is_part_of_the_outcome_of_recover(
+    tmp_path: Path, whole: Path, monkeypatch, capsys
+):
+    bag = tmp_path / "bag"
+    shutil.copytree(whole, bag)
+    shutil.copy(next(whole.glob("*.mcap")), bag / "other.mcap")
+    monkeypatch.setattr("sys.argv", ["recover", str(bag), "--json"])
+    assert recover.main() == 0
+    assert json.loads(capsys.readouterr().out)["undeclared"][POWER] == -len(RUN.power.stamp)
+
+
+def test_a_definition_that_contains_itself_is_refused(
+    tmp_path: Path, recorded: list[Message], monkeypatch, capsys
+):
+    channel = Topic("/w", "x/msg/W", 0, "x/W data\n", "ros2msg", "cdr")
+    message = recorded[0]._replace(channel=channel, data=b"\0\1\0\0" + bytes(8))
+    bag = by_mcap(tmp_path / "a.mcap", [*recorded, message])
+    monkeypatch.setattr("sys.argv", ["export", str(bag), "--output", str(tmp_path / "out")])
+    assert export.main() == 1
+    assert "/w is left out: /w: its definition contains itself" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["", "/", "/a\0b", "/a\nb", "/../../../x", "/" + 300 * "ä"])
+def test_any_name_of_a_topic_becomes_that_of_a_file(
+    tmp_path: Path, recorded: list[Message], name: str, monkeypatch
+):
+    channel = Topic(name, "std_msgs/msg/UInt8", 0, "uint8 data\n", "ros2msg", "cdr")
+    message = recorded[0]._replace(channel=channel, data=b"\0\1\0\0\5")
+    bag = by_mcap(tmp_path / "a.mcap", [*recorded, message])
+    monkeypatch.setattr("sys.argv", ["export", str(bag), "--output", str(tmp_path / "out")])
+    assert export.main() == 0
+    assert {p.name for p in tmp_path.iterdir()} == {"a.mcap", "out"}
+    tables = {p.name: p.read_text().splitlines() for p in (tmp_path / "out").iterdir()}
+    tables.pop("run.csv")  # of the robot's topics
+    assert len(tables) == 6
+    assert all(file.isprintable() and not file.startswith(".csv") for file in tables)
+    assert [f"{recorded[0].log_time},5"] in [lines[1:] for lines in tables.values()]
+
+
+def test_a_complaint_about_a_definition_does_not_repeat_it(recorded: list[Message]):
+    channel = next(m.channel for m in recorded if m.topic == POWER)
+    with pytest.raises(BagError, match="cannot be read") as caught:
+        parse_types(channel.type_name, channel.definition, "ros2idl")
+    assert len(str(caught.value)) < 300

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A lab's logs, as they are and as they should not be."""
+
+import json
+import math
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from worm_model.bags.opening import open_bag
+from worm_model.bags.operations.lab_logs import LabError, LabSettings, read_lab_run
+from worm_model.bags.run_reader import namespace_of, read_run
+from worm_model.commands import import_lab
+from worm_model.gait import Gait
+from worm_model.run import POWER_VALID, RUNNING
+
+EPOCH = 1_767_225_600 * 10**9
+SETTINGS = LabSettings(epoch=EPOCH)
+CAMERA = "time_s,x1_m,x2_m\n0.1,0.0,0.295\n1.0,,0.296\n1.5,0.0,0.297\n2.5,0.001,0.280\n3.0,0.002,\n"
+POWER = "time_s,bus_voltage_V,current_A\n0.0,12.0,0.1\n0.5,11.5,\n1.0,11.0,0.2\n"
+SERVO = "time_s,goal_ticks\n0.0,0\n2.5,1024\n4.5,-2048\n"
+GAITS = {"run_07": {"stroke_m": 0.07, "frequency_Hz": 0.5}}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    run = tmp_path / "run_07"
+    run.mkdir()
+    for name, text in (("camera", CAMERA), ("power", POWER), ("servo", SERVO)):
+        (run / f"{name}.csv").write_text(text)
+    (tmp_path / "runs.json").write_text(json.dumps(GAITS))
+    return run
+
+
+def seconds(stamp) -> list[float]:
+    return ((stamp - EPOCH) / 1e9).tolist()
+
+
+def test_ticks_become_lengths(folder: Path):
+    """A quarter turn of a 12 mm spool takes in 2π·12/4 mm of cable."""
+    commanded = read_lab_run(folder, SETTINGS).run.commanded
+    quarter = 2 * math.pi * 0.012 / 4
+    np.testing.assert_allclose(commanded.length_change, [0.0, -quarter, 2 * quarter])
+    np.testing.assert_allclose(commanded.length, 0.296 + commanded.length_change)
+    assert seconds(commanded.stamp) == [0.0, 2.5, 4.5]
+
+
+def test_the_initial_length_is_what_the_camera_saw_at_rest(folder: Path):
+    assert read_lab_run(folder, SETTINGS).initial_length == pytest.approx(0.296)
+    given = LabSettings(epoch=EPOCH, initial_length=0.3)
+    assert read_lab_run(folder, given).initial_length == 0.3
+    (folder / "camera.csv").unlink()
+    assert read_lab_run(folder, SETTINGS).initial_length == SETTINGS.fallback_length
+
+
+def test_missing_markers_stay_missing(folder: Path):
+    run = read_lab_run(folder, SETTINGS).run
+    assert np.isnan(run.tracker.rear_position).tolist() == [False, True, False, False, False]
+    assert np.isnan(run.tracker.front_position).tolist() == [False, False, False, False, True]
+    assert seconds(run.measured.stamp) == [0.1, 1.5, 2.5]
+    np.testing.assert_allclose(run.measured.length, [0.295, 0.297, 0.279])
+
+
+def test_a_power_line_without_a_reading_is_no_reading(folder: Path):
+    power = read_lab_run(folder, SETTINGS).run.power
+    assert (power.status == POWER_VALID).tolist() == [True, False, True]
+    np.testing.assert_allclose(power.power, [1.2, math.nan, 2.2])
+
+
+def test_gait_states_are_those_of_a_driver(folder: Path):
+    """A message at rest, and one at each cycle's start: at 2.0 s and, at 0.5 Hz, 4.0 s."""
+    states = read_lab_run(folder, SETTINGS).run.gait_state
+    assert seconds(states.stamp) == [0.0, 2.0, 4.0]
+    assert states.state.tolist() == [2, RUNNING, RUNNING]
+    assert states.onset.tolist() == [0, EPOCH + 2 * 10**9, EPOCH + 2 * 10**9]
+    assert states.cycle.tolist() == [0, 1, 2]
+    assert (states.stroke == 0.07).all()
+
+
+def test_without_a_list_of_gaits_none_is_claimed(folder: Path):
+    (folder.parent / "runs.json").unlink()
+    lab = read_lab_run(folder, SETTINGS)
+    assert lab.gait is None
+    assert len(lab.run.gait_state.stamp) == 0
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "words"),
+    [
+        ("camera.csv", "", "no column time_s"),
+        ("camera.csv", "time_s,x1_m\n0,0\n", "no column x2_m"),
+        ("camera.csv", "time_s,x1_m,x2_m\n", "no rows"),
+        ("camera.csv", "time_s,x1_m,x2_m\n0,a,1\n", "line 2: x1_m is 'a', not a number"),
+        ("camera.csv", "time_s,x1_m,x2_m\n0,0,1\n0,0,1\n", "line 3: time_s does not rise"),
+        ("camera.csv", "time_s,x1_m,x2_m\n0,0,1\n1,0\n", "line 3: x2_m is missing"),
+        ("camera.csv", "time_s,x1_m,x2_m\n,0,1\n", "time_s does not rise"),
+        ("power.csv", "time_s,bus_voltage_V,current_A\n0,1e999,0\n", "infinite"),
+        ("servo.csv", "\x00\x01", "servo.csv"),
+        ("../runs.json", "{}", "lacks 'run_07'"),
+        ("../runs.json", '{"run_07": {"stroke_m": 1}}', "lacks 'frequency_Hz'"),
+        ("../runs.json", '{"run_07": {"stroke_m": -1, "frequency_Hz": 1}}', "not one"),
+        ("../runs.json", "[", "not a list of gaits"),
+        ("../runs.json", '{"run_07": 3}', "not a list of gaits"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_place(folder: Path, file: str, text: str, words: str):
+    (folder / file).write_text(text)
+    with pytest.raises(LabError) as error:
+        read_lab_run(folder, SETTINGS)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_with_a_byte_order_mark_and_spaces_is_read(folder: Path):
+    (folder / "servo.csv").write_text("\ufefftime_s, goal_ticks\r\n0.0, 0\r\n1.0, 5\r\n")
+    assert len(read_lab_run(folder, SETTINGS).run.commanded.stamp) == 2
+
+
+def test_folders_that_hold_no_run_are_refused(tmp_path: Path):
+    with pytest.raises(LabError, match="none of camera"):
+        read_lab_run(tmp_path, SETTINGS)
+    with pytest.raises(LabError, match="not a folder"):
+        read_lab_run(tmp_path / "no", SETTINGS)
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["import_lab", *map(str, arguments)])
+    return import_lab.main()
+
+
+def test_an_imported_bag_holds_what_the_logs_hold(
+    folder: Path, tmp_path: Path, monkeypatch, capsys
+):
+    assert command(monkeypatch, folder, "--output", tmp_path / "bag", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["occluded"] == 2  # x1 hidden once, x2 once
+    expected = read_lab_run(folder, SETTINGS).run
+    with open_bag(tmp_path / "bag") as bag:
+        assert namespace_of(bag) == "/worm"
+        assert bag.metadata["worm_run"]["imported_from"] == "run_07"
+        assert bag.metadata["worm_gait"]["stroke"] == "0.07"
+        found = read_run(bag)
+    for series in ("commanded", "measured", "tracker", "power", "gait_state"):
+        for name, values in vars(getattr(expected, series)).items():
+            np.testing.assert_array_equal(getattr(getattr(found, series), name), values)
+    assert found.origin == expected.origin
+
+
+def test_the_same_logs_give_the_same_bytes(folder: Path, tmp_path: Path, monkeypatch):
+    for name in ("a", "b"):
+        assert command(monkeypatch, folder, "--output", tmp_path / name) == 0
+    one, other = ((tmp_path / n / f"{n}_0.mcap").read_bytes() for n in ("a", "b"))
+    assert one == other
+
+
+def test_bad_input_ends_with_status_2_and_leaves_nothing(
+    folder: Path, tmp_path: Path, monkeypatch, capsys
+):
+    (folder / "power.csv").write_text("x")
+    assert command(monkeypatch, folder, "--output", tmp_path / "bag") == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert command(monkeypatch, folder, "--output", folder) == 2
+    assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize("number", range(1, 9))
+def test_every_run_of_the_campaign_is_imported(
+    shared: Path, tmp_path: Path, monkeypatch, number: int
+):
+    source = shared / "campaign" / f"run_{number:02}"
+    assert command(monkeypatch, source, "--output", tmp_path / "bag") == 0
+    rows = {p.stem: len(p.read_text().splitlines()) - 1 for p in source.glob("*.csv")}
+    gait = json.loads((shared / "campaign" / "runs.json").read_text())[source.name]
+    with open_bag(tmp_path / "bag") as bag:
+        run = read_run(bag)
+    assert len(run.tracker.stamp) == rows["camera"]
+    assert len(run.power.stamp) == rows["power"]
+    assert len(run.commanded.stamp) == rows["servo"]
+    assert run.gait_state.stroke[-1] == gait["stroke_m"]
+    # The stroke is where the servo goes, to a tick of the spool, and the gait starts at 2.0 s.
+    assert -run.commanded.length_change.min() == pytest.approx(gait["stroke_m"], abs=2e-5)
+    moved = run.commanded.stamp[np.abs(run.commanded.length_change) > 0.0][0]
+    assert (run.gait_state.onset[-1] - moved) * 1e-9 == pytest.approx(0.0, abs=0.3)
+    assert 0.293 < np.median(run.measured.length[:50]) < 0.298
+    shutil.rmtree(tmp_path / "bag")
+
+
+def played(folder: Path, radius: float, onset: float) -> Path:
+    """The servo's log of the gait with a spool and an onset, two cycles of it."""
+    gait = Gait(0.07, 0.5)
+    time = np.arange(0.0, onset + 2 * gait.period, 0.02)
+    command = np.array([gait.command(max(t - onset, 0.0)) for t in time])
+    ticks = np.rint(-command / (2 * math.pi * radius) * 4096)
+    np.savetxt(
+        folder / "servo.csv",
+        np.column_stack([time, ticks]),
+        header="time_s,goal_ticks",
+        comments="",
+        delimiter=",",
+    )
+    return folder
+
+
+@pytest.mark.parametrize(("radius", "onset"), [(0.012, 2.0), (0.0125, 1.37), (0.025, 3.0)])
+def test_spool_and_onset_are_found_and_told(folder: Path, radius: float, onset: float):
+    found = read_lab_run(played(folder, radius, onset), SETTINGS).transmission
+    assert found.spool_radius == pytest.approx(radius, rel=1e-12)  # a tenth of a millimetre
+    assert found.onset == pytest.approx(onset, abs=0.01)
+    assert [text.split(",")[1] for text in found.remarks] == [
+        " where the servo's goal begins to move",
+        " with which the servo's goals play the stroke",
+    ]
+
+
+def test_a_given_spool_that_contradicts_the_stroke_is_told(folder: Path):
+    given = LabSettings(epoch=EPOCH, onset=2.0, spool_radius=1.02 * 0.012)
+    found = read_lab_run(played(folder, 0.012, 2.0), given).transmission
+    assert found.spool_radius == given.spool_radius
+    (remark,) = found.remarks
+    assert "12.24 mm as given" in remark
+    assert "with 12.00 mm" in remark
+    right = LabSettings(epoch=EPOCH, onset=2.0, spool_radius=0.012)
+    assert read_lab_run(folder, right).transmission.remarks == ()
+
+
+def test_what_no_log_tells_is_assumed_and_told(folder: Path):
+    (folder / "servo.csv").unlink()
+    found = read_lab_run(folder, SETTINGS).transmission
+    assert (found.onset, found.spool_radius) == (2.0, 0.012)
+    assert all("assumed" in text for text in found.remarks)

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder's bags, as the independent readers see them."""
+
+import struct
+from pathlib import Path
+
+import pytest
+import yaml
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosReliability
+
+from worm_model.bags.bag import AttachedFile
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_metadata import dump_yaml, qos_profile
+from worm_model.bags.formats.bag_writer import WriteOptions
+from worm_model.bags.formats.message_block import Topic
+from worm_model.bags.recording.recorder import BagRecorder, Manifest
+
+NOW = 1_800_000_000_000_000_000
+FOREVER = 2**63 - 1
+LATCHED = qos_profile(
+    "keep_last", 1, "reliable", "transient_local", "automatic", (FOREVER, FOREVER, FOREVER)
+)
+# Hash as ROS 2 Jazzy has it for std_msgs/msg/UInt64.
+UINT64_HASH = "RIHS01_fbdc52018fc13755dce18024d1a671c856aa8b4aaf63adfb095b608f98e8c943"
+
+
+def topic(name: str, qos: str) -> Topic:
+    metadata = (("offered_qos_profiles", qos), ("topic_type_hash", UINT64_HASH))
+    return Topic(name, "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr", metadata)
+
+
+TOPIC = topic("/counter", dump_yaml([LATCHED]))
+OTHER = topic("/other", "")
+
+
+def payload(value: int) -> bytes:
+    return b"\x00\x01\x00\x00" + struct.pack("<Q", value)
+
+
+def record(
+    directory: Path, count: int = 10, options: WriteOptions | None = None, **manifest
+) -> BagRecorder:
+    recorder = BagRecorder(directory, Manifest(**manifest), options or WriteOptions())
+    for i in range(count):
+        recorder.write(TOPIC if i % 2 else OTHER, payload(i), NOW + i * 10**8, NOW + i * 10**8 - 5)
+    return recorder
+
+
+def values(directory: Path) -> list[int]:
+    with AnyReader([directory]) as reader:
+        return [reader.deserialize(d, c.msgtype).data for c, _, d in reader.messages()]
+
+
+def metadata(directory: Path) -> dict:
+    return yaml.safe_load((directory / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_rosbags_reads_back_what_was_recorded(tmp_path: Path, compression: str):
+    record(tmp_path / "bag", options=WriteOptions(compression=compression)).close()
+    with AnyReader([tmp_path / "bag"]) as reader:  # checks the type hash, too
+        assert reader.message_count == 10
+        assert {c.topic: c.msgcount for c in reader.connections} == {"/counter": 5, "/other": 5}
+        offered = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
+    assert values(tmp_path / "bag") == list(range(10))
+    assert offered["/other"] == []
+    assert offered["/counter"][0].durability == QosDurability.TRANSIENT_LOCAL
+    assert offered["/counter"][0].reliability == QosReliability.RELIABLE
+
+
+def test_mcap_ros2_decodes_it_without_ros(tmp_path: Path):
+    record(tmp_path / "bag").close()
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        decoded = list(reader.iter_decoded_messages())
+    assert [d.decoded_message.data for d in decoded] == list(range(10))
+    assert [d.message.publish_time - d.message.log_time for d in decoded] == [-5] * 10
+    channel = next(d.channel for d in decoded if d.channel.topic == "/counter")
+    assert channel.metadata["topic_type_hash"] == UINT64_HASH
+    assert yaml.safe_load(channel.metadata["offered_qos_profiles"]) == [LATCHED]
+
+
+def test_metadata_is_that_of_rosbag2_version_9(tmp_path: Path):
+    record(tmp_path / "bag").close()
+    found = metadata(tmp_path / "bag")
+    assert found["version"] == 9
+    assert found["storage_identifier"] == "mcap"
+    assert found["relative_file_paths"] == ["bag_0.mcap"]
+    assert found["message_count"] == 10
+    assert found["starting_time"] == {"nanoseconds_since_epoch": NOW}
+    assert found["duration"] == {"nanoseconds": 9 * 10**8}
+    assert found["files"][0] == {
+        "path": "bag_0.mcap",
+        "starting_time": {"nanoseconds_since_epoch": NOW},
+        "duration": {"nanoseconds": 9 * 10**8},
+        "message_count": 10,
+    }
+    counter = next(
+        t["topic_metadata"]
+        for t in found["topics_with_message_count"]
+        if t["topic_metadata"]["name"] == "/counter"
+    )
+    assert counter["offered_qos_profiles"] == [LATCHED]
+    assert counter["type_description_hash"] == UINT64_HASH
+
+
+def test_metadata_is_there_from_the_start_and_says_so(tmp_path: Path):
+    recorder = record(tmp_path / "bag", count=0)
+    assert metadata(tmp_path / "bag")["custom_data"] == {"state": "being recorded"}
+    recorder.close()
+    assert metadata(tmp_path / "bag")["custom_data"] == {"state": "closed"}
+
+
+def test_a_bag_without_messages_can_be_read(tmp_path: Path):
+    record(tmp_path / "bag", count=0).close()
+    assert values(tmp_path / "bag") == []
+
+
+def test_synchronised_messages_are_on_the_disk_before_the_bag_is_closed(tmp_path: Path):
+    recorder = record(tmp_path / "bag", count=4)
+    before = (tmp_path / "bag" / "bag_0.mcap").stat().st_size
+    recorder.sync()
+    after = (tmp_path / "bag" / "bag_0.mcap").stat().st_size
+    recorder.close()
+    assert after > before
+
+
+def records(path: Path) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        found = {record.name: record.metadata for record in reader.iter_metadata()}
+        return found, {a.name: a.data for a in reader.iter_attachments()}
+
+
+def test_every_file_of_a_split_bag_stands_alone(tmp_path: Path):
+    recorder = record(
+        tmp_path / "bag",
+        count=40,
+        options=WriteOptions(split_s=1.0),
+        metadata={"worm_run": {"seed": "4"}},
+        attachments=(AttachedFile("parameters.yaml", "application/yaml", b"pitch: 0.0173\n"),),
+    )
+    recorder.add_metadata("worm_gait", {"stroke": "0.07"})
+    recorder.write(TOPIC, payload(40), NOW + 5 * 10**9, NOW)
+    recorder.close()
+    files = metadata(tmp_path / "bag")["relative_file_paths"]
+    assert files == [f"bag_{i}.mcap" for i in range(5)]
+    assert values(tmp_path / "bag") == list(range(41))
+    for name in files:
+        found, attachments = records(tmp_path / "bag" / name)
+        assert found["worm_run"] == {"seed": "4"}
+        assert attachments == {"parameters.yaml": b"pitch: 0.0173\n"}
+        with AnyReader([tmp_path / "bag" / name]) as reader:
+            assert reader.message_count in (1, 10)
+    assert records(tmp_path / "bag" / files[-1])[0]["worm_gait"] == {"stroke": "0.07"}
+
+
+def test_a_bag_is_split_at_the_size_asked_for(tmp_path: Path):
+    options = WriteOptions(compression="none", split_bytes=20_000, chunk_bytes=2_000)
+    record(tmp_path / "bag", count=2000, options=options).close()
+    files = metadata(tmp_path / "bag")["files"]
+    sizes = [(tmp_path / "bag" / file["path"]).stat().st_size for file in files]
+    assert len(files) > 3
+    assert all(20_000 <= size < 40_000 for size in sizes[:-1])
+    assert sum(file["message_count"] for file in files) == 2000
+    assert values(tmp_path / "bag") == list(range(2000))
+
+
+def test_nothing_is_overwritten(tmp_path: Path):
+    record(tmp_path / "bag").close()
+    before = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
+    with pytest.raises(BagError, match="exists already"):
+        record(tmp_path / "bag")
+    assert (tmp_path / "bag" / "bag_0.mcap").read_bytes() == before

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is left of a bag when its recorder is killed or its disk is full."""
+
+import random
+import resource
+import shutil
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+from worm_model.bags.bag import Bag
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.opening import open_bag
+from worm_model.bags.recovery.recovery import recover
+
+SOURCES = [
+    str(Path(__file__).resolve().parents[5] / "src" / p) for p in ("worm_driver", "worm_model")
+]
+
+# Records a counter as fast as it can, and tells after each synchronisation how many messages are safe.
+RECORD = """
+import struct, sys, time
+from pathlib import Path
+from worm_model.bags.formats.bag_writer import WriteOptions
+from worm_model.bags.formats.message_block import Message, Topic
+from worm_model.bags.recording.recorder import BagRecorder, Manifest
+from worm_model.bags.recording.recording_thread import RecordingThread
+
+class Telling(BagRecorder):
+    def sync(self):
+        safe = sum(self.counts.values())
+        super().sync()
+        print(safe, flush=True)
+
+topic = Topic("/counter", "std_msgs/msg/UInt64", 0, "uint64 data\\n", "ros2msg", "cdr")
+options = WriteOptions(compression=sys.argv[2], split_bytes=int(sys.argv[3]), chunk_bytes=20_000)
+recorder = Telling(Path(sys.argv[1]), Manifest({"worm_run": {"seed": "4"}}), options)
+thread = RecordingThread(recorder, sync_s=0.02, backlog_bytes=10**8)
+count = 0
+while thread.error is None:
+    batch = [
+        Message(topic.name, i + 1, b"\\0\\1\\0\\0" + struct.pack("<Q", i), i + 1, topic)
+        for i in range(count, count + 100)
+    ]
+    thread.offer(batch)
+    count += 100
+    time.sleep(0.002)
+thread.close()
+print(thread.error.strerror, flush=True)  # an OSError
+sys.exit(1)
+"""
+
+
+def start(bag: Path, compression: str = "zstd", split: int = 0, limit: int = 0) -> subprocess.Popen:
+    def prepare() -> None:
+        if limit:  # Python ignores the signal that comes with it
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    return subprocess.Popen(
+        [sys.executable, "-c", RECORD, str(bag), compression, str(split)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={"PYTHONPATH": ":".join(SOURCES), "PATH": "/usr/bin:/bin"},
+        preexec_fn=prepare,
+    )
+
+
+def counters(bag: Bag) -> list[int]:
+    return [struct.unpack_from("<Q", message.data, 4)[0] for message in bag.messages()]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_killed_recorder_loses_nothing_that_was_synchronised(tmp_path: Path, seed: int):
+    draw = random.Random(seed)
+    bag = tmp_path / "bag"
+    with start(bag, draw.choice(["none", "lz4", "zstd"]), draw.choice([0, 50_000])) as process:
+        safe = 0
+        for _ in range(draw.randrange(1, 5)):
+            safe = int(process.stdout.readline())
+        time.sleep(draw.uniform(0.0, 0.04))  # the moment of death is drawn, nothing waits for it
+        process.kill()
+        safe = max([safe, *map(int, process.stdout.read().split())])
+    before = {path.name: path.read_bytes() for path in bag.iterdir()}
+    told: list[str] = []
+    with open_bag(bag, told.append) as recovered:
+        found = counters(recovered)
+        assert recovered.metadata["worm_run"] == {"seed": "4"}
+    assert found == list(range(len(found)))
+    assert len(found) >= safe > 0
+    assert len(told) == 1
+    assert "was not closed" in told[0]
+    assert str(tmp_path / "bag_recovered") in told[0]
+    assert {path.name: path.read_bytes() for path in bag.iterdir()} == before
+    with AnyReader([tmp_path / "bag_recovered"]) as reader:
+        assert reader.message_count == len(found)
+
+
+def test_a_recovery_is_found_again_and_another_bag_is_not_taken_for_it(tmp_path: Path):
+    for name in ("bag", "longer"):
+        with start(tmp_path / name) as process:
+            while int(process.stdout.readline()) == 0:
+                pass
+            if name == "longer":
+                for _ in range(3):
+                    process.stdout.readline()
+            process.kill()
+    told: list[str] = []
+    for _ in range(2):
+        with open_bag(tmp_path / "bag", told.append) as bag:
+            first = counters(bag)
+    assert "recovered before" in told[1]
+    shutil.rmtree(tmp_path / "bag")
+    (tmp_path / "longer").rename(tmp_path / "bag")
+    with open_bag(tmp_path / "bag", told.append) as bag:
+        assert bag.path.name == "bag_recovered_2"
+        assert counters(bag) != first
+
+
+def test_a_bag_in_the_making_is_left_alone(tmp_path: Path):
+    with start(tmp_path / "bag") as process:
+        process.stdout.readline()
+        for attempt in (open_bag, recover):
+            with pytest.raises(BagError, match="still being recorded"):
+                attempt(tmp_path / "bag")
+        process.kill()
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+def test_a_disk_that_takes_no_more_keeps_what_it_took(tmp_path: Path, compression: str):
+    """The system refuses to let the file grow, in the middle of a write, as a full disk does."""
+    with start(tmp_path / "bag", compression, limit=200_000) as process:
+        lines = process.stdout.read().split("\n")
+    assert process.returncode == 1
+    assert "File too large" in lines
+    safe = max(int(line) for line in lines if line.isdecimal())
+    with open_bag(tmp_path / "bag", lambda _: None) as recovered:
+        found = counters(recovered)
+    assert found == list(range(len(found)))
+    assert len(found) >= safe > 0
+
+
+def test_a_full_disk_keeps_what_it_took(tmp_path: Path):
+    """A file system of 1 MB of its own, where the system lets us have one."""
+    disk, saved = tmp_path / "disk", tmp_path / "saved"
+    disk.mkdir()
+    script = (
+        f"mount -t tmpfs -o size=1m tmpfs {disk} && "
+        f'{{ {sys.executable} -c "$1" {disk}/bag none 0; echo status $?; cp -r {disk}/bag {saved}; }}'
+    )
+    process = subprocess.run(
+        ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", script, "sh", RECORD],
+        capture_output=True,
+        text=True,
+        env={"PYTHONPATH": ":".join(SOURCES), "PATH": "/usr/bin:/bin:/usr/sbin:/sbin"},
+    )
+    if "status" not in process.stdout:
+        pytest.skip(f"no file system can be mounted here: {process.stderr.strip()}")
+    assert "No space left on device\nstatus 1" in process.stdout
+    safe = max(int(line) for line in process.stdout.split("\n") if line.isdecimal())
+    with open_bag(saved, lambda _: None) as recovered:
+        found = counters(recovered)
+    assert found == list(range(len(found)))
+    assert len(found) >= safe > 0

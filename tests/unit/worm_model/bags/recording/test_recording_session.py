@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a recorder is asked for while it runs."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from worm_model.bags.bag_errors import BagError, ExistsError
+from worm_model.bags.formats.message_block import Message, Topic
+from worm_model.bags.opening import open_bag
+from worm_model.bags.recording.recorder import Manifest
+from worm_model.bags.recording.recording_session import (
+    BACKLOG_BYTES,
+    RecordingSession,
+    SessionOptions,
+    after_crash,
+)
+
+TOPIC = Topic("/a", "std_msgs/msg/UInt64", 0, "uint64 data\n", "ros2msg", "cdr")
+LATCHED = Topic(
+    "/state",
+    "std_msgs/msg/UInt64",
+    0,
+    "uint64 data\n",
+    "ros2msg",
+    "cdr",
+    (("offered_qos_profiles", "- durability: transient_local\n"),),
+)
+SECOND = 10**9
+
+
+def message(value: int, topic: Topic = TOPIC, size: int = 8) -> Message:
+    data = b"\0\1\0\0" + value.to_bytes(8, "little") + bytes(size - 8)
+    return Message(topic.name, value * SECOND, data, value * SECOND, topic)
+
+
+def session(output: Path, ring_s: float = 0.0) -> RecordingSession:
+    manifest = Manifest({"worm_run": {"seed": "4"}})
+    return RecordingSession(SessionOptions(output, lambda: manifest, sync_s=0.02, ring_s=ring_s))
+
+
+def seconds(bag: Path) -> list[int]:
+    with open_bag(bag) as opened:
+        assert opened.metadata["worm_run"] == {"seed": "4"}
+        return [m.log_time // SECOND for m in opened.messages()]
+
+
+def test_what_comes_in_a_pause_is_not_recorded(tmp_path: Path):
+    recording = session(tmp_path / "bag")
+    recording.offer([message(1)])
+    recording.pause()
+    recording.offer([message(2)])
+    recording.resume()
+    recording.offer([message(3)])
+    recording.close()
+    assert seconds(tmp_path / "bag") == [1, 3]
+    assert recording.offered.messages == 2
+
+
+def test_topics_of_which_nothing_came_are_kept(tmp_path: Path):
+    """That nothing happened is not that nobody listened."""
+    recording = session(tmp_path / "bag")
+    recording.know([TOPIC, LATCHED])
+    recording.offer([message(1)])
+    recording.know([TOPIC, LATCHED])
+    recording.stop()
+    recording.start()
+    recording.close()
+    with open_bag(tmp_path / "bag") as bag:
+        assert {name: topic.count for name, topic in bag.topics.items()} == {"/a": 1, "/state": 0}
+    with open_bag(tmp_path / "bag_2") as bag:
+        assert {name: topic.count for name, topic in bag.topics.items()} == {"/a": 0, "/state": 0}
+
+
+def test_after_a_stop_a_start_begins_another_bag(tmp_path: Path):
+    recording = session(tmp_path / "bag")
+    recording.offer([message(1)])
+    recording.note("worm_gait", {"stroke": "0.07"})
+    assert "bag is closed" in recording.stop()
+    recording.offer([message(2)])
+    assert "bag_2" in recording.start()
+    recording.offer([message(3)])
+    recording.close()
+    assert [seconds(bag) for bag in recording.bags] == [[1], [3]]
+    with open_bag(tmp_path / "bag_2") as bag:
+        assert bag.metadata["worm_gait"] == {"stroke": "0.07"}
+
+
+def test_a_split_goes_on_in_a_new_file(tmp_path: Path):
+    recording = session(tmp_path / "bag")
+    recording.offer([message(1)])
+    recording.split()
+    recording.offer([message(2)])
+    recording.close()
+    assert len(list((tmp_path / "bag").glob("*.mcap"))) == 2
+    assert seconds(tmp_path / "bag") == [1, 2]
+
+
+def test_what_cannot_be_done_is_refused(tmp_path: Path):
+    recording = session(tmp_path / "bag")
+    recording.stop()
+    for act in (recording.stop, recording.split):
+        with pytest.raises(BagError, match="nothing is being recorded"):
+            act()
+    with pytest.raises(BagError, match="no ring"):
+        recording.snapshot()
+    recording.close()
+    with pytest.raises(ExistsError):
+        session(tmp_path / "bag")
+
+
+def test_a_snapshot_holds_the_last_seconds_and_what_is_latched(tmp_path: Path):
+    recording = session(tmp_path / "bag", ring_s=5.0)
+    with pytest.raises(BagError, match="nothing has been received"):
+        recording.snapshot()
+    recording.offer([message(1, LATCHED), message(2, LATCHED)])
+    for value in range(3, 20):
+        recording.offer([message(value)])
+    assert "bag_snapshot_1" in recording.snapshot()
+    recording.offer([message(20)])
+    recording.snapshot()
+    recording.close()
+    assert [bag.name for bag in recording.bags] == ["bag_snapshot_1", "bag_snapshot_2"]
+    assert [seconds(bag) for bag in recording.bags] == [[2, *range(14, 20)], [2, 20]]
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_ring_does_not_outgrow_the_memory(tmp_path: Path):
+    recording = session(tmp_path / "bag", ring_s=1000.0)
+    size = BACKLOG_BYTES // 4
+    for value in range(8):
+        recording.offer([message(value, size=size)])
+    recording.snapshot()
+    recording.close()
+    assert seconds(tmp_path / "bag_snapshot_1") == [5, 6, 7]
+
+
+def test_a_folder_that_is_removed_ends_the_recording_and_all_in_it_is_counted(tmp_path: Path):
+    recording = session(tmp_path / "bag")
+    recording.offer([message(1), message(2)])
+    shutil.rmtree(tmp_path / "bag")
+    recording.offer([message(3)])
+    while recording.error is None:  # the next synchronisation notices
+        pass
+    recording.close()
+    assert isinstance(recording.error, FileNotFoundError)
+    assert recording.failed == tmp_path / "bag"
+    assert recording.dropped.messages == recording.offered.messages == 3
+
+
+def test_after_a_crash_it_goes_on_in_the_next_bag_and_what_is_closed_is_not_touched(tmp_path: Path):
+    output = tmp_path / "bag"
+    assert after_crash(output) == output
+    crashed = session(output)  # one that is still written is not closed, either
+    assert after_crash(output) == tmp_path / "bag_2"
+    second = session(tmp_path / "bag_2")
+    assert after_crash(output) == tmp_path / "bag_3"
+    second.close()
+    assert after_crash(output) == tmp_path / "bag_2"  # which is rejected, as it exists
+    with pytest.raises(ExistsError, match="bag_2 exists already"):
+        session(after_crash(output))
+    (output / "metadata.yaml").unlink()
+    assert after_crash(output) == tmp_path / "bag_2"
+    crashed.close()
+    assert after_crash(output) == output

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which topics a recording takes."""
+
+import pytest
+
+from worm_model.bags.bag_errors import BagError
+from worm_model.bags.recording.topic_selection import TopicSelection
+
+
+@pytest.mark.parametrize(
+    ("selection", "taken"),
+    [
+        ({"names": frozenset({"/worm/power"})}, {"/worm/power"}),
+        ({"everything": True}, {"/worm/power", "/worm/tracker", "/rosout"}),
+        ({"everything": True, "exclude": "out$"}, {"/worm/power", "/worm/tracker"}),
+        ({"regex": "^/worm/.*er"}, {"/worm/power", "/worm/tracker"}),
+        ({"regex": "feedback", "hidden": True}, {"/worm/run_gait/_action/feedback"}),
+        ({"regex": "feedback"}, set()),
+        (
+            {"names": frozenset({"/worm/run_gait/_action/feedback"}), "exclude": "feedback"},
+            {"/worm/run_gait/_action/feedback"},
+        ),
+    ],
+)
+def test_selection(selection: dict, taken: set[str]):
+    topics = {"/worm/power", "/worm/tracker", "/rosout", "/worm/run_gait/_action/feedback"}
+    chosen = TopicSelection(**selection)
+    assert {topic for topic in topics if chosen.takes(topic)} == taken
+
+
+@pytest.mark.parametrize("selection", [{}, {"regex": "("}, {"everything": True, "exclude": "*"}])
+def test_nothing_and_nonsense_are_refused(selection: dict):
+    with pytest.raises(BagError):
+        TopicSelection(**selection)

@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gaits in a row on one robot: the live twin, and the replay of each recording, with its memory and without it."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from virtual_session import Live, Played, Session, live_twin, recording, virtual_settings
+
+from worm_driver.virtual_robot.plant import Grooves
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_model.analysis.replay_metrics import RunReport, report_replay
+from worm_model.gait import REVERSE, Gait
+from worm_model.parameters import PAPER
+from worm_model.twin.offline_replay import Replay, replay_run
+from worm_model.twin.records import Health
+from worm_model.twin.stored_memory import read_memory, stored_memory
+from worm_model.twin.twin import Twin
+
+FORWARD_GAIT, LONG, SHORT = Gait(0.07, 0.25), Gait(0.08, 0.3), Gait(0.06, 0.3)
+BACKWARD = Gait(0.07, 0.25, REVERSE)
+SECOND = 10**9
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A session: its samples, what was played, and what the live twin said."""
+
+    rows: np.ndarray
+    played: list[Played]
+    live: Live
+
+
+def seen(session: Session) -> Seen:
+    rows = session.rows
+    return Seen(rows, session.played, live_twin(rows))
+
+
+@lru_cache
+def mixed() -> Seen:
+    """Ten gaits: completed, held at once, ended at the next rest, reversed, other strokes, without a camera."""
+    session = Session()
+    session.run(FORWARD_GAIT)
+    session.run(LONG, 2)
+    session.run(FORWARD_GAIT, stop_after=6.3)
+    session.run(FORWARD_GAIT, 2)
+    session.run(BACKWARD, 2)
+    session.run(BACKWARD, cancel_after=5.0)
+    session.camera = False
+    session.run(FORWARD_GAIT, 2)
+    session.run(SHORT, stop_after=5.1)
+    session.camera = True
+    session.run(LONG, 2)
+    session.run(SHORT, 2)
+    return seen(session)
+
+
+def grooves_of(states: np.ndarray, played: Played) -> tuple[int, ...]:
+    """Grooves of the rear anchor in each complete cycle by the twin's states, from the borders on."""
+    borders = [
+        played.onset_ns + round(k * played.gait.period * SECOND)
+        for k in range(len(played.grooves) + 1)
+    ]
+    rows = np.searchsorted(states["stamp_ns"], borders)
+    return tuple(int(b - a) for a, b in pairwise(states["rear_groove"][rows]))
+
+
+def replayed(session: Seen, played: Played, *, memory: bool = True) -> tuple[Replay, RunReport]:
+    memories = session.live.memories if memory else ()
+    run = recording(session.rows, memories, played.begin_ns, played.end_ns)
+    replay = replay_run(run, PAPER)
+    (report,) = report_replay(run, replay, PAPER.pitch).runs
+    return replay, report
+
+
+def live_health(session: Seen, played: Played) -> Health:
+    rows = session.live.residuals
+    inside = (rows["stamp_ns"] >= played.onset_ns) & (
+        rows["stamp_ns"] <= played.end_ns - 2 * SECOND
+    )
+    return Health(int(rows["health"][inside].max(initial=0)))
+
+
+@pytest.mark.parametrize("number", range(10))
+def test_each_of_ten_gaits_is_healthy_live_and_in_its_recording_to_the_bit(number: int):
+    session = mixed()
+    played = session.played[number]
+    assert grooves_of(session.live.states, played) == played.grooves
+    replay, report = replayed(session, played)
+    assert replay.resumed_ns
+    assert grooves_of(replay.states, played) == played.grooves
+    assert report.health is live_health(session, played) is Health.HEALTHY
+    assert not any(cycle.not_judged for cycle in report.cycles if cycle.complete)
+    assert not report.events
+    last = played.end_ns - SECOND  # what comes after the recording is not known at its end
+    for name in ("states", "residuals"):
+        live = getattr(session.live, name)
+        live = live[(live["stamp_ns"] > played.onset_ns) & (live["stamp_ns"] < last)]
+        found = getattr(replay, name)
+        rows = (found["stamp_ns"] > played.onset_ns) & (found["stamp_ns"] < last)
+        for field in set(live.dtype.names) - {"position_size", "length_size", "power_size"}:
+            assert live[field].tobytes() == found[field][rows].tobytes(), field
+
+
+@pytest.mark.parametrize("number", [n for n in range(10) if n not in (6, 7)])
+def test_without_the_memory_the_start_is_estimated_before_anything_is_judged(number: int):
+    session = mixed()
+    played = session.played[number]
+    replay, report = replayed(session, played, memory=False)
+    assert not replay.resumed_ns
+    assert grooves_of(replay.states, played) == played.grooves
+    assert report.health is Health.HEALTHY
+    assert not report.events
+
+
+def test_a_start_that_nothing_tells_is_not_judged():
+    """Neither a camera nor the memory: power alone cannot place the fins."""
+    session = mixed()
+    _, report = replayed(session, session.played[6], memory=False)
+    assert not report.events
+    assert report.health in (Health.HEALTHY, Health.UNKNOWN)
+
+
+def test_a_memory_of_another_robot_is_not_resumed():
+    session = mixed()
+    played = session.played[1]
+    run = recording(session.rows, session.live.memories, played.begin_ns, played.end_ns)
+    other = PAPER.replace(viscous_friction=1.02 * PAPER.viscous_friction)
+    replay = replay_run(run, other)
+    assert not replay.resumed_ns
+    assert not [event.text for event in replay.notices if event.code]
+
+
+@pytest.mark.parametrize("late", [1.0, 5.0, 9.5])
+def test_a_recording_that_begins_in_a_gait_agrees_from_the_next_cycle_on(late: float):
+    session = mixed()
+    played = session.played[0]
+    begin = played.onset_ns + round(late * SECOND)
+    run = recording(session.rows, session.live.memories, begin, played.end_ns)
+    replay = replay_run(run, PAPER)
+    (report,) = report_replay(run, replay, PAPER.pitch).runs
+    first = int(late / played.gait.period) + 1
+    assert report.cycles[0].number == first
+    assert report.cycles[0].not_judged
+    whole = [cycle for cycle in report.cycles if cycle.complete]
+    assert [cycle.grooves for cycle in whole] == list(played.grooves[first:])
+    assert not any(cycle.not_judged for cycle in whole)
+    assert not report.events
+    assert report.health is Health.HEALTHY
+
+
+def test_the_memory_resumes_with_what_was_reported_of_the_run():
+    session, twin = mixed(), Twin()
+    for stamp, text in session.live.memories[::7]:
+        memory = read_memory(stamp, text)
+        assert memory is not None
+        assert memory.holds_for(twin)
+        before = session.rows[session.rows["stamp"] <= stamp]
+        state = memory.resume(twin, before)
+        again = read_memory(stamp, stored_memory(twin, state))
+        assert again is not None
+        assert repr(again.content) == repr(memory.content)
+
+
+# --- disturbances -------------------------------------------------------------------------------
+
+
+def miss(robot: VirtualRobot, time: float) -> None:
+    """The rear fins hold on to their groove in the fourth cycle."""
+    stuck = 3 * FORWARD_GAIT.period < time < 3.8 * FORWARD_GAIT.period
+    grooves = Grooves((1.0,) * 512, (1.0,) * 512) if stuck else usual_grooves()
+    robot.plant = replace(robot.plant, rear_grooves=grooves)
+
+
+def slip(robot: VirtualRobot, time: float) -> None:
+    """The cable slips by 5 mm on its spool at the third cycle's begin."""
+    item, servo = robot._cable[0]
+    if time > 2 * FORWARD_GAIT.period and item.start_angle == cable_start():
+        angle = item.sign * 0.005 / item.spool_radius
+        robot._cable[0] = (replace(item, start_angle=item.start_angle + angle), servo)
+
+
+def rub(robot: VirtualRobot, time: float) -> None:
+    """Viscous friction is three times as large from the third cycle on."""
+    if time > 2 * FORWARD_GAIT.period:
+        body = virtual_settings().body
+        parameters = replace(body, viscous_friction=3.0 * body.viscous_friction)
+        robot.plant = replace(robot.plant, parameters=parameters)
+
+
+def mend(robot: VirtualRobot) -> None:
+    """Between two gaits a person puts right what was wrong."""
+    item, servo = robot._cable[0]
+    robot._cable[0] = (replace(item, start_angle=cable_start()), servo)
+    robot.plant = replace(
+        robot.plant, parameters=virtual_settings().body, rear_grooves=usual_grooves()
+    )
+
+
+def cable_start() -> float:
+    return virtual_settings().cable_servos[0].start_angle
+
+
+@lru_cache
+def usual_grooves() -> Grooves:
+    return VirtualRobot(virtual_settings()).plant.rear_grooves
+
+
+CAUSES = {
+    3: (miss, {"missed_groove_rear", "missed_groove"}),
+    6: (slip, {"cable_slip"}),
+    9: (rub, {"friction_up"}),
+}
+
+
+@lru_cache
+def disturbed() -> Seen:
+    session = Session()
+    for number in range(1, 11):
+        if number in CAUSES:
+            session.run(FORWARD_GAIT, 5, disturb=CAUSES[number][0])
+            mend(session.rig.virtual)
+        elif number % 4 == 0:
+            session.run(BACKWARD, stop_after=6.0)
+        else:
+            session.run(LONG if number % 2 else FORWARD_GAIT, 2)
+    return seen(session)
+
+
+@pytest.mark.parametrize("memory", [True, False])
+@pytest.mark.parametrize("number", range(1, 11))
+def test_of_ten_gaits_exactly_the_disturbed_ones_are_flagged_with_the_cause(
+    number: int, memory: bool
+):
+    session = disturbed()
+    played = session.played[number - 1]
+    replay, report = replayed(session, played, memory=memory)
+    assert grooves_of(replay.states, played) == played.grooves
+    codes = {event.code for _, event in report.events}
+    if memory:
+        live = [
+            (event.code, event.cycle)
+            for event in session.live.events
+            if event.code and played.onset_ns <= event.stamp_ns <= played.end_ns
+        ]
+        assert [(event.code, event.cycle) for _, event in report.events] == live
+        assert report.health is live_health(session, played)
+    if number in CAUSES:
+        assert codes
+        assert codes <= CAUSES[number][1]
+        assert report.health in (Health.SUSPECT, Health.FAULTY)
+    else:
+        assert not codes
+        assert report.health is Health.HEALTHY
+
+
+GAITS = st.sampled_from([Gait(0.07, 0.4), Gait(0.085, 0.35), Gait(0.07, 0.4, REVERSE)])
+ENDS = st.sampled_from([{}, {"stop_after": 3.2}, {"cancel_after": 1.0}])
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.lists(st.tuples(GAITS, ENDS, st.booleans()), min_size=2, max_size=3), st.integers(1, 99))
+def test_live_twin_and_replay_agree_on_the_grooves_of_every_complete_cycle(gaits, seed):
+    session = Session(virtual_settings(seed))
+    for gait, end, camera in gaits:
+        session.camera = camera
+        session.run(gait, 2, before=1.6, after=1.2, **end)
+    found = seen(session)
+    for played in found.played:
+        replay, report = replayed(found, played)
+        assert grooves_of(replay.states, played) == grooves_of(found.live.states, played)
+        codes = [
+            (e.code, e.cycle)
+            for e in found.live.events
+            if e.code and played.onset_ns <= e.stamp_ns <= played.end_ns
+        ]
+        assert [(event.code, event.cycle) for _, event in report.events] == codes
+        if not codes:
+            assert grooves_of(replay.states, played) == played.grooves

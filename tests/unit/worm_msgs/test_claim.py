@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Claims of a namespace, among real processes."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from worm_msgs.claim import DRIVER, GRAPH, ClaimedError, claim, claim_graph, domain_of
+
+DOMAIN = 100_000 + os.getpid()  # of no other test at the same time
+
+HOLDER = """
+import sys
+from worm_msgs.claim import ClaimedError, claim
+sys.stdin.readline()
+try:
+    made = claim("node graph", "/worm", int(sys.argv[1]))
+    print("claimed", flush=True)
+except ClaimedError:
+    print("rejected", flush=True)
+sys.stdin.readline()
+"""
+
+
+def holder() -> subprocess.Popen[str]:
+    """Start a process that claims at the first line that it reads, and ends at the second."""
+    return subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(DOMAIN)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def go(process: subprocess.Popen[str]) -> None:
+    process.stdin.write("go\n")
+    process.stdin.flush()
+
+
+def test_a_second_claim_names_the_process_that_has_the_first():
+    with claim(GRAPH, "/worm", DOMAIN), pytest.raises(ClaimedError, match=f"process {os.getpid()}"):
+        claim(GRAPH, "worm", DOMAIN)  # with or without the first slash
+
+
+@pytest.mark.parametrize(
+    ("role", "namespace", "domain"),
+    [(DRIVER, "/worm", DOMAIN), (GRAPH, "/worm2", DOMAIN), (GRAPH, "/worm", DOMAIN + 1)],
+    ids=["role", "namespace", "domain"],
+)
+def test_what_differs_is_claimed_independently(role, namespace, domain):
+    with claim(GRAPH, "/worm", DOMAIN), claim(role, namespace, domain):
+        pass
+
+
+def test_of_many_processes_that_claim_at_once_one_gets_it_and_a_kill_leaves_nothing_behind():
+    processes = [holder() for _ in range(8)]
+    try:
+        for process in processes:
+            go(process)
+        answers = {process.stdout.readline().strip(): process for process in processes}
+        assert set(answers) == {"claimed", "rejected"}
+        with pytest.raises(ClaimedError, match=f"process {answers['claimed'].pid}"):
+            claim(GRAPH, "/worm", DOMAIN)
+        answers["claimed"].kill()
+        answers["claimed"].wait()
+        claim(GRAPH, "/worm", DOMAIN).close()
+    finally:
+        for process in processes:
+            process.kill()
+            process.communicate()
+
+
+def test_it_is_exact_after_more_attempts_than_the_kernel_keeps():
+    with claim(DRIVER, "/worm", DOMAIN):
+        for _ in range(300):
+            with pytest.raises(ClaimedError):
+                claim(DRIVER, "/worm", DOMAIN)
+
+
+def test_a_graph_does_not_start_where_a_driver_runs_and_leaves_no_claim_then():
+    with claim(DRIVER, "/worm", DOMAIN), pytest.raises(ClaimedError, match="a driver already"):
+        claim_graph("/worm", DOMAIN)
+    with claim_graph("/worm", DOMAIN), claim(DRIVER, "/worm", DOMAIN):
+        pass  # the graph's own driver
+
+
+def test_a_long_namespace_fits():
+    name = "/".join(["", *["segment" * 4] * 8])
+    with claim(DRIVER, name, DOMAIN), pytest.raises(ClaimedError):
+        claim(DRIVER, name, DOMAIN)
+
+
+@pytest.mark.parametrize(("text", "domain"), [("", 0), ("7", 7), ("seven", 0)])
+def test_the_domain_of_an_environment(text, domain):
+    assert domain_of({"ROS_DOMAIN_ID": text}) == domain
+    assert domain_of({}) == 0

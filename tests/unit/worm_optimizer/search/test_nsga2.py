@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""NSGA-II as an iterator, and its comparison with the exact front."""
+
+import itertools
+
+import numpy as np
+import pytest
+from gaits_for_tests import coarse_front, random_robot
+
+from worm_optimizer.search.nsga2 import SearchSettings, compared, generations, reference_power_of
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.task import MarginTask
+
+TASK = MarginTask(margin=2e-3)
+SMALL = SearchSettings(population=20, generations=8, seed=3)
+
+
+def test_the_same_seed_gives_the_same_front_and_another_seed_another():
+    ends = [
+        list(generations(TASK, settings, 10.0))[-1].front
+        for settings in (SMALL, SMALL, SearchSettings(20, 8, seed=4))
+    ]
+    assert np.array_equal(ends[0].stroke, ends[1].stroke)
+    assert np.array_equal(ends[0].frequency, ends[1].frequency)
+    assert not np.array_equal(ends[0].stroke, ends[2].stroke)
+
+
+def test_every_generation_reports_and_the_front_only_grows():
+    steps = list(generations(TASK, SMALL, 10.0))
+    assert [step.number for step in steps] == list(range(1, 9))
+    assert steps[-1].evaluations == pytest.approx(160, abs=10)
+    areas = [step.hypervolume for step in steps]
+    assert areas == sorted(areas)
+    assert areas[-1] > areas[0] > 0.0
+
+
+def test_nobody_forces_the_search_to_its_end():
+    endless = generations(TASK, SearchSettings(population=10, generations=100_000), 10.0)
+    assert [step.number for step in itertools.islice(endless, 3)] == [1, 2, 3]
+
+
+def test_all_of_the_front_moves_within_the_bounds():
+    front = list(generations(TASK, SMALL, 10.0))[-1].front
+    assert np.all(front.count >= 3)
+    assert np.all((front.stroke >= 0.01) & (front.stroke <= 0.09))
+    assert np.all((front.frequency >= 0.08) & (front.frequency <= 0.4))
+
+
+@pytest.mark.parametrize("wrong", [{"population": 1}, {"generations": 0}, {"seed": -1}])
+def test_settings_that_are_none_are_refused(wrong):
+    with pytest.raises(OptimizerError, match="search:"):
+        SearchSettings(**wrong)
+
+
+@pytest.mark.parametrize("margin", [0.0, 3.4e-3, 5e-3])
+def test_the_papers_settings_come_near_the_exact_front_and_never_beyond(margin):
+    exact = coarse_front(MarginTask(margin=margin), frequencies=81)
+    *_, last = generations(exact.task, SearchSettings(), reference_power_of(exact))
+    comparison = compared(exact, last.front)
+    assert 0.99 <= comparison.hypervolume_share <= 1.0
+    assert comparison.missed_branches == ()
+    assert -1e-7 <= comparison.largest_excess_power < 0.05
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_gait_of_nsga2_is_cheaper_than_the_exact_front(seed):
+    exact = coarse_front(MarginTask(random_robot(seed)), frequencies=41)
+    *_, last = generations(exact.task, SearchSettings(30, 12, seed), reference_power_of(exact))
+    comparison = compared(exact, last.front)
+    assert comparison.hypervolume_share <= 1.0
+    assert comparison.largest_excess_power >= -1e-7
+
+
+def test_a_search_that_falls_short_is_reported():
+    exact = coarse_front(TASK)
+    *_, last = generations(TASK, SearchSettings(4, 1, seed=7), reference_power_of(exact))
+    comparison = compared(exact, last.front)
+    assert comparison.hypervolume_share < 0.995
+    assert comparison.missed_branches == (2.0,)
+    assert comparison.largest_excess_power > 0.01

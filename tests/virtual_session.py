@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions of gaits on the virtual robot in virtual time: the driver's own core, byte for byte, and its topics.
+
+A session yields the samples of the twin in the order in which they would be received, and the truth of the plant.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from driver_rig import Rig
+from twin_samples import run_of_rows
+
+from worm_driver.control.telemetry import Snapshot
+from worm_driver.gait.gait_limits import Gait as DriverGait
+from worm_driver.gait.gait_player import Phase
+from worm_driver.power.ina219 import SampleStatus
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
+from worm_model.gait import Gait
+from worm_model.run import Run
+from worm_model.twin.records import Activity, Event
+from worm_model.twin.samples import SAMPLE, Kind
+from worm_model.twin.stored_memory import StoringTimes, stored_memory
+from worm_model.twin.twin import ClosedCycle, Twin
+from worm_model.twin.twin_settings import DEFAULTS
+
+EPOCH = 1_700_000_000_000_000_000
+LONGEST_S = 120.0  # of one gait
+_STATE = {
+    Phase.IDLE: Activity.IDLE,
+    Phase.RETURNING: Activity.RESTING,
+    Phase.FLIPPING: Activity.RESTING,
+    Phase.RESTING: Activity.RESTING,
+    Phase.RUNNING: Activity.RUNNING,
+    Phase.STOPPING: Activity.STOPPING,
+    Phase.HOLDING: Activity.IDLE,
+    Phase.FAULT: Activity.FAULT,
+}
+
+
+@dataclass(frozen=True)
+class Played:
+    """A gait of a session: its span (ns), and the grooves that x1's anchor gained along +x in each complete cycle."""
+
+    gait: Gait
+    onset_ns: int
+    begin_ns: int
+    end_ns: int
+    grooves: tuple[int, ...]
+
+
+def virtual_settings(seed: int = 1, **changes: object) -> RobotSettings:
+    """The installed virtual robot's, with another seed; ``changes`` are those of its sections."""
+    return replace(load_settings(None).with_seed(seed), **changes)
+
+
+class _Rig(Rig):
+    """A rig that counts the valid power samples of a long session instead of keeping them."""
+
+    valid = 0
+
+    def _valid_samples(self) -> int:
+        return self.valid + super()._valid_samples()
+
+
+class Session:
+    """One graph: a virtual robot that goes on from gait to gait, and its driver."""
+
+    def __init__(self, virtual: RobotSettings | None = None) -> None:
+        self.rig: Rig = _Rig(virtual=VirtualRobot(virtual or virtual_settings()))
+        self.camera = True
+        self.power = True
+        self.played: list[Played] = []
+        self._rows: list[tuple[float, ...]] = []
+        self._shown: tuple[object, ...] | None = None
+        self._grooves: list[tuple[float, int]] = []  # time, groove of the rear anchor
+        self.rig.activate()
+        self._note()
+
+    @property
+    def now_ns(self) -> int:
+        """The robot's time."""
+        return EPOCH + round(self.rig.clock.now * 1e9)
+
+    @property
+    def rows(self) -> np.ndarray:
+        """All samples so far, in the order of reception."""
+        return np.array(self._rows, SAMPLE)
+
+    def rest(self, duration: float) -> None:
+        """Let time (s) pass."""
+        self._follow(duration, lambda _: False)
+
+    def run(
+        self,
+        gait: Gait,
+        cycles: int = 3,
+        *,
+        stop_after: float = math.inf,
+        cancel_after: float = math.inf,
+        before: float = 2.0,
+        after: float = 2.0,
+        disturb: Callable[[VirtualRobot, float], None] = lambda _robot, _time: None,
+    ) -> Played:
+        """Play a gait; it is stopped (held at once) or cancelled (at the next rest) so many s after its onset.
+
+        ``before`` and ``after`` are the s that a recording of it begins earlier and ends later; ``disturb`` is called
+        with the time since the onset.
+        """
+        begin = self.now_ns
+        self.rest(before)
+        robot, clock = self.rig.robot, self.rig.clock
+        robot.start(
+            clock.now, DriverGait(gait.stroke, gait.frequency, gait.direction, gait.margin), cycles
+        )
+        self._follow(LONGEST_S, lambda s: s.player.phase is Phase.RUNNING)
+        onset = robot.player.run.onset
+        assert onset is not None
+
+        def over(snapshot: Snapshot) -> bool:
+            run = snapshot.player.active_run
+            disturb(self.rig.virtual, clock.now - onset)
+            if run is not None and clock.now >= onset + stop_after:
+                robot.stop(clock.now, "the service stop was called")
+                return True
+            if run is not None and clock.now >= onset + cancel_after:
+                robot.cancel(clock.now)
+            return run is None
+
+        self._follow(LONGEST_S, over)
+        run = robot.player.run
+        whole = run.cycles_completed(clock.now)
+        borders = [self._groove_at(onset + k * gait.period) for k in range(whole + 1)]
+        self.rest(after)
+        played = Played(
+            gait,
+            EPOCH + round(onset * 1e9),
+            begin,
+            self.now_ns,
+            tuple(b - a for a, b in pairwise(borders)),
+        )
+        self.played.append(played)
+        return played
+
+    def deactivate(self) -> None:
+        """Bring the robot to rest, and take the torque off."""
+        robot = self.rig.robot
+        robot.begin_release(self.rig.clock.now, "the driver is deactivated")
+        self._follow(LONGEST_S, lambda _: robot.released)
+        robot.release()
+        self.rest(0.1)
+
+    def activate(self) -> None:
+        """Torque on."""
+        self.rig.robot.activate(self.rig.clock.now)
+        self.rest(0.1)
+
+    def restart_driver(self) -> None:
+        """Another driver process on the same robot; it counts its runs from 1."""
+        self.deactivate()
+        self.rig = _Rig(self.rig.settings, self.rig.virtual, self.rig.clock)
+        self._shown = None
+        self.rig.activate()
+        self._note()
+
+    def carry(self, distance: float) -> None:
+        """A person puts the robot elsewhere (m), its fins in the nearest grooves."""
+        virtual = self.rig.virtual
+        plant, state = virtual.plant, virtual.state
+        moved = state._replace(centre=state.centre + distance)
+        rear, front = plant.positions(moved)
+        pitch = plant.parameters.pitch
+        virtual.state = moved._replace(
+            rear_groove=round(rear / pitch), front_groove=round(front / pitch)
+        )
+
+    # --- what the topics say --------------------------------------------------------------------
+
+    def _follow(self, duration: float, until: Callable[[Snapshot], bool]) -> None:
+        end = self.rig.clock.now + duration
+        while self.rig.clock.now < end - 1e-9:
+            snapshot = self.rig.run(self.rig.settings.period)
+            self._note()
+            if until(snapshot):
+                return
+
+    def _note(self) -> None:
+        rig, now = self.rig, self.rig.clock.now
+        for snapshot in rig.snapshots:
+            self._note_snapshot(snapshot)
+        for sample in rig.samples:
+            if self.power and sample.status is SampleStatus.VALID:
+                self._add(Kind.POWER, sample.time, sample.power)
+        rig.valid = rig._valid_samples()
+        rig.samples.clear()
+        for sample in rig.virtual.take_samples(now):
+            if self.camera:
+                rear, front = sample.rear_position, sample.front_position
+                self._add(Kind.POSITION, sample.time, rear, front)
+                if math.isfinite(front - rear):
+                    self._add(Kind.LENGTH, sample.time, front - rear)
+        rig.snapshots.clear()
+        rig.speeds.clear()
+        rig.positions.clear()
+        self._grooves.append((rig.virtual.time, rig.virtual.state.rear_groove))
+
+    def _note_snapshot(self, snapshot: Snapshot) -> None:
+        player, run = snapshot.player, snapshot.player.active_run
+        now = snapshot.command_time
+        cycle = 0 if run is None else run.cycle(now)
+        told = run and (run.number, run.onset, run.cycles, cycle)
+        shown = (snapshot.active, snapshot.homed, player.phase, player.message, told)
+        if shown != self._shown:
+            self._shown = shown
+            stamp = EPOCH + round(now * 1e9)
+            state = _STATE[player.phase] if snapshot.active else Activity.INACTIVE
+            onset = 0 if run is None or run.onset is None else EPOCH + round(run.onset * 1e9)
+            number = 0 if player.run is None else player.run.number
+            gait = (0.0,) * 4
+            if run is not None:
+                g = run.gait
+                gait = (g.stroke, g.frequency, float(g.direction), g.margin)
+            self._rows.append((stamp, Kind.GAIT, onset, state, number, cycle, stamp, *gait))
+        if not math.isnan(snapshot.commanded):
+            self._add(Kind.COMMAND, now, snapshot.commanded)
+
+    def _add(self, kind: Kind, time: float, a: float, b: float = 0.0) -> None:
+        stamp = EPOCH + round(time * 1e9)
+        self._rows.append((stamp, kind, 0, 0, 0, 0, stamp, a, b, 0.0, 0.0))
+
+    def _groove_at(self, time: float) -> int:
+        return next(groove for when, groove in reversed(self._grooves) if when <= time + 1e-6)
+
+
+@dataclass(frozen=True)
+class Live:
+    """What a live twin said of a session, and the memories that it stored (stamp in ns, text)."""
+
+    states: np.ndarray
+    residuals: np.ndarray
+    events: tuple[Event, ...]
+    cycles: tuple[ClosedCycle, ...]
+    memories: tuple[tuple[int, str], ...]
+
+
+def live_twin(rows: np.ndarray, twin: Twin | None = None, many: int = 9) -> Live:
+    """A twin as its node runs it: a few samples at a time, and its memory stored whenever that is due."""
+    twin = twin or Twin()
+    state, times = twin.start(), StoringTimes()
+    outputs, memories = [], []
+    for k in range(0, len(rows), many):
+        outputs.append(twin.advance(state, rows[k : k + many]))
+        if times.is_due(state):
+            memories.append((int(state.record["taken_ns"]), stored_memory(twin, state)))
+    outputs.append(twin.advance(state, rows[:0], to_the_end=True))
+    return Live(
+        np.concatenate([output.states for output in outputs]),
+        np.concatenate([output.residuals for output in outputs]),
+        tuple(event for output in outputs for event in output.events),
+        tuple(cycle for output in outputs for cycle in output.cycles),
+        tuple(memories),
+    )
+
+
+def recording(
+    rows: np.ndarray, memories: Sequence[tuple[int, str]], begin_ns: int, end_ns: int
+) -> Run:
+    """What a recorder writes from ``begin_ns`` to ``end_ns``: what comes then, and the last words of latched topics."""
+    words = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < begin_ns)][-1:]
+    part = rows[(rows["stamp"] >= begin_ns) & (rows["stamp"] <= end_ns)]
+    delay = round((DEFAULTS.delay_s + DEFAULTS.measured_stale_s) * 1e9)
+    earlier = [memory for memory in memories if memory[0] + delay < begin_ns][-1:]
+    later = [memory for memory in memories if begin_ns <= memory[0] + delay <= end_ns]
+    return run_of_rows(np.concatenate([words, part]), [*earlier, *later])
