@@ -15,6 +15,7 @@ from worm_model.parameters import Parameters
 from worm_model.simulation.actuation import actuator, length_change_range
 from worm_model.simulation.kernel.mode import nearest_groove
 from worm_model.simulation.kernel.waveform import rest_of
+from worm_model.simulation.rows import gait_rows
 
 
 def front_groove(parameters: Parameters) -> int:
@@ -95,7 +96,8 @@ def largest_static_load(parameters: Parameters, side: int, gait: Gait) -> float:
     if side != gait.direction:
         stiff, soft = soft, stiff
     half, threshold = 0.5 * parameters.clearance, parameters.switching_threshold + gait.margin
-    phase = (groove_phase(parameters) + rest_of(gait, actuator(parameters))) % parameters.pitch
+    rest = rest_of(gait_rows(gait)[0], actuator(parameters))
+    phase = (groove_phase(parameters) + rest) % parameters.pitch
 
     def held(deflection: float) -> float:
         return stiff * max(deflection - half, 0.0) - soft * max(-deflection - half, 0.0)
