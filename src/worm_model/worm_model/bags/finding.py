@@ -30,6 +30,17 @@ def check_readable(path: Path) -> None:
         raise BagError(f"{path} is {kind}; give the folder or the file of a bag")
 
 
+def check_not_compressed(path: Path) -> None:
+    """Raise `BagError` if a path is a file compressed by rosbag2, or a folder with such files."""
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    packed = [file.name for file in files if file.suffix == ".zstd"]
+    if packed and not any(file.suffix in STORAGE for file in files):
+        raise BagError(
+            f"{path}: {', '.join(packed)} must be decompressed before it can be recovered, or read without a "
+            f"{METADATA_FILE}: unzstd FILE"
+        )
+
+
 def recovered_path(bag: Path, number: int = 1) -> Path:
     """Return the path to which a bag is recovered; it differs for ``pipe_0.25Hz`` and ``pipe_0.30Hz``."""
     return bag.with_name(f"{_plain(bag)}_recovered{'' if number == 1 else f'_{number}'}")

@@ -13,6 +13,7 @@ from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
 from worm_model.bags.finding import (
     METADATA_FILE,
     STORAGE,
+    check_not_compressed,
     check_readable,
     recovered_path,
 )
@@ -69,16 +70,15 @@ def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None
 
 def _open(path: Path, notify: Notify) -> Bag:
     bag = _open_as_it_is(path, notify)
-    for record in bag.records:
-        if record.name == RECOVERY_RECORD and bag.path == path:  # otherwise reported in _instead
-            values = dict(record.values)
-            notify(f"{path} was recovered from {values.get(SOURCE)}: {values.get(LOSS)}")
+    if bag.path == path and (recovery := bag.metadata.get(RECOVERY_RECORD)):
+        notify(f"{path} was recovered from {recovery.get(SOURCE)}: {recovery.get(LOSS)}")
     return bag
 
 
 def _open_as_it_is(path: Path, notify: Notify) -> Bag:
     check_readable(path)
     if path.is_file():
+        check_not_compressed(path)
         return _open_stored(path, [path], notify)
     if not (path / METADATA_FILE).exists():
         return _open_without_metadata(path, notify)
@@ -94,6 +94,7 @@ def _open_as_it_is(path: Path, notify: Notify) -> Bag:
 def _open_without_metadata(path: Path, notify: Notify) -> Bag:
     if any(entry.suffix in STORAGE for entry in path.iterdir()):
         return _recovered(path, notify)
+    check_not_compressed(path)
     content = ", ".join(sorted(entry.name for entry in path.iterdir())) or "nothing"
     raise BagError(
         f"{path} is not a bag: it has neither {METADATA_FILE} nor a file *.mcap or *.db3 (found: {content})"
@@ -126,9 +127,13 @@ def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
 
 def _compared(bag: Bag, files: Sequence[Path]) -> Bag:
     """Return the bag; report files and messages that differ from its metadata.yaml."""
-    beside = sorted({file.name for file in bag.path.glob("*.mcap")} - {file.name for file in files})
-    if beside and files[0].parent == bag.path:  # not for a recovered bag
-        bag.notify(f"{bag.path}: {', '.join(beside)} not read: {METADATA_FILE} names no such file")
+    unlisted = sorted(
+        {file.name for file in bag.path.glob("*.mcap")} - {file.name for file in files}
+    )
+    if unlisted and files[0].parent == bag.path:  # not for a recovered bag
+        bag.notify(
+            f"{bag.path}: {', '.join(unlisted)} not read: {METADATA_FILE} names no such file"
+        )
     counts = {topic.name: topic.count for topic in bag.topics.values()}
     for topic, missing in undeclared(bag.path, counts).items():
         bag.notify(
@@ -172,9 +177,11 @@ def _recovered(path: Path, notify: Notify) -> Bag:
 
 def _instead(path: Path, target: Path, notify: Notify, outcome: str) -> Bag:
     """Return the recovered copy of a bag; report it and its stored loss in one line."""
-    lines: list[str] = []
-    bag = _open(target, lines.append)
-    notify("; ".join([f"{path} was not closed, or is damaged: {outcome} ({target})", *lines]))
+    lines = [f"{path} was not closed, or is damaged: {outcome} ({target})"]
+    bag = _open_as_it_is(target, lines.append)
+    if recovery := bag.metadata.get(RECOVERY_RECORD):
+        lines.append(recovery.get(LOSS, ""))
+    notify("; ".join(lines))
     bag.notify = notify
     return bag
 

@@ -34,7 +34,7 @@ from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import open_bag
 from worm_model.bags.run_reader import read_run
-from worm_model.bags.run_writer import write_beside
+from worm_model.bags.run_writer import write_extended
 from worm_model.commands import export, health, identify
 
 TYPE = "std_msgs/msg/UInt64"
@@ -442,7 +442,7 @@ def test_a_bag_without_definitions_is_read_by_the_installed_ones_which_is_told(t
     told: list[str] = []
     with open_bag(bag, told.append) as opened:
         assert read_run(opened).power.power.tolist() == [2.5]
-        write_beside(opened, tmp_path / "copy", ["/worm/power"], [])
+        write_extended(opened, tmp_path / "copy", ["/worm/power"], [])
     assert any("carry no definition" in line for line in told)
     with open_bag(tmp_path / "copy") as copy:
         assert "float64 bus_voltage" in copy.topics["/worm/power"].definition
@@ -459,7 +459,7 @@ def test_messages_of_another_length_than_the_installed_definition_are_refused(
         with pytest.raises(BagError, match="/worm/power"):
             read_run(opened)
         with pytest.raises(BagError, match="not as long as"):
-            write_beside(opened, tmp_path / "copy", ["/worm/power"], [])
+            write_extended(opened, tmp_path / "copy", ["/worm/power"], [])
     assert not (tmp_path / "copy").exists()
 
 
@@ -495,7 +495,7 @@ def test_a_bag_of_an_older_layout_is_read_by_the_definitions_that_are_given(
     assert export.main() == 1
     assert "--definitions FOLDER" in capsys.readouterr().err
     with open_bag(old_bag, lambda _: None) as bag, pytest.raises(BagError, match="--definitions"):
-        write_beside(bag, tmp_path / "none2", ["/worm/power"], [])
+        write_extended(bag, tmp_path / "none2", ["/worm/power"], [])
 
     arguments = ["--output", str(tmp_path / "tables"), "--definitions", str(old_definitions)]
     arguments += ["--topic", "/worm/power"]
@@ -528,7 +528,7 @@ def test_a_copy_carries_the_definitions_that_were_given(
 ):
     with open_bag(old_bag, lambda _: None, old_definitions) as bag:
         (before,) = bag.messages()
-        write_beside(bag, tmp_path / "copy", ["/worm/power"], [])
+        write_extended(bag, tmp_path / "copy", ["/worm/power"], [])
     told: list[str] = []
     with open_bag(tmp_path / "copy", told.append) as copy:
         assert copy.topics["/worm/power"].definition.startswith(OLD_POWER)
@@ -545,7 +545,7 @@ def test_given_definitions_that_do_not_fit_are_refused(
         with pytest.raises(BagError, match="not as long as"):
             list(bag.messages())
         with pytest.raises(BagError, match="not as long as"):
-            write_beside(bag, tmp_path / "copy", ["/worm/power"], [])
+            write_extended(bag, tmp_path / "copy", ["/worm/power"], [])
     assert not (tmp_path / "copy").exists()
     data = next(iter_messages(old_bag))
     hashed = without_definitions(tmp_path / "hashed", data, "RIHS01_" + 64 * "0")

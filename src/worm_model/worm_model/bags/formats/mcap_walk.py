@@ -180,7 +180,10 @@ class Walk:
     def _chunk_by_content(self, place: int, last: int) -> Part | None:
         """Return an intact chunk with a wrong opcode or declared length; None if there is none."""
         head, first = self._chunk_head(place), place + RECORD.size
-        for end in (first + head.last, last) if head else ():
+        ends = {first + head.last, last} if head else set()
+        if self._data[place] == Opcode.CHUNK and len(ends) == 1:
+            return None  # `_is_whole` has rejected this chunk
+        for end in sorted(ends):
             if end <= self._size and is_intact_chunk(self._data[first:end]):
                 return Part(Opcode.CHUNK, place, end)
         return None

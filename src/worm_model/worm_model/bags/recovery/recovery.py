@@ -14,7 +14,7 @@ from typing import Any
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError, DefinitionError
-from worm_model.bags.finding import STORAGE, check_readable, recovered_path
+from worm_model.bags.finding import STORAGE, check_not_compressed, check_readable, recovered_path
 from worm_model.bags.formats.bag_metadata import (
     custom_data,
     declared_counts,
@@ -252,10 +252,11 @@ def storage_files(path: Path) -> list[Path]:
         BagError: There are none.
     """
     check_readable(path)
+    check_not_compressed(path)
     if path.is_file():
         return [path]
-    beside = [entry.name for entry in path.iterdir() if entry.suffix in STORAGE]
-    names = dict.fromkeys([*_named_files(path), *sorted(beside, key=_split_number)])
+    present = [entry.name for entry in path.iterdir() if entry.suffix in STORAGE]
+    names = dict.fromkeys([*_named_files(path), *sorted(present, key=_split_number)])
     files = [path / name for name in names if (path / name).is_file()]
     if not files:
         raise BagError(f"{path} holds no file *.mcap or *.db3: nothing can be recovered")
