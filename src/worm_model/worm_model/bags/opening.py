@@ -12,14 +12,12 @@ from worm_model.bags.bag import Bag, Notify
 from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
 from worm_model.bags.finding import (
     METADATA_FILE,
-    STORAGE,
-    check_not_compressed,
     check_readable,
+    is_storage,
     recovered_path,
 )
 from worm_model.bags.formats.bag_metadata import custom_data, read_metadata
 from worm_model.bags.formats.message_types import PACKAGE
-from worm_model.bags.formats.rosbags_bag import RosbagsBag
 from worm_model.bags.formats.stored_bag import StoredBag, StoredFile
 from worm_model.bags.recovery.recovery import (
     LOSS,
@@ -78,23 +76,19 @@ def _open(path: Path, notify: Notify) -> Bag:
 def _open_as_it_is(path: Path, notify: Notify) -> Bag:
     check_readable(path)
     if path.is_file():
-        check_not_compressed(path)
         return _open_stored(path, [path], notify)
     if not (path / METADATA_FILE).exists():
         return _open_without_metadata(path, notify)
     content = read_metadata(path)
     files = _named_files(path, content)
-    if content.get("compression_mode"):
-        return _compared(RosbagsBag(path, notify), files)
     if is_unfinished(content):
         return _recovered(path, notify)
     return _compared(_open_stored(path, files, notify), files)
 
 
 def _open_without_metadata(path: Path, notify: Notify) -> Bag:
-    if any(entry.suffix in STORAGE for entry in path.iterdir()):
+    if any(is_storage(entry.name) for entry in path.iterdir()):
         return _recovered(path, notify)
-    check_not_compressed(path)
     content = ", ".join(sorted(entry.name for entry in path.iterdir())) or "nothing"
     raise BagError(
         f"{path} is not a bag: it has neither {METADATA_FILE} nor a file *.mcap or *.db3 (found: {content})"

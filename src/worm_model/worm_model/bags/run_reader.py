@@ -119,21 +119,21 @@ class RunReader:
             yield Run(origin=origin, **series)
 
     def _report(self, filters: Mapping[str, _Filter]) -> None:
-        path = self._bag.path
         for name, counts in filters.items():
-            if counts.repeated:
-                self._bag.notify(
-                    f"{path}: {counts.repeated} messages of {name} are repeated; each counts once"
-                )
-            if counts.infinite:
-                self._bag.notify(
-                    f"{path}: {counts.infinite} messages of {name} contain an infinite number and are excluded"
-                )
-            if counts.backwards:
-                self._bag.notify(
-                    f"{path}: stamps of {self._topics[name].name} go back {counts.backwards} times: runs that were "
-                    "merged, several publishers, or a clock that was set"
-                )
+            topic = self._topics[name].name
+            for count, text in (
+                (counts.repeated, "{} messages of {} are repeated; each counts once"),
+                (
+                    counts.infinite,
+                    "{} messages of {} contain an infinite number and are excluded",
+                ),
+                (
+                    counts.backwards,
+                    "{} stamps of {} go back: merged runs, several publishers, or a clock that was set",
+                ),
+            ):
+                if count:
+                    self._bag.notify(f"{self._bag.path}: {text.format(count, topic)}")
 
 
 @contextmanager

@@ -141,7 +141,8 @@ def numbers(bag: Bag, topics: list[str] | None = None) -> list[int]:
 
 @pytest.mark.parametrize("version", [8, 9])
 @pytest.mark.parametrize(
-    ("plugin", "mode"), [(StoragePlugin.SQLITE3, NONE), (StoragePlugin.MCAP, FILE)]
+    ("plugin", "mode"),
+    [(StoragePlugin.SQLITE3, NONE), (StoragePlugin.MCAP, FILE), (StoragePlugin.MCAP, NONE)],
 )
 def test_the_quality_of_service_of_a_topic_is_kept(
     tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode, version: int
