@@ -25,6 +25,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from zstandard import ZstdCompressor, ZstdDecompressor
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
@@ -33,6 +34,7 @@ from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import open_bag
+from worm_model.bags.recovery.recovery import recover
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.run_writer import write_extended
 from worm_model.commands import export, health, identify
@@ -188,6 +190,28 @@ def test_bags_of_all_writers_are_read_by_rising_time(tmp_path: Path, writer: str
         assert sum(len(block) for block in bag.blocks(["/b"])) == COUNT // 2
 
 
+@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+@pytest.mark.parametrize("mode", [FILE, MESSAGE])
+@pytest.mark.parametrize("part", ["bag", "file", "bag without metadata"])
+def test_compressed_bags_are_recovered_decompressed(tmp_path: Path, plugin, mode, part: str):
+    path = by_rosbags(tmp_path / "bag", plugin, mode)
+    if part == "file":
+        path = next(file for file in path.iterdir() if file.name != "metadata.yaml")
+    elif part == "bag without metadata":
+        (path / "metadata.yaml").unlink()
+    assert recover(path, tmp_path / "saved").messages == COUNT
+    with open_bag(tmp_path / "saved") as bag:
+        assert numbers(bag) == list(range(COUNT))
+
+
+def test_of_a_damaged_compressed_file_the_beginning_is_saved(tmp_path: Path):
+    path = by_rosbags(tmp_path / "bag", StoragePlugin.MCAP, FILE)
+    packed = next(path.glob("*.zstd"))
+    content = ZstdDecompressor().decompress(packed.read_bytes(), max_output_size=1 << 24)
+    packed.write_bytes(ZstdCompressor().compress(content[: len(content) // 2]))
+    assert 0 < recover(path, tmp_path / "saved").messages < COUNT
+
+
 def test_files_of_a_split_bag_are_one(tmp_path: Path):
     folder = tmp_path / "bag"
     folder.mkdir()
@@ -318,7 +342,6 @@ def test_a_topic_that_the_bag_lacks(tmp_path: Path):
 
 
 def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
-    from worm_model.bags.recovery.recovery import recover
 
     path = by_mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
     data = bytearray(path.read_bytes())
@@ -338,7 +361,6 @@ def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
 
 def test_recovery_does_not_trust_the_summary_of_a_spoilt_file(tmp_path: Path):
     """What reading advises when it finds damage: recovery walks through the records themselves."""
-    from worm_model.bags.recovery.recovery import recover
 
     path = by_mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
     data = bytearray(path.read_bytes())
