@@ -249,8 +249,14 @@ class Robot:
 
     @property
     def released(self) -> bool:
-        """True if the torque may be switched off: at rest, or where `begin_release` was called in FAULT."""
-        return not self.active or gait_player.at_rest(self.player) or self._releases_fault
+        """True if the torque may be switched off.
+
+        The robot is at rest, or in FAULT. If it would spring back, `begin_release` must have been called in FAULT.
+        """
+        if not self.active or gait_player.at_rest(self.player):
+            return True
+        permitted = self._releases_fault or not self.actuators.springs_back
+        return self.player.phase is Phase.FAULT and permitted
 
     @property
     def holding(self) -> bool:

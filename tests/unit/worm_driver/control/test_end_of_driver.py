@@ -130,6 +130,15 @@ def test_a_fault_on_the_way_to_rest_of_a_deactivation_releases_no_torque():
     assert rig.robot.released
 
 
+def test_a_deactivation_of_a_robot_that_would_not_spring_back_needs_no_second_one():
+    rig = Rig()
+    rig.activate()
+    rig.robot.begin_release(rig.clock.now, "deactivated")
+    rig.inject("no_answer", duration=1e6)
+    rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
+    assert rig.robot.released
+
+
 def test_no_torque_is_switched_on_while_it_shuts_down():
     rig = Rig()
     rig.run(0.1)
