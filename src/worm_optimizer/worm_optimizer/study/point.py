@@ -6,17 +6,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import (
-    dataclass,
-)
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from worm_model.errors import InputError
-from worm_model.gait import (
-    FORWARD,
-)
+from worm_model.gait import FORWARD
 from worm_model.parameters import KEYS, ParameterFile, Parameters
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
 from worm_model.simulation.simulator import SimulationError, cost_of_transport
@@ -32,14 +28,17 @@ from worm_optimizer.search.exact import (
 )
 from worm_optimizer.search.front import any_phase_task, front_of_task, thinned
 from worm_optimizer.search.gait_request import Objective, at_power, at_speed
+from worm_optimizer.search.pareto import hypervolume
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness
 from worm_optimizer.search.servo_limits import DrivenBy, limits_of, servo_model
 from worm_optimizer.search.task import Bounds, MarginTask, Points
-from worm_optimizer.study.plan import LIMITS, PARAMETER_FILE, Array, Study
+from worm_optimizer.study.plan import PARAMETER_FILE, Array, Study
+from worm_optimizer.study.quantities import LIMITS
 
 FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # further dimensions
 OPEN, DONE, FAILED = 0, 1, 2  # values of the variable "state"
-REASON_LENGTH = 200  # characters
+# W, of hypervolumes, if not given: above the fastest gait of the paper's robot.
+REFERENCE_POWER = 20.0
 THREE_GAITS = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
 REQUESTS = {
     "at_power_W": Objective.MAX_SPEED_AT_POWER,
@@ -90,6 +89,9 @@ def variables(study: Study) -> dict[str, Variable]:
     }
     if "front" in study.compute:
         variables_of["front_size"] = Variable((), "1", "gaits of the whole front")
+        variables_of["hypervolume"] = Variable(
+            (), "m W/s", "area that the whole front dominates, up to the reference power"
+        )
         variables_of |= {
             f"front_{name}": Variable((FRONT,), unit, f"of the front: {words}")
             for name, (unit, words) in _OF_GAIT.items()
@@ -148,17 +150,17 @@ def compute_block(study: Study, points: Array) -> Results:
         name: np.full((len(points), *(sizes[d] for d in variable.dimensions)), np.nan)
         for name, variable in variables(study).items()
     }
-    results["state"] = np.full(len(points), DONE, dtype=np.uint8)
-    results["reason"] = np.full(len(points), "", dtype=f"<U{REASON_LENGTH}")
+    results["state"] = np.full(len(points), DONE, dtype=np.int8)
+    results["reason"] = np.full(len(points), "", dtype=object)
     for row, point in enumerate(points):
         try:
             of_point = compute_point(study, dict(zip(study.varied, point.tolist(), strict=True)))
         except (InputError, SimulationError) as error:
             results["state"][row] = FAILED
-            results["reason"][row] = " ".join(str(error).split())[:REASON_LENGTH]
+            results["reason"][row] = " ".join(str(error).split())
             continue
         for name, value in of_point.items():
-            results[name][row] = value
+            results[name][row] = np.where(np.isnan(value), np.nan, value)  # one NaN, without a sign
     return results
 
 
@@ -278,6 +280,8 @@ def _robust(
     results: dict[str, Any] = {}
     if "front" in study.compute:
         results["front_size"] = len(front)
+        corner = asked.get("reference_power_W", REFERENCE_POWER)
+        results["hypervolume"] = hypervolume(front, corner)
         if len(front):
             results |= _kept_front(study, front, content.parameters)
     if not len(front) or not {"gaits", "success"} & set(study.compute):

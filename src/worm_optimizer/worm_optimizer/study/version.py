@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import worm_model
+from worm_msgs import robot_parameters
 
 _NUMERIC = ("numpy", "scipy", "numba")  # their versions may change the last digits of results
 # Sources that determine the numbers of a study. Whole folders, so that new files are included.
@@ -25,7 +26,10 @@ _SOURCES: Mapping[Path, tuple[str, ...]] = {
         "robustness/*.py",
         "study/plan.py",
         "study/point.py",
+        "study/quantities.py",
+        "study/study_file.py",
     ),
+    Path(robot_parameters.__file__).parent: ("robot_parameters.py", "servo_models.py"),
 }
 _OTHERS = ("worm_model", "worm_optimizer", "xarray", "zarr", "distributed")
 

@@ -9,15 +9,16 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import dask
 import pytest
 from distributed import Client, LocalCluster
 from study_cases import SMALL, contents
 from worker_jobs import refuse, suicide
 
 from worm_optimizer.study.engine import ClusterError, LostError, connected, spread
-from worm_optimizer.study.plan import parse_study
-from worm_optimizer.study.store import held
-from worm_optimizer.study.study_run import run_study
+from worm_optimizer.study.store import locked_store
+from worm_optimizer.study.study_file import parse_study
+from worm_optimizer.study.study_run import Workers, run_study
 
 ROOT = Path(__file__).resolve().parents[4]
 STUDY = parse_study(SMALL, Path())
@@ -45,7 +46,7 @@ def cluster() -> Iterator[LocalCluster]:
 def whole(tmp_path_factory, cluster) -> Path:
     """The small study, computed without trouble."""
     path = tmp_path_factory.mktemp("whole") / "study.zarr"
-    counts = run_study(STUDY, path, cluster.scheduler_address, None, print, lambda done: None)
+    counts = run_study(STUDY, path, Workers(cluster.scheduler_address), print, lambda done: None)
     assert (counts.points, counts.done, counts.failed) == (6, 6, 3)
     return path
 
@@ -58,7 +59,7 @@ def until(condition: Callable[[], object], seconds: float = 120.0) -> None:
 
 
 def test_what_a_killed_worker_had_is_done_by_another(cluster, tmp_path):
-    with connected(cluster.scheduler_address, 0) as client:
+    with connected(cluster.scheduler_address, 0, print) as client:
         pieces = [(k, str(tmp_path / "killed")) for k in range(4)]
         found = dict(spread(client, suicide, pieces, print))
     assert (tmp_path / "killed").exists()
@@ -67,7 +68,7 @@ def test_what_a_killed_worker_had_is_done_by_another(cluster, tmp_path):
 
 def test_an_error_of_the_work_is_passed_on(cluster):
     with (
-        connected(cluster.scheduler_address, 0) as client,
+        connected(cluster.scheduler_address, 0, print) as client,
         pytest.raises(ValueError, match="piece"),
     ):
         list(spread(client, refuse, [(1,)], print))
@@ -97,7 +98,7 @@ def test_a_killed_client_goes_on_where_it_was_with_the_same_bytes(whole, tmp_pat
     assert contents(output) == contents(whole)
 
 
-def test_a_killed_scheduler_is_told_and_the_study_goes_on_elsewhere(whole, tmp_path, cluster):
+def test_a_killed_scheduler_is_reported_and_the_study_continues_elsewhere(whole, tmp_path, cluster):
     output = tmp_path / "study.zarr"
     own = subprocess.Popen(
         [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
@@ -126,18 +127,18 @@ def test_a_killed_scheduler_is_told_and_the_study_goes_on_elsewhere(whole, tmp_p
 
     try:
         with pytest.raises(LostError, match=r"of 6 points are in .*repeat the command"):
-            run_study(STUDY, output, address, None, print, kill_after_the_first)
+            run_study(STUDY, output, Workers(address), print, kill_after_the_first)
     finally:
         for process in (own, worker):
             process.kill()
             process.wait()
-    with held(output, STUDY) as store:
+    with locked_store(output, STUDY) as store:
         assert 1 <= store.counts()[0] < 6
-    run_study(STUDY, output, cluster.scheduler_address, None, print, lambda done: None)
+    run_study(STUDY, output, Workers(cluster.scheduler_address), print, lambda done: None)
     assert contents(output) == contents(whole)
 
 
-def test_a_worker_of_another_version_is_refused_by_name(tmp_path):
+def test_a_worker_of_another_version_is_rejected_by_name(tmp_path):
     package = tmp_path / "worm_optimizer"
     subprocess.run(
         ["cp", "-r", str(ROOT / "src/worm_optimizer/worm_optimizer"), str(package)], check=True
@@ -168,6 +169,18 @@ def test_a_worker_of_another_version_is_refused_by_name(tmp_path):
 def test_no_scheduler_is_one_line():
     with (
         pytest.raises(ClusterError, match="no Dask scheduler answers at tcp"),
-        connected("tcp://127.0.0.1:1", 0),
+        connected("tcp://127.0.0.1:1", 0, print),
     ):
         pass
+
+
+def test_workers_that_do_not_start_are_one_line(tmp_path, monkeypatch):
+    (tmp_path / "broken.py").write_text("raise RuntimeError('broken on purpose')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with (
+        dask.config.set({"distributed.worker.preload": ["broken"]}),
+        pytest.raises(ClusterError, match="do not start") as raised,
+        connected("", 1, print),
+    ):
+        pass
+    assert "\n" not in str(raised.value)
