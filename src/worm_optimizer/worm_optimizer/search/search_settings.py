@@ -88,11 +88,6 @@ class Settings:
                 f"margin: {self.margin} m is not between 0 and {MAX_MARGIN:g} m; "
                 "leave it out to have it chosen at the cliff"
             )
-        if self.margin is not None and self.robustness is not Robustness.MARGIN:
-            raise OptimizerError(
-                f"margin: {self.margin} m has no effect with robustness {self.robustness.value}; "
-                "leave out the margin, or set robustness to margin"
-            )
         if not (1 <= self.samples <= 1_000_000 and 0 <= self.seed < 2**32):
             raise OptimizerError(
                 f"samples {self.samples} and seed {self.seed}: "

@@ -96,7 +96,7 @@ class Store:
         """Read the whole store and compare each finished block with its checksum."""
         group, audit = self._group("r"), Audit()
         names = [*variables(self.study), STATE, REASON]
-        for chunk in regions(self.study.shape, chunk_shape(self.study.shape, self.block)):
+        for chunk in regions(self.study.shape, chunk_shape(self.study, self.block)):
             values: Results = {}
             for name in (*names, CHECKSUM):
                 try:
@@ -138,7 +138,7 @@ class Store:
     def counts(self) -> tuple[int, int]:
         """Return the number of finished points and the number of failed points among them."""
         group, finished, failed = self._group("r"), 0, 0
-        for chunk in regions(self.study.shape, chunk_shape(self.study.shape, self.block)):
+        for chunk in regions(self.study.shape, chunk_shape(self.study, self.block)):
             done = group[CHECKSUM][chunk] != 0
             finished += int(np.count_nonzero(done))
             failed += int(np.count_nonzero(done & (group[STATE][chunk] == FAILED)))
@@ -165,7 +165,7 @@ class Store:
         return zarr.open_group(str(self.path), mode=mode)
 
     def _file(self, chunk: Region, name: str) -> Path:
-        shape = chunk_shape(self.study.shape, self.block)
+        shape = chunk_shape(self.study, self.block)
         places = [part.start // size for part, size in zip(chunk, shape, strict=True)]
         further = variables(self.study)[name].dimensions if name in variables(self.study) else ()
         return self.path / name / ".".join(map(str, [*places, *(0 for _ in further)]))
@@ -180,11 +180,16 @@ def block_shape(study: Study) -> tuple[int, ...]:
     return tuple(reversed(shape))
 
 
-def chunk_shape(shape: Sequence[int], block: Sequence[int]) -> tuple[int, ...]:
-    """Return the shape of a chunk: a multiple of a block, of about `_CHUNK_POINTS` points."""
+def chunk_shape(study: Study, block: Sequence[int]) -> tuple[int, ...]:
+    """Return the shape of a chunk: a multiple of a block, of about `_CHUNK_POINTS` points.
+
+    It does not depend on the number of samples, so that the study can be extended.
+    """
     left, chunk = max(_CHUNK_POINTS // math.prod(block), 1), []
-    for size, part in zip(reversed(shape), reversed(block), strict=True):
-        many = max(1, min(math.ceil(size / part), left))
+    for (name, values), part in zip(
+        reversed(study.dimensions.items()), reversed(block), strict=True
+    ):
+        many = left if name == SAMPLE else max(1, min(math.ceil(len(values) / part), left))
         chunk.append(many * part)
         left //= many
     return tuple(reversed(chunk))
@@ -406,7 +411,7 @@ def _encoding(study: Study, block: tuple[int, ...], array: xarray.DataArray) -> 
     The compressor uses one thread, so that the same numbers result in the same bytes.
     """
     coordinate = array.name in array.coords
-    points = chunk_shape(study.shape, block)
+    points = chunk_shape(study, block)
     chunks = array.shape if coordinate else (*points, *array.shape[len(points) :])
     compressor = numcodecs.Zstd(level=1)
     return {
@@ -418,7 +423,7 @@ def _encoding(study: Study, block: tuple[int, ...], array: xarray.DataArray) -> 
 
 def _empty(study: Study, block: tuple[int, ...]) -> xarray.Dataset:
     """Return the dataset without results: names, units, points and provenance."""
-    along, shape, chunk = tuple(study.dimensions), study.shape, chunk_shape(study.shape, block)
+    along, shape, chunk = tuple(study.dimensions), study.shape, chunk_shape(study, block)
     sizes = {name: len(values) for name, values in dimensions(study).items()}
     data: dict[str, Any] = {}
     for name, variable in variables(study).items():
