@@ -62,18 +62,31 @@ def indices_of(values: Array, inputs: int, seed: int) -> Indices:
         unknown = np.full(inputs, np.nan)
         pair = np.stack([unknown, unknown])
         return Indices(unknown, unknown, pair, pair, mean, deviation)
+    twice = np.stack([rows, rows])  # SciPy fails for one quantity of one input
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about draws of the bootstrap without variance
         result = sobol_indices(
-            func={"f_A": rows[None, :, 0], "f_B": rows[None, :, 1], "f_AB": rows.T[2:, None]},
+            func={
+                "f_A": twice[:, :, 0],
+                "f_B": twice[:, :, 1],
+                "f_AB": np.moveaxis(twice[:, :, 2:], 2, 0),
+            },
             n=len(rows),
         )
         bounds = _bootstrap(result, seed)
+
+    def first_row(values: Array) -> Array:
+        return np.reshape(values, (2, inputs))[0]
+
+    def interval(bound: Any) -> Array:
+        ends = bound.confidence_interval
+        return np.stack([first_row(ends.low), first_row(ends.high)])
+
     return Indices(
-        np.reshape(result.first_order, inputs),
-        np.reshape(result.total_order, inputs),
-        _interval(bounds.first_order),
-        _interval(bounds.total_order),
+        first_row(result.first_order),
+        first_row(result.total_order),
+        interval(bounds.first_order),
+        interval(bounds.total_order),
         mean,
         deviation,
     )
@@ -90,11 +103,6 @@ def _bootstrap(result: Any, seed: int) -> Any:
         return result.bootstrap(confidence_level=0.95)
     finally:
         np.random.set_state(before)  # noqa: NPY002
-
-
-def _interval(bounds: Any) -> Array:
-    interval = bounds.confidence_interval
-    return np.stack([np.ravel(interval.low), np.ravel(interval.high)])
 
 
 def percent(value: float) -> str:
