@@ -47,7 +47,7 @@ def versions() -> dict[str, str]:
 
 
 def sources() -> list[Path]:
-    """Return the source files that determine the numbers of a study, in an order that does not depend on their place."""
+    """Return the source files that determine the numbers of a study, in an order independent of their location."""
     return [
         path
         for folder, patterns in _SOURCES.items()

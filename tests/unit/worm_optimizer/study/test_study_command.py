@@ -112,9 +112,9 @@ def test_a_fleet_is_a_table_with_a_row_for_the_broken_bag(tmp_path, monkeypatch,
     assert not list(tmp_path.glob("*.part"))
     assert run(monkeypatch, capsys, *words)[0] == 1  # nothing is left to read
     assert run(monkeypatch, capsys, *words, "--accept-failures")[0] == 0
-    before = parquet.read_table(output)
+    before = output.read_bytes()
     assert run(monkeypatch, capsys, *words, "--retry-failed", "--accept-failures")[0] == 0
-    assert parquet.read_table(output).equals(before)
+    assert output.read_bytes() == before
     write_bag(folder / "new", simulated_run(5, 2))
     status, _, err = run(monkeypatch, capsys, *words)
     assert status == 2
