@@ -130,17 +130,20 @@ class _WorkerPool:
         for address, answer in sorted(answers.items()):
             if answer == self.mine:
                 self.accepted.add(address)
-            elif isinstance(answer, str | ImportError | AttributeError):
+            elif isinstance(answer, OSError):  # the connection failed
+                self.unanswered.add(address)
+            else:
                 self.rejected[address] = _reason(answer, self.mine)
                 self.say(f"worker {address} is rejected: {self.rejected[address]}")
-            else:
-                self.unanswered.add(address)
         self.unanswered -= self.accepted | set(self.rejected)
 
 
 def _reason(answer: str | BaseException, mine: str) -> str:
     if isinstance(answer, BaseException):
-        return f"it cannot import worm_optimizer.study ({answer}); install worm_model and worm_optimizer there"
+        return (
+            f"it cannot import worm_optimizer.study ({answer}); "
+            "install worm_msgs, worm_model and worm_optimizer there"
+        )
     return f"it has another version (code {answer}, here {mine}); install the same there"
 
 

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real workers in processes of their own, killed as the kernel does it."""
 
+import contextlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -138,20 +140,16 @@ def test_a_killed_scheduler_is_reported_and_the_study_continues_elsewhere(whole,
     assert contents(output) == contents(whole)
 
 
-def test_a_worker_of_another_version_is_rejected_by_name(tmp_path):
-    package = tmp_path / "worm_optimizer"
-    subprocess.run(
-        ["cp", "-r", str(ROOT / "src/worm_optimizer/worm_optimizer"), str(package)], check=True
-    )
-    with (package / "study/point.py").open("a") as file:
-        file.write("\n# another version\n")
-    path = f"{tmp_path}:{ROOT}/src/worm_model"
+@contextlib.contextmanager
+def foreign_worker(folder: Path, *packages: str) -> Iterator[Client]:
+    """A client whose only worker runs in ``folder`` with these packages."""
+    path = os.pathsep.join([str(folder), *(str(ROOT / "src" / package) for package in packages)])
     with (
         LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty,
         subprocess.Popen(
             [sys.executable, "-m", "distributed.cli.dask_worker", empty.scheduler_address]
             + ["--no-nanny", "--nthreads", "1", "--no-dashboard"],
-            cwd=tmp_path,  # a folder of ours would come before the path
+            cwd=folder,  # a folder of ours would come before the path
             env={**os.environ, "PYTHONPATH": path},
             stderr=subprocess.DEVNULL,
         ) as worker,
@@ -159,11 +157,27 @@ def test_a_worker_of_another_version_is_rejected_by_name(tmp_path):
     ):
         try:
             client.wait_for_workers(1, timeout=120)
-            name = next(iter(client.scheduler_info(n_workers=-1)["workers"]))
-            with pytest.raises(ClusterError, match=f"worker {name}.*another version"):
-                list(spread(client, refuse, [(1,)], print))
+            yield client
         finally:
             worker.kill()
+
+
+def test_a_worker_of_another_version_is_rejected_by_name(tmp_path):
+    package = tmp_path / "worm_optimizer"
+    shutil.copytree(ROOT / "src/worm_optimizer/worm_optimizer", package)
+    with (package / "study/point.py").open("a") as file:
+        file.write("\n# another version\n")
+    with foreign_worker(tmp_path, "worm_model", "worm_msgs") as client:
+        name = next(iter(client.scheduler_info(n_workers=-1)["workers"]))
+        with pytest.raises(ClusterError, match=f"worker {name}.*another version"):
+            list(spread(client, refuse, [(1,)], print))
+
+
+def test_a_worker_without_the_packages_is_rejected_by_name(tmp_path):
+    with foreign_worker(tmp_path) as client:
+        name = next(iter(client.scheduler_info(n_workers=-1)["workers"]))
+        with pytest.raises(ClusterError, match=f"worker {name}.*cannot import"):
+            list(spread(client, refuse, [(1,)], print))
 
 
 def test_no_scheduler_is_one_line():
