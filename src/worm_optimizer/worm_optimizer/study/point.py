@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from worm_model.conditions import CONDITION_ROWS, Conditions, under
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD
 from worm_model.parameters import KEYS, ParameterFile, Parameters
@@ -202,9 +203,9 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
 
 
 def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
-    """Return the robot of a point: its parameter file with the requested values.
+    """Return the robot of a point: its parameter file with the requested values, under the requested conditions.
 
-    An interval is scaled with its value, so its relative width stays the same.
+    An interval is scaled with its value, so its relative width stays the same. That of a value 0 is shifted.
     """
     content = study.files[int(asked.get(PARAMETER_FILE, 0))][1]
     old = content.parameters
@@ -217,18 +218,26 @@ def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
                 f"groove_phase_m: {phase:g} m is not within half a pitch of {new.pitch:g} m"
             )
         new = new.replace(initial_length=front_groove(old) * new.pitch + phase)
-    ratio = {
-        key: value / old.as_dict()[key] if old.as_dict()[key] else 1.0
-        for key, value in new.as_dict().items()
-    }
+    conditions = {key: asked[key] for key in CONDITION_ROWS if key in asked}
+    new = under(Conditions(**conditions), new)
+    before, after = old.as_dict(), new.as_dict()
+
+    def moved(key: str, end: float) -> float:
+        if before[key]:
+            return after[key] / before[key] * end
+        return after[key] - before[key] + end
+
     return dataclasses.replace(
         content,
         parameters=new,
         intervals={
-            key: (ratio[key] * low, ratio[key] * high)
+            key: (moved(key, low), moved(key, high))
             for key, (low, high) in content.intervals.items()
         },
-        run_to_run={key: ratio[key] * value for key, value in content.run_to_run.items()},
+        run_to_run={
+            key: value * (after[key] / before[key] if before[key] else 1.0)
+            for key, value in content.run_to_run.items()
+        },
     )
 
 

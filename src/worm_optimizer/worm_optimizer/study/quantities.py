@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the quantities that a study may vary or fix: the keys of a parameter file and those of `_OTHERS`."""
+"""Table of the quantities that a study may vary or fix: the keys of a parameter file, the conditions, and `_OTHERS`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from worm_model.conditions import CONDITION_ROWS
 from worm_model.gait import MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE
 from worm_msgs.robot_parameters import ROWS
 
@@ -44,15 +45,22 @@ LIMITS = (  # in the order of the fields of ActuatorLimits
     *("max_cable_speed_m_per_s", "max_cable_force_N", "max_power_W"),
     *("stall_force_N", "no_load_speed_m_s"),
 )
+_CF_UNITS = {"°": "degree", "m²": "m2", "N·s/m": "N s/m"}  # as the CF conventions write them
 QUANTITIES: Mapping[str, Quantity] = {
     **{
         key: Quantity(
-            row["unit"].replace("·", " "),  # CF conventions
+            _CF_UNITS.get(row["unit"], row["unit"]),
             f"{key.replace('_', ' ')} ({row['paper']})",
             row["low"],
             row["high"],
         )
         for key, row in ROWS.items()
+    },
+    **{
+        key: Quantity(
+            _CF_UNITS.get(row["unit"], row["unit"]), row["meaning"], row["low"], row["high"]
+        )
+        for key, row in CONDITION_ROWS.items()
     },
     **_OTHERS,
 }

@@ -17,6 +17,7 @@ _NUMERIC = ("numpy", "scipy", "numba")  # their versions may change the last dig
 # Sources that determine the numbers of a study. Whole folders, so that new files are included.
 _SOURCES: Mapping[Path, tuple[str, ...]] = {
     Path(worm_model.__file__).parent: (
+        "conditions.py",
         "errors.py",
         "gait.py",
         "parameters.py",
