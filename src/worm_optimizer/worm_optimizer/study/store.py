@@ -37,6 +37,9 @@ from worm_optimizer.study.quantities import QUANTITIES
 from worm_optimizer.study.study_file import extends, format_study, identity_of, parse_study
 from worm_optimizer.study.version import identity, versions
 
+# Errors of codecs. A damaged length may exceed the memory.
+_UNDECODABLE = (RuntimeError, ValueError, MemoryError, OverflowError)
+
 Region = tuple[slice, ...]  # part of the dimensions of the points
 
 STATE, REASON, CHECKSUM = "state", "reason", "block_checksum"
@@ -101,7 +104,7 @@ class Store:
             for name in (*names, CHECKSUM):
                 try:
                     values[name] = group[name][chunk]
-                except (RuntimeError, ValueError):  # a codec cannot decode the file
+                except _UNDECODABLE:
                     audit.unreadable.append(self._file(chunk, name))
             for inner in regions([part.stop - part.start for part in chunk], self.block):
                 block = tuple(
