@@ -416,7 +416,7 @@ def _encoding(study: Study, block: tuple[int, ...], array: xarray.DataArray) -> 
     coordinate = array.name in array.coords
     points = chunk_shape(study, block)
     chunks = array.shape if coordinate else (*points, *array.shape[len(points) :])
-    compressor = numcodecs.Zstd(level=1)
+    compressor = numcodecs.Zstd(level=1, checksum=True)  # detects damage before strings are decoded
     return {
         **({"chunks": chunks} if chunks else {}),
         **({"compressors": [compressor]} if _NEW else {"compressor": compressor}),
