@@ -116,8 +116,6 @@ def test_slope_and_tether_vary_as_loads():
     text = SMALL.replace("switching_threshold: [0.008, 0.0175]", "tether_N: [0.0, 5.0]")
     varied = parse_study(text, Path())
     assert varied.varied == ("parameter_file", "slack", "tether_N")
-    by_slack = compute_block(varied, varied.points()[:, 1])
-    assert by_slack["state"].tolist() == [DONE] * 3
 
 
 def test_a_larger_spool_pulls_faster_and_weaker(tmp_path):

@@ -132,7 +132,7 @@ def test_a_lost_file_is_detected_and_restored(whole, tmp_path, name):
     assert contents(path) == contents(whole)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_no_flipped_bit_changes_a_value(whole, tmp_path_factory, seed):
     path = copy_of(whole, tmp_path_factory.mktemp("flipped"))
