@@ -27,6 +27,7 @@ from worm_model.bags.formats.mcap_records import (
 )
 from worm_model.bags.formats.mcap_walk import (
     DAMAGED,
+    DEFINITIONS,
     Judge,
     Part,
     Walk,
@@ -50,7 +51,16 @@ def extent_records(data: Buffer, extent: Extent) -> Buffer:
     if not extent.runs:
         return chunk_records(body)
     records = first_records(body)
-    return b"".join(records[first:last] for first, last in extent.runs)
+    return b"".join(piece for run in extent.runs for piece in _run_pieces(records, *run))
+
+
+def _run_pieces(records: Buffer, first: int, last: int) -> Iterator[Buffer]:
+    """Yield the records of a run; a definition gets its true length, because the stored one may be damaged."""
+    begin = first
+    if records[first] in DEFINITIONS:
+        begin += RECORD.size
+        yield RECORD.pack(records[first], last - begin)
+    yield records[begin:last]
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -76,7 +86,12 @@ def scan(data: Buffer) -> Contents:
 def salvage(data: Buffer) -> Contents:
     """Return the readable contents of a file that begins with MAGIC, from the content of its chunks alone."""
     summary, complaint = _read_summary(data)
-    contents = _Survey(data, summary, is_intact_chunk, _Survey.add_by_content).run()
+    survey = _Survey(data, summary, is_intact_chunk, _Survey.add_by_content)
+    contents = survey.run()
+    if survey.unprotected and any(loss.last < contents.end for loss in contents.losses):
+        contents.complain(
+            f"{survey.unprotected} of its messages have no checksum; some of them may have been altered"
+        )
     if contents.whole:
         contents.complaints += [complaint] if complaint else []
         contents.complaints += _appended(data, contents.end)
@@ -204,12 +219,17 @@ class _Survey:
         summary: the intact summary, or None.
         judge: returns True if a chunk is complete.
         add_chunk: adds a chunk to the contents, `add_by_head` or `add_by_content`.
+
+    Attributes:
+        contents: the contents.
+        unprotected: number of read messages that no checksum covers.
     """
 
     def __init__(
         self, data: Buffer, summary: _Summary | None, judge: Judge, add_chunk: AddChunk
     ) -> None:
         self.contents = Contents()
+        self.unprotected = 0
         self._data = data
         self._channels = summary.channels if summary else set()
         records = data[: summary.first] if summary else data
@@ -257,7 +277,7 @@ class _Survey:
             self._add_chunk(self, part)
         elif opcode == Opcode.ATTACHMENT:
             self.contents.attachments.append((part.first + RECORD.size, part.last))
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+        elif opcode in DEFINITIONS | {Opcode.METADATA}:
             self.contents.register(read_record(opcode, body))
         elif opcode == Opcode.DATA_END:
             self._end(part.first, int.from_bytes(body, "little"))
@@ -301,6 +321,8 @@ class _Survey:
         _, heads = message_heads(records)
         channels: list[int] = heads["channel"].tolist()
         contents.counts.update(channels)
+        if not (extent.is_chunk and chunk_head(self._data[extent.first + RECORD.size :]).checksum):
+            self.unprotected += len(channels)
         if channels:  # no checksum covers the times in a chunk's head
             start, end = int(heads["log_time"].min()), int(heads["log_time"].max())
             contents.extents.append(extent._replace(start=start, end=end))
@@ -309,7 +331,7 @@ class _Survey:
     def _define(self, records: Buffer) -> None:
         """Register the definitions among records."""
         for opcode, first, last in records_in(records):
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            if opcode in DEFINITIONS:
                 try:
                     self.contents.register(read_record(opcode, records[first:last]))
                 except DAMAGE:

@@ -96,14 +96,18 @@ def records_in(data: Buffer, position: int = 0) -> Iterator[tuple[int, int, int]
         yield opcode, start, position
 
 
-class _WholeStream(ReadDataStream):
-    """Stream that raises EndOfFile at a damaged length, where the library's stream returns fewer bytes."""
+class _Fields(ReadDataStream):
+    """Fields of a record; a damaged length raises EndOfFile, where the library's stream returns fewer bytes."""
+
+    def __init__(self, body: Buffer) -> None:
+        super().__init__(BytesIO())
+        self._body = body
 
     def read(self, length: int) -> bytes:
-        data = super().read(length)
-        if len(data) < length:
+        if length > len(self._body) - self._count:
             raise EndOfFile
-        return data
+        self._count += length
+        return bytes(self._body[self._count - length : self._count])
 
 
 _READERS: dict[int, Callable[[ReadDataStream], object]] = {
@@ -130,7 +134,14 @@ def read_record(opcode: int, body: Buffer) -> object | None:
         (checksum,) = struct.unpack("<I", body[-4:])
         if checksum and zlib.crc32(body[:-4]) != checksum:
             raise ValueError("the checksum of an attachment is wrong")
-    return None if reader is None else reader(_WholeStream(BytesIO(body)))
+    return None if reader is None else reader(_Fields(body))
+
+
+def fields_size(opcode: int, body: Buffer) -> int:
+    """Return the number of bytes of a record's fields, regardless of its length; raise one of DAMAGE."""
+    fields = _Fields(body)
+    _READERS[opcode](fields)
+    return fields.count
 
 
 def message_heads(records: Buffer) -> tuple[NDArray[np.int64], NDArray[np.void]]:

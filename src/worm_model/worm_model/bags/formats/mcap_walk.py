@@ -9,6 +9,8 @@ A record is plausible if all of these hold:
   messages consists of complete entries. Texts and maps of all others are UTF-8 and end where the record ends.
 - The next record is plausible by the same rules, or there is none. A chunk with records does not need this.
 
+A definition or a metadata record with a damaged length ends where its fields end.
+
 Messages outside of chunks are plausible only in a file whose chunks have no checksums, or that has no chunks. In
 other files they could only be the content of a damaged chunk, which nothing could verify.
 """
@@ -18,6 +20,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from functools import cached_property
 from typing import NamedTuple
 
@@ -32,6 +35,7 @@ from worm_model.bags.formats.mcap_records import (
     chunk_head,
     chunk_pieces,
     chunk_records,
+    fields_size,
     joined,
     read_record,
     records_in,
@@ -39,9 +43,11 @@ from worm_model.bags.formats.mcap_records import (
 
 DAMAGED = 0  # used as an opcode: bytes that are not part of a complete record
 FIRST_PRIVATE_OPCODE = 0x80
+_NUMBER = struct.Struct("<H")  # of a channel
 _INDEX = struct.Struct("<HI")  # channel, bytes of entries
 _ENTRY_BYTES = 16
-_INSIDE = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})  # allowed inside a chunk
+DEFINITIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
+_INSIDE = DEFINITIONS | {Opcode.MESSAGE}  # allowed inside a chunk
 _MESSAGE = Opcode.MESSAGE.value
 _PROTECTED = frozenset(
     {Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END}
@@ -61,7 +67,7 @@ class Part(NamedTuple):
     Attributes:
         opcode: opcode of the record, or DAMAGED.
         first, last: location including the head of the record, the last byte exclusive.
-        runs: ranges of a damaged chunk's decompressed bytes that are complete records.
+        runs: ranges of a damaged chunk's decompressed bytes that are complete records, each definition alone.
     """
 
     opcode: int
@@ -128,9 +134,9 @@ class Walk:
                 if behind is not None and behind.opcode == DAMAGED:
                     # If some of its bytes are missing, or its length is too large, it covers later
                     # records.
-                    inner = self._next_plausible(part.first + 1, part.last)
-                    if inner < part.last:
-                        part, behind = Part(DAMAGED, part.first, inner), None
+                    shorter = self._before_next(part.first, part.last)
+                    if shorter.last < part.last:
+                        part, behind = shorter, None
             yield part
             if part.opcode == Opcode.DATA_END:
                 return
@@ -141,7 +147,7 @@ class Walk:
         if place >= self._size:
             return None
         part = self._record(place, self._judge) or self._damaged_chunk(place)
-        return part or Part(DAMAGED, place, self._next_plausible(place + 1, self._size))
+        return part or self._before_next(place, self._size)
 
     def _record(self, place: int, judge: Judge) -> Part | None:
         """Return the complete record at a place, or None."""
@@ -155,9 +161,7 @@ class Walk:
                 body
             )  # a chunk with a damaged opcode
             if not hidden and self._is_whole(opcode, body, judge):
-                if opcode == Opcode.CHANNEL:
-                    self._channels.add(int.from_bytes(body[:2], "little"))
-                return Part(opcode, place, last)
+                return self._defined(Part(opcode, place, last))
         return self._chunk_by_content(place, last)
 
     def _is_whole(self, opcode: int, body: Buffer, judge: Judge) -> bool:
@@ -214,6 +218,23 @@ class Walk:
 
     # --- after damage -------------------------------------------------------------------------
 
+    def _before_next(self, place: int, end: int) -> Part:
+        """Return the part up to the next plausible record or ``end``: DAMAGED, or a record with a damaged length."""
+        opcode = self._data[place]
+        if opcode in self._kinds & (DEFINITIONS | {Opcode.METADATA}):
+            with suppress(DAMAGE):
+                size = RECORD.size + fields_size(opcode, self._data[place + RECORD.size : end])
+                if self._next_plausible(place + 1, place + size) == place + size:
+                    return self._defined(Part(opcode, place, place + size))
+        return Part(DAMAGED, place, self._next_plausible(place + 1, end))
+
+    def _defined(self, part: Part) -> Part:
+        """Return a record; if it defines a channel, add its number."""
+        if part.opcode == Opcode.CHANNEL:
+            (number,) = _NUMBER.unpack_from(self._data, part.first + RECORD.size)
+            self._channels.add(number)
+        return part
+
     @cached_property
     def _beginnings(self) -> re.Pattern[bytes]:
         """Pattern of the possible beginnings of a plausible record: a kind, and a length below a terabyte."""
@@ -225,20 +246,21 @@ class Walk:
 
     @property
     def _has_checksums(self) -> bool:
-        """True if the first intact chunk of the file has a checksum."""
+        """True if the first intact chunk has a checksum; without intact ones, the first whose two lengths agree."""
+        damaged: list[bool] = []
         for match in re.finditer(rb"(?s)(?=\x06.{5}\0\0\0)", self._data):
-            first = match.start() + RECORD.size
+            head, first = self._chunk_head(match.start()), match.start() + RECORD.size
             _, length = RECORD.unpack_from(self._data, match.start())
-            body = self._data[first : first + length]
-            if is_intact_chunk(body):
-                return bool(chunk_head(body).checksum)
-        return False
+            if head is None or head.last != length:
+                continue
+            if is_intact_chunk(self._data[first : first + length]):
+                return bool(head.checksum)
+            damaged.append(bool(head.checksum))
+        return any(damaged[:1])
 
     def _next_plausible(self, place: int, end: int) -> int:
         """Return the location of the next plausible record; the end of the search if there is none before it."""
-        for match in self._beginnings.finditer(self._data, place):
-            if match.start() >= end:
-                return end
+        for match in self._beginnings.finditer(self._data, place, end + RECORD.size - 1):
             if self._is_plausible(match.start()):
                 return match.start()
         return end
@@ -279,12 +301,14 @@ def first_records(body: Buffer) -> Buffer:
 
 
 def _whole_runs(parts: Iterable[Part]) -> tuple[tuple[int, int], ...]:
-    """Return the ranges of consecutive complete records without damage."""
+    """Return the ranges of consecutive complete records without damage; each definition is a range of its own."""
     runs: list[tuple[int, int]] = []
+    alone = True
     for part in parts:
         if part.opcode == DAMAGED:
             continue
-        if runs and runs[-1][1] == part.first:
+        alone, before = part.opcode in DEFINITIONS, alone
+        if runs and runs[-1][1] == part.first and not (alone or before):
             runs[-1] = runs[-1][0], part.last
         else:
             runs.append((part.first, part.last))

@@ -145,6 +145,7 @@ def edit(data: bytes, edits: list[tuple[str, float]]) -> bytes:
 @example(
     edits=[("cut", 0.1875), ("cut", 0.21875), ("flip", 0.0)]
 )  # header damaged, cut after a chunk
+@example(edits=[("cut", 0.25), ("flip", 0.048828125)])  # "rosbag2": the length of a definition
 def test_it_saves_what_the_stream_reader_returns_and_every_intact_chunk(layout: str, edits):
     data = file_of(layout)
     damaged = edit(data, edits)
@@ -276,6 +277,57 @@ def test_recorded_payloads_hold_no_plausible_record(sample: str):
 
 
 # --- definitions and metadata ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("layout", ["rosbag2", "rosbag2 zstd", "without chunks"])
+@pytest.mark.parametrize("bit", [0, 1, 4, 6, 13, 37, 62])
+def test_a_definition_with_a_damaged_length_is_saved(layout: str, bit: int):
+    """The stream reader ignores this length inside of a chunk."""
+    data = file_of(layout)
+    data = data[: len(data) // 3]  # without the copy in the summary
+    head = struct.pack("<BQHHI", Opcode.CHANNEL, 21, 3, 1, 2) + b"/c"
+    if layout == "rosbag2 zstd":
+        first, last = next(chunks(data))
+        body = data[first + 9 + 44 : last]
+        records = zstandard.decompress(body, 4000)
+        assert head in records
+        packed = zstandard.compress(records.replace(head, with_flip(head, 8 + bit)))
+        fields = struct.unpack_from("<QQQII", data, first + 9)
+        fixed = struct.pack("<QQQII", *fields) + b"zstd" + struct.pack("<Q", len(packed)) + packed
+        damaged = data[:first] + struct.pack("<BQ", Opcode.CHUNK, len(fixed)) + fixed + data[last:]
+    else:
+        assert head in data
+        damaged = data.replace(head, with_flip(head, 8 + bit), 1)
+    assert (
+        Counter(recovered(damaged)) == Counter(recovered(data)) >= Counter(by_stream_reader(data))
+    )
+
+
+def with_flip(data: bytes, bit: int) -> bytes:
+    flipped = bytearray(data)
+    flipped[bit // 8] ^= 1 << bit % 8
+    return bytes(flipped)
+
+
+def test_messages_of_a_damaged_chunk_are_no_plain_messages():
+    """The only chunk is cut off, and a message in it is altered: its checksum cannot show which."""
+    data = bytearray(file_of("plain"))
+    first, last = next(chunks(bytes(data)))
+    del data[last - 60 :]
+    data[last - 300] ^= 1
+    assert set(recovered(bytes(data))) <= set(by_stream_reader(file_of("plain")))
+    data[first + 9 + 3] ^= 1  # a time in its head
+    assert set(recovered(bytes(data))) <= set(by_stream_reader(file_of("plain")))
+
+
+def test_messages_that_nothing_verifies_are_reported(tmp_path: Path):
+    data = bytearray(file_of("without chunks"))
+    place = data.index(by_stream_reader(bytes(data))[9][2])
+    data[place - 30] ^= 0x40  # a length
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data)
+    (damage,) = recover(path, tmp_path / "saved").damaged
+    assert any("checksum" in line and str(COUNT - 1) in line for line in damage.contradictions)
 
 
 def make_bag(folder: Path, count: int = 300, split: int = 0) -> Path:
