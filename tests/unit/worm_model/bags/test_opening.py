@@ -33,6 +33,7 @@ from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
+from worm_model.bags.formats.stored_bag import DECOMPRESSED_BYTES, LARGEST_RATIO
 from worm_model.bags.opening import open_bag
 from worm_model.bags.recovery.recovery import recover
 from worm_model.bags.run_reader import read_run
@@ -210,6 +211,37 @@ def test_of_a_damaged_compressed_file_the_beginning_is_saved(tmp_path: Path):
     content = ZstdDecompressor().decompress(packed.read_bytes(), max_output_size=1 << 24)
     packed.write_bytes(ZstdCompressor().compress(content[: len(content) // 2]))
     assert 0 < recover(path, tmp_path / "saved").messages < COUNT
+
+
+def test_a_compressed_file_that_grows_beyond_all_recordings_is_rejected(tmp_path: Path):
+    path = tmp_path / "a.mcap.zstd"
+    packed = ZstdCompressor().compress(bytes(1 << 24))
+    assert LARGEST_RATIO * len(packed) < 1 << 24
+    path.write_bytes(packed)
+    for act in (open_bag, recover):
+        with pytest.raises(BagError, match=str(LARGEST_RATIO)) as error:
+            act(path)
+        assert "a.mcap.zstd" in str(error.value)
+
+
+def test_a_compressed_file_leaves_half_of_the_free_space(tmp_path: Path, monkeypatch):
+    path = next(by_rosbags(tmp_path / "bag", StoragePlugin.MCAP, FILE).glob("*.zstd"))
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: usage._replace(free=10_000))
+    with pytest.raises(BagError, match=r"5000 bytes.*TMPDIR"):
+        open_bag(path)
+
+
+def test_messages_that_grow_are_read_in_parts(tmp_path: Path):
+    """One block of compressed messages would be hundreds of megabytes."""
+    size = DECOMPRESSED_BYTES // 2 - 1
+    packed = ZstdCompressor().compress(bytes(size))
+    with new_bag(tmp_path / "bag") as writer:
+        for i in range(7):
+            writer.write(TOPICS[0], packed, i, i)
+    with open_bag(tmp_path / "bag") as bag:
+        parts = [(len(block), len(block.buffer)) for block in bag.blocks()]
+    assert parts == [(2, 2 * size)] * 3 + [(1, size)]
 
 
 def test_files_of_a_split_bag_are_one(tmp_path: Path):

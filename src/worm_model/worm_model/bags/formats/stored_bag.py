@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import fcntl
 import mmap
+import shutil
 import sqlite3
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -14,7 +15,7 @@ from dataclasses import replace
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import NamedTemporaryFile, gettempdir
 from typing import BinaryIO, cast
 
 import numpy as np
@@ -35,6 +36,8 @@ from worm_model.bags.formats.message_block import (
     messages_of,
 )
 
+LARGEST_RATIO = 1000  # of a compressed file's content to its size; recordings compress to a tenth
+DECOMPRESSED_BYTES = 16 << 20  # of decompressed messages per block
 LATEST_NS = (1 << 63) - 1  # in the year 2262; later times in ns exceed 64 bits with a sign
 
 
@@ -74,6 +77,8 @@ class StoredFile(ABC):
         try:
             self._stream = _unpacked(path) if path.suffix == COMPRESSED else path.open("rb")
             self._map = mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ)
+        except BagError:
+            raise
         except ValueError:
             self._stream.close()
             raise BagError(f"{path} is empty: nothing was recorded, or its disk was full") from None
@@ -189,7 +194,7 @@ class StoredBag(Bag):
             block for file, run in runs for block in file.blocks((e for _, e in run), topics)
         ):
             count += len(block)
-            yield _decompressed(block)
+            yield from _decompressed(block)
         expected = sum(channel.count for channel in self.channels if channel.name in topics)
         if count != expected:
             raise BagError(
@@ -208,24 +213,52 @@ def _plausible_end(file: StoredFile, extent: Extent) -> int:
 
 
 def _unpacked(path: Path) -> BinaryIO:
-    """Return the content of a file that rosbag2 has compressed, up to the first damage, in a temporary file."""
+    """Return the content of a file that rosbag2 has compressed, up to the first damage, in a temporary file.
+
+    Raises:
+        BagError: The content is larger than LARGEST_RATIO times the file, or than half of the free space for temporary
+            files, which other processes need, too.
+    """
+    free = shutil.disk_usage(gettempdir()).free // 2
+    most, size = min(free, LARGEST_RATIO * path.stat().st_size), 0
     unpacked = cast(BinaryIO, NamedTemporaryFile())  # noqa: SIM115 - the caller closes it
     with path.open("rb") as packed, suppress(zstandard.ZstdError):
-        ZstdDecompressor().copy_stream(packed, unpacked)
+        for piece in ZstdDecompressor().read_to_iter(packed):
+            size += len(piece)
+            if size > most:
+                unpacked.close()
+                limit = (
+                    f"half of the free space in {gettempdir()}; set TMPDIR to a folder with more"
+                    if most == free
+                    else f"{LARGEST_RATIO} times its size; it is damaged or was not written by a recorder"
+                )
+                raise BagError(f"{path} decompresses to more than {most} bytes, {limit}")
+            unpacked.write(piece)
     unpacked.flush()
     return unpacked
 
 
-def _decompressed(block: Messages) -> Messages:
-    """Return a block with decompressed messages, which rosbag2 compresses in its compression mode MESSAGE.
+def _decompressed(block: Messages) -> Iterator[Messages]:
+    """Yield a block with decompressed messages, which rosbag2 compresses in its compression mode MESSAGE.
 
-    No CDR begins like them.
+    No CDR begins like them. The block is divided where its messages grow to more than DECOMPRESSED_BYTES.
     """
     rows = np.flatnonzero(block.size >= len(zstandard.FRAME_HEADER))
     beginnings = cells(block.buffer, len(zstandard.FRAME_HEADER))[block.offset[rows]]
     if not (beginnings.view("<u4") == int.from_bytes(zstandard.FRAME_HEADER, "little")).any():
-        return block
-    return messages_of([m._replace(data=_payload(m)) for m in block])
+        yield block
+        return
+    messages: list[Message] = []
+    size = 0
+    for message in block:
+        data = _payload(message)
+        if messages and size + len(data) > DECOMPRESSED_BYTES:
+            yield messages_of(messages)
+            messages, size = [], 0
+        messages.append(message._replace(data=data))
+        size += len(data)
+    if messages:
+        yield messages_of(messages)
 
 
 def _payload(message: Message) -> bytes:
