@@ -365,9 +365,10 @@ def test_the_frame_of_a_cameras_images_hangs_on_its_pose():
     given = {"namespace": "worm", "rviz": "false", "camera": "0.1 -0.4 0 1.57 0 0"}
     context.launch_configurations.update(given)
     context.extend_locals({"ros_specific_arguments": defaultdict(str)})  # as of nodes that start
-    _, *frames = runpy.run_path(str(path))["_start"](context)
+    *_, body, optical = runpy.run_path(str(path))["_start"](context)
     words = [
-        " ".join(perform_substitutions(context, part) for part in node.cmd[1:]) for node in frames
+        " ".join(perform_substitutions(context, part) for part in node.cmd[1:])
+        for node in (body, optical)
     ]
     assert "--yaw 1.57 --pitch 0 --roll 0 --frame-id pipe --child-frame-id camera" in words[0]
     assert f"--frame-id camera --child-frame-id {FRAME}" in words[1]

@@ -222,7 +222,7 @@ class Walk:
         """Return the part up to the next plausible record or ``end``: DAMAGED, or a record with a damaged length."""
         opcode = self._data[place]
         if opcode in self._kinds & (DEFINITIONS | {Opcode.METADATA}):
-            with suppress(DAMAGE):
+            with suppress(*DAMAGE):
                 size = RECORD.size + fields_size(opcode, self._data[place + RECORD.size : end])
                 if self._next_plausible(place + 1, place + size) == place + size:
                     return self._defined(Part(opcode, place, place + size))
