@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random lives of a driver on the virtual robot, byte for byte and on the virtual clock, against what must always hold.
 
-Ten thousand steps: goals, cancels, stops, emergency stops, transitions, services, signals, faults on the wire and of
-servos, wrong samples and ids, kills and restarts.
+Ten thousand steps: goals, cancels, stops, transitions, services, signals, faults on the wire and of servos, wrong
+samples and ids, kills and restarts.
 """
 
 import math
@@ -22,7 +22,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from worm_driver.errors import DriverError, StoppedError
+from worm_driver.errors import DriverError
 from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import COSINE, TRAPEZOID, Gait
 from worm_driver.gait.gait_player import Phase as GaitPhase
@@ -125,8 +125,7 @@ class Life(RuleBasedStateMachine):
 
     @initialize()
     def open(self) -> None:
-        self.latched = False  # the emergency stop is on
-        self.connect(Rig(QUICK))
+        self.rig: Rig = Rig(QUICK)
         self.virtual, self.clock = self.rig.virtual, self.rig.clock
         self.alive = True
         self.goals: list[int] = []
@@ -151,8 +150,6 @@ class Life(RuleBasedStateMachine):
             snapshot = self.rig.run(QUICK.period)
             self.check_goals(self.clock.now if seen is None else seen.time)
             self.check_release()
-            if self.latched and self.rig.robot.active:
-                assert self.rig.robot.player.phase in (GaitPhase.HOLDING, GaitPhase.FAULT)
             if before.phase in MAY_MOVE or snapshot.player.phase in MAY_MOVE:
                 self.moved_until = self.clock.now
             self.check_motion()
@@ -195,24 +192,6 @@ class Life(RuleBasedStateMachine):
             assert robot.player.active_run is None
             assert not gait_player.moving(robot.player) or not robot.active
             self.time_passes(1)
-
-    @precondition(lambda self: self.alive)
-    @rule(gait=GAITS, cycles=st.integers(1, 30))
-    def emergency_stop(self, gait: Gait, cycles: int) -> None:
-        """Until its reset nothing starts, and no deactivation moves the robot."""
-        robot = self.rig.robot
-        self.latched = True
-        self.rig.loop.submit(lambda now: robot.stop(now, "emergency stop"), patience=math.inf)
-        self.time_passes(cycles)
-        if robot.active:
-            self.bring_to_rest(PATIENT)
-        if self.alive:
-            assert self.try_to(lambda now: self.rig.robot.start(now, gait, 1)) is None
-            was_active = self.rig.robot.active
-            self.activate()
-            assert was_active or not self.rig.robot.active
-            self.time_passes(1)
-        self.latched = False
 
     @precondition(lambda self: self.alive)
     @rule(stop_after=st.one_of(st.none(), st.integers(0, 120)), again=st.integers(0, 9))
@@ -273,12 +252,7 @@ class Life(RuleBasedStateMachine):
     def bring_to_rest(self, patience: float) -> None:
         robot = self.rig.robot
         in_fault = robot.player.phase is GaitPhase.FAULT
-        try:
-            robot.begin_release(self.clock.now, "deactivated")
-        except StoppedError:
-            assert self.latched
-            assert robot.holding
-            return
+        robot.begin_release(self.clock.now, "deactivated")
         end = self.clock.now + patience
         while not robot.released and self.clock.now < end:
             self.time_passes(1)
@@ -347,17 +321,13 @@ class Life(RuleBasedStateMachine):
         self.pass_without_driver(away)
         for _ in range(3):
             try:
-                self.connect(Rig(QUICK, self.virtual, self.clock))
+                self.rig = Rig(QUICK, self.virtual, self.clock)
             except DriverError:
                 self.pass_without_driver(1.0)
             else:
                 self.alive = True
                 return
         self.alive = False  # a servo that shut down waits for its operator
-
-    def connect(self, rig: Rig) -> None:
-        self.rig = rig
-        rig.robot._why_not_start = lambda: "emergency stop" if self.latched else ""
 
     def pass_without_driver(self, duration: float) -> None:
         self.rig.speeds.clear()
