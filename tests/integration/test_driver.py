@@ -390,6 +390,27 @@ def test_a_fault_while_a_deactivation_returns_to_rest_leaves_the_torque_on(
     assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
 
 
+def test_during_an_emergency_stop_a_deactivation_does_not_move_the_robot(driver, commander, probe):
+    cable = probe.collect(BodyLength, "body_length/cable")
+    commander.activate()
+    assert commander.send(stroke=0.03, cycles=200, pretension=0.02).accepted
+    probe.wait_for(lambda: cable and cable[-1].length_change < -0.03, "contraction")
+    button = probe.node.create_publisher(Bool, "emergency_stop", LATCHED)
+    button.publish(Bool(data=True))
+    probe.wait_for(lambda: commander.states[-1].emergency_stop, "emergency stop")
+    commander.wait_for_state(GaitState.IDLE, "hold")
+    assert not commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
+    cable.clear()
+    probe.wait_for(lambda: len(cable) > 50, "half a second")
+    assert max(message.length_change for message in cable) < -0.015
+    button.publish(Bool(data=False))
+    reset = Trigger.Request()
+    probe.wait_for(lambda: probe.call(Trigger, "reset_emergency_stop", reset).success, "reset")
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
+
+
 # --- every way out ------------------------------------------------------------------------------------
 
 

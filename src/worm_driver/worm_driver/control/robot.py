@@ -14,7 +14,14 @@ from worm_driver.control.actuators import PAYOUT_TOLERANCE, Actuators
 from worm_driver.control.driver_settings import DriverSettings
 from worm_driver.control.fault_watch import FaultWatch
 from worm_driver.control.telemetry import SILENT, ServoState, Snapshot
-from worm_driver.errors import BusError, ConfigurationError, HomingError, LimitError, NoReplyError
+from worm_driver.errors import (
+    BusError,
+    ConfigurationError,
+    HomingError,
+    LimitError,
+    NoReplyError,
+    StoppedError,
+)
 from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import Gait, GaitLimits
 from worm_driver.gait.gait_player import Observation, Phase, PlayerState
@@ -241,22 +248,30 @@ class Robot:
     def begin_release(self, now: float, reason: str) -> None:
         """Begin the return to rest. ``released`` is True once the torque may be switched off.
 
-        In FAULT no return to rest can be trusted, and the torque may be switched off immediately.
+        No return to rest begins in two cases. In FAULT none can be trusted, and the torque may be switched off
+        immediately. During an emergency stop nothing may move, and only a robot that would not spring back is released.
+
+        Raises:
+            StoppedError: The robot holds, would spring back, and nothing may start.
         """
+        blocked = self._why_not_start() if self.player.phase is Phase.HOLDING else ""
+        if self.active and blocked and self.actuators.springs_back:
+            raise StoppedError(f"the robot holds, contracted, and may not move: {blocked}")
         self._releases_fault = self.player.phase is Phase.FAULT
-        if self.active and not self._releases_fault:
+        if self.active and not blocked and not self._releases_fault:
             self.player = gait_player.return_to_rest(self.player, now, reason)
 
     @property
     def released(self) -> bool:
         """True if the torque may be switched off.
 
-        The robot is at rest, or in FAULT. If it would spring back, `begin_release` must have been called in FAULT.
+        The robot is at rest, or it holds and would not spring back. If it would, `begin_release` must have been called
+        in FAULT.
         """
         if not self.active or gait_player.at_rest(self.player):
             return True
-        permitted = self._releases_fault or not self.actuators.springs_back
-        return self.player.phase is Phase.FAULT and permitted
+        permitted = self._releases_fault and self.player.phase is Phase.FAULT
+        return self.holding and (permitted or not self.actuators.springs_back)
 
     @property
     def holding(self) -> bool:

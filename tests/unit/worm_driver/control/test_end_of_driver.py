@@ -6,7 +6,7 @@ import math
 import pytest
 from driver_rig import Rig
 
-from worm_driver.errors import LimitError
+from worm_driver.errors import LimitError, StoppedError
 from worm_driver.gait.gait_player import Phase
 
 
@@ -95,17 +95,60 @@ def test_a_robot_that_was_stopped_before_is_brought_to_rest():
     assert rig.cable.memory["torque_enable"] == 0
 
 
-def test_while_nothing_may_start_it_is_not_brought_to_rest_either():
-    rig = Rig()
-    rig.run_into_motion()
+def latched(rig: Rig) -> Rig:
+    """The same driver after an emergency stop, half a second later."""
     rig.robot._why_not_start = lambda: "the emergency stop is on"
     rig.robot.stop(rig.clock.now, "the emergency stop is on")
     rig.run(0.5)
-    held = contraction(rig)
+    return rig
+
+
+def test_while_nothing_may_start_it_is_not_brought_to_rest_either():
+    rig = Rig()
+    rig.run_into_motion()
+    held = contraction(latched(rig))
     rig.loop.leave("the driver ends")
     assert ended(rig) != []
     assert contraction(rig) == pytest.approx(held, abs=1e-3)
     assert rig.cable.memory["torque_enable"] == 1
+
+
+def test_no_deactivation_moves_a_robot_before_its_emergency_stop_is_reset():
+    rig = Rig()
+    rig.run_into_motion()
+    held = contraction(latched(rig))
+    assert held > 0.01
+    with pytest.raises(StoppedError, match="the emergency stop is on"):
+        rig.robot.begin_release(rig.clock.now, "deactivated")
+    rig.run(0.5)
+    assert not rig.robot.released
+    assert contraction(rig) == pytest.approx(held, abs=1e-4)
+    rig.robot._why_not_start = lambda: ""
+    rig.robot.begin_release(rig.clock.now, "deactivated")
+    rig.run(10.0, until=lambda _: rig.robot.released)
+    assert contraction(rig) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_during_an_emergency_stop_a_robot_that_is_not_contracted_is_released_without_a_motion():
+    rig = Rig()
+    rig.activate()
+    latched(rig)
+    rig.goals.clear()
+    rig.robot.begin_release(rig.clock.now, "deactivated")
+    assert rig.robot.released
+    assert rig.goals == []
+    assert rig.robot.release() == []
+    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+
+
+def test_in_fault_a_person_releases_the_torque_also_during_an_emergency_stop():
+    rig = Rig()
+    rig.run_into_motion()
+    rig.inject("no_answer", target=11, duration=1e6)
+    rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
+    latched(rig)
+    rig.robot.begin_release(rig.clock.now, "deactivated")
+    assert rig.robot.released
 
 
 def test_a_fault_while_it_shuts_down_leaves_the_torque_on():
