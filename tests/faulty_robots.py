@@ -31,8 +31,10 @@ SLOW = 1e-3  # m/s below which dry friction fades
 
 @dataclass(frozen=True)
 class Fault:
-    """``kind``: sound; gain, friction, scale (relative); slip, camera (m); offset (W); robot, gained (grooves); rear,
-    front (cycles running in which a fin misses its last groove). ``size`` in that unit.
+    """Fault of one robot from a phase of a cycle on.
+
+    ``kind`` is sound; gain, viscous_friction, scale (``size`` relative); slip, camera (m); offset (W); robot, gained
+    (grooves); rear, front (successive cycles in which a fin misses its last groove).
     """
 
     kind: str = "sound"
@@ -277,7 +279,7 @@ class _Bodies:
         p, mu, rate = self.p, self.mu, self.rate
         mass = (p["rear_mass"] + p["front_mass"]) / STEP_S
         before = self.speed - mu * rate
-        viscous = p["viscous_friction"] * (1.0 + self.of("friction"))
+        viscous = p["viscous_friction"] * (1.0 + self.of("viscous_friction"))
         d1 = viscous + self.lab.dry_friction_N / (np.abs(before) + SLOW)
         d2 = viscous + self.lab.dry_friction_N / (np.abs(before + rate) + SLOW)
         push = (d1 * mu - d2 * (1.0 - mu)) * rate - forces.sum(axis=1)

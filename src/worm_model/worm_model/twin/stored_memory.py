@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.twin.causes import Told
+from worm_model.twin.causes import ReportedCause
 from worm_model.twin.core.memory import MEMORY, NANOSECONDS
 from worm_model.twin.cycle_data import CycleData, Step
 from worm_model.twin.diagnosis import History
@@ -176,7 +176,11 @@ def _look_back_ns(twin: Twin) -> int:
 
 
 def _history_content(history: History) -> dict[str, Any]:
-    return asdict(history, dict_factory=lambda items: {key: _plain(value) for key, value in items})
+    content = asdict(
+        history, dict_factory=lambda items: {key: _plain(value) for key, value in items}
+    )
+    content["told"] = content.pop("reported")  # its name in the stored format
+    return content
 
 
 def _plain(value: Any) -> Any:
@@ -197,5 +201,6 @@ def _history_of(content: Mapping[str, Any]) -> History:
         )
         for cycle in content["cycles"]
     )
-    told = tuple(Told(**told) for told in content["told"])
-    return History(**{**content, "cycles": cycles, "told": told})
+    reported = tuple(ReportedCause(**cause) for cause in content["told"])
+    others = {key: value for key, value in content.items() if key != "told"}
+    return History(**{**others, "cycles": cycles, "reported": reported})

@@ -29,6 +29,7 @@ from worm_model.simulation.kernel.actuation_law import Actuator
 from worm_model.simulation.kernel.mode import Constants
 from worm_model.simulation.kernel.whole_run import constants_of
 from worm_model.simulation.rows import parameter_rows
+from worm_model.twin.cause_table import CAMERA_MOVED, CLOCK_JUMP, GAP
 from worm_model.twin.core import following
 from worm_model.twin.core.memory import (
     NANOSECONDS,
@@ -40,7 +41,8 @@ from worm_model.twin.core.memory import (
     new_memory,
     new_rows,
 )
-from worm_model.twin.diagnosis import CycleSeen, Finding, History, explains, judge_cycle, off_at_end
+from worm_model.twin.diagnosis import CycleSeen, History, explains, judge_cycle, off_at_end
+from worm_model.twin.findings import INFORMATION, Finding, Sentence
 from worm_model.twin.records import Activity, Event, Severity
 from worm_model.twin.run_start import PLAYING, Word, begin_run, is_new_run, word_of
 from worm_model.twin.samples import SAMPLE
@@ -48,7 +50,6 @@ from worm_model.twin.samples import Rows as SampleRows
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 
-CLOCK = "clock_jump"  # code of TwinEvent
 CLOCK_SET = "the clock was set{} while it was played"
 END_NS = 100_000_000  # tolerance with which the driver reports the end of a cycle
 NOTHING: SampleRows = np.zeros(0, SAMPLE)
@@ -222,7 +223,7 @@ class _Call:
             m["activity"] = -1
         elif why == following.PAUSE:
             text = f"no length for {m['event_value']:.2f} s; the body is taken to have moved in a straight line"
-            self._tell(int(m["paused_ns"]), text, "gap")
+            self._tell(int(m["paused_ns"]), text, GAP.code)
         elif why == following.GAVE_UP:
             text = "the motion could not be followed (the anchors switch to and fro): the twin is put at rest"
             self.events.append(Event(stamp, Severity.ERROR, text))
@@ -231,11 +232,11 @@ class _Call:
             text = (
                 f"the tracker's positions jumped by {shift:+.0f} mm and stayed: its zero was moved"
             )
-            self._tell(stamp, text, "camera_moved")
+            self._tell(stamp, text, CAMERA_MOVED.code)
 
     def _tell(self, stamp: int, text: str, code: str) -> None:
         m = self.state.record
-        if self._unusable and code != CLOCK:
+        if self._unusable and code != CLOCK_JUMP.code:
             return
         cycle = int(m["cycle"]) if m["cycle_end_ns"] else 0
         self.events.append(Event(stamp, Severity.WARNING, text, code, cycle, int(m["run"])))
@@ -287,7 +288,9 @@ class _Call:
         m["start_known"] = 0
         self.state.unusable[word.run or word.onset_ns] = reason
         text = f"nothing of this gait is judged: {reason}"
-        self.events.append(Event(word.stamp_ns, Severity.WARNING, text, CLOCK, 0, word.run))
+        self.events.append(
+            Event(word.stamp_ns, Severity.WARNING, text, CLOCK_JUMP.code, 0, word.run)
+        )
 
     def _end(self, stamp: int) -> None:
         """End a run; judge a cycle that is complete within the tolerance, but not one that was interrupted."""
@@ -354,7 +357,7 @@ class _Call:
         state, m = self.state, self.state.record
         m["start_known"] = 1
         off, reason = off_at_end(cycle), "how the fins stood at its beginning is not known"
-        if explains(history, cycle) and not any(finding.code for finding in findings):
+        if explains(history, cycle) and not any(finding.code.code for finding in findings):
             state.history = history
             # Power alone does not contradict straight fins, nor does it count grooves.
             return findings, reason if np.isnan(off) else ""
@@ -363,16 +366,20 @@ class _Call:
         if found is not None:
             state.starts[int(m["start_ns"])] = found.start
             self._move_to(found)
-            text = (
-                f"cycle {cycle.number}: the gait began with bent fins, the rear module {1e3 * found.start.x1:+.1f} mm "
-                "off its groove, as positions have it"
-            )
-            return [Finding("", text, cycle.number)], ""
-        text = f"cycle {cycle.number} is not judged: {reason}"
+            offset = {"offset_mm": 1e3 * found.start.x1}
+            return [Finding(INFORMATION, Sentence.BENT_FINS, cycle.number, offset)], ""
+        facts = {"reason": reason}
         if np.isnan(off):
-            return [Finding("", text, cycle.number)], reason
-        text += "; the twin resets its position to the tracker's"
-        return [Finding("", text, cycle.number, shift=off, explains_position=True)], reason
+            return [Finding(INFORMATION, Sentence.NOT_JUDGED, cycle.number, facts)], reason
+        reset = Finding(
+            INFORMATION,
+            Sentence.NOT_JUDGED_RESET,
+            cycle.number,
+            facts,
+            shift=off,
+            explains_position=True,
+        )
+        return [reset], reason
 
     def _move_to(self, found: EstimatedStart) -> None:
         """Continue the motion from another start."""
@@ -392,18 +399,17 @@ class _Call:
             m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
         if np.isfinite(finding.initial_length):
             m["initial_length"], m["length_fitted"] = finding.initial_length, 1
-        severity = Severity.WARNING if finding.code else Severity.INFO
+        code, text = finding.code.code, finding.text
+        severity = Severity.WARNING if code else Severity.INFO
         run = int(m["run"])
         self.events.append(
-            Event(
-                stamp, severity, finding.text, finding.code, finding.cycle, run, finding.probability
-            )
+            Event(stamp, severity, text, code, finding.cycle, run, finding.probability)
         )
-        if finding.code:
+        if code:
             number = max(self.state.warnings, default=0) + 1
             self.state.warnings = {
                 **dict(list(self.state.warnings.items())[-7:]),
-                number: finding.text,
+                number: text,
             }
             m["warning"] = number
             m["warned_until"] = int(m["cycle_end_ns"]) + round(gait.period * NANOSECONDS)
@@ -417,7 +423,7 @@ class _Call:
         counts = state.record["counts"].copy()
         stamp = int(held[0]["stamp"])
         text = f"the clock jumped {way}: the twin starts anew"
-        self.events.append(Event(stamp, Severity.WARNING, text, CLOCK))
+        self.events.append(Event(stamp, Severity.WARNING, text, CLOCK_JUMP.code))
         fresh = self.twin.start()
         state.clock_set = state.is_running
         state.memory, state.history, state.joined_cycle = fresh.memory, History(), 0
