@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well the twin follows a recording: residuals of x1, length and power, run by run and cycle by cycle."""
+"""Agreement of the twin with a recording: residuals of x1, length and power for each run and cycle."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Residuals:
 
 @dataclass(frozen=True)
 class CycleReport:
-    """One cycle of the gait.
+    """Cycle of the gait.
 
     Attributes:
         number: in its run, from 1 on.
@@ -64,7 +64,7 @@ class CycleReport:
 
 @dataclass(frozen=True)
 class RunReport:
-    """One run of a recording; ``health`` is the worst in it, ``events`` are at times in s since the first sample.
+    """Run of a recording; ``health`` is the worst in it, ``events`` are at times in s since the first sample.
 
     ``not_judged`` says why nothing of it could be judged, and is empty otherwise.
     """
@@ -79,7 +79,7 @@ class RunReport:
 
 @dataclass(frozen=True)
 class ReplayReport:
-    """A recording: residuals from the last gait's onset on (of everything, where no gait was recorded).
+    """Recording: residuals from the last gait's onset on (of all samples, if there is no gait).
 
     `energy_error` is (measured − predicted) / measured at the last run's end; `cycles` are the last run's.
     """
@@ -91,7 +91,7 @@ class ReplayReport:
 
 
 def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
-    """Judge a replay; `pitch` of the grooves in m."""
+    """Return the metrics of a replay; ``pitch`` of the grooves in m."""
     played = played_gaits(run.gait_state)
     ends = [*(p.onset for p in played[1:]), np.iinfo(np.int64).max][: len(played)]
     runs = tuple(
@@ -108,7 +108,7 @@ def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
 
 
 def _first(run: Run) -> int:
-    """Stamp (ns) of the first sample of an instrument."""
+    """Return the stamp (ns) of the first sample of an instrument."""
     series = (run.commanded, run.measured, run.tracker, run.power)
     return int(min((s.stamp.min() for s in series if len(s.stamp)), default=run.origin))
 
@@ -119,7 +119,7 @@ def _last(run: Run) -> int:
 
 
 def run_end(run: Run, played: PlayedGait) -> int:
-    """Stamp (ns) at which a run was over, as far as it was recorded: its last cycle asked for, or an earlier stop."""
+    """Return the stamp (ns) of a run's recorded end: the last requested cycle, or an earlier stop."""
     states, last = run.gait_state, _last(run)
     asked = played.cycle_window(1, played.cycles).end if played.cycles else last
     over = states.stamp[(states.stamp > played.onset) & ~np.isin(states.state, (RUNNING, STOPPING))]
@@ -132,7 +132,7 @@ def run_end(run: Run, played: PlayedGait) -> int:
 def _run_report(
     run: Run, replay: Replay, pitch: float, played: PlayedGait, until: int
 ) -> RunReport:
-    """A run; ``until`` (ns) is when the next one begins."""
+    """Return the metrics of a run; the next one begins at ``until`` (ns)."""
     onset, end, period = played.onset, run_end(run, played), 1e9 * played.gait.period
     count = max(math.ceil((end - onset) / period - 1e-6), 0)
     recorded = min(max(math.floor((_first(run) - onset) / period), 0), count)
@@ -171,7 +171,7 @@ def _mean(values: Array) -> float:
 
 
 def _energy_error(run: Run, replay: Replay, start: int) -> float:
-    """The twin's own energy residual at the last power sample, over the energy measured until then."""
+    """Return the twin's energy residual at the last power sample, relative to the measured energy."""
     series = replay.residuals
     known = np.flatnonzero(np.isfinite(series["energy"]))
     if not len(known):
@@ -182,7 +182,7 @@ def _energy_error(run: Run, replay: Replay, start: int) -> float:
 
 
 def _energy(run: Run, start: int, end: int) -> float:
-    """Measured energy (J) between two stamps by trapezoids, the first sample counting from the start on."""
+    """Return the measured energy (J) between two stamps by trapezoids; the first sample counts from the start on."""
     power = run.power.valid_power
     inside = np.isfinite(power) & (run.power.stamp > start) & (run.power.stamp <= end)
     power, stamp = power[inside], run.power.stamp[inside]
@@ -201,7 +201,7 @@ def _cycle(
     pitch: float,
     end: int,
 ) -> CycleReport:
-    """A cycle by the onset of its run (ns) and its number, over a span in ns; the run ends at ``end``."""
+    """Return the metrics of a cycle over a span in ns; its run begins at an onset (ns) and ends at ``end``."""
     first, last = span
     cut_off = ""
     if first < _first(run):
@@ -225,12 +225,15 @@ def _cycle(
 
 
 def _is_close(closed: tuple[int, int], identity: tuple[int, int]) -> bool:
-    """Whether (onset in ns, number) is that of a cycle: a driver says the onset once a cycle, through two clocks."""
+    """Return True if an onset (ns) and a number belong to a cycle.
+
+    A driver reports the onset once a cycle, converted between two clocks.
+    """
     return closed[1] == identity[1] and abs(closed[0] - identity[0]) <= SAME_ONSET_NS
 
 
 def _at(stamp: NDArray[np.int64], values: Array, when: int) -> float:
-    """A signal at a stamp: linear between its samples, NaN where there are none within 0.1 s."""
+    """Return a signal at a stamp, linear between its samples; NaN without samples within 0.1 s."""
     known = np.isfinite(values)
     stamp, values = stamp[known], values[known]
     if not len(stamp) or np.min(np.abs(stamp - when)) > 10**8:
@@ -239,7 +242,7 @@ def _at(stamp: NDArray[np.int64], values: Array, when: int) -> float:
 
 
 def _grooves_at(states: Series, when: int, resumed: int = 0) -> float:
-    """Rear groove of the twin at a stamp, of the first state from then on: a groove that was missed is known by then.
+    """Return the rear groove of the twin's first state from a stamp on, when missed grooves are known.
 
     Just before the stamp at which a stored memory was ``resumed``, of the first state after that: others count from
     another groove. NaN without any state.

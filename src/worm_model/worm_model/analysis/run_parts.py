@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings cut into the runs of single gaits, and put together again."""
+"""Division of recordings into the runs of single gaits, and their combination."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _SERIES = tuple(field.name for field in fields(Run) if field.name != "origin")
 
 @dataclass(frozen=True)
 class Part:
-    """The run of one gait; it holds what has a stamp from ``start`` to before ``end`` (ns since the epoch)."""
+    """Run of one gait, with the samples stamped from ``start`` to before ``end`` (ns since the epoch)."""
 
     run: Run
     start: int
     end: int
 
     def holds(self, stamp: int) -> bool:
-        """Whether a stamp lies in the part."""
+        """Return True if a stamp lies in the part."""
         return self.start <= stamp < self.end
 
 
 def parts_of(run: Run) -> list[Part]:
-    """A part a gait that was played, in their order; each begins with the rest before its gait.
+    """Return one part per played gait, in their order; each begins with the rest before its gait.
 
     A run of one gait or of none is its own only part.
     """
@@ -45,13 +45,13 @@ def parts_of(run: Run) -> list[Part]:
 
 
 def last_stamp(run: Run) -> int:
-    """The greatest stamp (ns since the epoch) of a run, its origin if it has no samples."""
+    """Return the largest stamp (ns since the epoch) of a run, its origin if it has no samples."""
     stamps = [getattr(run, name).stamp for name in _SERIES]
     return int(max((stamp.max() for stamp in stamps if stamp.size), default=run.origin))
 
 
 def joined(runs: Sequence[Run]) -> Run:
-    """Runs by rising time as one, without joint states; where two overlap, the samples of the first count."""
+    """Return runs, ordered by time, as one without joint states; where two overlap, the first one counts."""
     if len(runs) == 1:
         return runs[0]
     whole = {}
@@ -71,7 +71,7 @@ def joined(runs: Sequence[Run]) -> Run:
 
 
 def _rest_before(states: GaitStates, previous: int, onset: int) -> int:
-    """When the rest began that leads to an onset."""
+    """Return the stamp at which the rest before an onset began."""
     rests = states.stamp[
         (states.state == RESTING) & (states.stamp > previous) & (states.stamp <= onset)
     ]
@@ -88,7 +88,7 @@ def _cut(run: Run, start: int, end: int) -> Run:
 
 
 def _rows(series: Any, rows: NDArray[np.bool_]) -> Any:
-    """Some samples of a series."""
+    """Return some samples of a series."""
     columns = {field.name: getattr(series, field.name) for field in fields(series)}
     arrays = {name: col[rows] for name, col in columns.items() if isinstance(col, np.ndarray)}
     return replace(series, **arrays)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def gait_json(result: GaitResult) -> dict[str, float]:
-    """A gait as the machine-readable output has it."""
+    """Return a gait for the machine-readable output."""
     return {
         **asdict(result.gait),
         "speed": result.speed,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: a bag through the twin, offline, as fast as it goes."""
+"""Command line: offline replay of a bag through the twin."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _notify = notifier("replay")
 
 
 def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str, shift_ns: int = 0) -> None:
-    """Write a bag with the original's messages and the twin's beside them; the same replay gives the same bytes.
+    """Write a bag with the messages of the original and of the twin; the same replay gives the same bytes.
 
     What a live twin had published into the original bag is left out: the twin's topics are this replay's.
     ``shift_ns`` is by how much the bag's log time is ahead of its stamps: the twin's lie where the originals do.
@@ -69,7 +69,7 @@ def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str, shift_n
 
 
 def received(bag: Bag, namespace: str, run: Run) -> dict[int, Stamps]:
-    """When the samples of a run were received (ns), by their kind; without kinds of which it left messages out."""
+    """Return the log times (ns) of a run's samples by kind, without kinds with excluded messages."""
     topics = [find_topic(bag.topics.values(), name, namespace) for name in TWIN_INPUTS]
     names = {topic.name: Kind(k) for k, topic in enumerate(topics) if topic is not None}
     stamps: dict[int, list[Stamps]] = {kind: [] for kind in names.values()}
@@ -82,7 +82,7 @@ def received(bag: Bag, namespace: str, run: Run) -> dict[int, Stamps]:
 
 
 def shift_of(run: Run, times: Mapping[int, Stamps]) -> int:
-    """By how much log time is ahead of the stamps, ns; 0 for less than a second, which is delay."""
+    """Return the offset of log times ahead of the stamps in ns; 0 below one second, which is delay."""
     samples = _by_kind(run)
     ahead = [times[kind] - samples[kind].stamp for kind in times if kind != Kind.GAIT]
     shift = int(np.median(np.concatenate(ahead))) if ahead else 0
@@ -90,12 +90,12 @@ def shift_of(run: Run, times: Mapping[int, Stamps]) -> int:
 
 
 def _by_kind(run: Run) -> dict[int, Any]:
-    """The run's samples of the twin's inputs."""
+    """Return the run's samples of the twin's inputs."""
     return dict(zip(Kind, (getattr(run, SERIES[name][0]) for name in TWIN_INPUTS), strict=True))
 
 
 def _messages(name: str, replay: Replay, namespace: str, shift_ns: int) -> list[Message]:
-    """Messages of one of the twin's topics; their stamp, shifted, is taken for the time of reception."""
+    """Return the messages of one of the twin's topics; the log time is the stamp plus a shift."""
     topic = topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
     stamp, numbers, texts = twin_columns(name, replay)
     messages = stamped_messages(topic, stamp, numbers, texts)
@@ -110,7 +110,7 @@ def _messages(name: str, replay: Replay, namespace: str, shift_ns: int) -> list[
 def twin_columns(
     name: str, replay: Replay
 ) -> tuple[Stamps, dict[str, Any], dict[str, Sequence[str]]]:
-    """(stamps in ns, numbers, texts) of the messages of one of the twin's topics, a column per field."""
+    """Return stamps in ns, numbers and texts of one of the twin's topics, one column per field."""
     if name == "twin/events":
         notices = replay.notices
         numbers: dict[str, Any] = {
@@ -141,7 +141,7 @@ def twin_columns(
 def report_json(
     report: ReplayReport, replay: Replay, duration: float, elapsed: float
 ) -> dict[str, Any]:
-    """The report as the machine-readable output has it."""
+    """Return the report for the machine-readable output."""
     return {
         **asdict(report.residuals),
         "energy_error": report.energy_error,
@@ -191,7 +191,7 @@ def _cycle_json(cycle: CycleReport) -> dict[str, Any]:
 def describe(
     report: ReplayReport, dropped: Mapping[str, int], duration: float, elapsed: float
 ) -> str:
-    """The report for people; ``dropped`` samples by why."""
+    """Return the report as text; ``dropped`` has the number of samples by reason."""
     lines = _total_lines(report)
     for number, run in enumerate(report.runs, 1):
         gait = run.played.gait
@@ -211,7 +211,7 @@ def describe(
 
 
 def _total_lines(report: ReplayReport) -> list[str]:
-    """Residuals of the whole recording, or why there are none."""
+    """Return the residuals of the whole recording, or the reason why there are none."""
     total = report.residuals
     energy = 100 * report.energy_error
     rows = (
@@ -298,7 +298,7 @@ def _replay(options: argparse.Namespace) -> None:
 
 
 def _check_drive(run: Run, bag: Bag) -> None:
-    """Raises `BagError` where nothing tells of the body's length, which drives the twin."""
+    """Raise `BagError` if a bag has no length, which drives the twin."""
     if not (len(run.commanded.stamp) or len(run.measured.stamp)):
         raise BagError(
             f"{bag.path}: the twin cannot follow it: it has no body_length/commanded and no body_length/measured; "

@@ -54,7 +54,7 @@ from worm_model.twin.findings import (
 )
 from worm_model.twin.signatures import BINS, Signatures, signatures
 
-NO_STEP = EventCode("", "no step", "", "")
+NO_STEP = EventCode("", "no step at all", "", "")
 
 REMEMBERED = 6  # cycles
 HEALTHY_AT_MOST, SURE = 0.05, 0.9  # probabilities
@@ -293,7 +293,7 @@ def _explain(cycle: CycleSeen, step: Step, shares: Mapping[EventCode, float]) ->
         sentence = Sentence.GROOVES_MISSED
         facts["fin"] = _FINS.get(best, "")
     elif probability < SURE:
-        likely = {c.phrase: shares[c] for c in (ROBOT_MOVED, CAMERA_MOVED, GAINED)}
+        likely = {c.phrase: shares[c] for c in (ROBOT_MOVED, CAMERA_MOVED, GAINED, NO_STEP)}
         likely[MISSED.phrase] = missed
         likely = {phrase: share for phrase, share in likely.items() if share > LIKELY}
         best, probability = AMBIGUOUS, max(likely.values())
