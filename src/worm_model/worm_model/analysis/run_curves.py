@@ -59,7 +59,7 @@ def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curve
 
 
 def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves, Curves]:
-    """Return length changes: of the cable, of the body, predicted from the command alone; and u_cmd and u_eff (eq:slack_clip).
+    """Return the length changes of cable and body, their prediction from the command, u_cmd and u_eff (eq:slack_clip).
 
     Each instrument's change is from what it told at rest, so that no offset of a length shows.
     """

@@ -80,7 +80,7 @@ class PlayedGait:
 
 
 def last_played_gait(states: GaitStates) -> PlayedGait:
-    """Return the last gait that was played; raises `RecordingError` if there is none, `GaitError` if it is not admissible."""
+    """Return the last gait played; raise `RecordingError` if there is none, `GaitError` if it is inadmissible."""
     runs = states.rows_of_runs()
     if not runs:
         raise RecordingError(
@@ -165,7 +165,7 @@ def early_end(run: Run, played: PlayedGait) -> str:
 
 
 def mean_rate(samples: Samples, window: Window, name: str) -> float:
-    """Return the mean rate of change over a window, per s; raises `RecordingError` if the samples do not reach over it."""
+    """Return the mean rate of change over a window, per s; raise `RecordingError` if the samples do not cover it."""
     stamps, values = _known(samples)
     if stamps.size == 0 or stamps[0] > window.start or stamps[-1] < window.end:
         raise RecordingError(f"the recording has no {name} over the averaged cycles")
