@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch file for RViz with a robot and its twin: ros2 launch worm_model view.launch.py namespace:=worm.
 
-robot_state_publisher publishes the frames of urdf/worm.urdf: those of the modules from the twin's joint states, those of
-spool and fins from the driver's; camera:= adds camera and, for its images, camera_optical_frame. Frames are on the
+robot_state_publisher publishes the frames of urdf/worm.urdf: those of the modules from the joint states of the twin,
+those of spool and fins from the driver's; camera:= adds camera and, for its images, camera_optical_frame. Frames are on the
 topics tf and tf_static of the robot's namespace: each robot has its own pipe.
 """
 
