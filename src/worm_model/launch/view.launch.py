@@ -2,8 +2,8 @@
 """Launch file for RViz with a robot and its twin: ros2 launch worm_model view.launch.py namespace:=worm.
 
 robot_state_publisher publishes the frames of urdf/worm.urdf: those of the modules from the joint states of the twin,
-those of spool and fins from the driver's; camera:= adds camera and, for its images, camera_optical_frame. Frames are on the
-topics tf and tf_static of the robot's namespace: each robot has its own pipe.
+those of spool and fins from the driver's. With camera:= it adds camera and, for its images, camera_optical_frame.
+Frames are on the topics tf and tf_static of the robot's namespace, because each robot has its own pipe.
 """
 
 from __future__ import annotations
