@@ -113,7 +113,7 @@ class Robots:
 def _rows(kind: Kind, time: np.ndarray, *values: np.ndarray) -> np.ndarray:
     rows = np.zeros(len(time), SAMPLE)
     rows["stamp"] = ONSET + np.rint(time * 1e9).astype(np.int64)
-    rows["heard"], rows["kind"] = rows["stamp"], kind
+    rows["sent"], rows["kind"] = rows["stamp"], kind
     for name, value in zip("abcd", values, strict=False):
         rows[name] = value
     return rows

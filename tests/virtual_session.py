@@ -256,7 +256,7 @@ def live_twin(rows: np.ndarray, twin: Twin | None = None, many: int = 9) -> Live
     for k in range(0, len(rows), many):
         outputs.append(twin.advance(state, rows[k : k + many]))
         if times.is_due(state):
-            memories.append((int(state.record["taken_ns"]), stored_memory(twin, state)))
+            memories.append((int(state.record["processed_ns"]), stored_memory(twin, state)))
     outputs.append(twin.advance(state, rows[:0], to_the_end=True))
     return Live(
         np.concatenate([output.states for output in outputs]),

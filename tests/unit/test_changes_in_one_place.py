@@ -136,7 +136,7 @@ from worm_model.gait import GAIT_COLUMNS, Gait, gait_of
 from worm_model.parameters import PAPER
 from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
 from worm_model.twin.core.memory import MEMORY
-from worm_model.twin.run_start import word_of
+from worm_model.twin.run_start import driver_state_of
 from worm_model.twin.samples import Kind, rows_of_run
 from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_optimizer.report.expectation import expect
@@ -168,7 +168,7 @@ print(json.dumps({
     "bag": last_played_gait(again.gait_state).gait == gait,
     "old": sorted({float(v) for v in old.gait_state.contraction_share}),
     "converted": float(share),
-    "twin": word_of(rows[rows["kind"] == Kind.GAIT][1]).gait == gait,
+    "twin": driver_state_of(rows[rows["kind"] == Kind.GAIT][1]).gait == gait,
     "memory": "contraction_share" in (MEMORY.names or ()),
     "table": float(table.gait["contraction_share"][0]),
     "header": Path("out.csv").read_text().splitlines()[0].split(","),

@@ -130,7 +130,7 @@ class TwinNode(Node):
         self._publish(output)
         if self._storing.is_due(self._state):
             content = stored_memory(self._twin, self._state)
-            stamp = int(self._state.record["taken_ns"])
+            stamp = int(self._state.record["processed_ns"])
             self._memories.publish(twin_messages.memory_message(stamp, content))
         if len(output.states):
             self._shown, self._moved = output.states[-1].copy(), self._received

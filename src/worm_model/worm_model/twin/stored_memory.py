@@ -25,9 +25,21 @@ from worm_model.twin.twin import Twin, TwinState
 
 VERSION = 1
 AT_REST_NS = NANOSECONDS  # interval between stored memories while no gait runs
-# fields of the intake: they describe waiting samples and this process
+# fields that describe waiting samples and this process
 _NOT_STORED = frozenset(("present", "old_in_a_row", "ahead", "filled", "place", "counts", "newest"))
-_STORED = tuple(name for name in MEMORY.names or () if name not in _NOT_STORED)
+# names in the stored format, where they differ from those of the fields
+_STORED_NAMES = {
+    "processed_ns": "taken_ns",
+    "reported_cycle": "told_cycle",
+    "accepted": "sight",
+    "accepted_ns": "sight_ns",
+    "rejected": "refused",
+    "rejected_ns": "refused_ns",
+}
+#: fields by their name in the stored format
+_STORED = {
+    _STORED_NAMES.get(name, name): name for name in MEMORY.names or () if name not in _NOT_STORED
+}
 
 
 class StoringTimes:
@@ -40,7 +52,7 @@ class StoringTimes:
     def is_due(self, state: TwinState) -> bool:
         """Return True if the caller must store the memory now."""
         m = state.record
-        stamp = int(m["taken_ns"])
+        stamp = int(m["processed_ns"])
         mark = int(m["start_ns"]), int(m["end_ns"]), int(m["cycle"])
         apart = abs(stamp - self._stored_ns) >= AT_REST_NS
         due = bool(stamp) and (mark != self._mark or (apart and not state.is_running))
@@ -54,14 +66,14 @@ def stored_memory(twin: Twin, state: TwinState) -> str:
     memory, m = state.memory, state.record
     filled, place = int(m["filled"]), int(m["place"])
     waiting = memory.rows[place:filled]
-    waiting = waiting[waiting["kind"] == Kind.GAIT]["heard"]
+    waiting = waiting[waiting["kind"] == Kind.GAIT]["sent"]
     lengths = memory.rows[:place]
-    lengths = lengths[_is_stored(twin, lengths, int(m["taken_ns"]))]
+    lengths = lengths[_is_stored(twin, lengths, int(m["processed_ns"]))]
     some = np.flatnonzero(memory.sums.any(axis=1))
     content = {
         "version": VERSION,
         "holds_for": digest(twin),
-        "record": {name: m[name].tolist() for name in _STORED},
+        "record": {name: m[field].tolist() for name, field in _STORED.items()},
         "gait_heard_ns": int(min([int(m["newest"][Kind.GAIT]), *(waiting - 1).tolist()])),
         "lengths": lengths.tolist(),
         "sums": {str(row): memory.sums[row].tolist() for row in some.tolist()},
@@ -98,15 +110,15 @@ class StoredMemory:
 
     def is_new(self, rows: SampleRows) -> np.ndarray:
         """Return a mask (n,) of the samples that the memory does not include."""
-        heard = rows["heard"] > self.content["gait_heard_ns"]
-        return np.where(rows["kind"] == Kind.GAIT, heard, rows["stamp"] > self.stamp_ns)
+        sent = rows["sent"] > self.content["gait_heard_ns"]
+        return np.where(rows["kind"] == Kind.GAIT, sent, rows["stamp"] > self.stamp_ns)
 
     def resume(self, twin: Twin, before: SampleRows) -> TwinState:
         """Return the twin's state at the stamp; ``before`` are the recording's samples up to the stamp."""
         state = twin.start()
         m = state.record
-        for name, value in self.content["record"].items():
-            m[name] = value
+        for name, field in _STORED.items():
+            m[field] = self.content["record"][name]
         m["present"] = self.stamp_ns
         m["newest"][:] = self.stamp_ns
         m["newest"][Kind.GAIT] = self.content["gait_heard_ns"]
@@ -132,7 +144,7 @@ def read_memory(stamp_ns: int, text: str) -> StoredMemory | None:
     """Return a stored memory, or None if the text is invalid or of another version."""
     try:
         content = json.loads(text)
-        if content["version"] != VERSION or set(content["record"]) != set(_STORED):
+        if content["version"] != VERSION or not set(_STORED) <= set(content["record"]):
             return None
         return StoredMemory(stamp_ns, content)
     except (ValueError, TypeError, KeyError):
