@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from worm_model.gait import GAIT_DEFAULTS, WAVEFORM
 from worm_model.twin.causes import ReportedCause
 from worm_model.twin.core.memory import MEMORY, NANOSECONDS
 from worm_model.twin.cycle_data import CycleData, Step
@@ -36,6 +37,10 @@ _STORED_NAMES = {
     "rejected": "refused",
     "rejected_ns": "refused_ns",
 }
+# fields of a gait that older memories lack
+_GAIT_DEFAULTS = {name: GAIT_DEFAULTS[name] for name in WAVEFORM if name in GAIT_DEFAULTS}
+# parameters that older memories lack; they were 0
+_ADDED = frozenset(("rear_load", "front_load"))
 #: fields by their name in the stored format
 _STORED = {
     _STORED_NAMES.get(name, name): name for name in MEMORY.names or () if name not in _NOT_STORED
@@ -87,7 +92,10 @@ def stored_memory(twin: Twin, state: TwinState) -> str:
 
 def digest(twin: Twin) -> str:
     """Return the digest of a twin's parameters and settings."""
-    content = json.dumps([asdict(twin.parameters), asdict(twin.settings)], sort_keys=True)
+    parameters = {
+        key: value for key, value in asdict(twin.parameters).items() if value or key not in _ADDED
+    }
+    content = json.dumps([parameters, asdict(twin.settings)], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()
 
 
@@ -144,6 +152,7 @@ def read_memory(stamp_ns: int, text: str) -> StoredMemory | None:
     """Return a stored memory, or None if the text is invalid or of another version."""
     try:
         content = json.loads(text)
+        content["record"] = {**_GAIT_DEFAULTS, **content["record"]}
         if content["version"] != VERSION or not set(_STORED) <= set(content["record"]):
             return None
         return StoredMemory(stamp_ns, content)
