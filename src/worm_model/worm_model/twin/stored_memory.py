@@ -130,7 +130,11 @@ class StoredMemory:
         m["present"] = self.stamp_ns
         m["newest"][:] = self.stamp_ns
         m["newest"][Kind.GAIT] = self.content["gait_heard_ns"]
-        stored = np.array([tuple(row) for row in self.content["lengths"]], SAMPLE)
+        width = len(
+            SAMPLE.names or ()
+        )  # a length has no value in the columns that older memories lack
+        lengths = [tuple(row) + (0.0,) * (width - len(row)) for row in self.content["lengths"]]
+        stored = np.array(lengths, SAMPLE)
         recent = before["stamp"] >= self.stamp_ns - _look_back_ns(twin)
         recent &= ~_is_stored(twin, before, self.stamp_ns) & (before["kind"] != Kind.GAIT)
         past = before[recent].copy()
