@@ -79,7 +79,7 @@ def test_a_twin_that_comes_late_claims_no_grooves(late: float):
     words = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < first)][-1:]
     events = live(np.concatenate([words, rows[rows["stamp"] >= first]]))
     assert [event.code for event in events if event.code] == []
-    assert any("the tracker's word for where the robot stands" in e.text for e in events)
+    assert any("the twin resets its position to the tracker's" in e.text for e in events)
 
 
 @pytest.mark.parametrize("lasts", [3.0, 7.0])
