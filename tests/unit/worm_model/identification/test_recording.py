@@ -151,7 +151,7 @@ def test_commands_that_are_not_the_gait_are_refused():
 
 
 def test_a_run_that_does_not_rest_is_refused():
-    with pytest.raises(IdentificationError, match="only [0-9]+ camera samples"):
+    with pytest.raises(IdentificationError, match=r"only \d+ camera samples"):
         recording(rest=0.2)
 
 
