@@ -40,13 +40,13 @@ SUMS = 6
 
 
 class Field(NamedTuple):
-    """Field of the record; ``count`` entries if it is not 1. Stamps are in ns, with 0 for none."""
+    """Field of the record with ``entries`` values. Stamps are in ns, with 0 for none."""
 
     name: str
     kind: type[np.generic]
     unit: str
     meaning: str
-    count: int = 1
+    entries: int = 1
 
 
 FIELDS = (
@@ -135,7 +135,9 @@ FIELDS = (
 )
 MEMORY = np.dtype(
     [
-        (field.name, field.kind, (field.count,)) if field.count > 1 else (field.name, field.kind)
+        (field.name, field.kind, (field.entries,))
+        if field.entries > 1
+        else (field.name, field.kind)
         for field in FIELDS
     ]
 )
