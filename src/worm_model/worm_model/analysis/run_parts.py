@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Division of recordings into the runs of single gaits, and their combination."""
+"""Recordings cut into the runs of single gaits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Any
@@ -14,25 +13,24 @@ from numpy.typing import NDArray
 from worm_model.run import RESTING, GaitStates, Run
 
 _REST_NS = 3_000_000_000  # before a gait whose rest was not announced
-_JOINTS = "joint_states"
 _SERIES = tuple(field.name for field in fields(Run) if field.name != "origin")
 
 
 @dataclass(frozen=True)
 class Part:
-    """Run of one gait, with the samples stamped from ``start`` to before ``end`` (ns since the epoch)."""
+    """The run of one gait; it holds what has a stamp from ``start`` to before ``end`` (ns since the epoch)."""
 
     run: Run
     start: int
     end: int
 
     def holds(self, stamp: int) -> bool:
-        """Return True if a stamp lies in the part."""
+        """Whether a stamp lies in the part."""
         return self.start <= stamp < self.end
 
 
 def parts_of(run: Run) -> list[Part]:
-    """Return one part per played gait, in their order; each begins with the rest before its gait.
+    """A part a gait that was played, in their order; each begins with the rest before its gait.
 
     A run of one gait or of none is its own only part.
     """
@@ -45,33 +43,13 @@ def parts_of(run: Run) -> list[Part]:
 
 
 def last_stamp(run: Run) -> int:
-    """Return the largest stamp (ns since the epoch) of a run, its origin if it has no samples."""
+    """The greatest stamp (ns since the epoch) of a run, its origin if it has no samples."""
     stamps = [getattr(run, name).stamp for name in _SERIES]
     return int(max((stamp.max() for stamp in stamps if stamp.size), default=run.origin))
 
 
-def joined(runs: Sequence[Run]) -> Run:
-    """Return runs, ordered by time, as one without joint states; where two overlap, the first one counts."""
-    if len(runs) == 1:
-        return runs[0]
-    whole = {}
-    for name in _SERIES:
-        if name == _JOINTS:
-            continue
-        kept, last = [], np.iinfo(np.int64).min
-        for series in (getattr(run, name) for run in runs):
-            kept.append(_rows(series, series.stamp > last))
-            last = max(last, int(series.stamp.max(initial=last)))
-        columns = {
-            field.name: np.concatenate([getattr(part, field.name) for part in kept])
-            for field in fields(kept[0])
-        }
-        whole[name] = type(kept[0])(**columns)
-    return Run(origin=runs[0].origin, **whole)
-
-
 def _rest_before(states: GaitStates, previous: int, onset: int) -> int:
-    """Return the stamp at which the rest before an onset began."""
+    """When the rest began that leads to an onset."""
     rests = states.stamp[
         (states.state == RESTING) & (states.stamp > previous) & (states.stamp <= onset)
     ]
@@ -88,7 +66,7 @@ def _cut(run: Run, start: int, end: int) -> Run:
 
 
 def _rows(series: Any, rows: NDArray[np.bool_]) -> Any:
-    """Return some samples of a series."""
+    """Some samples of a series."""
     columns = {field.name: getattr(series, field.name) for field in fields(series)}
     arrays = {name: col[rows] for name, col in columns.items() if isinstance(col, np.ndarray)}
     return replace(series, **arrays)

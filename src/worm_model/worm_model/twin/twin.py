@@ -43,7 +43,7 @@ from worm_model.twin.core.memory import (
 )
 from worm_model.twin.diagnosis import CycleSeen, History, explains, judge_cycle, off_at_end
 from worm_model.twin.findings import INFORMATION, Finding, Sentence
-from worm_model.twin.records import Activity, Event, Severity
+from worm_model.twin.records import Activity, Event, Health, Severity, residual_message
 from worm_model.twin.run_start import PLAYING, DriverState, begin_run, driver_state_of, is_new_run
 from worm_model.twin.samples import Rows as SampleRows
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
@@ -138,6 +138,14 @@ class Output:
     events: tuple[Event, ...]
     warnings: dict[int, str]
     cycles: tuple[ClosedCycle, ...] = ()
+
+
+def residual_messages(output: Output) -> list[str]:
+    """Return the messages of the residuals (n,), empty while the robot is healthy."""
+    texts = [""] * len(output.residuals)
+    for row in np.flatnonzero(output.residuals["health"] > Health.HEALTHY).tolist():
+        texts[row] = residual_message(output.residuals[row], output.warnings)
+    return texts
 
 
 @dataclass(frozen=True)

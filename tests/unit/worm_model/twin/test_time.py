@@ -30,7 +30,7 @@ def jumped(rows: np.ndarray, time: float, by: float) -> np.ndarray:
     """The same, the clock having been set at a time (s)."""
     rows = rows.copy()
     after = rows["stamp"] > ONSET + round(time * SECOND)
-    for name in ("stamp", "heard"):
+    for name in ("stamp", "sent"):
         rows[name][after] += round(by * SECOND)
     rows["onset"][after & (rows["onset"] > 0)] += round(by * SECOND)
     return rows

@@ -513,7 +513,7 @@ def test_hours_with_misses_need_no_more_memory_and_lose_no_accuracy():
         residuals.append(np.abs(positions[: len(positions) // 3]))
         assert sum(part.nbytes for part in state.memory) == size
         assert len(state.history.cycles) <= 8
-        assert len(state.history.told) <= 8
+        assert len(state.history.reported) <= 8
         assert len(state.warnings) <= 8
     assert state.history.missed == hours
     assert min(len(found) for found in residuals) > 150

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import lz4.frame
 import pytest
 import zstandard
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Schema
@@ -142,6 +142,9 @@ def edit(data: bytes, edits: list[tuple[str, float]]) -> bytes:
 @pytest.mark.parametrize("layout", LAYOUTS)
 @settings(max_examples=60, deadline=None)
 @given(edits=EDITS)
+@example(
+    edits=[("cut", 0.1875), ("cut", 0.21875), ("flip", 0.0)]
+)  # header damaged, cut after a chunk
 def test_it_saves_what_the_stream_reader_returns_and_every_intact_chunk(layout: str, edits):
     data = file_of(layout)
     damaged = edit(data, edits)
