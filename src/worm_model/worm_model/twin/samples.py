@@ -39,6 +39,8 @@ SAMPLE = np.dtype(
         *((name, np.float64) for name in VALUES),
     ]
 )
+#: no samples
+NO_SAMPLES: Rows = np.zeros(0, SAMPLE)
 
 
 def sample_rows(kind: Kind, stamp: NDArray[np.int64], *values: NDArray[Any]) -> Rows:
