@@ -180,7 +180,9 @@ class Walk:
     def _chunk_by_content(self, place: int, last: int) -> Part | None:
         """Return an intact chunk with a wrong opcode or declared length; None if there is none."""
         head, first = self._chunk_head(place), place + RECORD.size
-        ends = {first + head.last, last} if head else set()
+        if head is None or not (head.size or head.checksum):
+            return None  # zeros look like an empty chunk
+        ends = {first + head.last, last}
         if self._data[place] == Opcode.CHUNK and len(ends) == 1:
             return None  # `_is_whole` has rejected this chunk
         for end in sorted(ends):

@@ -33,7 +33,7 @@ from worm_model.simulation.kernel.actuation_law import (
 from worm_model.simulation.kernel.compiled import entry, unlocked
 from worm_model.simulation.kernel.linear import Coefficients, Wave
 from worm_model.simulation.kernel.march import (
-    CHATTER,
+    FAILURE,
     FORCE,
     FRONT_FORCE,
     LENGTH_RATE,
@@ -487,8 +487,8 @@ def _process_row(
     moving = m.moving
     _follow(memory, rules, c, a, p, out)
     m.processed_ns = row.stamp
-    if memory.totals[CHATTER] != 0.0:
-        memory.totals[CHATTER] = 0.0
+    if memory.totals[FAILURE] != 0.0:
+        memory.totals[FAILURE] = 0.0
         put_at_rest(memory, row.stamp, m.length_change, m.source, c)
         _report(out, ZENO, row.stamp, 0.0)
         m.place += 1
