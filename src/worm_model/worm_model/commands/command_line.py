@@ -257,11 +257,7 @@ def finite(content: Any) -> Any:
 
 
 class ProgressLine:
-<<<<<<< HEAD
-    """Progress on standard error: a bar on a terminal, otherwise a line at each tenth."""
-=======
     """Progress line on standard error with the time left: a bar on a terminal, a line every tenth elsewhere."""
->>>>>>> main
 
     WIDTH = 40
 
@@ -273,13 +269,9 @@ class ProgressLine:
         self._start: tuple[float, float] | None = None  # time in s and fraction of the first call
 
     def __call__(self, fraction: float) -> None:
-<<<<<<< HEAD
-        """Show the completed fraction, from 0 to 1."""
-=======
         """Show that a fraction between 0 and 1 is done."""
         if self._start is None:
             self._start = self._clock(), fraction
->>>>>>> main
         step = int(fraction * (100 if self._terminal else 10))
         if step == self._shown:
             return

@@ -108,14 +108,10 @@ def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> T
 
 
 def worm_of(parameters: Parameters, direction: int) -> dry_friction.Worm:
-<<<<<<< HEAD
-    """Return the parameters in the form of the kernel, without dry friction."""
-=======
     """Return the parameters in the kernel's form, without dry friction; raise `ParameterError` under a load."""
     for key in ("rear_load", "front_load"):
         if getattr(parameters, key) != 0.0:
             raise ParameterError(f"{key}: the fit of the motion does not include loads; use 0 N")
->>>>>>> main
     return dry_friction.Worm(
         direction=float(direction),
         rear_mass=parameters.rear_mass,
