@@ -27,19 +27,12 @@ from tests.faulty_robots import ONSET, Fault, Lab, run_robots
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait
-from worm_model.twin.causes import GAINED, GROOVES, SCATTER, Candidate, Data, weigh_causes
+from worm_model.twin.cause_table import EVENT_CODES, GAINED, LASTING, MISSED_BY_FIN, Cause
+from worm_model.twin.causes import SCATTER, Candidate, Data, weigh_causes
 from worm_model.twin.core.memory import CHANNELS, POWER
 from worm_model.twin.cycle_data import FIRST, POWER_SHARE, CycleData
 from worm_model.twin.diagnosis import History, judge_causes
-from worm_model.twin.signatures import (
-    BINS,
-    FAULTS,
-    OFFSET_W,
-    SCALE,
-    SLIP_M,
-    Signatures,
-    signatures,
-)
+from worm_model.twin.signatures import BINS, Signatures, signatures
 from worm_model.twin.twin import Twin
 
 TITLE = "diagnosis of the twin: causes named within two cycles, and false alarms, in runs of five cycles (minutes)"
@@ -58,29 +51,46 @@ MIDDLE = 1
 
 @dataclass(frozen=True)
 class Kind:
-    """Of a fault: its name and unit for people (which is ``scale`` of the SI unit), three sizes, the right code."""
+    """Kind of a fault.
+
+    Attributes:
+        name: label with the unit.
+        sizes: small, middle and large size, relative or in the SI unit.
+        code: the right code of TwinEvent.
+        scale: factor from the size to the unit of the label.
+        fault: kind in tests/faulty_robots.py.
+    """
 
     name: str
     sizes: tuple[float, float, float]
     code: str
-    scale: float = 1.0
+    scale: float
+    fault: str
+
+
+def _kinds_of(cause: Cause) -> dict[str, Kind]:
+    """Return a kind for each three sizes of a lasting cause."""
+    kinds = {}
+    for sizes in cause.trials:
+        code = cause.code(sizes[0]).code
+        key = cause.name if cause.up == cause.down else code
+        label = f"{key.replace('_', ' ')} ({cause.unit})"
+        kinds[key] = Kind(label, sizes, code, cause.scale, cause.name)
+    return kinds
 
 
 KINDS = {
-    "rear": Kind("misses of the rear fin (cycles)", (1, 2, 3), "missed_groove_rear"),
-    "front": Kind("misses of the front fin (cycles)", (1, 2, 3), "missed_groove_front"),
-    "gained": Kind("groove gained", (1, 1, 1), "gained_groove"),
-    "gain": Kind("gain of the cable (%)", (-0.01, -0.03, -0.06), "cable_slip", 100.0),
-    "slip": Kind("cable slipped by (mm)", (0.001, 0.003, 0.006), "cable_slip", 1e3),
-    "friction": Kind("friction up (%)", (0.5, 1.0, 2.0), "friction_up", 100.0),
-    "less friction": Kind("friction down (%)", (-0.3, -0.6, -0.8), "friction_down", 100.0),
-    "scale": Kind("scale of the power (%)", (0.04, 0.10, 0.20), "power_scale", 100.0),
-    "offset": Kind("zero of the power (W)", (0.1, 0.3, 0.6), "power_offset"),
-    "robot": Kind("robot moved (grooves)", (1, 3, 5), "robot_moved"),
-    "camera": Kind("camera moved (mm)", (0.004, 0.012, 0.040), "camera_moved", 1e3),
+    "rear": Kind("misses of the rear fin (cycles)", (1, 2, 3), "missed_groove_rear", 1.0, "rear"),
+    "front": Kind(
+        "misses of the front fin (cycles)", (1, 2, 3), "missed_groove_front", 1.0, "front"
+    ),
+    "gained": Kind("groove gained", (1, 1, 1), "gained_groove", 1.0, "gained"),
+    **{key: kind for cause in LASTING.values() for key, kind in _kinds_of(cause).items()},
+    "robot": Kind("robot moved (grooves)", (1, 3, 5), "robot_moved", 1.0, "robot"),
+    "camera": Kind("camera moved (mm)", (0.004, 0.012, 0.040), "camera_moved", 1e3, "camera"),
 }
 UNSEEN = ("robot", "camera")  # by power
-CODES = ("", *dict.fromkeys(kind.code for kind in KINDS.values()), "missed_groove", "ambiguous")
+CODES = ("", *(row.code for row in EVENT_CODES))
 
 
 @dataclass(frozen=True)
@@ -113,8 +123,7 @@ def faults() -> list[tuple[str, int, Fault]]:
             for k in range(REPEATS):
                 whole = kind in ("rear", "front", "gained")
                 phase = 0.0 if whole else 0.3 * ((k + place) % 3)
-                plant_kind = "friction" if kind == "less friction" else kind
-                found.append((kind, place, Fault(plant_kind, size, 2 + k % 3, phase)))
+                found.append((kind, place, Fault(about.fault, size, 2 + k % 3, phase)))
     return found
 
 
@@ -170,10 +179,12 @@ def _drawn(outcome: Outcome, fault: Fault, signs: Signatures, draw: np.random.Ge
     history = History()
     for cycle, value in zip(blank, seen, strict=True):
         history = replace(history, cycles=(*history.cycles, replace(cycle, values=value)))
-        weighed = weigh_causes(history.cycles, history.told, signs, length_seen=False)
+        weighed = weigh_causes(history.cycles, history.reported, signs, length_seen=False)
         history, findings = judge_causes(history, cycle.number, weighed)
         if findings:
-            return replace(outcome, told=findings[0].code, late=float(cycle.number - fault.cycle))
+            return replace(
+                outcome, told=findings[0].code.code, late=float(cycle.number - fault.cycle)
+            )
     return outcome
 
 
@@ -190,16 +201,18 @@ def _cause(fault: Fault, signs: Signatures) -> tuple[Candidate | None, float] | 
     """(cause, its size in usual ones) of a fault; None where the gait has no such groove."""
     if fault.kind == "sound":
         return None, 0.0
-    if fault.kind in GROOVES:
+    if fault.kind in MISSED_BY_FIN:
         known = fault.kind in signs.missed
-        cause = Candidate(GROOVES[fault.kind], fault.kind, fault.cycle, 0.0, cycles=int(fault.size))
+        cause = Candidate(
+            MISSED_BY_FIN[fault.kind], fault.kind, fault.cycle, 0.0, cycles=int(fault.size)
+        )
         return (cause, 1.0) if known else None
     if fault.kind == "gained":
         how = next((name for name in signs.gained if name.startswith("rear")), "")
         return None if not how else (Candidate(GAINED, how, fault.cycle, 0.0, cycles=1), 1.0)
-    name = "viscous_friction" if fault.kind == "friction" else fault.kind
-    unit = {**FAULTS, "slip": SLIP_M, "scale": SCALE, "offset": OFFSET_W}[name]
-    return Candidate("", name, fault.cycle, 0.0, fault.phase), fault.size / unit
+    row = LASTING[fault.kind]
+    candidate = Candidate(row.up, row.name, fault.cycle, 0.0, fault.phase)
+    return candidate, fault.size / row.size
 
 
 # --- all of it ------------------------------------------------------------------------------------------

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the generated parts of interfaces.md: messages from their definitions, the optimizer's settings from its rows.
+"""Generator of the tables in interfaces.md and twin.md, and of the constants in TwinEvent.msg.
 
-Run by `./worm docs`; a test says when the page is out of date. What stands outside of the marks is written by hand.
+The messages' definitions, the optimizer's settings and the twin's causes are the sources. `./worm docs` runs it; a test
+fails if a file is out of date. Text outside of the marks is written manually.
 """
 
 from __future__ import annotations
@@ -12,10 +13,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from worm_model.twin.cause_table import EVENT_CODES
 from worm_optimizer.search.search_settings import SETTINGS, SettingRow
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "interfaces.md"
+TWIN_PAGE = ROOT / "docs" / "twin.md"
+TWIN_EVENT = ROOT / "src" / "worm_msgs" / "msg" / "TwinEvent.msg"
 KINDS = {"msg": "message", "srv": "service", "action": "action"}
 PARTS = {
     "msg": ("",),
@@ -28,13 +32,33 @@ DECLARATION = re.compile(
 
 
 def generated(page: str) -> str:
-    """The page with its marked parts made anew."""
-    for name, text in (("messages", "\n\n".join(_messages())), ("settings", _settings())):
-        begin, end = f"<!-- generated: {name} -->", f"<!-- end of {name} -->"
-        page = re.sub(
-            f"(?s){begin}.*?{end}", lambda _, t=f"{begin}\n\n{text}\n\n{end}": t, page, count=1
-        )
-    return page
+    """Return interfaces.md with its marked parts up to date."""
+    page = _replaced(page, "messages", "\n\n".join(_messages()))
+    return _replaced(page, "settings", _settings())
+
+
+def generated_twin_page(page: str) -> str:
+    """Return twin.md with its table of causes up to date."""
+    rows = ["| Code | Meaning | Detected from |", "| --- | --- | --- |"]
+    rows += [f"| `{row.code}` | {row.meaning} | {row.evidence} |" for row in EVENT_CODES]
+    return _replaced(page, "causes", "\n".join(rows))
+
+
+def generated_message(definition: str) -> str:
+    """Return TwinEvent.msg with its constants up to date."""
+    width = max(2 * len(row.code) for row in EVENT_CODES) + len('string =""')
+    lines = [f"{_constant(row.code):<{width}}  # {row.meaning}\n" for row in EVENT_CODES]
+    return re.sub(r"(?m)(^string [A-Z_]+=.*\n)+", lambda _: "".join(lines), definition, count=1)
+
+
+def _constant(code: str) -> str:
+    return f'string {code.upper()}="{code}"'
+
+
+def _replaced(page: str, name: str, text: str) -> str:
+    """Return a page with another text between the marks of a name."""
+    begin, end = f"<!-- generated: {name} -->", f"<!-- end of {name} -->"
+    return re.sub(f"(?s){begin}.*?{end}", lambda _: f"{begin}\n\n{text}\n\n{end}", page, count=1)
 
 
 def _messages() -> Iterator[str]:
@@ -84,8 +108,13 @@ def _default(row: SettingRow) -> str:
 
 
 def main() -> int:
-    """Writes the page."""
-    PAGE.write_text(generated(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    """Write the message's definition and the pages."""
+    for path, update in (
+        (TWIN_EVENT, generated_message),
+        (TWIN_PAGE, generated_twin_page),
+        (PAGE, generated),
+    ):
+        path.write_text(update(path.read_text(encoding="utf-8")), encoding="utf-8")
     return 0
 
 

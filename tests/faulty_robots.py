@@ -14,10 +14,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from worm_model.gait import Gait
+from worm_model.gait import GAIT_UNITS, Gait
 from worm_model.parameters import PAPER, Parameters
 from worm_model.twin.records import Activity
-from worm_model.twin.samples import SAMPLE, Kind
+from worm_model.twin.samples import Kind, sample_rows
 
 ONSET = 1_700_000_000_000_000_000
 STEP_S = 1e-3
@@ -31,8 +31,10 @@ SLOW = 1e-3  # m/s below which dry friction fades
 
 @dataclass(frozen=True)
 class Fault:
-    """``kind``: sound; gain, friction, scale (relative); slip, camera (m); offset (W); robot, gained (grooves); rear,
-    front (cycles running in which a fin misses its last groove). ``size`` in that unit.
+    """Fault of one robot from a phase of a cycle on.
+
+    ``kind`` is sound; gain, viscous_friction, scale (``size`` relative); slip, camera (m); offset (W); robot, gained
+    (grooves); rear, front (successive cycles in which a fin misses its last groove).
     """
 
     kind: str = "sound"
@@ -97,11 +99,10 @@ class Robots:
         told = [(-1.5, Activity.RESTING, 0)]
         told += [(k * gait.period, Activity.RUNNING, k + 1) for k in range(self.cycles)]
         told.append((self.cycles * gait.period + 0.003, Activity.IDLE, self.cycles))
+        values = [np.array([float(getattr(gait, name))]) for name in GAIT_UNITS]
         for time, activity, cycle in told:
-            row = _rows(
-                Kind.GAIT, np.array([time]), np.array([gait.stroke]), np.array([gait.frequency])
-            )
-            row["c"], row["d"], row["state"], row["cycle"] = gait.direction, 0.0, activity, cycle
+            row = sample_rows(Kind.GAIT, _stamps(np.array([time])), *values)
+            row["state"], row["cycle"] = activity, cycle
             row["onset"], row["run"] = (ONSET if activity == Activity.RUNNING else 0), 1
             parts.append(row)
         rows = np.concatenate(parts[::-1])  # the driver's words before what is of the same moment
@@ -109,12 +110,11 @@ class Robots:
 
 
 def _rows(kind: Kind, time: np.ndarray, *values: np.ndarray) -> np.ndarray:
-    rows = np.zeros(len(time), SAMPLE)
-    rows["stamp"] = ONSET + np.rint(time * 1e9).astype(np.int64)
-    rows["heard"], rows["kind"] = rows["stamp"], kind
-    for name, value in zip("abcd", values, strict=False):
-        rows[name] = value
-    return rows
+    return sample_rows(kind, _stamps(time), *values)
+
+
+def _stamps(time: np.ndarray) -> np.ndarray:
+    return ONSET + np.rint(time * 1e9).astype(np.int64)
 
 
 def _command(gait: Gait, time: np.ndarray) -> np.ndarray:
@@ -277,7 +277,7 @@ class _Bodies:
         p, mu, rate = self.p, self.mu, self.rate
         mass = (p["rear_mass"] + p["front_mass"]) / STEP_S
         before = self.speed - mu * rate
-        viscous = p["viscous_friction"] * (1.0 + self.of("friction"))
+        viscous = p["viscous_friction"] * (1.0 + self.of("viscous_friction"))
         d1 = viscous + self.lab.dry_friction_N / (np.abs(before) + SLOW)
         d2 = viscous + self.lab.dry_friction_N / (np.abs(before + rate) + SLOW)
         push = (d1 * mu - d2 * (1.0 - mu)) * rate - forces.sum(axis=1)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -24,7 +24,7 @@ from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_setti
 from worm_model.gait import Gait
 from worm_model.run import Run
 from worm_model.twin.records import Activity, Event
-from worm_model.twin.samples import SAMPLE, Kind
+from worm_model.twin.samples import SAMPLE, VALUES, Kind
 from worm_model.twin.stored_memory import StoringTimes, stored_memory
 from worm_model.twin.twin import ClosedCycle, Twin
 from worm_model.twin.twin_settings import DEFAULTS
@@ -221,17 +221,14 @@ class Session:
             state = _STATE[player.phase] if snapshot.active else Activity.INACTIVE
             onset = 0 if run is None or run.onset is None else EPOCH + round(run.onset * 1e9)
             number = 0 if player.run is None else player.run.number
-            gait = (0.0,) * 4
-            if run is not None:
-                g = run.gait
-                gait = (g.stroke, g.frequency, float(g.direction), g.margin)
+            gait = (0.0,) * len(VALUES) if run is None else tuple(map(float, astuple(run.gait)))
             self._rows.append((stamp, Kind.GAIT, onset, state, number, cycle, stamp, *gait))
         if not math.isnan(snapshot.commanded):
             self._add(Kind.COMMAND, now, snapshot.commanded)
 
     def _add(self, kind: Kind, time: float, a: float, b: float = 0.0) -> None:
         stamp = EPOCH + round(time * 1e9)
-        self._rows.append((stamp, kind, 0, 0, 0, 0, stamp, a, b, 0.0, 0.0))
+        self._rows.append((stamp, kind, 0, 0, 0, 0, stamp, a, b, *(0.0,) * (len(VALUES) - 2)))
 
     def _groove_at(self, time: float) -> int:
         return next(groove for when, groove in reversed(self._grooves) if when <= time + 1e-6)
@@ -256,7 +253,7 @@ def live_twin(rows: np.ndarray, twin: Twin | None = None, many: int = 9) -> Live
     for k in range(0, len(rows), many):
         outputs.append(twin.advance(state, rows[k : k + many]))
         if times.is_due(state):
-            memories.append((int(state.record["taken_ns"]), stored_memory(twin, state)))
+            memories.append((int(state.record["processed_ns"]), stored_memory(twin, state)))
     outputs.append(twin.advance(state, rows[:0], to_the_end=True))
     return Live(
         np.concatenate([output.states for output in outputs]),

@@ -136,8 +136,8 @@ from worm_model.gait import GAIT_COLUMNS, Gait, gait_of
 from worm_model.parameters import PAPER
 from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
 from worm_model.twin.core.memory import MEMORY
-from worm_model.twin.run_start import word_of
 from worm_model.twin.recorded_samples import rows_of_run
+from worm_model.twin.run_start import driver_state_of
 from worm_model.twin.samples import Kind
 from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_optimizer.report.expectation import expect
@@ -169,7 +169,7 @@ print(json.dumps({
     "bag": last_played_gait(again.gait_state).gait == gait,
     "old": sorted({float(v) for v in old.gait_state.ripple_share}),
     "converted": float(share),
-    "twin": word_of(rows[rows["kind"] == Kind.GAIT][1]).gait == gait,
+    "twin": driver_state_of(rows[rows["kind"] == Kind.GAIT][1]).gait == gait,
     "memory": "ripple_share" in (MEMORY.names or ()),
     "table": float(table.gait["ripple_share"][0]),
     "header": Path("out.csv").read_text().splitlines()[0].split(","),
@@ -269,6 +269,83 @@ def test_a_servo_model_is_a_row_of_the_table(copy):
     assert slowest == pytest.approx(128 * 0.0239691227 * 0.025)
     assert 0.01 < moving < slowest
     assert seen["stall_force"] == pytest.approx(10.6 / 0.025)
+
+
+CAUSE = """
+import importlib.util, json, sys
+from dataclasses import replace
+sys.path[:0] = [ROOT, ROOT + "/tests"]
+import numpy as np
+from worm_model.gait import Gait
+from worm_model.parameters import PAPER
+from worm_model.twin.cause_table import EVENT_CODES, LASTING
+from worm_model.twin.causes import Candidate, Data, weigh_causes
+from worm_model.twin.cycle_data import CycleData, Step
+from worm_model.twin.diagnosis import History, judge_causes
+from worm_model.twin.signatures import signatures
+from benchmarks.twin_diagnosis import KINDS
+
+spec = importlib.util.spec_from_file_location("generator", ROOT + "/docs/generate_interfaces.py")
+generator = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(generator)
+
+def findings(size):
+    signs = signatures(Gait(0.08, 0.2), PAPER, driven=True)
+    blank = [
+        CycleData(n, np.zeros((3, 25)), np.full((3, 25), 1e-8), Step(0.0), True)
+        for n in range(1, 5)
+    ]
+    data = Data(blank, (), signs)
+    cause = LASTING["rear_dry_friction"]
+    effect = size / cause.size * data.direction(Candidate(cause.up, cause.name, 3, 0.0))
+    history, found = History(), []
+    for cycle, values in zip(blank, effect.reshape(-1, 3, 25)):
+        history = replace(history, cycles=(*history.cycles, replace(cycle, values=values)))
+        weighed = weigh_causes(history.cycles, history.reported, signs, length_seen=True)
+        history, some = judge_causes(history, cycle.number, weighed)
+        found += some
+    return signs, found
+
+signs, found = findings(1.0)
+print(json.dumps({
+    "default": PAPER.rear_dry_friction,
+    "signature": float(np.abs(signs.lasting["rear_dry_friction"]).max()),
+    "codes": [finding.code.code for finding in found],
+    "texts": [finding.text for finding in found],
+    "message": generator.generated_message(generator.TWIN_EVENT.read_text()),
+    "page": generator.generated_twin_page(generator.TWIN_PAGE.read_text()),
+    "description": LASTING["rear_dry_friction"].describe(2.0, 0.2),
+    "benchmark": KINDS["stick_up"].code,
+}))
+"""
+
+
+def test_a_cause_of_the_twin_is_a_row_of_the_table(copy):
+    """Signature, event, message, page and benchmark follow, also for a parameter that is 0 by default."""
+    first = "#: lasting causes by name\nLASTING = {\n    row.name: row\n    for row in (\n"
+    row = """        Cause(
+            name="rear_dry_friction",
+            effect=Effect.ABSOLUTE,
+            up=EventCode("stick_up", "more dry friction", "dry friction has increased", "power"),
+            down=EventCode("stick_down", "less dry friction", "dry friction has decreased", "power"),
+            size=0.5,
+            unit="N",
+            scale=1.0,
+            words="dry friction of the rear module changed by {}",
+            hint="dirt",
+            trials=((0.2, 0.5, 1.0),),
+        ),
+"""
+    copy.edit("worm_model/worm_model/twin/cause_table.py", first, first + row)
+    seen = copy.run(CAUSE.replace("ROOT", repr(str(ROOT))))
+    assert seen["default"] == 0.0
+    assert seen["signature"] > 0.0
+    assert seen["codes"] == ["ambiguous"]  # other causes have the same effect
+    assert "more dry friction" in seen["texts"][0]
+    assert seen["description"] == "dry friction of the rear module changed by +1.0 ± 0.2 N: dirt"
+    assert 'string STICK_UP="stick_up"' in seen["message"]
+    assert "| `stick_down` | dry friction has decreased | power |" in seen["page"]
+    assert seen["benchmark"] == "stick_up"
 
 
 def test_the_declarations_of_the_gait_agree():

@@ -24,6 +24,10 @@ _SPEC.loader.exec_module(GENERATOR)
 
 def test_the_generated_parts_are_up_to_date():
     assert GENERATOR.generated(PAGE) == PAGE, "run ./worm docs"
+    twin_page = GENERATOR.TWIN_PAGE.read_text(encoding="utf-8")
+    assert GENERATOR.generated_twin_page(twin_page) == twin_page, "run ./worm docs"
+    message = GENERATOR.TWIN_EVENT.read_text(encoding="utf-8")
+    assert GENERATOR.generated_message(message) == message, "run ./worm docs"
     assert "| → `status` | uint8 |" in PAGE
     assert "| `--margin` | `margin_m` | NaN |" in PAGE
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shows a robot and its twin in RViz: ros2 launch worm_model view.launch.py namespace:=worm.
+"""Launch file for RViz with a robot and its twin: ros2 launch worm_model view.launch.py namespace:=worm.
 
-robot_state_publisher makes the frames of urdf/worm.urdf: those of the modules from the twin's joint states, those of
-spool and fins from the driver's; camera:= adds camera and, for its images, camera_optical_frame. Frames are on the
-topics tf and tf_static of the robot's namespace: each robot has its own pipe.
+robot_state_publisher publishes the frames of urdf/worm.urdf: those of the modules from the joint states of the twin,
+those of spool and fins from the driver's. With camera:= it adds camera and, for its images, camera_optical_frame.
+Frames are on the topics tf and tf_static of the robot's namespace, because each robot has its own pipe.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _POSE = ("--x", "--y", "--z", "--yaw", "--pitch", "--roll")
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Declare the arguments, then start what they ask for."""
+    """Declare the arguments and start the nodes that they select."""
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="worm", description="of the robot"),

@@ -53,7 +53,7 @@ def compute_phase_map(
     phase: Array,
     progress: Callable[[float], None] | None = None,
 ) -> PhaseMap:
-    """Simulates every stroke (n,) in m at every groove phase (m,) in m, φ set by L0 alone."""
+    """Simulate all strokes (n,) in m at all groove phases (m,) in m; L0 alone determines φ."""
     groove = front_groove(parameters)
     lengths = groove * parameters.pitch + phase
     table = evaluate_gaits(
@@ -76,7 +76,7 @@ def compute_phase_map(
 
 
 def phase_map_figure(content: PhaseMap) -> Figure:
-    """The map beside the cliff."""
+    """Return a figure with the map and, next to it, the cliff."""
     figure = new_figure(10.5, 4.5)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(3, 2))
     draw_groove_map(left, MM * content.stroke, MM * content.phase, content.grooves)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How every figure looks: colours that colour-blind readers can tell apart, a line style a role, panels, files.
+"""Common style of all figures: colours for colour-blind readers, line styles by role, panels, files.
 
 Nothing here imports pyplot: figures are made and saved without a global state, and without a display.
 """
@@ -49,24 +49,24 @@ _UNDATED: Mapping[str, dict[str, None]] = {  # so that the same data give the sa
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """A figure of a size in inches whose parts make room for each other."""
+    """Return a figure of a size in inches with constrained layout."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def check_format(path: Path) -> None:
-    """Raises `InputError` unless a figure's name ends in one of `FORMATS`."""
+    """Raise `InputError` unless a figure's name ends in one of `FORMATS`."""
     if path.suffix.lower() not in FORMATS:
         raise InputError(f"--figure {path}: end its name in {', '.join(FORMATS)}")
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Writes a figure, its format by the name's ending."""
+    """Write a figure in the format of the name's ending."""
     with mpl.rc_context({"svg.hashsalt": "worm"}):
         figure.savefig(path, dpi=DPI, metadata=_UNDATED.get(path.suffix.lower()))
 
 
 def symbol(text: str) -> str:
-    """A symbol such as ``p_sw`` for a label, its index set low."""
+    """Return a symbol such as ``p_sw`` for a label, with its index as a subscript."""
     base, _, index = text.partition("_")
     return rf"${base}_\mathrm{{{index}}}$" if index else text
 
@@ -104,19 +104,19 @@ def legend_above(axes: Axes, columns: int = 5) -> None:
 
 
 def letter(panels: Sequence[Axes]) -> None:
-    """Puts (a), (b), … before the notes of panels."""
+    """Put (a), (b), … before the notes of panels."""
     for name, axes in zip(string.ascii_lowercase, panels, strict=False):
         note = axes.get_title(loc="left")
         axes.set_title(f"({name}) {note}".rstrip(), loc="left", fontsize="small")
 
 
 def shade(axes: Axes, start: float, end: float, label: str = "") -> None:
-    """Marks the averaged cycles."""
+    """Mark the averaged cycles."""
     axes.axvspan(start, end, color=_AVERAGED, zorder=0, label=label or None)
 
 
 def branch_style(branch: int, size: float = 4.5) -> dict[str, Any]:
-    """Marker, colour and label of the gaits that gain ``branch`` grooves a cycle."""
+    """Return marker, colour and label of the gaits that gain ``branch`` grooves per cycle."""
     kind = (branch - 1) % len(CYCLE)
     return {
         "marker": MARKERS[kind],
@@ -130,7 +130,7 @@ def branch_style(branch: int, size: float = 4.5) -> dict[str, Any]:
 def draw_groove_map(
     axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], grooves: NDArray[Any]
 ) -> None:
-    """Grooves per cycle (m, n) over ``x`` (n,) and ``y`` (m,), with a colour bar."""
+    """Draw grooves per cycle (m, n) over ``x`` (n,) and ``y`` (m,), with a colour bar."""
     count = max(int(grooves.max()), 1) + 1
     image = axes.pcolormesh(
         x,

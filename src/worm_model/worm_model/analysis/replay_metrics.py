@@ -19,8 +19,8 @@ from worm_model.simulation.quadrature import accumulated
 from worm_model.twin.offline_replay import Replay, Series
 from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.records import Event, Health
-from worm_model.twin.samples import Kind, Rows
-from worm_model.twin.twin import NOTHING, ClosedCycle, Output
+from worm_model.twin.samples import NO_SAMPLES, Kind, Rows
+from worm_model.twin.twin import ClosedCycle, Output
 from worm_model.twin.twin_settings import DEFAULTS
 
 RESUMED_AFTER_NS = 500_000_000  # of a cycle's end, within which a live twin has stored its memory
@@ -100,7 +100,7 @@ def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
     """Return the report on a replay; ``pitch`` of the grooves in m."""
     samples = RecordedSamples(lambda: (run,), round(DEFAULTS.jump_back_s * 1e9))
     reporter = ReplayReporter(samples, pitch, replay.resumed_ns)
-    rows = np.concatenate([NOTHING, *samples.rows()])
+    rows = np.concatenate([NO_SAMPLES, *samples.rows()])
     states: Any = replay.states
     residuals: Any = replay.residuals
     lengths: Any = replay.lengths

@@ -82,7 +82,7 @@ def draw_pipe(axes: Axes, pitch: float, low: float, high: float) -> None:
 
 
 class RobotDrawing:
-    """The robot on prepared axes; `show` moves it to another pose."""
+    """Robot on prepared axes; `show` moves it to another pose."""
 
     def __init__(self, axes: Axes, parameters: Parameters, direction: int = FORWARD) -> None:
         self._parameters = parameters

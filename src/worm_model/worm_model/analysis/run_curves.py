@@ -34,7 +34,7 @@ _AROUND_S = 2.0  # of rest before and after the gait that an overview shows
 
 
 def plot_run(run: Run, replay: Replay, parameters: Parameters, title: str = "") -> Figure:
-    """The last gait of a run in one figure: x1, its residual, length change, power; the averaged cycles are shaded.
+    """Draw the last gait of a run: x1, its residual, length change, power; the averaged cycles are shaded.
 
     ``replay`` is the twin's, by `worm_model.twin.offline_replay.replay_run`. Raises `RecordingError` without a gait.
     """
@@ -49,7 +49,7 @@ def plot_run(run: Run, replay: Replay, parameters: Parameters, title: str = "") 
 
 
 def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:
-    """x1 counted from its rest before the onset (ns), measured and of the twin; and their difference."""
+    """Return x1 relative to its rest before the onset (ns), measured and of the twin; and their difference."""
     time = seconds(run.tracker.stamp, onset)
     rest = value_at_onset(time, run.tracker.rear_position)
     measured = Curve("measured", time, run.tracker.rear_position - rest, MEASURED)
@@ -59,7 +59,7 @@ def position_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curve
 
 
 def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves, Curves]:
-    """Length changes: of the cable, of the body, predicted from the command alone; and u_cmd and u_eff (eq:slack_clip).
+    """Return the length changes of cable and body, their prediction from the command, u_cmd and u_eff (eq:slack_clip).
 
     Each instrument's change is from what it told at rest, so that no offset of a length shows.
     """
@@ -84,7 +84,7 @@ def length_curves(run: Run, onset: int, parameters: Parameters) -> tuple[Curves,
 
 
 def power_curves(run: Run, replay: Replay, onset: int) -> Curves:
-    """Source power, measured and of the twin; of the twin from the onset on, as its model of a gait begins there."""
+    """Return the source power, measured and of the twin, which is known from the onset on."""
     known = np.isfinite(run.power.valid_power)
     measured = seconds(run.power.stamp[known], onset)
     stamp, power = settled_power(run, replay)
@@ -96,7 +96,7 @@ def power_curves(run: Run, replay: Replay, onset: int) -> Curves:
 
 
 def energy_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]:
-    """Energy since the onset, measured and of the twin; and their difference."""
+    """Return the energy since the onset, measured and of the twin; and their difference."""
     stamp, energy = accumulated_energy((run.power.stamp, run.power.valid_power))
     time = seconds(stamp, onset)
     measured = Curve("measured", time, energy - value_at_onset(time, energy), MEASURED)
@@ -105,7 +105,7 @@ def energy_curves(run: Run, replay: Replay, onset: int) -> tuple[Curves, Curves]
 
 
 def settled_power(run: Run, replay: Replay) -> Samples:
-    """What the twin says of the power (W) at the sensor's stamps."""
+    """Return the twin's power (W) at the sensor's stamps."""
     residuals = replay.residuals
     judged = np.isfinite(residuals["power"])
     stamp, residual = residuals["stamp_ns"][judged], residuals["power"][judged]
@@ -120,7 +120,7 @@ def settled_power(run: Run, replay: Replay) -> Samples:
 
 
 def value_at_onset(time: Array, values: Array) -> float:
-    """The last known value before the onset, else the first one after it; NaN if there is none."""
+    """Return the last known value before the onset, otherwise the first one after it; NaN without any."""
     known = np.isfinite(values)
     before = np.flatnonzero(known & (time <= 0.0))
     row = before[-1:] if before.size else np.flatnonzero(known)[:1]
@@ -128,7 +128,7 @@ def value_at_onset(time: Array, values: Array) -> float:
 
 
 def _of_twin(series: Series, name: str, onset: int, label: str, style: Style) -> Curve:
-    """One of the twin's columns, where it is known, within the run that began at the onset."""
+    """Return the known values of one of the twin's columns within the run that began at the onset."""
     time, values = seconds(series["stamp_ns"], onset), series[name]
     shown = np.isfinite(values) & (time >= 0.0)
     return Curve(label, time[shown], values[shown], style)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a run, each defined here and nowhere else: averaged cycles, speed, power, cost of transport, rms.
+"""Metrics of a run, each defined only here: averaged cycles, speed, power, cost of transport, rms.
 
 The protocol is the paper's: of the whole cycles that were played, the last three are averaged. The driver, which
 knows nothing of this package, measures its own for the result of RunGait; a test compares both on one run.
@@ -32,25 +32,25 @@ _FOREVER = int(np.iinfo(np.int64).max)
 
 
 class RecordingError(InputError):
-    """A recording lacks what a number needs; the message says what."""
+    """Raised if a recording lacks the data of a metric; the message names them."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """A span of whole cycles, from the point of rest before them to the one after, in ns since the epoch."""
+    """Span of whole cycles, from the point of rest before them to the one after, in ns since the epoch."""
 
     start: int
     end: int
 
     @property
     def duration(self) -> float:
-        """Seconds."""
+        """Duration in s."""
         return (self.end - self.start) / 1e9
 
 
 @dataclass(frozen=True)
 class PlayedGait:
-    """A gait as it was played: ``cycles`` were asked for, from the ``onset`` on (ns since the epoch).
+    """Played gait: ``cycles`` is the requested number, from the ``onset`` on (ns since the epoch).
 
     ``run`` is the driver's number of the run, 0 in recordings from before it had one.
     ``end`` is the stamp (ns) at which the driver told that it played no more, ``state_after`` what it told then, one
@@ -68,19 +68,19 @@ class PlayedGait:
     run: int = 0
 
     def cycle_window(self, first: int, last: int) -> Window:
-        """The span of the cycles ``first`` to ``last``, counted from 1."""
+        """Return the span of the cycles ``first`` to ``last``, counted from 1."""
         period = 1e9 * self.gait.period
         return Window(self.onset + round((first - 1) * period), self.onset + round(last * period))
 
     def whole_cycles_until(self, stamp: int) -> int:
-        """How many of the cycles that were asked for had been played at a stamp (ns)."""
+        """Return how many of the requested cycles had been played at a stamp (ns)."""
         played_until = stamp if self.end is None else min(stamp, self.end + END_TOLERANCE_NS)
         cycles = math.floor((played_until - self.onset) / (1e9 * self.gait.period))
         return max(min(cycles, self.cycles), 0)
 
 
 def last_played_gait(states: GaitStates) -> PlayedGait:
-    """The last gait that was played; raises `RecordingError` if there is none, `GaitError` if it is not admissible."""
+    """Return the last gait played; raise `RecordingError` if there is none, `GaitError` if it is inadmissible."""
     runs = states.rows_of_runs()
     if not runs:
         raise RecordingError(
@@ -90,7 +90,7 @@ def last_played_gait(states: GaitStates) -> PlayedGait:
 
 
 def played_gaits(states: GaitStates) -> list[PlayedGait]:
-    """The gaits that were played, in their order; one that is not admissible is left out."""
+    """Return the gaits that were played, in their order, without inadmissible ones."""
     gaits = []
     for rows in states.rows_of_runs():
         with suppress(RecordingError):
@@ -130,7 +130,7 @@ def _state_after(states: GaitStates, after: int, stopping: NDArray[np.int64]) ->
 
 
 def completed_cycles(run: Run, played: PlayedGait) -> int:
-    """How many whole cycles were played, and recorded up to their end."""
+    """Return the number of whole cycles that were played and recorded to their end."""
     stamps = (
         run.tracker.stamp[np.isfinite(run.tracker.rear_position)],
         run.power.stamp[np.isfinite(run.power.valid_power)],
@@ -140,7 +140,7 @@ def completed_cycles(run: Run, played: PlayedGait) -> int:
 
 
 def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:
-    """First and last of the averaged cycles, counted from 1: the last three whole ones that were played and recorded.
+    """Return the first and last averaged cycle, counted from 1: the last three whole ones played and recorded.
 
     Without a completed cycle it is (1, 1), over which there is no speed and no power: see `completed_cycles`.
     """
@@ -149,7 +149,7 @@ def averaged_cycles(run: Run, played: PlayedGait) -> tuple[int, int]:
 
 
 def early_end(run: Run, played: PlayedGait) -> str:
-    """Why fewer cycles were played or recorded than were asked for, in words; empty if none is missing."""
+    """Return why fewer cycles were played or recorded than requested; empty if none is missing."""
     if played.state_after is not None and played.end is not None:
         done = played.whole_cycles_until(_FOREVER)
         if played.state_after == FAULT:
@@ -165,7 +165,7 @@ def early_end(run: Run, played: PlayedGait) -> str:
 
 
 def mean_rate(samples: Samples, window: Window, name: str) -> float:
-    """Mean rate of change over a window, per s; raises `RecordingError` if the samples do not reach over it."""
+    """Return the mean rate of change over a window, per s; raise `RecordingError` if the samples do not cover it."""
     stamps, values = _known(samples)
     if stamps.size == 0 or stamps[0] > window.start or stamps[-1] < window.end:
         raise RecordingError(f"the recording has no {name} over the averaged cycles")
@@ -175,13 +175,13 @@ def mean_rate(samples: Samples, window: Window, name: str) -> float:
 
 
 def accumulated_energy(power: Samples) -> Samples:
-    """Energy (J) since the first valid sample of a power (W), at each valid sample, by the trapezoidal rule."""
+    """Return the energy (J) at each valid sample of a power (W) since the first, by the trapezoidal rule."""
     stamps, values = _known(power)
     return stamps, accumulated((stamps - stamps[:1]).astype(np.float64) * 1e-9, values)
 
 
 def idle_power(run: Run, played: PlayedGait) -> float:
-    """Mean of the first ten valid samples (W) of the rest before a gait; NaN if there are fewer (eq:Pidle_est)."""
+    """Return the mean power (W) of the first ten valid samples at rest; NaN for fewer (eq:Pidle_est)."""
     if played.rest_start is None:
         return math.nan
     power = run.power
@@ -192,7 +192,7 @@ def idle_power(run: Run, played: PlayedGait) -> float:
 
 
 def single_cycles(window: Window, cycles: int) -> Iterator[Window]:
-    """The cycles of a window, one by one."""
+    """Return the single cycles of a window."""
     borders = np.linspace(window.start, window.end, cycles + 1).round().astype(np.int64).tolist()
     for start, end in pairwise(borders):
         yield Window(start, end)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of a run, for the demo, reports and the identification alike: x1, length change, power and energy.
+"""Figures of a run, for the demo, reports and the identification alike: x1, length change, power and energy.
 
 Who has a run makes `Curve`s of it; what belongs into which panel is decided here.
 """
@@ -32,7 +32,7 @@ _TIME = "time since the gait's onset (s)"
 
 @dataclass(frozen=True)
 class Curve:
-    """What one source says over ``time`` (n,) s since the onset: ``values`` (n,) in SI units, NaN where unknown."""
+    """Series of one source: ``time`` (n,) in s since the onset, ``values`` (n,) in SI units, NaN if unknown."""
 
     label: str
     time: Array
@@ -45,7 +45,7 @@ Curves = Sequence[Curve]
 
 @dataclass(frozen=True)
 class Frame:
-    """What the panels of a figure share: the span of time in s, the averaged cycles in s if any, a title."""
+    """Common properties of a figure's panels: time span (s), averaged cycles (s) if any, and title."""
 
     start: float
     end: float
@@ -64,12 +64,12 @@ class _Panel:
 
 
 def motion_figure(frame: Frame, positions: Curves, residuals: Curves, pitch: float) -> Figure:
-    """x1 over the pipe's ridges, ``pitch`` m apart, and what is left between measured and predicted."""
+    """Draw x1 over the pipe's ridges, ``pitch`` (m) apart, and measured minus predicted."""
     return _figure(frame, [_positions(positions, pitch), _residuals(residuals, "mm", MM)])
 
 
 def length_figure(frame: Frame, lengths: Curves, inputs: Curves) -> Figure:
-    """Length change, measured and predicted, over the commanded and the effective input (eq:slack_clip)."""
+    """Draw the length change, measured and predicted, over the commanded and the effective input (eq:slack_clip)."""
     return _figure(
         frame,
         [_Panel("length change ΔL (mm)", lengths, MM), _Panel("input (mm)", inputs, MM)],
@@ -77,7 +77,7 @@ def length_figure(frame: Frame, lengths: Curves, inputs: Curves) -> Figure:
 
 
 def energy_figure(frame: Frame, powers: Curves, energies: Curves, residuals: Curves) -> Figure:
-    """Source power, its energy, and what is left between measured and predicted energy."""
+    """Draw the source power, its energy, and measured minus predicted energy."""
     return _figure(
         frame,
         [
@@ -96,7 +96,7 @@ def overview_figure(
     powers: Curves,
     pitch: float,
 ) -> Figure:
-    """A run in one figure: where the robot went, how long it was, what it took."""
+    """Return a figure of a run: position, length, power and energy."""
     return _figure(
         frame,
         [
@@ -109,7 +109,7 @@ def overview_figure(
 
 
 def comparison_figure(frame: Frame, advances: Curves, energies: Curves) -> Figure:
-    """Several runs laid over each other: the advance of x1 along each gait's direction, and the energy."""
+    """Return a figure of several runs: the advance of x1 along each gait's direction, and the energy."""
     return _figure(
         frame,
         [
@@ -122,7 +122,7 @@ def comparison_figure(frame: Frame, advances: Curves, energies: Curves) -> Figur
 def simulation_figure(
     frame: Frame, positions: Curves, lengths: Curves, forces: Curves, powers: Curves, pitch: float
 ) -> Figure:
-    """A simulated gait: where both modules and their anchors are, length, forces, power."""
+    """Return a figure of a simulated gait: modules and anchors, length, forces, power."""
     return _figure(
         frame,
         [
@@ -137,7 +137,7 @@ def simulation_figure(
 
 
 def run_style(number: int) -> dict[str, Any]:
-    """The style of one of several runs, counted from 0."""
+    """Return the style of one of several runs, counted from 0."""
     return {"color": CYCLE[number % len(CYCLE)], "linewidth": 1.2}
 
 
@@ -172,7 +172,7 @@ def _figure(frame: Frame, contents: Sequence[_Panel]) -> Figure:
 
 
 def _draw(axes: Axes, content: _Panel, frame: Frame) -> None:
-    """The curves within the frame, so that nothing outside of it decides about the axes."""
+    """Return the curves within the frame, so that values outside do not affect the axes."""
     for curve in content.curves:
         inside = (curve.time >= frame.start) & (curve.time <= frame.end)
         axes.plot(

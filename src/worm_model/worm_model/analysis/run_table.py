@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded run as one table in seconds since the gait's onset, for notebooks and spreadsheets."""
+"""Table of a recorded run in seconds since the gait's onset, for notebooks and spreadsheets."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LENGTHS = ("commanded", "cable", "measured", "estimated")
 
 @dataclass(frozen=True)
 class RunTable:
-    """Columns of one length by name, the unit at the end of the name; nothing is interpolated.
+    """Columns of equal length by name, with the unit at the end of the name; nothing is interpolated.
 
     A row is a moment at which something was measured or commanded, in the order of the stamps. What was not at that
     moment is NaN, of texts None. The first columns are
@@ -36,7 +36,7 @@ class RunTable:
     columns: dict[str, Column]
 
     def to_dataframe(self) -> Any:
-        """A pandas.DataFrame with these columns; raises `InputError` if pandas is not installed."""
+        """Return a pandas.DataFrame with these columns; raise `InputError` if pandas is not installed."""
         try:
             from pandas import DataFrame
         except ImportError:
@@ -45,7 +45,7 @@ class RunTable:
 
 
 def run_table(run: Run) -> RunTable:
-    """All samples of a run in one table; two samples of one source at one moment are two rows."""
+    """Return all samples of a run in one table; samples of one source with equal stamps have separate rows."""
     series = [(stamp, columns) for stamp, columns in _series(run) if stamp.size]
     keys = [np.stack([stamp, _repetition(stamp)], axis=1) for stamp, _ in series]
     all_keys = np.concatenate(keys) if keys else np.empty((0, 2), np.int64)
@@ -61,7 +61,7 @@ def run_table(run: Run) -> RunTable:
 
 
 def _repetition(stamp: Stamps) -> Stamps:
-    """How many samples with the same stamp came before each one."""
+    """Return the number of earlier samples with the same stamp for each sample."""
     order = np.argsort(stamp, kind="stable")
     ordered = stamp[order]
     repetition = np.empty_like(stamp)
@@ -70,7 +70,7 @@ def _repetition(stamp: Stamps) -> Stamps:
 
 
 def _time_columns(run: Run, stamp: Stamps) -> dict[str, Column]:
-    """The columns that every row has."""
+    """Return the columns that each row has."""
     gait, cycle = np.zeros(stamp.size, np.int64), np.zeros(stamp.size, np.int64)
     time = seconds(stamp, run.origin)
     for number, part in enumerate(parts_of(run), 1):
@@ -83,7 +83,7 @@ def _time_columns(run: Run, stamp: Stamps) -> dict[str, Column]:
 
 
 def _series(run: Run) -> Iterator[tuple[Stamps, dict[str, Column]]]:
-    """Stamps and columns of each source."""
+    """Return stamps and columns of each source."""
     states, power, tracker, joints = run.gait_state, run.power, run.tracker, run.joint_states
     yield states.stamp, {"state": _texts([state_name(state) for state in states.state.tolist()])}
     for name in _LENGTHS:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gait that was simulated, over time: as a table, as the run that instruments without errors would have recorded."""
+"""Simulated gait over time, as a table and as the recording of ideal instruments."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ BUS_VOLTAGE = 12.0  # V, at which the current of a recorded run is told
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """A gait from rest: ``time`` (n,) s since its onset, ``command`` (n,) u_cmd in m, ``motions`` at these times."""
+    """Gait from rest: ``time`` (n,) in s since its onset, ``command`` (n,) u_cmd in m, ``motions`` at these times."""
 
     gait: Gait
     parameters: Parameters
@@ -46,7 +46,7 @@ class SimulatedRun:
     motions: Motions
 
     def table(self) -> dict[str, Array]:
-        """Columns by name, unit included."""
+        """Return the columns by name, which includes the unit."""
         motions = self.motions
         return {
             "time_s": self.time,
@@ -62,16 +62,16 @@ class SimulatedRun:
 
     @property
     def stamp(self) -> NDArray[np.int64]:
-        """Stamps (n,) in ns since the epoch, of a date that is made up."""
+        """Return stamps (n,) in ns since the epoch, with a made-up date."""
         return EPOCH_NS + round(REST_S * 1e9) + np.round(1e9 * self.time).astype(np.int64)
 
     def provenance(self) -> dict[str, str]:
-        """What a bag says of where it comes from: no robot, these parameters."""
+        """Return the provenance for a bag: no robot, these parameters."""
         values = {f"parameter.{key}": repr(v) for key, v in self.parameters.as_dict().items()}
         return {"made_by": "worm_model simulate", **values}
 
     def twin_states(self) -> dict[str, NDArray[Any]]:
-        """The fields of TwinState at the stamps."""
+        """Return the fields of TwinState at the stamps."""
         motions, p = self.motions, self.parameters
         one = np.ones(self.time.size)
         return {
@@ -96,7 +96,7 @@ class SimulatedRun:
         }
 
     def as_recorded(self) -> Run:
-        """As driver, camera and power sensor without errors would tell it, after a rest; its date is made up."""
+        """Return the recording of an ideal driver, camera and power sensor, with a rest before and a made-up date."""
         length = self.parameters.initial_length
         step = self.time[1] - self.time[0]
         count = round(REST_S / step)
@@ -125,7 +125,7 @@ class SimulatedRun:
         )
 
     def _states(self, onset: int) -> GaitStates:
-        """What the driver tells: the rest, each cycle, the end."""
+        """Return the driver's states: the rest, each cycle, the end."""
         period = 1e9 * self.gait.period
         cycle = np.array([0, *range(1, self.cycles + 1), self.cycles])
         begins = [onset + round(k * period) for k in range(self.cycles + 1)]
@@ -141,7 +141,7 @@ class SimulatedRun:
 
 
 def simulated_run(gait: Gait, parameters: Parameters, cycles: int, rate: float) -> SimulatedRun:
-    """Simulates a gait and samples it at a rate in Hz from its onset to its end."""
+    """Simulate a gait and sample it at a rate in Hz from its onset to its end."""
     trajectory = simulate(gait, parameters, cycles)
     time = np.arange(int(trajectory.duration * rate * (1.0 + 1e-12)) + 1) / rate
     time = np.minimum(time, trajectory.duration)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figure of a gait that was simulated."""
+"""Figure of a simulated gait."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from worm_model.simulation.simulator import AVERAGED
 
 
 def figure_of(run: SimulatedRun) -> Figure:
-    """Both modules with their anchors, each from where it started, length, cable and fin forces, power."""
+    """Return a figure of both modules and anchors relative to their start, length, forces and power."""
     p, motions, time, period = run.parameters, run.motions, run.time, run.gait.period
     front = motions.front_anchor[0]
     averaged = max(run.cycles - AVERAGED, 0) * period, run.cycles * period

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all command lines share: options, exit status, one-line errors, output, progress.
+"""Common parts of all command lines: options, exit status, one-line errors, output, progress.
 
 Exit status 0: done; 2: bad input, one line on standard error says what and how to mend it; 1: anything
 else. Standard output holds the result alone, progress and logs go to standard error.
@@ -42,16 +42,16 @@ DONE, FAILED, BAD_INPUT = 0, 1, 2
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose complaint is one line, with the options that several commands have."""
+    """Parser with one-line errors and the options that several commands share."""
 
     def error(self, message: str) -> NoReturn:
-        """Prints the complaint and leaves with status 2."""
+        """Print the error and exit with status 2."""
         self.exit(BAD_INPUT, f"{self.prog}: {message}; see {self.prog} --help\n")
 
     def add_number(
         self, name: str, unit: str, meaning: str, default: float | None = None, **more: Any
     ) -> None:
-        """Adds an option for a finite number; its help names the default, if there is one."""
+        """Add an option for a finite number; its help includes the default, if there is one."""
         suffix = "" if default is None else f" (default: {default:g})"
         self.add_argument(
             name, type=number, default=default, metavar=unit, help=f"{meaning}{suffix}", **more
@@ -73,7 +73,7 @@ class Parser(argparse.ArgumentParser):
             self.add_number(option, metavar, meaning, GAIT_DEFAULTS.get(name), required=needed)
 
     def add_direction(self) -> None:
-        """Adds --direction."""
+        """Add --direction."""
         self.add_argument(
             "--direction",
             type=int,
@@ -98,13 +98,13 @@ class Parser(argparse.ArgumentParser):
             self.add_number(row["option"], metavar, row["meaning"], 0.0, dest=name)
 
     def add_figure(self) -> None:
-        """Adds --figure; see `figure_file`."""
+        """Add --figure; see `figure_file`."""
         self.add_argument(
             "--figure", metavar="FILE", help="write a figure too (.png, .pdf or .svg)"
         )
 
     def add_parameters(self) -> None:
-        """Adds --parameters."""
+        """Add --parameters."""
         self.add_argument(
             "--parameters",
             default="",
@@ -113,7 +113,7 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_transmission(self) -> None:
-        """Adds --onset and --spool-radius of a lab's logs, which are found where they are not given."""
+        """Add --onset and --spool-radius of a lab's logs; by default they are estimated."""
         self.add_number(
             "--onset",
             "S",
@@ -126,7 +126,7 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_definitions(self) -> None:
-        """Adds --definitions."""
+        """Add --definitions."""
         self.add_argument(
             "--definitions",
             type=Path,
@@ -136,7 +136,7 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_json(self) -> None:
-        """Adds --json; see `print_result`."""
+        """Add --json; see `print_result`."""
         self.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -145,7 +145,7 @@ def run_command(
     command: Callable[[argparse.Namespace], int | None],
     arguments: list[str] | None = None,
 ) -> int:
-    """Parses, runs, and turns what goes wrong into the exit status; returns it."""
+    """Parse the arguments, run the command, and return the exit status."""
     options = parser.parse_args(arguments)
     notify = notifier(parser.prog)
     try:
@@ -168,19 +168,19 @@ def executable(
     parser: Callable[[], argparse.ArgumentParser],
     command: Callable[[argparse.Namespace], int | None],
 ) -> Callable[[], int]:
-    """The entry point of a command: `run_command` with the arguments that the process was given."""
+    """Return the entry point of a command, which runs it with the arguments of the process."""
     return lambda: run_command(parser(), command)
 
 
 def one_line(error: BaseException) -> str:
-    """The message of an error without line breaks."""
+    """Return the message of an error without line breaks."""
     if isinstance(error, FileExistsError):
         return f"{error.filename}: exists already; give another name, nothing is overwritten"
     return " ".join(str(error).split())
 
 
 def notifier(program: str) -> Callable[[str], None]:
-    """What tells a line on standard error, after the program's name."""
+    """Return a function that prints a line on standard error, after the program's name."""
 
     def notify(line: str) -> None:
         sys.stderr.write(f"{program}: {printable(line)}\n")
@@ -189,7 +189,7 @@ def notifier(program: str) -> Callable[[str], None]:
 
 
 def number(text: str) -> float:
-    """A finite number, for argparse."""
+    """Return a finite number, for argparse."""
     value = float(text)
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text} is not a finite number")
@@ -197,7 +197,7 @@ def number(text: str) -> float:
 
 
 def not_negative(text: str) -> float:
-    """A finite number from 0 on, for argparse."""
+    """Return a finite number of at least 0, for argparse."""
     value = number(text)
     if value < 0.0:
         raise argparse.ArgumentTypeError(f"{text} is negative")
@@ -205,7 +205,7 @@ def not_negative(text: str) -> float:
 
 
 def new_file(path: str) -> Path:
-    """A path that does not exist yet in a folder that does; raises `InputError` otherwise."""
+    """Return a path that does not exist yet in an existing folder; raise `InputError` otherwise."""
     target = Path(path)
     if target.exists():
         raise InputError(f"{path}: exists already; give another name, nothing is overwritten")
@@ -215,7 +215,7 @@ def new_file(path: str) -> Path:
 
 
 def figure_file(options: argparse.Namespace) -> Path | None:
-    """The new file of --figure, None where none is asked for; raises `InputError` if it cannot be made."""
+    """Return the new file of --figure, or None without that option; raise `InputError` if it cannot be created."""
     if options.figure is None:
         return None
     from worm_model.analysis.plot_style import check_format
@@ -226,7 +226,7 @@ def figure_file(options: argparse.Namespace) -> Path | None:
 
 
 def print_result(options: argparse.Namespace, content: dict[str, Any], text: str) -> None:
-    """Prints a result as it is asked for: ``content`` as JSON, or ``text`` for people."""
+    """Print a result: ``content`` as JSON with --json, otherwise ``text``."""
     if options.json:
         print_json(content)
     else:
@@ -234,13 +234,13 @@ def print_result(options: argparse.Namespace, content: dict[str, Any], text: str
 
 
 def print_json(content: Any) -> None:
-    """Prints one JSON object; what is not a finite number becomes null, as JSON knows no NaN."""
+    """Print one JSON object; NaN and infinity become null, because JSON has neither."""
     json.dump(finite(content), sys.stdout, allow_nan=False)
     sys.stdout.write("\n")
 
 
 def finite(content: Any) -> Any:
-    """Return a result as JSON has it: NaN and infinity become None, a profile its name."""
+    """Return a result for JSON: None instead of NaN and infinity, the name of a profile."""
     if isinstance(content, dict):
         return {key: finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):

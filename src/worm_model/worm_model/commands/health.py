@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: parameters that walk away from bag to bag, with control limits."""
+"""Command line: drift of parameters from bag to bag, with control limits."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _health(options: argparse.Namespace) -> None:
 def health_json(
     bags: Sequence[BagEstimates], left_out: Sequence[ExcludedBag], charts: Sequence[Chart]
 ) -> dict[str, Any]:
-    """The JSON object of the command line, SI units."""
+    """Return the JSON object of the output, in SI units."""
     return {
         "healthy": all(chart.state is State.WITHIN for chart in charts),
         "parameters": {chart.key: _chart_json(chart, bags) for chart in charts},
@@ -107,7 +107,7 @@ def _chart_json(chart: Chart, bags: Sequence[BagEstimates]) -> dict[str, Any]:
 def describe(
     bags: Sequence[BagEstimates], left_out: Sequence[ExcludedBag], charts: Sequence[Chart]
 ) -> str:
-    """The verdicts for people."""
+    """Return the verdicts as text."""
     used = "1 bag" if len(bags) == 1 else f"{len(bags)} bags"
     lines = [f"{used}, {bags[0].name} ({bags[0].date}) to {bags[-1].name} ({bags[-1].date})"]
     for chart in charts:
@@ -143,7 +143,7 @@ def _lines(chart: Chart, bags: Sequence[BagEstimates]) -> list[str]:
 
 
 def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]:
-    """What limits the verdicts as a whole."""
+    """Return the limitations of all verdicts."""
     remarks = []
     few = [chart.key for chart in charts if chart.state is State.TOO_FEW]
     if few:
@@ -159,7 +159,7 @@ def _remarks(bags: Sequence[BagEstimates], charts: Sequence[Chart]) -> list[str]
 
 
 def _named(bag: ExcludedBag) -> str:
-    """The reason with the bag's name once."""
+    """Return the reason with the bag's name once."""
     return bag.reason if bag.name in bag.reason else f"{bag.name}: {bag.reason}"
 
 

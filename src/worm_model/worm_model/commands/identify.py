@@ -101,13 +101,13 @@ def _parser() -> Parser:
 
 
 class StageProgress:
-    """One progress line for each stage."""
+    """Progress line for each stage."""
 
     def __init__(self) -> None:
         self._stage, self._line = "", ProgressLine("")
 
     def __call__(self, stage: str, done: float) -> None:
-        """Shows how far a stage is, from 0 to 1."""
+        """Show the progress of a stage, from 0 to 1."""
         if stage != self._stage:
             self._stage, self._line = stage, ProgressLine(stage)
         self._line(done)
@@ -129,7 +129,7 @@ def _given(options: argparse.Namespace, inputs: Inputs) -> ReferenceValues:
 
 
 def _literal(options: argparse.Namespace, inputs: Inputs, output: Path | None) -> None:
-    """The paper's procedure; see `worm_model.identification.literal`."""
+    """Run the paper's procedure; see `worm_model.identification.literal`."""
     if options.report or options.validation:
         raise InputError(
             "--literal has no report and no validation: leave --report and --validation out"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: what trimming the initial length would bring."""
+"""Command line: effect of trimming the initial length."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _parser() -> Parser:
 
 
 def describe(content: PhaseMap) -> str:
-    """What the map says, for people."""
+    """Return a summary of the map as text."""
     lines = [
         f"groove phase now {content.phase_now * 1e3:+.2f} mm: cliff of the margin at "
         f"{content.cliff_now * 1e3:.2f} mm (closed form)",

@@ -111,7 +111,7 @@ def _writer_of(path: Path) -> Callable[[SimulatedRun, Path], None]:
 
 
 def _checked_rate(options: argparse.Namespace, gait: Gait, output: Path) -> float:
-    """Return the samples a second; raise `InputError` if so many samples or frames cannot be written."""
+    """Return the sampling rate in Hz; raise `InputError` if so many samples or frames cannot be written."""
     animated = output.suffix.lower() in ANIMATIONS
     rate: float = options.rate
     if rate is None:

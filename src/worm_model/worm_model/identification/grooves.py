@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 4, continued: grooves that differ from each other, and what that does to the intervals of η and p_sw.
+"""Stage 4, continued: differences between grooves, and their effect on the intervals of η and p_sw.
 
-The five ridges of every run are the same few ridges, so a robot whose grooves scatter shows the same deviation in
-every run, and a bootstrap over runs would never see it. Hence each groove gets a deviation of its threshold and of
-its stiffness for each module; their standard deviations come from the data (expectation maximisation), and vanish
-where grooves are alike. η and p_sw are the means; their intervals are profiles over all of these.
+All runs pass the same few ridges. A robot with uneven grooves therefore shows the same deviation in every run, and a
+bootstrap over runs would not detect it. Each groove has a deviation of its threshold and of its stiffness for each
+module. The standard deviations are estimated from the data (expectation maximisation) and vanish for even grooves.
+η and p_sw are the means. Their intervals are profiles over all deviations.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from worm_model.simulation.kernel.stepped_dry_friction import GROOVE_COLUMNS, ST
 
 ROWS = 10  # grooves of each module: FIRST_GROOVE behind the start, the rest ahead
 MEANS = 6  # shared parameters before the deviations
-FIRST_SCATTER = (1e-4, 0.02)  # m and 1, from which the scatter is looked for
-LEAST_SCATTER = (1e-6, 1e-4)  # that counts as none
+FIRST_SCATTER = (1e-4, 0.02)  # m and 1, start of the search for the scatter
+LEAST_SCATTER = (1e-6, 1e-4)  # smaller scatter counts as none
 STEPS = (3e-5, 0.01)  # of numerical derivatives by deviations, m and 1
-SCANNED = np.linspace(-6e-4, 6e-4, 13)  # m, deviations of a threshold that are tried
+SCANNED = np.linspace(-6e-4, 6e-4, 13)  # m, tested deviations of a threshold
 ROUNDS = 4  # of linearisation
 INNER_ROUNDS = 300
 
@@ -56,7 +56,7 @@ class Scatter:
     stiffness: float
 
     def of(self, column: int) -> float:
-        """The one that belongs to a column of grooves."""
+        """Return the standard deviation that belongs to a column of grooves."""
         return self.threshold if column == THRESHOLD else self.stiffness
 
 
@@ -64,8 +64,8 @@ class Scatter:
 class GrooveFit:
     """``solution`` of a `groove_problem` under a ``scatter``.
 
-    ``places`` (k, 3) tells what each deviation after the means is: module, row and column of grooves as
-    `worm_model.simulation.kernel.stepped_dry_friction` has them.
+    ``places`` (k, 3) has module, row and column of each deviation after the means, as in the tables of
+    `worm_model.simulation.kernel.stepped_dry_friction`.
     """
 
     solution: Solution
@@ -79,7 +79,7 @@ class GrooveFit:
 
 
 def tables_of(deviations: Array, places: NDArray[np.int64]) -> tuple[Array, Array]:
-    """The grooves of the rear and of the front module, as the kernel takes them."""
+    """Return the kernel's tables of grooves of the rear and of the front module."""
     tables = np.zeros((2, ROWS, GROOVE_COLUMNS))
     tables[tuple(places.T)] = deviations
     return tables[0], tables[1]
@@ -91,7 +91,7 @@ def groove_problem(
     places: NDArray[np.int64],
     scatter: Scatter,
 ) -> Problem:
-    """Residuals of x1 by the means and the deviations, which have priors by the scatter."""
+    """Return the problem of x1 with means and deviations; the scatter is the prior of the deviations."""
     worms = [worm_of(known.parameters, t.direction) for t in traverses]
 
     def residuals(run: int, values: Array, own: Array) -> Array:
@@ -111,7 +111,7 @@ def groove_problem(
 
 
 def fit_grooves(traverses: Sequence[Traverse], known: Known, start: Solution) -> GrooveFit:
-    """Scatter, deviations and means, from a solution in which all grooves are alike."""
+    """Estimate scatter, deviations and means, starting from a solution with even grooves."""
     scatter = Scatter(*FIRST_SCATTER)
     places = _passed(traverses, known, start)
     shared = np.concatenate([start.shared, np.zeros(len(places))])
@@ -126,7 +126,10 @@ def fit_grooves(traverses: Sequence[Traverse], known: Known, start: Solution) ->
 
 
 def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) -> Solution:
-    """Tries other thresholds, groove by groove: a switch that just fails or just happens is a jump of the cost."""
+    """Return the best solution with another threshold of single grooves.
+
+    A switch that just fails or just happens is a jump of the cost, which no gradient shows.
+    """
     for entry in MEANS + np.flatnonzero(places[:, 2] == THRESHOLD):
         for value in SCANNED:
             moved = solution.shared.copy()
@@ -138,8 +141,8 @@ def _scanned(problem: Problem, solution: Solution, places: NDArray[np.int64]) ->
 
 
 def _passed(traverses: Sequence[Traverse], known: Known, start: Solution) -> NDArray[np.int64]:
-    """The deviations that change anything: of the grooves that are passed."""
-    places = np.argwhere(np.ones((2, ROWS, GROOVE_COLUMNS)))  # every deviation that there could be
+    """Return the places of the deviations that affect the residuals, those of the grooves passed."""
+    places = np.argwhere(np.ones((2, ROWS, GROOVE_COLUMNS)))  # all possible deviations
     problem = groove_problem(traverses, known, places, Scatter(*FIRST_SCATTER))
     shared = np.concatenate([start.shared, np.zeros(len(places))])
     matters = []
@@ -158,7 +161,7 @@ def _passed(traverses: Sequence[Traverse], known: Known, start: Solution) -> NDA
 def _learned_scatter(
     problem: Problem, solution: Solution, places: NDArray[np.int64], scatter: Scatter
 ) -> Scatter:
-    """Expectation maximisation on the problem as it is linear around the solution."""
+    """Return the scatter by expectation maximisation on the problem linearised around the solution."""
     matrix, gradient = normal_equations(problem, solution)
     values = np.concatenate([solution.shared, solution.own.ravel()])
     entries = [MEANS + np.flatnonzero(places[:, 2] == k) for k in (THRESHOLD, STIFFNESS)]
@@ -172,7 +175,7 @@ def _learned_scatter(
             posterior[index, index] += spread**-2
         idle = np.flatnonzero(
             np.diag(posterior) <= 0.0
-        )  # what no run bears on, as a threshold never met
+        )  # deviations without any effect, such as a threshold that no run reaches
         posterior[idle, idle] = 1.0
         scale = 1.0 / np.sqrt(np.diag(posterior))
         covariance = np.linalg.inv(posterior * np.outer(scale, scale)) * np.outer(scale, scale)
@@ -189,7 +192,7 @@ def _learned_scatter(
 def held(
     traverses: Sequence[Traverse], known: Known, fit: GrooveFit, entry: int, value: float
 ) -> Solution:
-    """The solution when one of the means is held at a value and all else is refitted."""
+    """Return the solution with one of the means fixed at a value and all others fitted again."""
     problem = groove_problem(traverses, known, fit.places, fit.scatter)
     shared = np.delete(fit.solution.shared, entry)
     solution = solve(with_fixed(problem, entry, value), shared, fit.solution.own, iterations=8)

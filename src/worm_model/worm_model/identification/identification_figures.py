@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of the paper's Section V: bench fits, and x1, ΔL, power and energy of every run."""
+"""Figures of the paper's Section V: bench fits, and x1, ΔL, power and energy of every run."""
 
 from __future__ import annotations
 

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 4: friction η and threshold p_sw from x1 under the measured length (eq:locomotion_identification_cost).
 
-J_loc jumps where a groove is gained or lost, so a grid over all that is admissible comes first, and the deepest of its
-valleys are refined. Nuisances: dry friction of each module, which would be booked as η, L0 of each run, of
-which the camera has seen something at rest, and the pitch: the front fin starts L0/d ≈ 17 grooves ahead of the rear,
-so that a twentieth of a millimetre in d is almost a millimetre in where it starts. And how the body sets in: its length
-starts with a rate at once (eq:slack_clip), and the paper's v1(0) = 0 puts the centre of mass 0.1 mm elsewhere than a
-robot's does, whose modules share that rate.
+J_loc jumps where a groove is gained or lost. The search therefore starts with a grid over all admissible values, and
+refines the deepest valleys. The nuisance parameters are:
 
-x1 is followed by the stepped kernel, not the exact one: it knows grooves that differ, which the exact one would have to
-carry through every gait of a search, and takes 0.09 µs a sample of the length, the exact one 0.21 µs, and 0.27 µs with
-dry friction, so that a fit of a minute would take three. What the fit finds is used, and held out, in the exact model.
+- the dry friction of each module, which would otherwise count as η
+- L0 of each run, which the camera measures at rest
+- the pitch: the front fin starts L0/d ≈ 17 grooves ahead of the rear one, so that an error of 0.05 mm in d moves its
+  start by almost 1 mm
+- the onset: the length starts with a finite rate (eq:slack_clip). With the paper's v1(0) = 0 the centre of mass is
+  0.1 mm away from that of a robot, whose modules share that rate
+
+The stepped kernel computes x1, because it supports uneven grooves and takes 0.09 µs per sample of the length. The exact
+kernel takes 0.21 µs, with dry friction 0.27 µs. Predictions and held-out errors use the exact model.
 """
 
 from __future__ import annotations
@@ -31,19 +33,19 @@ from worm_model.identification.robust import noise_of
 from worm_model.parameters import ParameterError, Parameters
 from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
 
-RIDGES = 5  # of a traversal
-LEAST_NOISE = 2e-5  # m, of a position: that of a perfect camera
+RIDGES = 5  # number of ridges of a traverse
+LEAST_NOISE = 2e-5  # m, noise of a position from a perfect camera
 SEARCHED_FRICTION = np.geomspace(4.0, 1500.0, 14)  # N·s/m
 SEARCHED_THRESHOLD_STEP = 2e-4  # m
 MOST_THRESHOLD = 1.7  # pitches
-VALLEYS = 6  # from which fits start
-COARSE = 2  # steps of the length in one, where half the resolution will do
-ROUGH_ITERATIONS = 10  # of a fit from every start
-REFINED = 4  # of these that are followed to the end
-FIRST_DRY = (0.05, 0.05)  # N, from which dry friction is looked for
+VALLEYS = 6  # number of valleys from which fits start
+COARSE = 2  # steps of the length combined into one, where half the resolution suffices
+ROUGH_ITERATIONS = 10  # iterations of the fit from each start
+REFINED = 4  # number of these fits that are completed
+FIRST_DRY = (0.05, 0.05)  # N, start of the search for dry friction
 FIRST_ONSET = 0.5
-LOST = 1e3  # residual of a sample that no motion explains: the anchors switch without end
-ALIKE = np.zeros((1, dry_friction.GROOVE_COLUMNS))  # all grooves are as the parameters say
+LOST = 1e3  # residual of each sample if the anchors switch endlessly
+ALIKE = np.zeros((1, dry_friction.GROOVE_COLUMNS))  # even grooves
 SHARED = (
     "viscous_friction",
     "switching_threshold",
@@ -52,15 +54,15 @@ SHARED = (
     "pitch",
     "onset",
 )
-LEAST_PITCH_DEVIATION = 1e-8  # m, of a pitch that is given as exact
-TRIED_PITCHES = (-1.5, 0.0, 1.5)  # standard deviations of the given one, from which a fit starts
+LEAST_PITCH_DEVIATION = 1e-8  # m, for a pitch given as exact
+TRIED_PITCHES = (-1.5, 0.0, 1.5)  # starts of a fit, in standard deviations from the given pitch
 
 
 @dataclass(frozen=True)
 class Known:
-    """What stage 4 is given: ``parameters`` that it does not seek, and how well their pitch is known.
+    """Inputs of stage 4: ``parameters`` that it does not estimate, and the uncertainty of their pitch.
 
-    ``pitch_deviation`` is the standard deviation in m of the pitch as given; 0 holds the pitch.
+    ``pitch_deviation`` is the standard deviation of the given pitch in m; 0 fixes the pitch.
     """
 
     parameters: Parameters
@@ -69,9 +71,10 @@ class Known:
 
 @dataclass(frozen=True)
 class Traverse:
-    """A run over the five ridges: camera samples ``time`` (n,) s, ``x1`` (n,) m, and the length that drives it.
+    """Run over the five ridges: camera samples ``time`` (n,) s, ``x1`` (n,) m, and the length that drives it.
 
-    ``noise`` m is the camera's; ``complete`` tells whether five ridges were reached, ``end`` s when.
+    ``noise`` (m) is that of the camera. ``end`` (s) is the end of the traverse; ``complete`` is True if the run reached
+    five ridges.
     """
 
     direction: int
@@ -84,10 +87,10 @@ class Traverse:
 
 
 def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> Traverse:
-    """The part of a run from the onset until x1 has advanced by five pitches."""
+    """Return the part of a run from the onset until x1 has advanced by five pitches."""
     advance = recording.gait.direction * recording.x1
     known = np.isfinite(advance)
-    beyond = median_filter(advance[known], 5) >= RIDGES * pitch  # one outlier is no arrival
+    beyond = median_filter(advance[known], 5) >= RIDGES * pitch  # a single outlier does not count
     arrivals = recording.camera_time[known][beyond]
     end = float(arrivals[0]) if arrivals.size else recording.end
     end = min(end, float(length.time[-1]))
@@ -126,7 +129,10 @@ def worm_of(parameters: Parameters, direction: int) -> dry_friction.Worm:
 
 
 def with_values(worm: dry_friction.Worm, values: Array, initial_length: float) -> dry_friction.Worm:
-    """The worm with other (η, p_sw, both dry frictions, pitch, onset) and L0; plain, for it is done 10⁵ times."""
+    """Return the worm with other (η, p_sw, both dry frictions, pitch, onset) and L0.
+
+    It has no loop over names, because a fit calls it 10⁵ times.
+    """
     return worm._replace(
         friction=float(values[0]),
         threshold=float(values[1]),
@@ -145,7 +151,7 @@ def slide(
     front_grooves: Array = ALIKE,
     stride: int = 1,
 ) -> Array | None:
-    """Samples of the stepped kernel at every ``stride``-th time of the length; None on chatter."""
+    """Return samples of the stepped kernel at every ``stride``-th time of the length; None on chatter."""
     length_changes = traverse.length.length_change
     if stride > 1:
         length_changes = np.ascontiguousarray(length_changes[::stride])
@@ -156,7 +162,7 @@ def slide(
 
 
 def shared_quantities(known: Known) -> list[Quantity]:
-    """Of (η, p_sw, rear and front dry friction, pitch, onset)."""
+    """Return the quantities η, p_sw, rear and front dry friction, pitch and onset."""
     pitch = known.parameters.pitch
     deviation = max(known.pitch_deviation, LEAST_PITCH_DEVIATION)
     low = least_threshold(known.parameters)
@@ -171,13 +177,13 @@ def shared_quantities(known: Known) -> list[Quantity]:
 
 
 def own_quantities(traverse: Traverse) -> list[Quantity]:
-    """Of a run's nuisance L0, which the camera has seen at rest."""
+    """Return the nuisance parameter L0 of a run; its prior is the length that the camera measured at rest."""
     length = traverse.length
     return [Quantity(5e-5, 0.0, np.inf, length.initial_length, length.initial_spread)]
 
 
 def x1_residuals(traverse: Traverse, samples: Array | None, stride: int = 1) -> Array:
-    """Measured minus predicted x1 in units of the camera's noise."""
+    """Return measured minus predicted x1 in units of the camera's noise."""
     if samples is None:
         return np.full(traverse.time.size, LOST)
     time = traverse.length.time[::stride]
@@ -186,7 +192,7 @@ def x1_residuals(traverse: Traverse, samples: Array | None, stride: int = 1) -> 
 
 
 def locomotion_problem(traverses: Sequence[Traverse], known: Known, stride: int = 1) -> Problem:
-    """The problem in which all grooves are alike; the parameters that are not sought are given."""
+    """Return the problem with even grooves; all other parameters are given."""
     worms = [worm_of(known.parameters, t.direction) for t in traverses]
 
     def residuals(run: int, values: Array, own: Array) -> Array:
@@ -198,13 +204,13 @@ def locomotion_problem(traverses: Sequence[Traverse], known: Known, stride: int 
 
 
 def least_threshold(parameters: Parameters) -> float:
-    """Below it a fin that switches would switch back at once, or never touch; m."""
+    """Return the threshold (m) below which a fin would switch back at once, or never touch."""
     return 0.5 * max(parameters.pitch, parameters.clearance) + 1e-4
 
 
 @dataclass(frozen=True)
 class Landscape:
-    """J_loc over ``friction`` (m,) N·s/m and ``threshold`` (n,) m: ``cost`` (m, n), mean square of x1's error in m²."""
+    """J_loc over ``friction`` (m,) in N·s/m and ``threshold`` (n,) in m: ``cost`` (m, n), mean squared error in m²."""
 
     friction: Array
     threshold: Array
@@ -216,7 +222,7 @@ def search(
     known: Known,
     progress: Callable[[float], None] | None = None,
 ) -> Landscape:
-    """J_loc without dry friction over every admissible pair, pitch as given, L0 of each run as seen at rest."""
+    """Return J_loc without dry friction over all admissible pairs, with the given pitch and the measured L0."""
     parameters = known.parameters
     problem = locomotion_problem(traverses, known, COARSE)
     own = np.array([[t.length.initial_length] for t in traverses])
@@ -245,7 +251,7 @@ def search(
 
 
 def valleys(landscape: Landscape, count: int = VALLEYS) -> Array:
-    """(k, 2): the deepest local minima of a landscape, (η, p_sw), deepest first."""
+    """Return the deepest local minima (η, p_sw) of a landscape, deepest first, shape (k, 2)."""
     padded = np.pad(landscape.cost, 1, constant_values=np.inf)
     rows, columns = landscape.cost.shape
     around = [
@@ -261,7 +267,7 @@ def valleys(landscape: Landscape, count: int = VALLEYS) -> Array:
 
 
 def find_locomotion(traverses: Sequence[Traverse], known: Known, landscape: Landscape) -> Solution:
-    """The best of the landscape's valleys, refined with all nuisances, all grooves alike.
+    """Return the best of the landscape's valleys, refined with all nuisance parameters and even grooves.
 
     Raises `IdentificationError` if nothing explains the motion.
     """

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stage 4 as a whole: search, grooves, and the intervals of η, p_sw and the pitch.
 
-The intervals are profiles, for the cost jumps: one value is held, all else is refitted, until the cost has risen by
-what 95 % need. They are widened by Student's t where few grooves stand behind them, by what the residuals have
-beyond white noise of the camera, and by the uncertainty that the fin test leaves. The pitch is a nuisance within
-what was given: the ridges that x1 passes tell it better than a ruler does.
+The intervals are profiles, because the cost jumps: one value is fixed and all others are fitted again, until the cost
+has risen to the 95 % level. The intervals are widened by Student's t for a small number of grooves, by the correlation
+of the residuals, and by the uncertainty of the fin test. The pitch is a nuisance parameter with the given value as its
+prior, because the ridges that x1 passes determine it better than a ruler does.
 """
 
 from __future__ import annotations
@@ -55,18 +55,18 @@ from worm_model.simulation.kernel.stepped_dry_friction import (
 Progress = Callable[[float], None]
 
 FRICTION, SWITCHING, REAR_DRY, FRONT_DRY, PITCH, ONSET = range(6)  # entries of the means
-USUAL_DRY = 0.3  # N, that of η at 3.5 mm/s: an interval of less than half of it tells something
+USUAL_DRY = 0.3  # N, equals η at 3.5 mm/s; an interval wider than half of it has no information
 SOUGHT = (FRICTION, SWITCHING, PITCH)
 FIRST_REACH = {
     FRICTION: 1.0,
     SWITCHING: 3e-5,
     PITCH: 5e-6,
-}  # from which a profile's end is looked for
-SCATTERED = {FRICTION: STIFFNESS, SWITCHING: THRESHOLD}  # what of the grooves bears on a mean
-LEAST_EIGENVALUE = 1e-9  # of a correlation, that is no rounding
+}  # first step of the search for a profile's end
+SCATTERED = {FRICTION: STIFFNESS, SWITCHING: THRESHOLD}  # column of grooves that affects a mean
+LEAST_EIGENVALUE = 1e-9  # smaller eigenvalues of a correlation are rounding errors
 NORMAL = quantile(np.inf)
-LONGEST_MEMORY = 30  # samples over which residuals may resemble each other
-BETTER = 0.5  # by how much a refit must be better to take its place
+LONGEST_MEMORY = 30  # largest lag of correlated residuals, in samples
+BETTER = 0.5  # least decrease of the cost by which another fit replaces the present one
 MOST_RESTARTS = 3
 
 
@@ -111,9 +111,10 @@ def identify_locomotion(
     fin: FinKnowledge | None = None,
     progress: Progress = lambda _: None,
 ) -> LocomotionResult:
-    """η, p_sw and the pitch of all runs, the rest as ``known``; ``fin`` tells how well its three are known.
+    """Estimate η, p_sw and the pitch from all runs.
 
-    Without it the intervals hold under the given fins alone. Raises `IdentificationError` if the fit
+    ``known`` has the other parameters, ``fin`` the uncertainty of those of the fins. Without ``fin`` the intervals
+    are valid for the given fins only. Raises `IdentificationError` if the fit
     does not settle.
     """
     landscape = search(traverses, known, lambda done: progress(0.3 * done))
@@ -167,7 +168,7 @@ def identify_locomotion(
 
 
 def _dry_estimate(value: float, deviation: float) -> Estimate:
-    """By the curvature of the cost, which has no jumps in dry friction as small as this; no less than nothing."""
+    """Return the dry friction with an interval from the curvature of the cost, limited to values from 0 on."""
     reach = NORMAL * float(deviation)
     estimate = Estimate(float(value), max(float(value) - reach, 0.0), float(value) + reach)
     return if_identifiable(estimate, USUAL_DRY)
@@ -180,7 +181,7 @@ def refit(
     own: Array,
     iterations: int = 10,
 ) -> GrooveFit:
-    """The fit to other runs or under other parameters, from a known one and with its scatter; ``own`` (runs, 1)."""
+    """Return the fit to other runs or with other parameters, from a known fit and its scatter; ``own`` (runs, 1)."""
     problem = groove_problem(traverses, known, like.places, like.scatter)
     return replace(like, solution=solve(problem, like.solution.shared, own, iterations=iterations))
 
@@ -188,19 +189,19 @@ def refit(
 def holding_forces(
     traverses: Sequence[Traverse], parameters: Parameters, fit: GrooveFit
 ) -> tuple[Array, ...]:
-    """What friction and fin hold of the rear module by a fit, (n,) N at the times of every run's length."""
+    """Return the force (n,) in N by which friction and fin hold the rear module, at the times of each run's length."""
     grooves = tables_of(fit.solution.shared[MEANS:], fit.places)
     forces = []
     for traverse, own in zip(traverses, fit.solution.own, strict=True):
         worm = with_values(worm_of(parameters, traverse.direction), fit.means, own[0])
         samples = slide(traverse, worm, *grooves)
-        assert samples is not None, "a fit moves without end"
+        assert samples is not None, "the fitted motion switches endlessly"
         forces.append(samples[:, HOLDING_FORCE])
     return tuple(forces)
 
 
 def _inflation(traverses: Sequence[Traverse], solution: Solution) -> float:
-    """By what the variance of white noise of the camera is to be multiplied, at least 1."""
+    """Return the factor on the variance of the camera's noise for correlated residuals, at least 1."""
     power, memory = 0.0, 0.0
     for residuals in solution.residuals:
         r = np.clip(residuals, -5.0, 5.0)
@@ -214,7 +215,7 @@ def _inflation(traverses: Sequence[Traverse], solution: Solution) -> float:
 def _profiles(
     traverses: Sequence[Traverse], known: Known, fit: GrooveFit, inflation: float
 ) -> tuple[list[tuple[float, float]], Solution | None]:
-    """((low, high) of what is sought, a better solution that was met on the way or None)."""
+    """Return (low, high) of each estimated mean, and a better solution found on the way, or None."""
     rise = NORMAL**2 * inflation
     quantities = shared_quantities(known)
     met: list[Solution] = []
@@ -224,7 +225,7 @@ def _profiles(
             solution = held(traverses, known, fit, entry, value)
             if solution.cost < fit.solution.cost - BETTER:
                 met.append(solution)
-                return rise  # there is no point in going on
+                return rise  # end the search: the fit restarts from this solution
             return max(solution.cost - fit.solution.cost, 0.0)
 
         guess = NORMAL * _scattered(fit, entry) + FIRST_REACH[entry]
@@ -243,7 +244,7 @@ def _profiles(
 
 
 def _scattered(fit: GrooveFit, entry: int) -> float:
-    """Standard deviation of a mean for the scatter of the grooves alone, in the mean's unit."""
+    """Return the standard deviation of a mean due to the scatter of the grooves, in the mean's unit."""
     if entry not in SCATTERED:
         return 0.0
     column = SCATTERED[entry]
@@ -258,7 +259,7 @@ def _estimate(
     interval: tuple[float, float],
     variants: tuple[tuple[Parameters, GrooveFit], ...],
 ) -> Estimate:
-    """Widens a profile by Student's t for few grooves, and adds what the fin test leaves open."""
+    """Return an estimate: the profile widened by Student's t for few grooves and by the fin test's uncertainty."""
     value = float(fit.means[entry])
     widening = 1.0
     if entry in SCATTERED:
@@ -291,9 +292,9 @@ def _variants(
 
 
 def deviations_of(covariance: Array) -> Array:
-    """(r, k) deviations of one standard deviation each whose squares make up a covariance (k, k) of rank r.
+    """Return deviations (r, k) whose outer products add up to a covariance (k, k) of rank r.
 
-    Entries without variance, as of values that are given as exact, do not deviate.
+    Entries without variance, such as values given as exact, do not deviate.
     """
     scale = np.sqrt(np.diag(covariance))
     unit = np.where(scale > 0.0, scale, 1.0)
@@ -304,7 +305,7 @@ def deviations_of(covariance: Array) -> Array:
 
 
 def _as_printed(traverses: Sequence[Traverse], known: Known, start: Solution) -> Array:
-    """(η, p_sw) without dry friction, at the start's pitch and onset."""
+    """Return (η, p_sw) without dry friction, at the start's pitch and onset."""
     problem = with_fixed(locomotion_problem(traverses, known), ONSET, start.shared[ONSET])
     problem = with_fixed(problem, PITCH, start.shared[PITCH])
     frictionless = with_fixed(with_fixed(problem, FRONT_DRY, 0.0), REAR_DRY, 0.0)

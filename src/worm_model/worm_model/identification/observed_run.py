@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One run as identification sees it: what was commanded and what the instruments saw, from the gait's onset on."""
+"""One run as data of the identification: commands and measurements from the gait's onset on."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from worm_model.run import (
     seconds,
 )
 
-# ns before the onset, of a recording that does not say when the rest began
+# ns before the onset, for a recording without the begin of the rest
 LONGEST_REST = 3_000_000_000
-FEWEST_SAMPLES = 20  # of an instrument
-SAME_PLACE = 4e-3  # m between two starts, half the paper's clearance: within it no fin is bent
-MOST_MISFIT = 1e-3  # m, between the commanded lengths and the gait they are said to be
+FEWEST_SAMPLES = 20  # smallest number of samples of an instrument
+SAME_PLACE = 4e-3  # m between two starts, half the paper's clearance, within which no fin is bent
+MOST_MISFIT = 1e-3  # m, between the commanded lengths and those of the recorded gait
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A run. Times in s from the onset by the stamps of each instrument, whose clocks may be ms apart.
+    """Run. Times are in s from the onset by the stamps of each instrument, whose clocks may be ms apart.
 
     ``camera_time``, ``x1``, ``x2`` (n,): m, NaN where a marker is hidden, x1 counted from its rest.
     ``command_time``, ``command`` (m,): s and m, u_cmd from the onset on, first (0, 0).
-    ``start`` m: that rest as the camera counts, by which runs tell whether they began in the same grooves.
-    ``cable_time``, ``cable`` (k,): s and m, what the servo encoder says, empty where it was not recorded.
-    ``power_time``, ``power`` (p,): s and W, empty where it was not recorded. ``sources``: SHA-256 by file. ``date``:
-    UTC of the first stamp. ``remarks``: what was found, left out or assumed, in words.
+    ``start`` m: position of that rest in the camera's frame, which shows whether runs began in the same grooves.
+    ``cable_time``, ``cable`` (k,): s and m, length change by the servo's encoder, empty if it was not recorded.
+    ``power_time``, ``power`` (p,): s and W, empty if it was not recorded. ``sources``: SHA-256 by file. ``date``:
+    UTC of the first stamp. ``remarks``: what was excluded or assumed.
     """
 
     name: str
@@ -66,27 +66,28 @@ class Recording:
 
     @property
     def at_rest(self) -> NDArray[np.bool_]:
-        """Which camera samples were taken before the onset, both markers seen."""
+        """Mask of the camera samples before the onset with both markers visible."""
         return (self.camera_time < 0.0) & np.isfinite(self.length)
 
     @property
     def end(self) -> float:
-        """The last moment, in s, that camera and command both cover."""
+        """Last time (s) that both camera and command cover."""
         return float(min(self.camera_time[-1], self.command_time[-1]))
 
 
 def recordings_of(
     run: Run, name: str, sources: Mapping[str, str] | None = None, date: str = ""
 ) -> tuple[Recording, ...]:
-    """A recording for each gait: the first, and of those after it which began where it did.
+    """Return the first gait's recording, and those of the later gaits that began at the same place.
 
-    The others are left out, with a remark: their fins start bent, and nothing tells how far. Raises
-    `IdentificationError` if a topic but power is missing or too short, or if the first gait is none from rest.
+    The others are excluded, with a remark, because their fins start bent by an unknown amount. Raises
+    `IdentificationError` if a topic other than power is missing or too short, or if the first gait does not
+    begin at rest.
     """
     _check_topics(run, name)
     runs = run.gait_state.rows_of_runs()
     if not runs:
-        raise IdentificationError(f"{name}: holds no gait; give one run a recording, from rest")
+        raise IdentificationError(f"{name}: contains no gait; record one run per bag, from rest")
     kept: list[Recording] = []
     remarks: list[str] = []
     for number, rows in enumerate(runs, 1):
@@ -98,27 +99,27 @@ def recordings_of(
         except IdentificationError as error:
             if not kept:
                 raise
-            remarks.append(f"left out: {error}")
+            remarks.append(f"excluded: {error}")
             continue
         apart = recording.start - kept[0].start if kept else 0.0
         if abs(apart) <= SAME_PLACE:
             kept.append(recording)
         else:
             remarks.append(
-                f"gait {number} ({1e3 * recording.gait.stroke:g} mm, {recording.gait.frequency:g} Hz) is left out: "
+                f"gait {number} ({1e3 * recording.gait.stroke:g} mm, {recording.gait.frequency:g} Hz) is excluded: "
                 "it begins "
-                f"{1e3 * apart:+.0f} mm from the first, from fins that the gait before it left bent"
+                f"{1e3 * apart:+.0f} mm from the first, with fins still bent by the gait before"
             )
     return (replace(kept[0], remarks=tuple(remarks)), *kept[1:])
 
 
 def recording_of(run: Run, name: str) -> Recording:
-    """The recording of a run's first gait; raises as `recordings_of`."""
+    """Return the recording of a run's first gait; raises the errors of `recordings_of`."""
     return recordings_of(run, name)[0]
 
 
 def _recording(run: Run, row: int, name: str) -> Recording:
-    """Of the gait whose first message of being played is a row of the states."""
+    """Return the recording of the gait whose first playing message is a row of the states."""
     states = run.gait_state
     gait = replace(states.gait(row), margin=0.0)
     onset = int(states.onset[row])
@@ -177,7 +178,7 @@ def _check_sizes(recording: Recording) -> None:
 
 
 def _span(states: GaitStates, row: int) -> tuple[int, int]:
-    """Stamps between which the gait of a row counts: from the rest before it to its end."""
+    """Return the stamps from the rest before the gait of a row to the gait's end."""
     onset = int(states.onset[row])
     rests = states.stamp[(states.state == RESTING) & (states.stamp <= onset)]
     first = int(rests[-1]) if rests.size else onset - LONGEST_REST
@@ -188,7 +189,7 @@ def _span(states: GaitStates, row: int) -> tuple[int, int]:
 
 
 def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
-    """By how many s the commanded lengths begin later than the onset that was announced."""
+    """Return the delay (s) of the commanded lengths behind the reported onset."""
 
     def misfit(shift: Array) -> Array:
         return 1e3 * (command - gait.command(np.maximum(time - shift[0], 0.0)))
@@ -201,15 +202,15 @@ def _onset_shift(time: Array, command: Array, gait: Gait, name: str) -> float:
     if worst > MOST_MISFIT or abs(fit.x[0]) > 0.25 * gait.period:
         raise IdentificationError(
             f"{name}: the commanded lengths are not the gait of {gait.stroke:g} m at "
-            f"{gait.frequency:g} Hz that it is said to be; correct the gait"
+            f"{gait.frequency:g} Hz that the bag names; correct the gait"
         )
     return float(fit.x[0])
 
 
 def _from_onset(recording: Recording) -> Recording:
-    """Commands before the onset are rest; the onset itself becomes their first sample."""
+    """Return the recording with commands from the onset on, at which the first sample is (0, 0)."""
     after, turned = recording.command_time > 0.0, recording.cable_time > 0.0
-    first = np.zeros(int(turned.any()))  # of an encoder that was recorded
+    first = np.zeros(int(turned.any()))  # only for a recorded encoder
     return replace(
         recording,
         command_time=np.append(0.0, recording.command_time[after]),
@@ -220,12 +221,12 @@ def _from_onset(recording: Recording) -> Recording:
 
 
 def _counted_from_rest(recording: Recording) -> Recording:
-    """The camera's zero becomes the rear module's rest."""
+    """Return the recording with positions relative to the rear module's rest."""
     rest = recording.x1[recording.at_rest]
     if rest.size < 10:
         raise IdentificationError(
             f"{recording.name}: only {rest.size} camera samples show both markers before the gait starts; "
-            f"let the robot rest for 2 s in sight of the camera"
+            f"keep the robot at rest for 2 s within sight of the camera"
         )
     zero = float(np.median(rest[np.abs(rest - np.median(rest)) < 5e-3]))
     kept = rest[np.abs(rest - zero) < 2e-3]

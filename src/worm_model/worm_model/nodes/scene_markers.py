@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scene as visualization markers."""
+"""Conversion of the scene to visualization markers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LIFETIME_S = 1  # a robot that the tracker lost disappears
 
 
 def marker_array(shapes: Sequence[Shape], stamp: Time) -> MarkerArray:
-    """One marker a shape, in its own namespace so that viewers can hide it."""
+    """Return one marker per shape, each in its own namespace so that viewers can hide it."""
     return MarkerArray(markers=[_marker(shape, stamp) for shape in shapes])
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin's records as ROS messages and back, and its settings as ROS parameters; no graph is touched here."""
+"""Conversion of the twin's records to ROS messages and back, and of its settings to ROS parameters."""
 
 from __future__ import annotations
 
@@ -43,23 +43,23 @@ from worm_msgs.parameter_rows import ParameterRow
 
 
 def nanoseconds(stamp: Any) -> int:
-    """Ns of a builtin_interfaces/Time."""
+    """Return the nanoseconds of a builtin_interfaces/Time."""
     return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
 def time_message(stamp_ns: int) -> Time:
-    """The builtin_interfaces/Time of a stamp in ns."""
+    """Return the builtin_interfaces/Time of a stamp in ns."""
     seconds, rest = divmod(stamp_ns, NANOSECONDS)
     return Time(sec=seconds, nanosec=rest)
 
 
-# --- messages to samples: the row of SAMPLE of each ------------------------------------------------
+# --- conversion of messages to rows of SAMPLE ------------------------------------------------
 
 Row = tuple[int | float, ...]
 
 
 def gait_sample(message: Any) -> Row:
-    """Of a GaitState."""
+    """Return the sample of a GaitState."""
     stamp, gait = nanoseconds(message.header.stamp), message.gait
     identity = nanoseconds(message.onset), message.state, message.run, message.cycle
     values = (float(getattr(gait, name)) for name in GAIT_VALUES)
@@ -74,7 +74,7 @@ def _row(kind: int, message: Any, a: float, b: float = 0.0) -> Row:
 #: of urdf/worm.urdf: x1, and x2 - x1
 JOINTS = ("rear_position", "body_length")
 
-#: topic -> (message type, conversion); what the twin listens to
+#: message type and conversion by topic that the twin subscribes to
 INPUTS: Mapping[str, tuple[type, Callable[[Any], Row]]] = {
     "gait_state": (GaitState, gait_sample),
     "body_length/commanded": (BodyLength, lambda m: _row(Kind.COMMAND, m, m.length_change)),
@@ -87,20 +87,20 @@ INPUTS: Mapping[str, tuple[type, Callable[[Any], Row]]] = {
 }
 
 
-# --- what the twin yields, as messages ---------------------------------------------------------------
+# --- conversion of the twin's output to messages ---------------------------------------------------------------
 
 _STATE = tuple(name for name in STATE_ROW.names or () if name != "stamp_ns")
 
 
 def state_message(row: Any) -> TwinState:
-    """A row of STATE_ROW as TwinState."""
+    """Return the TwinState of a row of STATE_ROW."""
     message = _filled(TwinState(), row, _STATE)
     message.header.frame_id = FRAME
     return message
 
 
 def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
-    """A row of RESIDUAL_ROW as TwinResiduals; ``warnings`` are the texts that it refers to."""
+    """Return the TwinResiduals of a row of RESIDUAL_ROW; ``warnings`` has the texts to which it refers."""
     message = _filled(TwinResiduals(), row, RESIDUAL_FIELDS)
     if message.health > TwinResiduals.HEALTHY:
         message.message = residual_message(row, warnings)
@@ -108,12 +108,12 @@ def residuals_message(row: Any, warnings: Mapping[int, str]) -> TwinResiduals:
 
 
 def length_message(row: Any) -> BodyLength:
-    """A row of LENGTH_ROW as BodyLength, source ESTIMATED."""
+    """Return the BodyLength of a row of LENGTH_ROW, with the source ESTIMATED."""
     return _filled(BodyLength(source=BodyLength.ESTIMATED), row, ("length", "length_change"))
 
 
 def event_message(event: Event) -> TwinEvent:
-    """An event as TwinEvent."""
+    """Return the TwinEvent of an event."""
     return TwinEvent(
         header=Header(stamp=time_message(event.stamp_ns)),
         code=event.code,
@@ -125,12 +125,12 @@ def event_message(event: Event) -> TwinEvent:
 
 
 def memory_message(stamp_ns: int, content: str) -> TwinMemory:
-    """A stored memory as TwinMemory."""
+    """Return the TwinMemory of a stored memory."""
     return TwinMemory(header=Header(stamp=time_message(stamp_ns)), content=content)
 
 
 def joint_state(row: Any) -> JointState:
-    """Where the modules are, as the joints of urdf/worm.urdf (m); of a row of STATE_ROW."""
+    """Return the joints of urdf/worm.urdf (m) for a row of STATE_ROW."""
     rear = float(row["rear_position"])
     return JointState(
         header=Header(stamp=time_message(int(row["stamp_ns"]))),
@@ -140,7 +140,7 @@ def joint_state(row: Any) -> JointState:
 
 
 def _filled(message: Any, row: Any, names: Sequence[str]) -> Any:
-    """Copies a row's fields; they carry the names of the message's."""
+    """Return a message with the fields of a row, which have the same names."""
     message.header.stamp = time_message(int(row["stamp_ns"]))
     for name in names:
         setattr(message, name, row[name].item())
@@ -148,7 +148,7 @@ def _filled(message: Any, row: Any, names: Sequence[str]) -> Any:
 
 
 def fill_forecast(response: Any, prediction: Forecast) -> Any:
-    """A forecast as the response of PredictGait."""
+    """Fill the response of PredictGait with a forecast, and return it."""
     nan = math.nan
     response.success = True
     response.prediction = GaitPrediction(
@@ -188,6 +188,6 @@ def rows() -> list[ParameterRow]:
 
 
 def settings_of(node: Any) -> TwinSettings:
-    """The settings as the node's parameters stand."""
+    """Return the settings from the node's parameters."""
     names = [row.name for row in dataclasses.fields(TwinSettings)]
     return TwinSettings(**{name: node.get_parameter(name).value for name in names})

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The digital twin as a ROS node: takes samples, lets the twin advance, publishes.
+"""Digital twin as a ROS node: receives samples, advances the twin and publishes its output.
 
-Its subscriptions are looked at every ``POLL_S`` instead of being called back by the executor, which takes some
-0.2 ms of Python a message; all else (parameters, services, timers) is a SingleThreadedExecutor's. The twin takes
-samples when they are ``delay_s`` old, so that looking rarely costs nothing.
+The node polls its subscriptions every ``POLL_S``, because a callback of the executor costs some 0.2 ms of Python per
+message. A SingleThreadedExecutor handles parameters, services and timers. Polling adds no delay, because the twin
+processes samples when they are ``delay_s`` old.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ from worm_msgs.srv import PredictGait
 
 POLL_S = 0.02
 MARKER_PERIOD_S = 0.1
-SIGHTINGS = 100  # of the tracker that are remembered: 3 s of a camera at 30 Hz
-BURST = 200  # of records that one poll may yield, after a stall of the machine
-DEPTH = 1000  # of samples that may wait, for every topic
+SIGHTINGS = 100  # stored samples of the tracker: 3 s of a camera at 30 Hz
+BURST = 200  # records that one poll may yield after the machine stalled
+DEPTH = 1000  # samples of each topic that may wait
 
 _LATCHED = QoSProfile(
     depth=10,
@@ -66,22 +66,22 @@ _LEVELS = {
 
 
 class _Polled(CallbackGroup):
-    """Of subscriptions that the executor leaves alone."""
+    """Group of subscriptions that the executor must not call."""
 
     def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
-        """Never: they are looked at."""
+        """Return False, because the node polls the subscriptions."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
-        """Never."""
+        """Return False."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        """Nothing began."""
+        """Do nothing."""
 
 
 class TwinNode(Node):
-    """Listens to the topics of `twin_messages.INPUTS`; raises `ParameterError` on a bad parameter file."""
+    """Node that subscribes to `twin_messages.INPUTS`; raises `ParameterError` for an invalid parameter file."""
 
     def __init__(self) -> None:
         super().__init__("twin")
@@ -102,11 +102,13 @@ class TwinNode(Node):
         self._storing = StoringTimes()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self._take_parameters)
+        self.add_post_set_parameters_callback(self._apply_parameters)
         self._markers = self.create_publisher(MarkerArray, "twin/markers", 10)
         self._shown: np.void | None = None
         self._residual: np.void | None = None
-        self._heard = self._moved = time.monotonic()  # when the last input and the last state came
+        self._received = self._moved = (
+            time.monotonic()
+        )  # times of the last input and of the last state
         self._sightings: deque[Sighting] = deque([Sighting()], maxlen=SIGHTINGS)
         self.create_service(PredictGait, "predict_gait", self._predict)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -114,24 +116,24 @@ class TwinNode(Node):
         self.create_timer(MARKER_PERIOD_S, self._publish_markers, clock=steady)
 
     def poll(self) -> None:
-        """Takes all that has come and publishes what it yields."""
-        taken: list[twin_messages.Row] = []
-        # Until nothing is left: where the machine stalls between two topics, the first would come late otherwise.
-        while fresh := [row for take in self._inputs for row in take()]:
-            taken += fresh
-        if not taken:
+        """Process all samples received so far, and publish the output."""
+        received: list[twin_messages.Row] = []
+        # Repeat until all queues are empty: after a stall between two topics, samples of the first would be late.
+        while fresh := [row for read in self._inputs for row in read()]:
+            received += fresh
+        if not received:
             return
-        self._heard = time.monotonic()
-        samples = np.array(taken, SAMPLE)
+        self._received = time.monotonic()
+        samples = np.array(received, SAMPLE)
         samples = samples[np.argsort(samples["stamp"], kind="stable")]
         output = self._twin.advance(self._state, samples)
         self._publish(output)
         if self._storing.is_due(self._state):
             content = stored_memory(self._twin, self._state)
-            stamp = int(self._state.record["taken_ns"])
+            stamp = int(self._state.record["processed_ns"])
             self._memories.publish(twin_messages.memory_message(stamp, content))
         if len(output.states):
-            self._shown, self._moved = output.states[-1].copy(), self._heard
+            self._shown, self._moved = output.states[-1].copy(), self._received
         if len(output.residuals):
             self._residual = output.residuals[-1].copy()
         for row in samples[samples["kind"] == Kind.POSITION]:
@@ -149,15 +151,15 @@ class TwinNode(Node):
             kind, topic, lambda _: None, profile, callback_group=group
         )
 
-        def take() -> list[twin_messages.Row]:
+        def read() -> list[twin_messages.Row]:
             samples: list[twin_messages.Row] = []
             handle = subscription.handle
             with handle:
-                while (taken := handle.take_message(kind, False)) is not None:
-                    samples.append(convert(taken[0]))
+                while (received := handle.take_message(kind, False)) is not None:
+                    samples.append(convert(received[0]))
             return samples
 
-        return take
+        return read
 
     def _publish(self, output: Output) -> None:
         for length in output.lengths:
@@ -173,7 +175,7 @@ class TwinNode(Node):
             self._log(event)
 
     def _log(self, event: Event) -> None:
-        # one call each: rclpy raises where one line logs with different severities
+        # One call each: rclpy raises an error if one line logs with different severities.
         if event.severity is Severity.ERROR:
             self.get_logger().error(event.text)
         elif event.severity is Severity.WARNING:
@@ -196,11 +198,11 @@ class TwinNode(Node):
                     return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _take_parameters(self, _: Sequence[Parameter]) -> None:
-        """The state stays: the twin goes on with the new values from its next sample on."""
+    def _apply_parameters(self, _: Sequence[Parameter]) -> None:
+        """Use the new values from the next sample on; the state remains."""
         self._twin = self._make_twin()
 
-    # --- what if, and what is seen -------------------------------------------------------------------
+    # --- forecast and markers -------------------------------------------------------------------
 
     def _predict(
         self, request: PredictGait.Request, response: PredictGait.Response
@@ -214,13 +216,13 @@ class TwinNode(Node):
         return twin_messages.fill_forecast(response, prediction)
 
     def _publish_markers(self) -> None:
-        # Of a twin that does not move on, the markers end with their lifetime.
+        # If the twin does not advance, the markers expire.
         silent = time.monotonic() - self._moved > LOST_S
         if self._shown is None or silent or not self._markers.get_subscription_count():
             return
         parameters = self._twin.effective_parameters(self._state)
         shown = StateRecord(*self._shown.item())
-        # The robot as it was then: the twin is behind by its delay.
+        # The twin lags by its delay: show the robot at the twin's time.
         nearest = min(self._sightings, key=lambda sighting: abs(sighting.stamp_ns - shown.stamp_ns))
         shapes = scene(shown, nearest, parameters, self._state.direction)
         stamp = twin_messages.time_message(shown.stamp_ns)
@@ -229,7 +231,7 @@ class TwinNode(Node):
     # --- diagnostics ------------------------------------------------------------------------------
 
     def _publish_diagnostics(self) -> None:
-        diagnosis = report(self._state, self._residual, time.monotonic() - self._heard)
+        diagnosis = report(self._state, self._residual, time.monotonic() - self._received)
         robot = self.get_namespace().strip("/")
         status = DiagnosticStatus(
             level=_LEVELS[diagnosis.level],
@@ -253,14 +255,14 @@ def _spin(node: TwinNode, ended: Callable[[], bool]) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the twin until SIGINT or SIGTERM; returns the exit status."""
-    about = "Follows the robot with the model, compares, and says what has changed."
+    """Run the twin until SIGINT or SIGTERM; return the exit status."""
+    about = "Follows the robot with the model, compares both, and reports changes."
     return run_node("twin_node", about, twin_messages.rows, _run, (ParameterError,), arguments)
 
 
 def _run(ended: Ending) -> None:
     with ending_at_once():
-        warm_up.main()  # nothing may compile between two samples
+        warm_up.main()  # compile before the first sample
     node = TwinNode()
     spare_pauses()
     node.get_logger().info("twin ready")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``worm_model watch``: the live terminal view as a ROS node that only listens."""
+"""``worm_model watch``: live terminal view as a ROS node without publishers."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ NEWEST = QoSProfile(depth=1)
 
 
 class WatchNode(Node):
-    """Keeps the newest of every topic and draws it a few times a second.
+    """Node that stores the newest message of each topic and draws the view several times a second.
 
     Attributes:
         view: the newest of everything.
@@ -72,7 +72,7 @@ class WatchNode(Node):
         self.create_timer(PERIOD_S, self._draw, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def seen(self) -> View:
-        """The view as of now, without what is stale."""
+        """Return the present view without stale values."""
         now = time.monotonic()
         return self.view.aged({name: now - heard for name, heard in self._heard.items()})
 
@@ -147,7 +147,7 @@ class WatchNode(Node):
         sys.stdout.flush()
 
     def _remember(self, view: View) -> None:
-        """Keeps a value a second for the trends."""
+        """Store one value per second for the trends."""
         if int(time.monotonic()) != self._second:
             self._second = int(time.monotonic())
             self._differences.append(view.robot[0] - view.twin[0])
@@ -155,14 +155,14 @@ class WatchNode(Node):
 
 
 def _nearest(samples: deque[tuple[int, Any]], stamp: int, default: Any) -> Any:
-    """What an instrument said about a stamp (ns)."""
+    """Return the sample of an instrument nearest to a stamp (ns)."""
     if not samples:
         return default
     return min(samples, key=lambda sample: abs(sample[0] - stamp))[1]
 
 
 def main() -> int:
-    """Draws until Ctrl-C or q; returns the exit status."""
+    """Draw until Ctrl-C or q; return the exit status."""
     parser = Parser(
         prog="watch",
         description="Robot and twin, live, as text. Keys: q quits, space freezes the picture and lets it go on.",

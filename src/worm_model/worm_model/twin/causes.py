@@ -24,31 +24,27 @@ from typing import NamedTuple
 import numpy as np
 
 from worm_model.arrays import Array
+from worm_model.twin.cause_table import (
+    GAINED,
+    INITIAL_LENGTH,
+    LASTING,
+    MISSED_BY_FIN,
+    EventCode,
+)
 from worm_model.twin.core.memory import CHANNELS, POWER
 from worm_model.twin.cycle_data import POWER_SHARE, SCATTER, CycleData
-from worm_model.twin.inference import Sound
-from worm_model.twin.signatures import BINS, FAULTS, L0_STEP_M, Signatures
+from worm_model.twin.inference import NullModel
+from worm_model.twin.signatures import BINS, L0_STEP_M, Signatures
 
-# Codes of TwinEvent.
-MISSED_REAR, MISSED_FRONT, GAINED = "missed_groove_rear", "missed_groove_front", "gained_groove"
-CABLE, SCALE, OFFSET, LENGTH = "cable_slip", "power_scale", "power_offset", "initial_length"
-FRICTION_UP, FRICTION_DOWN = "friction_up", "friction_down"
-ODD = "odd"  # unexplained; TwinEvent has no code for it
-LASTING = {
-    "gain": (CABLE, CABLE),
-    "slip": (CABLE, CABLE),
-    "viscous_friction": (FRICTION_UP, FRICTION_DOWN),
-    "scale": (SCALE, SCALE),
-    "offset": (OFFSET, OFFSET),
-}
-GROOVES = {"rear": MISSED_REAR, "front": MISSED_FRONT}
+#: deviation without a known cause; TwinEvent has no code for it
+UNEXPLAINED = EventCode("", "an unexplained deviation in a single cycle", "", "")
 
 CHANGE = 0.004  # probability that a change of one kind begins in a cycle
 MISS, AGAIN, GAIN = 0.02, 0.3, 0.005  # that a fin misses, misses again, gains a groove
 WRONG_LENGTH, LENGTH_SPREAD_M = 0.01, 0.003  # probability that L0 is wrong; scatter, m
 RIGHT = 0.95  # probability that a cycle gains the predicted grooves
-STRANGE = 0.001  # probability of an unexplained deviation in a cycle
-STRANGE_SCATTER = (0.01, 0.002, 1.0)  # standard deviations of that deviation, m, m, W
+DEVIATION = 0.001  # probability of an unexplained deviation in a cycle
+DEVIATION_SCATTER = (0.01, 0.002, 1.0)  # standard deviations of that deviation, m, m, W
 ONSETS = (0.0, 0.25, 0.5, 0.75)  # tested phases of a cycle at which a change begins
 BROAD = 4.0  # prior deviation of a reported change, in usual sizes
 SHIFT = 1.0  # common deviation of a whole cycle, in scatters
@@ -56,7 +52,7 @@ THRESHOLDS = 0.5  # scatter of thresholds between cycles, relative to that of he
 
 
 @dataclass(frozen=True)
-class Told:
+class ReportedCause:
     """Cause already reported, which later cycles account for.
 
     Attributes:
@@ -74,7 +70,7 @@ class Candidate(NamedTuple):
     """Candidate cause, with its weight once it has been computed.
 
     Attributes:
-        code: code of TwinEvent, or `ODD`.
+        code: code of TwinEvent, or `UNEXPLAINED`.
         name: name in the signatures.
         cycle: first cycle of the cause.
         log_prior: natural logarithm of its prior probability.
@@ -87,7 +83,7 @@ class Candidate(NamedTuple):
         deviation: standard deviation of the size.
     """
 
-    code: str
+    code: EventCode
     name: str
     cycle: int
     log_prior: float
@@ -101,7 +97,11 @@ class Candidate(NamedTuple):
 
 
 def weigh_causes(
-    cycles: Sequence[CycleData], reported: Sequence[Told], signs: Signatures, *, length_seen: bool
+    cycles: Sequence[CycleData],
+    reported: Sequence[ReportedCause],
+    signs: Signatures,
+    *,
+    length_seen: bool,
 ) -> list[Candidate]:
     """Return all candidates for the remembered cycles with their weights; a healthy robot has the weight 1.
 
@@ -126,17 +126,17 @@ def weigh_causes(
         ]
     )
     known = np.array([candidate.fact for candidate in candidates])
-    sound = Sound(data.seen, data.weight, data.nuisances, data.offsets)
-    weighed = sound.weigh(causes, known)
+    null = NullModel(data.seen, data.weight, data.nuisances, data.offsets)
+    weighed = null.weigh(causes, known)
     logs = np.array([c.log_prior for c in candidates]) + weighed.evidence
     weights = np.exp(np.minimum(logs, 300.0))
     weights[
         [_is_impossible(*c) for c in zip(candidates, weighed.size, weighed.deviation, strict=True)]
     ] = 0.0
-    strange = sound.weigh_noise(data.odd())
+    unexplained = null.weigh_noise(data.unexplained())
     return [
         *(
-            c._replace(weight=w, size=s, deviation=d)
+            c._replace(code=_code(c, s), weight=w, size=s, deviation=d)
             for c, w, s, d in zip(
                 candidates,
                 weights.tolist(),
@@ -146,23 +146,38 @@ def weigh_causes(
             )
         ),
         *(
-            Candidate(ODD, "", n, math.log(STRANGE), cycles=1, weight=STRANGE * w)
-            for n, w in zip(data.numbers, np.exp(np.minimum(strange, 300.0)).tolist(), strict=True)
+            Candidate(
+                UNEXPLAINED,
+                "",
+                n,
+                math.log(DEVIATION),
+                cycles=1,
+                weight=DEVIATION * w,
+            )
+            for n, w in zip(
+                data.numbers, np.exp(np.minimum(unexplained, 300.0)).tolist(), strict=True
+            )
         ),
     ]
 
 
+def _code(candidate: Candidate, size: float) -> EventCode:
+    """Return the candidate's code, which for a lasting cause depends on the sign of its size."""
+    row = LASTING.get(candidate.name)
+    return candidate.code if row is None else row.code(size)
+
+
 def _is_impossible(candidate: Candidate, size: float, deviation: float) -> bool:
-    """Return True if the candidate implies negative friction."""
-    least = -1.0 / FAULTS["viscous_friction"]
-    return candidate.name == "viscous_friction" and size + 2.0 * deviation < least
+    """Return True if the candidate implies a negative parameter."""
+    row = LASTING.get(candidate.name)
+    return row is not None and size + 2.0 * deviation < row.least
 
 
 class Data:
     """Residuals of the cycles, shape (cycles, channels times bins), with their weights and nuisance directions."""
 
     def __init__(
-        self, cycles: Sequence[CycleData], reported: Sequence[Told], signs: Signatures
+        self, cycles: Sequence[CycleData], reported: Sequence[ReportedCause], signs: Signatures
     ) -> None:
         self.signs, self.numbers = signs, [cycle.number for cycle in cycles]
         values = np.array([cycle.values for cycle in cycles])
@@ -176,7 +191,7 @@ class Data:
         scatter = np.tile(np.array(SCATTER)[:, None], BINS)
         scatter[POWER] += POWER_SHARE * signs.power
         self.offsets = scatter.ravel()
-        nuisances = [*self._of_the_run(), *self._of_a_cycle(), *self._told(reported)]
+        nuisances = [*self._of_the_run(), *self._of_a_cycle(), *self._reported(reported)]
         self.nuisances = np.moveaxis(np.array(nuisances), 0, -1)
 
     def direction(self, candidate: Candidate) -> Array:
@@ -186,7 +201,7 @@ class Data:
         numbers = range(candidate.cycle, candidate.cycle + candidate.cycles)
         return self._grooves(candidate.name, candidate.code == GAINED, numbers)
 
-    def lasting(self, causes: Sequence[Candidate | Told]) -> Array:
+    def lasting(self, causes: Sequence[Candidate | ReportedCause]) -> Array:
         """Return the effects of lasting causes, shape (causes, cycles, channels times bins)."""
         changes = np.array([self.signs.lasting[cause.name] for cause in causes])
         since = np.array([self._bins_before(cause.cycle, cause.phase) for cause in causes])
@@ -194,30 +209,30 @@ class Data:
         whole = changes[:, None] * (bins >= since[:, None, None, None])
         return whole.reshape(len(causes), *self.seen.shape)
 
-    def odd(self) -> Array:
+    def unexplained(self) -> Array:
         """Return the weights with an unexplained deviation in each cycle in turn.
 
         The shape is (cycles, cycles, channels times bins).
         """
-        strange = np.array(STRANGE_SCATTER).repeat(BINS) ** 2
-        odd = np.repeat(self.weight[None], len(self.numbers), axis=0)
+        spread = np.array(DEVIATION_SCATTER).repeat(BINS) ** 2
+        weights = np.repeat(self.weight[None], len(self.numbers), axis=0)
         for k, usual in enumerate(self.weight):
-            odd[k, k] = usual / (1.0 + strange * usual)
-        return odd
+            weights[k, k] = usual / (1.0 + spread * usual)
+        return weights
 
     def _of_the_run(self) -> Array:
         """Return the deviations of a healthy robot's parameters, which are the same in every cycle."""
-        sound = np.array(list(self.signs.sound.values())).reshape(-1, 1, CHANNELS * BINS)
-        return sound.repeat(len(self.numbers), axis=1)
+        healthy = np.array(list(self.signs.healthy.values())).reshape(-1, 1, CHANNELS * BINS)
+        return healthy.repeat(len(self.numbers), axis=1)
 
     def _of_a_cycle(self) -> Array:
         """Return the deviations that each cycle has independently."""
         channels = np.diag(np.array(SCATTER) * SHIFT).repeat(BINS, axis=1)
-        thresholds = THRESHOLDS * self.signs.sound["switching_threshold"].ravel()
+        thresholds = THRESHOLDS * self.signs.healthy["switching_threshold"].ravel()
         changes = np.kron(np.eye(len(self.numbers)), np.vstack([channels, thresholds]))
         return np.asarray(changes, np.float64).reshape(-1, *self.seen.shape)
 
-    def _told(self, reported: Sequence[Told]) -> Iterator[Array]:
+    def _reported(self, reported: Sequence[ReportedCause]) -> Iterator[Array]:
         """Yield the effects of the causes already reported."""
         for event in reported:
             if event.name in self.signs.lasting:
@@ -274,17 +289,17 @@ def _lasting(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[Candida
         if change.any():
             for cycle in cycles:
                 for phase in ONSETS:
-                    yield Candidate(LASTING[name][0], name, cycle.number, prior, phase)
+                    yield Candidate(LASTING[name].up, name, cycle.number, prior, phase)
 
 
 def _grooves(
-    cycles: Sequence[CycleData], reported: Sequence[Told], signs: Signatures
+    cycles: Sequence[CycleData], reported: Sequence[ReportedCause], signs: Signatures
 ) -> Iterator[Candidate]:
     """Yield grooves that a fin missed or gained in consecutive cycles, except in cycles that are already settled."""
     settled = {cycle.number for cycle in cycles if cycle.step is not None and not cycle.gained}
     settled |= {event.cycle for event in reported if event.name in ("missed", "gained")}
     last = cycles[-1].number
-    kinds = [(GROOVES[fin], fin, MISS) for fin in signs.missed]
+    kinds = [(MISSED_BY_FIN[fin], fin, MISS) for fin in signs.missed]
     kinds += [(GAINED, fin, 2.0 * GAIN / len(signs.gained)) for fin in signs.gained]
     for code, fin, chance in kinds:
         for first in range(cycles[0].number, last + 2):
@@ -310,5 +325,7 @@ def _lengths(cycles: Sequence[CycleData], signs: Signatures) -> Iterator[tuple[C
             prior += math.log(RIGHT if cycle.gained == length.gained else 1.0 - RIGHT)
             prior -= math.log(usual)
             before = cycle.gained
-        candidate = Candidate(LENGTH, "", cycles[0].number, prior, fact=True, error=length.error)
+        candidate = Candidate(
+            INITIAL_LENGTH, "", cycles[0].number, prior, fact=True, error=length.error
+        )
         yield candidate, np.tile(length.change.ravel(), (len(cycles), 1))

@@ -36,7 +36,7 @@ class Weighed:
     deviation: Array
 
 
-class Sound:
+class NullModel:
     """Null hypothesis: normal noise and nuisances without any cause.
 
     Args:
@@ -85,7 +85,8 @@ class Sound:
         own = self._log_density()
         return np.array(
             [
-                Sound(self._measured, other, self._nuisances, self._offsets)._log_density() - own
+                NullModel(self._measured, other, self._nuisances, self._offsets)._log_density()
+                - own
                 for other in others
             ]
         )

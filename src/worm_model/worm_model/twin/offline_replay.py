@@ -19,10 +19,10 @@ from worm_model.parameters import Parameters
 from worm_model.run import SAME_ONSET_NS, GaitStates, Run
 from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.records import Event
-from worm_model.twin.samples import Rows
+from worm_model.twin.samples import NO_SAMPLES, Rows
 from worm_model.twin.start_estimate import Start
 from worm_model.twin.stored_memory import StoredMemory, look_back_ns, memory_to_resume
-from worm_model.twin.twin import CLOCK_SET, NOTHING, ClosedCycle, Output, Twin, TwinState
+from worm_model.twin.twin import CLOCK_SET, ClosedCycle, Output, Twin, TwinState
 
 IMPOSSIBLE_STEPS = 3  # number of impossible steps of the command that proves overlapping times
 
@@ -114,7 +114,7 @@ class OfflineReplay:
         for rows in self.samples.rows():
             new = rows if self._memory is None else rows[self._memory.is_new(rows)]
             yield new, twin.advance(state, new)
-        yield NOTHING, twin.advance(state, NOTHING, to_the_end=True)
+        yield NO_SAMPLES, twin.advance(state, NO_SAMPLES, to_the_end=True)
         self._starts = self._starts or state.starts
         self.unusable = state.unusable
         self.dropped = {name: n for name, n in state.counts.items() if n and name != "taken"}
@@ -123,7 +123,7 @@ class OfflineReplay:
         self, memory: StoredMemory, state: TwinState
     ) -> Generator[tuple[Rows, Output], None, Rows]:
         """Yield the steps up to a stored memory, and return the last samples before it."""
-        last = NOTHING
+        last = NO_SAMPLES
         if self.samples.first_ns is None or self.samples.first_ns > memory.stamp_ns:
             return last
         for rows in self.samples.rows(memory.until_ns):
@@ -131,7 +131,7 @@ class OfflineReplay:
             last = np.concatenate([last, old])
             last = last[last["stamp"] >= memory.stamp_ns - look_back_ns(self._twin)]
             yield old, _apart(self._twin.advance(state, old))
-        yield NOTHING, _apart(self._twin.advance(state, NOTHING, to_the_end=True))
+        yield NO_SAMPLES, _apart(self._twin.advance(state, NO_SAMPLES, to_the_end=True))
         return last
 
 

@@ -10,7 +10,7 @@ At the onset all earlier samples have been processed.
   start would be wrong for the whole next run.
 - While the cable is at rest, the body returns to its initial length. Fins that are turned for the other direction move
   to the nearest grooves.
-- If the body is shorter by the effect of the slack, the slack is still taken up. L0 then stays, and ΔL starts there.
+- If the body is shorter by the effect of the slack, the slack is still tightened. L0 then stays, and ΔL starts there.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ from worm_model.twin.twin_settings import TwinSettings
 PLAYING = (Activity.RUNNING, Activity.STOPPING)
 LATE_NS = 20_000_000  # delay of an onset beyond which it is reported
 PLAUSIBLE_M = 0.02  # largest difference between a measured length at rest and the parameter
-TAKEN_UP = 0.35  # tolerance for a body whose slack is taken up, relative to the effect of the slack
+TIGHTENED = (
+    0.35  # tolerance for a body whose slack is tightened, relative to the effect of the slack
+)
 FEWEST = 5  # smallest number of samples for a mean
 # Values at rest may differ by STILL_M plus STILL_NOISE times the median difference of consecutive values.
 STILL_M, STILL_NOISE = 0.0005, 5.0
@@ -56,7 +58,7 @@ JOIN_STEP_S = 0.01  # step of the commands that a late twin did not receive
 
 
 @dataclass(frozen=True)
-class Word:
+class DriverState:
     """State of the driver from a stamp on.
 
     ``onset_ns``, ``run`` and ``cycle`` are 0 if unknown; ``gait`` is None without a gait.
@@ -70,7 +72,7 @@ class Word:
     cycle: int = 0
 
 
-def word_of(row: Any) -> Word:
+def driver_state_of(row: Any) -> DriverState:
     """Return the driver's state from a sample of kind GAIT; an inadmissible gait is replaced by None."""
     gait: Gait | None
     try:
@@ -79,19 +81,19 @@ def word_of(row: Any) -> Word:
         gait = None
     activity = Activity(int(row["state"]))
     identity = int(row["onset"]), int(row["run"]), int(row["cycle"])
-    return Word(int(row["heard"]), activity, gait, *identity)
+    return DriverState(int(row["sent"]), activity, gait, *identity)
 
 
-def is_new_run(m: Any, word: Word) -> bool:
+def is_new_run(m: Any, driver: DriverState) -> bool:
     """Return True if a driver state is the first of a run."""
-    if word.activity not in PLAYING or word.onset_ns <= 0:
+    if driver.activity not in PLAYING or driver.onset_ns <= 0:
         return False
     if not m["start_ns"] or not m["has_gait"]:
         return True
-    if m["end_ns"] and abs(word.onset_ns - int(m["start_ns"])) > SAME_ONSET_NS:
+    if m["end_ns"] and abs(driver.onset_ns - int(m["start_ns"])) > SAME_ONSET_NS:
         return True  # the driver was restarted and counts from 1
-    before = int(m["run"]), int(m["told_cycle"]), int(m["start_ns"])
-    return bool(is_another_run(before, (word.run, word.cycle, word.onset_ns)))
+    before = int(m["run"]), int(m["reported_cycle"]), int(m["start_ns"])
+    return bool(is_another_run(before, (driver.run, driver.cycle, driver.onset_ns)))
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,7 @@ class Place:
 
 def begin_run(
     memory: Memory,
-    word: Word,
+    driver: DriverState,
     parameters: Parameters,
     settings: TwinSettings,
     starts: Mapping[int, Start],
@@ -128,7 +130,7 @@ def begin_run(
 
     Args:
         memory: the twin's memory, updated in place.
-        word: first driver state of the run.
+        driver: first driver state of the run.
         parameters: parameters of the robot.
         settings: settings of the twin.
         starts: starts that are already known, by onset in ns.
@@ -137,24 +139,24 @@ def begin_run(
         Stamp (ns) from which the run is followed, and a message.
     """
     m = memory.record[0]
-    text, taken_up = _stand(memory, word, parameters, settings, starts.get(word.onset_ns))
-    start = max(word.onset_ns, int(m["taken_ns"]))
-    late = start - word.onset_ns
-    m["run"], m["start_ns"], m["end_ns"] = word.run, word.onset_ns, 0
-    m["has_gait"] = word.gait is not None
-    if word.gait is not None:
+    text, tightened = _stand(memory, driver, parameters, settings, starts.get(driver.onset_ns))
+    start = max(driver.onset_ns, int(m["processed_ns"]))
+    late = start - driver.onset_ns
+    m["run"], m["start_ns"], m["end_ns"] = driver.run, driver.onset_ns, 0
+    m["has_gait"] = driver.gait is not None
+    if driver.gait is not None:
         for name in WAVEFORM:
-            m[name] = getattr(word.gait, name)
-    m["engaged"], m["command_ns"], m["command"], m["answer"] = 1, start, 0.0, taken_up
-    if late > 0 and word.gait is not None:
-        m["command"], m["answer"] = _joined(word.gait, late / NANOSECONDS, parameters)
+            m[name] = getattr(driver.gait, name)
+    m["engaged"], m["command_ns"], m["command"], m["answer"] = 1, start, 0.0, tightened
+    if late > 0 and driver.gait is not None:
+        m["command"], m["answer"] = _joined(driver.gait, late / NANOSECONDS, parameters)
     m["moved"], m["blind_s"], m["warning"], m["warned_until"] = 0, 0.0, 0, 0
     m["instrument_ns"], m["instrument_power"], m["instrument_energy"] = start, math.nan, 0.0
     m["cycle"] = m["cycle_end_ns"] = 0
     memory.sums[:] = 0.0
-    if word.gait is not None:
-        m["cycle"] = math.floor(late / NANOSECONDS * word.gait.frequency + 1e-9) + 1
-        m["cycle_end_ns"] = word.onset_ns + round(m["cycle"] * word.gait.period * NANOSECONDS)
+    if driver.gait is not None:
+        m["cycle"] = math.floor(late / NANOSECONDS * driver.gait.frequency + 1e-9) + 1
+        m["cycle_end_ns"] = driver.onset_ns + round(m["cycle"] * driver.gait.period * NANOSECONDS)
     if late > LATE_NS:
         text += f"; its onset was {late / NANOSECONDS:.2f} s ago, the twin starts with its gait as commanded"
         m["origin_known"] = m["origin_known"] and not m["cycle"] > 1
@@ -163,19 +165,19 @@ def begin_run(
 
 def _stand(
     memory: Memory,
-    word: Word,
+    driver: DriverState,
     parameters: Parameters,
     settings: TwinSettings,
     start: Start | None,
 ) -> tuple[str, float]:
     """Set L0, pose and origin from the data of the robot at rest before a run; return a message and ΔL (m)."""
     m = memory.record[0]
-    rest = _at_rest(memory, word.onset_ns, settings)
+    rest = _at_rest(memory, driver.onset_ns, settings)
     length, position = rest.length, rest.position
-    direction = FORWARD if word.gait is None else word.gait.direction
+    direction = FORWARD if driver.gait is None else driver.gait.direction
     before = parameters.replace(initial_length=float(m["initial_length"]))
-    taken_up = _taken_up(m, before, rest)
-    if taken_up or not rest.settled:
+    tightened = _tightened(m, before, rest)
+    if tightened or not rest.settled:
         length = math.nan  # a length that is still changing is not L0
     if abs(length - parameters.initial_length) <= PLAUSIBLE_M:  # False for NaN
         initial_length, source = length, "as measured at rest"
@@ -187,11 +189,9 @@ def _stand(
         initial_length, source = parameters.initial_length, "from the parameters"
         tracked, fitted = False, False
     text = f"a run begins, L0 = {1e3 * initial_length:.2f} mm ({source})"
-    if taken_up:
-        text += (
-            f"; the slack is still taken up, which makes the body {-1e3 * taken_up:.1f} mm shorter"
-        )
-    place = _left_behind(m, before, initial_length + taken_up, direction)
+    if tightened:
+        text += f"; the slack is still tightened, which makes the body {-1e3 * tightened:.1f} mm shorter"
+    place = _left_behind(m, before, initial_length + tightened, direction)
     known = place is not None
     if place is not None and math.isfinite(position):
         off = place.off(position, parameters.pitch)
@@ -211,14 +211,14 @@ def _stand(
     m["direction"], m["origin"] = direction, place.anchor
     m["origin_known"] = m["origin_known"] or math.isfinite(position)
     m["pose_x1"], m["pose_front"] = place.x1, place.front_groove
-    return text, taken_up
+    return text, tightened
 
 
-def _taken_up(m: Any, before: Parameters, rest: _Rest) -> float:
-    """Return ΔL (m) of a body at rest whose slack is still taken up or returning after another run, otherwise 0."""
+def _tightened(m: Any, before: Parameters, rest: _Rest) -> float:
+    """Return ΔL (m) of a body at rest whose slack is still tightened or returning after another run, otherwise 0."""
     shorter = before.gain * before.slack
     change = rest.length - before.initial_length
-    if m["start_ns"] and abs(change + shorter) < min(TAKEN_UP * shorter, PLAUSIBLE_M):
+    if m["start_ns"] and abs(change + shorter) < min(TIGHTENED * shorter, PLAUSIBLE_M):
         return change
     coming_back = m["start_ns"] and not rest.settled and -shorter < change < 0.0
     return change if coming_back else 0.0

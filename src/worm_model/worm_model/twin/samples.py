@@ -32,22 +32,21 @@ VALUES = tuple(ascii_lowercase[: len(GAIT_UNITS)])
 GAIT_VALUES = dict(zip(GAIT_UNITS, VALUES, strict=True))
 
 #: ``stamp`` in ns. ``a``, ``b``, … by kind: u_cmd (m); L (m); x1, x2 (m); power (W); the fields of a gait. Of a gait
-#: state only: ``onset`` (ns), ``state``, ``run``, ``cycle`` and ``heard``, its own stamp (ns).
+#: state only: ``onset`` (ns), ``state``, ``run``, ``cycle`` and ``sent``, the stamp of the message (ns).
 SAMPLE = np.dtype(
     [
-        *(
-            (name, np.int64)
-            for name in ("stamp", "kind", "onset", "state", "run", "cycle", "heard")
-        ),
+        *((name, np.int64) for name in ("stamp", "kind", "onset", "state", "run", "cycle", "sent")),
         *((name, np.float64) for name in VALUES),
     ]
 )
+#: no samples
+NO_SAMPLES: Rows = np.zeros(0, SAMPLE)
 
 
 def sample_rows(kind: Kind, stamp: NDArray[np.int64], *values: NDArray[Any]) -> Rows:
     """Return rows of one kind from stamps (n,) in ns and their values, each (n,)."""
     rows = np.zeros(len(stamp), SAMPLE)
-    rows["stamp"], rows["kind"], rows["heard"] = stamp, kind, stamp
+    rows["stamp"], rows["kind"], rows["sent"] = stamp, kind, stamp
     for name, value in zip(VALUES, values, strict=False):
         rows[name] = value
     return rows

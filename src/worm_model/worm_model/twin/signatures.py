@@ -9,9 +9,9 @@ reach, or lower.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from worm_model.gait import Gait
 from worm_model.parameters import Parameters
 from worm_model.simulation.actuation import length_change_of_command
 from worm_model.simulation.simulator import Locomotion, SimulationError, simulate
+from worm_model.twin.cause_table import LASTING, Cause, Effect
 from worm_model.twin.core.memory import CHANNELS, LENGTH, PHASES, POSITION, POWER
 
 BINS = 25  # of a cycle
@@ -30,15 +31,8 @@ EARLIER_M = (0.002, 0.005, 0.008, 0.012)  # tested margins of a fin that switche
 SMALL = 0.2  # fraction of a usual change for which the model is assumed linear
 L0_STEP_M, L0_REACH = 0.0005, 0.5  # step and reach (in pitches) of the tested L0
 
-#: usual relative change by a fault, by parameter
-FAULTS = {"gain": 0.05, "viscous_friction": 0.5}
-SLIP_M, SCALE, OFFSET_W = (
-    0.005,
-    0.1,
-    0.6,
-)  # usual slip of a cable, change of the power's scale and of its zero
 #: relative standard deviations of a healthy robot's parameters from the twin's
-SOUND = {
+HEALTHY_SPREAD = {
     "gain": 0.01,
     "slack": 0.03,
     "time_constant": 0.03,
@@ -52,7 +46,7 @@ SOUND = {
     "idle_power": 0.03,
     "power_factor": 0.02,
 }
-SOUND_L0_M = 0.0004
+HEALTHY_SPREAD_L0_M = 0.0004
 
 
 @dataclass(frozen=True)
@@ -82,7 +76,7 @@ class Signatures:
             x1
             falls behind.
         gained: changes by a gained groove, by fin and by how early it switches. Shape as for ``missed``; x1 gets ahead.
-        sound: differences between healthy robots, by parameter.
+        healthy: differences between healthy robots, by parameter.
         lengths: signatures of other initial lengths.
     """
 
@@ -91,7 +85,7 @@ class Signatures:
     lasting: Mapping[str, Array]
     missed: Mapping[str, Array]
     gained: Mapping[str, Array]
-    sound: Mapping[str, Array]
+    healthy: Mapping[str, Array]
     lengths: tuple[AnotherLength, ...]
 
 
@@ -119,10 +113,10 @@ def signatures(gait: Gait, parameters: Parameters, *, driven: bool) -> Signature
     return Signatures(
         grooves=model.grooves,
         power=model.seen[POWER],
-        lasting=_lasting(model),
+        lasting={name: _lasting(model, cause) for name, cause in LASTING.items()},
         missed=_switches(model, {"": NEVER_M}, -1),
         gained=_switches(model, {f" {1e3 * early:g} mm early": -early for early in EARLIER_M}, 1),
-        sound=_sound(model),
+        healthy=_healthy(model),
         lengths=tuple(_lengths(model)),
     )
 
@@ -175,40 +169,56 @@ class _Model:
             return np.zeros((CHANNELS, BINS)), 0
         return shown - self.seen, grooves - self.grooves
 
-    def relative(self, key: str, size: float) -> Array:
-        """Return the effect of a parameter's relative change.
+    def extrapolated(self, change: Callable[[float], tuple[Array, int]]) -> Array:
+        """Return the effect of a change at its usual size.
 
-        It is extrapolated from a step that is small enough to keep the number of grooves.
+        It is extrapolated from the first step, as a fraction of the usual size, that keeps the number of grooves.
         """
-        value = getattr(self.parameters, key)
         for step in (SMALL, -SMALL, 0.2 * SMALL, -0.2 * SMALL):
-            change, grooves = self.change(
-                self.parameters.replace(**{key: value * (1.0 + step * size)})
-            )
+            effect, grooves = change(step)
             if grooves == 0:
-                return change / step
+                return effect / step
         return np.zeros((CHANNELS, BINS))
 
+    def with_parameter(self, key: str, amount: float, step: float) -> tuple[Array, int]:
+        """Return the effect of a part of a parameter's change, and the additional grooves per cycle."""
+        value = getattr(self.parameters, key) + step * amount
+        return self.change(self.parameters.replace(**{key: value}))
 
-def _lasting(model: _Model) -> dict[str, Array]:
-    """Return the changes by lasting causes at their usual size, by name."""
-    changes = {key: model.relative(key, size) for key, size in FAULTS.items()}
-    changes["slip"] = np.zeros((CHANNELS, BINS))
-    for step in (SMALL, 0.2 * SMALL):
-        slipped = np.minimum(model.commands + step * SLIP_M, 0.0)
-        change, grooves = model.change(model.parameters, slipped)
-        if grooves == 0:
-            changes["slip"] = change / step
-            break
-    scale, offset = np.zeros((2, CHANNELS, BINS))
-    scale[POWER], offset[POWER] = SCALE * model.seen[POWER], OFFSET_W
-    return changes | {"scale": scale, "offset": offset}
+    def with_loose_cable(self, amount: float, step: float) -> tuple[Array, int]:
+        """Return the effect of a part of a cable's excess length (m), and the additional grooves per cycle."""
+        return self.change(self.parameters, np.minimum(self.commands + step * amount, 0.0))
 
 
-def _sound(model: _Model) -> dict[str, Array]:
+def _lasting(model: _Model, cause: Cause) -> Array:
+    """Return the effect of a lasting cause at its usual size."""
+    effect = np.zeros((CHANNELS, BINS))
+    match cause.effect:
+        case Effect.RELATIVE:
+            amount = cause.size * getattr(model.parameters, cause.name)
+            effect = model.extrapolated(partial(model.with_parameter, cause.name, amount))
+        case Effect.ABSOLUTE:
+            effect = model.extrapolated(partial(model.with_parameter, cause.name, cause.size))
+        case Effect.LOOSE_CABLE:
+            effect = model.extrapolated(partial(model.with_loose_cable, cause.size))
+        case Effect.POWER_SCALE:
+            effect[POWER] = cause.size * model.seen[POWER]
+        case Effect.POWER_OFFSET:
+            effect[POWER] = cause.size
+    return effect
+
+
+def _healthy(model: _Model) -> dict[str, Array]:
     """Return the differences between healthy robots, by parameter."""
-    relative = SOUND | {"initial_length": SOUND_L0_M / model.parameters.initial_length}
-    return {key: model.relative(key, size) for key, size in relative.items()}
+    relative = HEALTHY_SPREAD | {
+        "initial_length": HEALTHY_SPREAD_L0_M / model.parameters.initial_length
+    }
+    return {
+        key: model.extrapolated(
+            partial(model.with_parameter, key, size * getattr(model.parameters, key))
+        )
+        for key, size in relative.items()
+    }
 
 
 def _lengths(model: _Model) -> list[AnotherLength]:

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.twin.causes import Told
+from worm_model.gait import GAIT_DEFAULTS, WAVEFORM
+from worm_model.twin.causes import ReportedCause
 from worm_model.twin.core.memory import MEMORY, NANOSECONDS
 from worm_model.twin.cycle_data import CycleData, Step
 from worm_model.twin.diagnosis import History
@@ -25,9 +26,25 @@ from worm_model.twin.twin import Twin, TwinState
 
 VERSION = 1
 AT_REST_NS = NANOSECONDS  # interval between stored memories while no gait runs
-# fields of the intake: they describe waiting samples and this process
+# fields that describe waiting samples and this process
 _NOT_STORED = frozenset(("present", "old_in_a_row", "ahead", "filled", "place", "counts", "newest"))
-_STORED = tuple(name for name in MEMORY.names or () if name not in _NOT_STORED)
+# names in the stored format, where they differ from those of the fields
+_STORED_NAMES = {
+    "processed_ns": "taken_ns",
+    "reported_cycle": "told_cycle",
+    "accepted": "sight",
+    "accepted_ns": "sight_ns",
+    "rejected": "refused",
+    "rejected_ns": "refused_ns",
+}
+# fields of a gait that older memories lack
+_GAIT_DEFAULTS = {name: GAIT_DEFAULTS[name] for name in WAVEFORM if name in GAIT_DEFAULTS}
+# parameters that older memories lack; they were 0
+_ADDED = frozenset(("rear_load", "front_load"))
+#: fields by their name in the stored format
+_STORED = {
+    _STORED_NAMES.get(name, name): name for name in MEMORY.names or () if name not in _NOT_STORED
+}
 
 
 class StoringTimes:
@@ -40,7 +57,7 @@ class StoringTimes:
     def is_due(self, state: TwinState) -> bool:
         """Return True if the caller must store the memory now."""
         m = state.record
-        stamp = int(m["taken_ns"])
+        stamp = int(m["processed_ns"])
         mark = int(m["start_ns"]), int(m["end_ns"]), int(m["cycle"])
         apart = abs(stamp - self._stored_ns) >= AT_REST_NS
         due = bool(stamp) and (mark != self._mark or (apart and not state.is_running))
@@ -54,14 +71,14 @@ def stored_memory(twin: Twin, state: TwinState) -> str:
     memory, m = state.memory, state.record
     filled, place = int(m["filled"]), int(m["place"])
     waiting = memory.rows[place:filled]
-    waiting = waiting[waiting["kind"] == Kind.GAIT]["heard"]
+    waiting = waiting[waiting["kind"] == Kind.GAIT]["sent"]
     lengths = memory.rows[:place]
-    lengths = lengths[_is_stored(twin, lengths, int(m["taken_ns"]))]
+    lengths = lengths[_is_stored(twin, lengths, int(m["processed_ns"]))]
     some = np.flatnonzero(memory.sums.any(axis=1))
     content = {
         "version": VERSION,
         "holds_for": digest(twin),
-        "record": {name: m[name].tolist() for name in _STORED},
+        "record": {name: m[field].tolist() for name, field in _STORED.items()},
         "gait_heard_ns": int(min([int(m["newest"][Kind.GAIT]), *(waiting - 1).tolist()])),
         "lengths": lengths.tolist(),
         "sums": {str(row): memory.sums[row].tolist() for row in some.tolist()},
@@ -75,7 +92,10 @@ def stored_memory(twin: Twin, state: TwinState) -> str:
 
 def digest(twin: Twin) -> str:
     """Return the digest of a twin's parameters and settings."""
-    content = json.dumps([asdict(twin.parameters), asdict(twin.settings)], sort_keys=True)
+    parameters = {
+        key: value for key, value in asdict(twin.parameters).items() if value or key not in _ADDED
+    }
+    content = json.dumps([parameters, asdict(twin.settings)], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()
 
 
@@ -103,19 +123,22 @@ class StoredMemory:
 
     def is_new(self, rows: SampleRows) -> np.ndarray:
         """Return a mask (n,) of the samples that the memory does not include."""
-        heard = rows["heard"] > self.content["gait_heard_ns"]
-        return np.where(rows["kind"] == Kind.GAIT, heard, rows["stamp"] > self.stamp_ns)
+        sent = rows["sent"] > self.content["gait_heard_ns"]
+        return np.where(rows["kind"] == Kind.GAIT, sent, rows["stamp"] > self.stamp_ns)
 
     def resume(self, twin: Twin, before: SampleRows) -> TwinState:
         """Return the twin's state at the stamp; ``before`` are the recording's samples up to the stamp."""
         state = twin.start()
         m = state.record
-        for name, value in self.content["record"].items():
-            m[name] = value
+        for name, field in _STORED.items():
+            m[field] = self.content["record"][name]
         m["present"] = self.stamp_ns
         m["newest"][:] = self.stamp_ns
         m["newest"][Kind.GAIT] = self.content["gait_heard_ns"]
-        stored = np.array([tuple(row) for row in self.content["lengths"]], SAMPLE)
+        width = len(SAMPLE.names or ())
+        # A length has no value in the columns that older memories lack.
+        lengths = [tuple(row) + (0.0,) * (width - len(row)) for row in self.content["lengths"]]
+        stored = np.array(lengths, SAMPLE)
         recent = before["stamp"] >= self.stamp_ns - look_back_ns(twin)
         recent &= ~_is_stored(twin, before, self.stamp_ns) & (before["kind"] != Kind.GAIT)
         past = before[recent].copy()
@@ -137,7 +160,8 @@ def read_memory(stamp_ns: int, text: str) -> StoredMemory | None:
     """Return a stored memory, or None if the text is invalid or of another version."""
     try:
         content = json.loads(text)
-        if content["version"] != VERSION or set(content["record"]) != set(_STORED):
+        content["record"] = {**_GAIT_DEFAULTS, **content["record"]}
+        if content["version"] != VERSION or not set(_STORED) <= set(content["record"]):
             return None
         return StoredMemory(stamp_ns, content)
     except (ValueError, TypeError, KeyError):
@@ -185,7 +209,11 @@ def look_back_ns(twin: Twin) -> int:
 
 
 def _history_content(history: History) -> dict[str, Any]:
-    return asdict(history, dict_factory=lambda items: {key: _plain(value) for key, value in items})
+    content = asdict(
+        history, dict_factory=lambda items: {key: _plain(value) for key, value in items}
+    )
+    content["told"] = content.pop("reported")  # its name in the stored format
+    return content
 
 
 def _plain(value: Any) -> Any:
@@ -206,5 +234,6 @@ def _history_of(content: Mapping[str, Any]) -> History:
         )
         for cycle in content["cycles"]
     )
-    told = tuple(Told(**told) for told in content["told"])
-    return History(**{**content, "cycles": cycles, "told": told})
+    reported = tuple(ReportedCause(**cause) for cause in content["told"])
+    others = {key: value for key, value in content.items() if key != "told"}
+    return History(**{**others, "cycles": cycles, "reported": reported})

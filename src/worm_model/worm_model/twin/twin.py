@@ -29,29 +29,29 @@ from worm_model.simulation.kernel.actuation_law import Actuator
 from worm_model.simulation.kernel.mode import Constants
 from worm_model.simulation.kernel.whole_run import constants_of
 from worm_model.simulation.rows import parameter_rows
-from worm_model.twin.core import following
+from worm_model.twin.cause_table import CAMERA_MOVED, CLOCK_JUMP, GAP
+from worm_model.twin.core import estimator, sample_buffer
 from worm_model.twin.core.memory import (
     NANOSECONDS,
     POSITION,
     VERDICTS,
     Memory,
-    Rows,
+    OutputRows,
     Rules,
     new_memory,
     new_rows,
 )
-from worm_model.twin.diagnosis import CycleSeen, Finding, History, explains, judge_cycle, off_at_end
+from worm_model.twin.diagnosis import CycleSeen, History, explains, judge_cycle, off_at_end
+from worm_model.twin.findings import INFORMATION, Finding, Sentence
 from worm_model.twin.records import Activity, Event, Health, Severity, residual_message
-from worm_model.twin.run_start import PLAYING, Word, begin_run, is_new_run, word_of
-from worm_model.twin.samples import SAMPLE
+from worm_model.twin.run_start import PLAYING, DriverState, begin_run, driver_state_of, is_new_run
 from worm_model.twin.samples import Rows as SampleRows
 from worm_model.twin.start_estimate import EstimatedStart, Start, estimate_start
 from worm_model.twin.twin_settings import DEFAULTS, TwinSettings
 
-CLOCK = "clock_jump"  # code of TwinEvent
 CLOCK_SET = "the clock was set{} while it was played"
+BATCH = 512  # samples that are inserted before they are processed
 END_NS = 100_000_000  # tolerance with which the driver reports the end of a cycle
-NOTHING: SampleRows = np.zeros(0, SAMPLE)
 FOREVER_NS = 1 << 62
 
 
@@ -172,10 +172,10 @@ class Twin:
         room = new_rows(2 * (len(samples) + waiting) + len(state.memory.held) + 8)
         call = _Call(self, state, room)
         rules = call.model()[0]
-        call.take(samples, rules.delay + rules.look_ahead)
-        if to_the_end:
-            call.take(NOTHING, -FOREVER_NS)
-        states, residuals, lengths = room.counts.tolist()
+        lag_ns = rules.delay + rules.look_ahead
+        call.take(samples, lag_ns)
+        call.process(-FOREVER_NS if to_the_end else lag_ns)
+        states, residuals, lengths, _ = room.counts.tolist()
         return Output(
             room.states[:states],
             room.residuals[:residuals],
@@ -192,7 +192,7 @@ class _Call:
 
     twin: Twin
     state: TwinState
-    room: Rows
+    room: OutputRows
     events: list[Event] = field(default_factory=list)
     cycles: list[ClosedCycle] = field(default_factory=list)
 
@@ -203,47 +203,60 @@ class _Call:
 
     def take(self, samples: SampleRows, lag_ns: int) -> None:
         """Add samples, and process those that are at least ``lag_ns`` older than the newest."""
-        first, why = 0, following.WORD
-        while why != following.DONE:
-            why, first = following.advance(
-                self.state.memory, samples, first, lag_ns, *self.model(), self.room
-            )
-            if why in (following.WENT_BACK, following.WENT_AHEAD):
-                self.take(NOTHING, -FOREVER_NS)  # process all samples from before the jump
-                self._start_anew("back" if why == following.WENT_BACK else "ahead")
-            else:
-                self._answer(why)
+        for begin in range(0, len(samples), BATCH):
+            self._take_batch(samples[begin : begin + BATCH], lag_ns)
 
-    def _answer(self, why: int) -> None:
-        """Handle a request of the core."""
+    def process(self, lag_ns: int) -> None:
+        """Process all samples that are at least ``lag_ns`` older than the newest."""
+        boundary = None
+        while boundary != estimator.DONE:
+            boundary = estimator.process(self.state.memory, lag_ns, *self.model(), self.room)
+            self._report_events()
+            self._cross(boundary)
+
+    def _take_batch(self, samples: SampleRows, lag_ns: int) -> None:
+        first = 0
+        while first < len(samples):
+            rules = self.model()[0]
+            jump, first = sample_buffer.insert_all(self.state.memory, samples, first, rules)
+            if jump != sample_buffer.NO_JUMP:
+                self.process(-FOREVER_NS)  # process all samples from before the jump
+                self._restart("back" if jump == sample_buffer.JUMPED_BACK else "ahead")
+        self.process(lag_ns)
+
+    def _cross(self, boundary: int) -> None:
+        """Handle a boundary of the core."""
         m = self.state.record
-        stamp = int(m["taken_ns"])
-        if why == following.WORD:
-            word = word_of(self.state.memory.rows[int(m["place"])])
+        if boundary == estimator.DRIVER_STATE:
+            driver = driver_state_of(self.state.memory.rows[int(m["place"])])
             m["place"] += 1
-            self._hear(word)
-        elif why == following.CYCLE:
+            self._apply(driver)
+        elif boundary == estimator.CYCLE_END:
             self._close_cycle(int(m["cycle_end_ns"]))
-        elif why == following.BEGINS:
+        elif boundary == estimator.UNANNOUNCED_RUN:
+            stamp = int(m["processed_ns"])
             m["activity"] = Activity.INACTIVE
-            self._begin(Word(stamp, Activity.RUNNING, None, stamp))
+            self._begin(DriverState(stamp, Activity.RUNNING, None, stamp))
             m["activity"] = -1
-        elif why == following.PAUSE:
-            text = f"no length for {m['event_value']:.2f} s; the body is taken to have moved in a straight line"
-            self._tell(int(m["paused_ns"]), text, "gap")
-        elif why == following.GAVE_UP:
-            text = "the motion could not be followed (the anchors switch to and fro): the twin is put at rest"
-            self.events.append(Event(stamp, Severity.ERROR, text))
-        elif why == following.TRACKER_MOVED:
-            shift = 1e3 * m["event_value"]
-            text = (
-                f"the tracker's positions jumped by {shift:+.0f} mm and stayed: its zero was moved"
-            )
-            self._tell(stamp, text, "camera_moved")
 
-    def _tell(self, stamp: int, text: str, code: str) -> None:
+    def _report_events(self) -> None:
+        """Report the events of the core since the last boundary."""
+        count = int(self.room.counts[3])
+        for kind, stamp, value in self.room.events[:count].tolist():
+            if kind == estimator.GAP:
+                text = f"no length for {value:.2f} s; the twin interpolates it linearly"
+                self._warn(stamp, text, GAP.code)
+            elif kind == estimator.ZENO:
+                text = "the motion switches endlessly between two grooves: the twin was put at rest"
+                self.events.append(Event(stamp, Severity.ERROR, text))
+            elif kind == estimator.TRACKER_MOVED:
+                text = f"the tracker's positions jumped by {1e3 * value:+.0f} mm and stayed: its zero was moved"
+                self._warn(stamp, text, CAMERA_MOVED.code)
+        self.room.counts[3] = 0
+
+    def _warn(self, stamp: int, text: str, code: str) -> None:
         m = self.state.record
-        if self._unusable and code != CLOCK:
+        if self._unusable and code != CLOCK_JUMP.code:
             return
         cycle = int(m["cycle"]) if m["cycle_end_ns"] else 0
         self.events.append(Event(stamp, Severity.WARNING, text, code, cycle, int(m["run"])))
@@ -256,46 +269,48 @@ class _Call:
         m = self.state.record
         return self.state.unusable.get(int(m["run"] or m["start_ns"]), "")
 
-    def _hear(self, word: Word) -> None:
+    def _apply(self, driver: DriverState) -> None:
         m = self.state.record
-        m["activity"] = word.activity
-        if is_new_run(m, word):
-            self._end(int(m["taken_ns"]))
-            self._begin(word)
-        elif self.state.is_running and word.activity in PLAYING and word.run:
-            set_by = (word.onset_ns - int(m["start_ns"])) / NANOSECONDS
-            if word.onset_ns and abs(set_by) * NANOSECONDS > SAME_ONSET_NS and not self._unusable:
-                self._reject(word, CLOCK_SET.format(f" by {set_by:+.1f} s"))
-        elif self.state.is_running and word.activity not in PLAYING:
-            self._end(word.stamp_ns)
-        if word.activity in PLAYING:
-            m["told_cycle"] = word.cycle
+        m["activity"] = driver.activity
+        if is_new_run(m, driver):
+            self._end(int(m["processed_ns"]))
+            self._begin(driver)
+        elif self.state.is_running and driver.activity in PLAYING and driver.run:
+            set_by = (driver.onset_ns - int(m["start_ns"])) / NANOSECONDS
+            if driver.onset_ns and abs(set_by) * NANOSECONDS > SAME_ONSET_NS and not self._unusable:
+                self._reject(driver, CLOCK_SET.format(f" by {set_by:+.1f} s"))
+        elif self.state.is_running and driver.activity not in PLAYING:
+            self._end(driver.stamp_ns)
+        if driver.activity in PLAYING:
+            m["reported_cycle"] = driver.cycle
 
-    def _begin(self, word: Word) -> None:
+    def _begin(self, driver: DriverState) -> None:
         state, twin = self.state, self.twin
-        start, text = begin_run(state.memory, word, twin.parameters, twin.settings, state.starts)
+        start, text = begin_run(state.memory, driver, twin.parameters, twin.settings, state.starts)
         m = state.record
         state.history = History()
-        late = start > word.onset_ns and not m["origin_known"]
+        late = start > driver.onset_ns and not m["origin_known"]
         state.joined_cycle = int(m["cycle"]) if late else 0
         if late:
             m["start_known"] = 0
-        self.events.append(Event(word.stamp_ns, Severity.INFO, text, run=word.run))
+        self.events.append(Event(driver.stamp_ns, Severity.INFO, text, run=driver.run))
         if self._unusable or (late and state.clock_set):
-            self._reject(word, self._unusable or CLOCK_SET.format(""))
-        state.clock_set = state.clock_set and word.gait is None
+            self._reject(driver, self._unusable or CLOCK_SET.format(""))
+        state.clock_set = state.clock_set and driver.gait is None
         # The position starts at the tracker's, so that residuals from the time at rest no longer count.
         m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
         rules, c, a, p = self.model()
-        following.begin_track(state.memory, start, rules, c, a, p, self.room)
+        estimator.begin_track(state.memory, start, rules, c, a, p, self.room)
 
-    def _reject(self, word: Word, reason: str) -> None:
+    def _reject(self, driver: DriverState, reason: str) -> None:
         """Exclude a run from judgement and report the reason."""
         m = self.state.record
         m["start_known"] = 0
-        self.state.unusable[word.run or word.onset_ns] = reason
+        self.state.unusable[driver.run or driver.onset_ns] = reason
         text = f"nothing of this gait is judged: {reason}"
-        self.events.append(Event(word.stamp_ns, Severity.WARNING, text, CLOCK, 0, word.run))
+        self.events.append(
+            Event(driver.stamp_ns, Severity.WARNING, text, CLOCK_JUMP.code, 0, driver.run)
+        )
 
     def _end(self, stamp: int) -> None:
         """End a run; judge a cycle that is complete within the tolerance, but not one that was interrupted."""
@@ -362,7 +377,7 @@ class _Call:
         state, m = self.state, self.state.record
         m["start_known"] = 1
         off, reason = off_at_end(cycle), "how the fins stood at its beginning is not known"
-        if explains(history, cycle) and not any(finding.code for finding in findings):
+        if explains(history, cycle) and not any(finding.code.code for finding in findings):
             state.history = history
             # Power alone does not contradict straight fins, nor does it count grooves.
             return findings, reason if np.isnan(off) else ""
@@ -371,16 +386,20 @@ class _Call:
         if found is not None:
             state.starts[int(m["start_ns"])] = found.start
             self._move_to(found)
-            text = (
-                f"cycle {cycle.number}: the gait began with bent fins, the rear module {1e3 * found.start.x1:+.1f} mm "
-                "off its groove, as positions have it"
-            )
-            return [Finding("", text, cycle.number)], ""
-        text = f"cycle {cycle.number} is not judged: {reason}"
+            offset = {"offset_mm": 1e3 * found.start.x1}
+            return [Finding(INFORMATION, Sentence.BENT_FINS, cycle.number, offset)], ""
+        facts = {"reason": reason}
         if np.isnan(off):
-            return [Finding("", text, cycle.number)], reason
-        text += "; the twin resets its position to the tracker's"
-        return [Finding("", text, cycle.number, shift=off, explains_position=True)], reason
+            return [Finding(INFORMATION, Sentence.NOT_JUDGED, cycle.number, facts)], reason
+        reset = Finding(
+            INFORMATION,
+            Sentence.NOT_JUDGED_RESET,
+            cycle.number,
+            facts,
+            shift=off,
+            explains_position=True,
+        )
+        return [reset], reason
 
     def _move_to(self, found: EstimatedStart) -> None:
         """Continue the motion from another start."""
@@ -400,39 +419,38 @@ class _Call:
             m["channel_ns"][POSITION] = m["channel_level"][POSITION] = 0
         if np.isfinite(finding.initial_length):
             m["initial_length"], m["length_fitted"] = finding.initial_length, 1
-        severity = Severity.WARNING if finding.code else Severity.INFO
+        code, text = finding.code.code, finding.text
+        severity = Severity.WARNING if code else Severity.INFO
         run = int(m["run"])
         self.events.append(
-            Event(
-                stamp, severity, finding.text, finding.code, finding.cycle, run, finding.probability
-            )
+            Event(stamp, severity, text, code, finding.cycle, run, finding.probability)
         )
-        if finding.code:
+        if code:
             number = max(self.state.warnings, default=0) + 1
             self.state.warnings = {
                 **dict(list(self.state.warnings.items())[-7:]),
-                number: finding.text,
+                number: text,
             }
             m["warning"] = number
             m["warned_until"] = int(m["cycle_end_ns"]) + round(gait.period * NANOSECONDS)
 
     # --- the clock ------------------------------------------------------------------------------
 
-    def _start_anew(self, way: str) -> None:
+    def _restart(self, way: str) -> None:
         """Reset the twin after a jump of the clock, except for the counts, and process the samples that revealed it."""
         state = self.state
         held = state.memory.held[: int(state.record["ahead"])].copy()
         counts = state.record["counts"].copy()
         stamp = int(held[0]["stamp"])
-        text = f"the clock jumped {way}: the twin starts anew"
-        self.events.append(Event(stamp, Severity.WARNING, text, CLOCK))
+        text = f"the clock jumped {way}: the twin restarts"
+        self.events.append(Event(stamp, Severity.WARNING, text, CLOCK_JUMP.code))
         fresh = self.twin.start()
         state.clock_set = state.is_running
         state.memory, state.history, state.joined_cycle = fresh.memory, History(), 0
         fresh.record["counts"] = counts
         rules = self.model()[0]
         for k in range(len(held)):
-            following.admit(state.memory, held[k : k + 1], rules)
+            sample_buffer.insert(state.memory, held[k : k + 1], rules)
 
 
 @lru_cache(maxsize=16)

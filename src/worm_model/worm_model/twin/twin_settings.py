@@ -22,26 +22,24 @@ class TwinSettings:
         0.25,
         0.02,
         2.0,
-        "samples are taken in order once they are this old; what comes later is left",
+        "age at which samples are processed; later ones are excluded",
     )
     measured_stale_s: float = _row(
-        0.2, 0.01, 10.0, "a measured length older than this against the command no longer drives"
+        0.2, 0.01, 10.0, "measured lengths further apart than this are bridged by the command"
     )
-    pause_s: float = _row(
-        1.0, 0.05, 60.0, "a gap between two driving lengths beyond this is reported as a pause"
-    )
+    pause_s: float = _row(1.0, 0.05, 60.0, "a longer gap between two driving lengths is reported")
     jump_back_s: float = _row(
-        1.0, 0.1, 60.0, "samples older than the newest by more than this mean a clock that jumped"
+        1.0, 0.1, 60.0, "samples older than the newest by more than this show a jump of the clock"
     )
     hold_ahead_s: float = _row(
-        1.0, 0.1, 60.0, "a sample ahead of the newest by more than this waits for others to agree"
+        1.0, 0.1, 60.0, "a sample further ahead of the newest is held until others agree"
     )
     jump_ahead_s: float = _row(
-        60.0, 1.0, 86400.0, "samples that agree on being ahead by more than this mean a clock jump"
+        60.0, 1.0, 86400.0, "agreeing samples further ahead than this show a jump of the clock"
     )
     # Below the driver's 10 ms by more than its jitter, so that each of its lengths yields a state.
     output_period_s: float = _row(
-        0.008, 0.0, 1.0, "least time by stamps between two published states, and estimated lengths"
+        0.008, 0.0, 1.0, "least interval of published states and of estimated lengths"
     )
     rest_s: float = _row(
         1.0, 0.1, 10.0, "span before the onset over which rest pose and initial length are averaged"
@@ -53,13 +51,13 @@ class TwinSettings:
     length_scale_m: float = _row(0.002, 1e-5, 0.1, "usual size of a length residual")
     power_scale_w: float = _row(0.6, 1e-3, 100.0, "usual size of a power residual")
     tracker_gate_m: float = _row(
-        0.05, 0.005, 1.0, "a position that jumps by more than this between two samples is refused"
+        0.05, 0.005, 1.0, "a position that jumps by more than this between two samples is rejected"
     )
     tracker_moved_s: float = _row(
         0.5,
         0.05,
         60.0,
-        "refused positions that agree for this long mean that the tracker was moved",
+        "rejected positions that agree for this long show that the tracker was moved",
     )
 
     def __post_init__(self) -> None:

@@ -82,7 +82,8 @@ def test_a_later_gait_that_begins_elsewhere_is_left_out_by_name():
     (found,) = recordings_of(twice(12.0, 0.05), "r")
     assert found.end <= 10.0
     (remark,) = found.remarks
-    assert remark.startswith("gait 2 (80 mm, 0.25 Hz) is left out: it begins +50 mm from the first")
+    assert remark.startswith("gait 2 (80 mm, 0.25 Hz)")
+    assert "+50 mm" in remark
 
 
 def test_a_later_gait_of_a_robot_that_was_put_back_is_a_run_of_its_own():
@@ -150,7 +151,7 @@ def test_commands_that_are_not_the_gait_are_refused():
 
 
 def test_a_run_that_does_not_rest_is_refused():
-    with pytest.raises(IdentificationError, match="let the robot rest"):
+    with pytest.raises(IdentificationError, match=r"only \d+ camera samples"):
         recording(rest=0.2)
 
 

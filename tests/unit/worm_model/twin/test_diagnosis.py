@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER
-from worm_model.twin.inference import Sound
+from worm_model.twin.inference import NullModel
 from worm_model.twin.records import Event, Health
 from worm_model.twin.twin import Twin
 
@@ -23,7 +23,7 @@ FAULTS = (
     Fault("gained", 1, 3),
     Fault("gain", -0.02, 3, 0.3),
     Fault("slip", 0.003, 2, 0.6),
-    Fault("friction", 1.0, 3),
+    Fault("viscous_friction", 1.0, 3),
     Fault("scale", 0.08, 2),
     Fault("scale", -0.12, 2),
     Fault("offset", 0.6, 3, 0.3),
@@ -38,7 +38,7 @@ CODES = {
     "gained": "gained_groove",
     "gain": "cable_slip",
     "slip": "cable_slip",
-    "friction": "friction_up",
+    "viscous_friction": "friction_up",
     "scale": "power_scale",
     "offset": "power_offset",
     "robot": "robot_moved",
@@ -92,7 +92,9 @@ def test_power_alone_names_the_fin_the_slipped_cable_and_the_sensor(fault: Fault
         assert {event.code for event in found} == {CODES[fault.kind]}
 
 
-@pytest.mark.parametrize("fault", [f for f in FAULTS if f.kind in ("gain", "scale", "friction")])
+@pytest.mark.parametrize(
+    "fault", [f for f in FAULTS if f.kind in ("gain", "scale", "viscous_friction")]
+)
 def test_what_power_alone_cannot_tell_is_not_called_a_missed_groove(fault: Fault):
     assert not any("groove" in event.code for event in told(fault, tracker=False))
 
@@ -154,7 +156,7 @@ def test_noise_of_another_weight_is_weighed_as_its_density():
         covariance += np.kron(np.ones((3, 3)), np.diag(offsets**2))
         return float(multivariate_normal(cov=covariance).logpdf(seen.ravel()))
 
-    found = Sound(seen, weight, nuisances, offsets).weigh_noise(others)
+    found = NullModel(seen, weight, nuisances, offsets).weigh_noise(others)
     assert found == pytest.approx([0.0, log_density(others[1]) - log_density(weight)], abs=1e-9)
 
 
@@ -172,10 +174,10 @@ def test_the_bayes_factor_is_that_of_the_integral():
 
     none = likelihood(0.0)
     integral = sum(p * likelihood(s) for p, s in zip(normal, grid, strict=True))
-    sound = Sound(seen, weight, nuisance[..., None], np.zeros(1))
-    found = sound.weigh(np.array([cause, cause]), np.array([False, True]))
-    as_offset = Sound(seen, weight, np.zeros((6, 1, 0)), np.ones(1))
-    constant = Sound(seen, weight, np.ones((6, 1, 1)), np.zeros(1))
+    null = NullModel(seen, weight, nuisance[..., None], np.zeros(1))
+    found = null.weigh(np.array([cause, cause]), np.array([False, True]))
+    as_offset = NullModel(seen, weight, np.zeros((6, 1, 0)), np.ones(1))
+    constant = NullModel(seen, weight, np.ones((6, 1, 1)), np.zeros(1))
     both = [each.weigh(cause[None], np.array([False])).evidence for each in (as_offset, constant)]
     assert both[0] == pytest.approx(both[1], abs=1e-12)
     assert found.evidence[0] == pytest.approx(math.log(integral / none), abs=1e-6)

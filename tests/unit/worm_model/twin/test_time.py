@@ -30,7 +30,7 @@ def jumped(rows: np.ndarray, time: float, by: float) -> np.ndarray:
     """The same, the clock having been set at a time (s)."""
     rows = rows.copy()
     after = rows["stamp"] > ONSET + round(time * SECOND)
-    for name in ("stamp", "heard"):
+    for name in ("stamp", "sent"):
         rows[name][after] += round(by * SECOND)
     rows["onset"][after & (rows["onset"] > 0)] += round(by * SECOND)
     return rows
@@ -79,7 +79,7 @@ def test_a_twin_that_comes_late_claims_no_grooves(late: float):
     words = rows[(rows["kind"] == Kind.GAIT) & (rows["stamp"] < first)][-1:]
     events = live(np.concatenate([words, rows[rows["stamp"] >= first]]))
     assert [event.code for event in events if event.code] == []
-    assert any("the tracker's word for where the robot stands" in e.text for e in events)
+    assert any("the twin resets its position to the tracker's" in e.text for e in events)
 
 
 @pytest.mark.parametrize("lasts", [3.0, 7.0])

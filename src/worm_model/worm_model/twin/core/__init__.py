@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin's compiled core: samples in the order of their stamps in, rows of states and residuals out.
+"""Compiled core of the twin: samples in; rows of states, residuals, lengths and events out.
 
-`intake` puts samples in order, `following` lets the motion go from sample to sample and compares; `memory` is all
-that is remembered. What happens a few times in a run (a word of the driver, the end of a cycle) is handed back to
-Python, which decides it (`worm_model.twin.twin`).
+`sample_buffer` orders the samples, `estimator` advances the motion from sample to sample, `residuals` compares, and
+`memory` declares the state. The estimator returns at boundaries that occur a few times per run (a driver state, the end
+of a cycle), where Python decides (`worm_model.twin.twin`).
 """
 
 from pathlib import Path

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twin goes from sample to sample: answer to the command, motion, power, residuals.
+"""Estimator: answer to the command, motion, power and residuals, from sample to sample.
 
-Samples are taken in the order of their stamps, each ``delay_s`` plus the look-ahead behind the newest one. At each
+Samples are processed in the order of their stamps, each ``delay_s`` plus the look-ahead behind the newest one:
 
-- the **answer** to the command (`worm_model.simulation.kernel.actuation_law`) comes to its stamp, exactly;
-- the **length that drives** does: measured lengths joined by straight lines, or, between two of them that are more
-  than ``measured_stale_s`` apart, the answer to the command; which of them is known by looking ahead;
-- the **motion** follows, exactly; no derivative of a measured length enters it;
-- **power** needs the length's rate (eq:Fc, eq:power_model): that of the answer, exact; where measured lengths drive,
-  with the slope of a parabola through their differences from the answer within ± ``smoothing_s``, so that what is
-  smoothed is small; what their noise adds to a product of rates is taken off; energy is power's trapezoid sum;
-- what an instrument says is **compared** (`judge`).
+- The **answer** to the command (`worm_model.simulation.kernel.actuation_law`) is computed exactly at its stamp.
+- The **driving length** is the line through measured lengths. Between two of them more than ``measured_stale_s``
+  apart it is the answer to the command. The look-ahead decides which one applies.
+- The **motion** follows exactly. It contains no derivative of a measured length.
+- **Power** needs the length's rate (eq:Fc, eq:power_model). That of the answer is exact. For measured lengths it is the
+  slope of a parabola through their differences from the answer within ± ``smoothing_s``, so that the smoothed part is
+  small. The bias of a product of noisy rates is subtracted. Energy is the trapezoidal sum of the power.
+- Instruments are **compared** with the twin (`judge`).
 
-Where no length is known ahead, the motion waits, and what instruments say then is compared with nothing.
+While no later length is known, the motion waits, and samples of that time are compared with nothing.
 """
 
 from __future__ import annotations
@@ -46,29 +46,47 @@ from worm_model.simulation.kernel.march import (
 from worm_model.simulation.kernel.mode import Constants, Motion, nearest_groove_of, region_of
 from worm_model.simulation.kernel.whole_run import step
 from worm_model.simulation.kernel.work import cable_power_of
-from worm_model.twin.core.intake import COMMAND, GAIT, JUMPED_BACK, LENGTH, POSITION, QUIET, admit
+from worm_model.twin.core.memory import (
+    COMMAND_KIND,
+    GAIT_KIND,
+    LENGTH_KIND,
+    NANOSECONDS,
+    POSITION_KIND,
+    Memory,
+    OutputRows,
+    Rules,
+)
 from worm_model.twin.core.memory import LENGTH as LENGTH_CHANNEL
-from worm_model.twin.core.memory import NANOSECONDS, Memory, Rows, Rules
 from worm_model.twin.core.residuals import judge
+from worm_model.twin.records import LengthSource
 
-SECOND = 1e-9  # of a nanosecond
-MOVED_M = 1e-6  # beyond which a command has left 0
-FEWEST_LENGTHS = 4  # in a window; a parabola through three would follow the noise
-ESTIMATED, MEASURED = 2, 3  # as in `worm_model.twin.records.LengthSource`
+SECOND = 1e-9  # s per ns
+MOVED_M = 1e-6  # smallest command that counts as a motion
+FEWEST_LENGTHS = 4  # in a window, because a parabola through three follows the noise
+ESTIMATED, MEASURED = int(LengthSource.ESTIMATED), int(LengthSource.MEASURED)
 
-# Why Python is asked
-DONE, WENT_BACK, WENT_AHEAD, WORD, CYCLE, BEGINS, PAUSE, GAVE_UP, TRACKER_MOVED = range(9)
+# Boundaries at which Python continues: no row is due, a driver state, the end of a cycle, a command without a driver.
+DONE, DRIVER_STATE, CYCLE_END, UNANNOUNCED_RUN = range(4)
+# Events: a gap in the lengths (value: duration in s), a motion that switches endlessly, a moved tracker (shift in m).
+GAP, ZENO, TRACKER_MOVED = range(3)
+
+
+@entry
+def _report(out: OutputRows, kind: int, stamp: int, value: float) -> None:
+    row = out.events[out.counts[3]]
+    row.kind, row.stamp_ns, row.value = kind, stamp, value
+    out.counts[3] += 1
 
 
 @entry
 def begins(rows: np.ndarray, k: int) -> bool:
-    """Whether a row is the onset of a run, beyond which nothing looks."""
-    return rows[k].kind == GAIT and rows[k].onset == rows[k].stamp
+    """Return True if a row is the onset of a run, which no search crosses."""
+    return rows[k].kind == GAIT_KIND and rows[k].onset == rows[k].stamp
 
 
 @entry
 def next_of(memory: Memory, kind: int, until: int) -> int:
-    """The first row of a kind after the one that is being taken, up to a stamp; −1 if there is none."""
+    """Return the first row of a kind after the one being processed, up to a stamp; −1 if there is none."""
     m, rows = memory.record[0], memory.rows
     k = m.place + 1
     while k < m.filled and rows[k].stamp <= until and not begins(rows, k):
@@ -85,17 +103,17 @@ def _line(value: float, slope: float) -> Coefficients:
 
 @entry
 def _answers_ahead(memory: Memory, until: int, a: Actuator) -> None:
-    """Notes at the measured lengths up to a stamp what the answer to the command will be there."""
+    """Store the answer to the command in the rows of the measured lengths up to a stamp."""
     m, rows = memory.record[0], memory.rows
     when, command, answer = m.command_ns, m.command, m.answer
     k = m.place + 1
     for j in range(m.place + 1, m.filled):
         if rows[j].stamp > until or begins(rows, j):
             break
-        if rows[j].kind != COMMAND or rows[j].stamp <= when:
+        if rows[j].kind != COMMAND_KIND or rows[j].stamp <= when:
             continue
         while k < j:
-            if rows[k].kind == LENGTH:  # at the stamp of a command, the answer itself
+            if rows[k].kind == LENGTH_KIND:  # at the stamp of a command, the answer itself
                 share = (rows[k].stamp - when) / (rows[j].stamp - when)
                 there = command + share * (rows[j].a - command)
                 rows[k].c = respond(answer, command, there, (rows[k].stamp - when) * SECOND, a)
@@ -103,17 +121,17 @@ def _answers_ahead(memory: Memory, until: int, a: Actuator) -> None:
         answer = respond(answer, command, rows[j].a, (rows[j].stamp - when) * SECOND, a)
         when, command = rows[j].stamp, rows[j].a
     while k < m.filled and rows[k].stamp <= until:
-        rows[k].c = math.nan if rows[k].kind == LENGTH else rows[k].c
+        rows[k].c = math.nan if rows[k].kind == LENGTH_KIND else rows[k].c
         k += 1
 
 
 @entry
 def _slope(memory: Memory, stamp: int, rules: Rules, a: Actuator) -> tuple[float, float]:
-    """(slope in m/s at a stamp of the parabola through the measured lengths about it, its variance for a noise of 1 m).
+    """Return the slope (m/s) of the measured lengths at a stamp, and its variance for a noise of 1 m.
 
-    Of their differences from the answer to the command where that is known at all of them, plus its rate. Where the
-    motion began counts as one of them. NaN if they are too few, or none is on one side: a parabola does not
-    extrapolate.
+    It is the slope of a parabola through the lengths around the stamp. If the answer to the command is known at all of
+    them, the parabola fits the differences, and the answer's rate is added. The begin of the motion counts as one
+    length. The slope is NaN with too few lengths, or none on one side, because a parabola does not extrapolate.
     """
     m, rows = memory.record[0], memory.rows
     half = rules.smoothing
@@ -135,7 +153,7 @@ def _slope(memory: Memory, stamp: int, rules: Rules, a: Actuator) -> tuple[float
         else:
             when, change = rows[k].stamp, rows[k].a - m.initial_length
         known = at_start or not with_answer or not math.isnan(rows[k].c)
-        if known and (at_start or (rows[k].kind == LENGTH and when > m.track_ns)):
+        if known and (at_start or (rows[k].kind == LENGTH_KIND and when > m.track_ns)):
             t = (when - stamp) * SECOND / half
             y = change - (rows[k].c if with_answer else m.length_change)
             n += 1
@@ -167,11 +185,11 @@ def _slope(memory: Memory, stamp: int, rules: Rules, a: Actuator) -> tuple[float
 def put_at_rest(
     memory: Memory, stamp: int, length_change: float, source: int, c: Constants
 ) -> None:
-    """The twin at rest in the pose of its run, at a stamp with ΔL in m."""
+    """Put the twin at rest in the pose of its run, at a stamp with ΔL in m."""
     m = memory.record[0]
     x1 = m.pose_x1
     x2 = x1 + c.initial_length + length_change
-    m.moving, m.source, m.switched = 1, source, 0
+    m.moving, m.source = 1, source
     m.on_estimate = 1 if source == ESTIMATED else 0
     m.motion_ns = m.track_ns = m.power_ns = stamp
     m.track_change = length_change
@@ -185,7 +203,7 @@ def put_at_rest(
 
 @entry
 def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Constants) -> None:
-    """The motion after a duration (s) under a length; the kernel's sample tells of its end."""
+    """Advance the motion by a duration (s) under a length; the kernel's sample has its end."""
     m = memory.record[0]
     motion = Motion(m.y, m.y_rate, m.rear_groove, m.front_groove, m.rear_region, m.front_region)
     segment = Segment(0.0, duration, form, Wave(c.mass, 0.0, q))
@@ -197,7 +215,7 @@ def _move(memory: Memory, form: Coefficients, duration: float, q: float, c: Cons
 
 @entry
 def _move_along(memory: Memory, stamp: int, corner: int, target: float, c: Constants) -> None:
-    """The motion at a stamp, ΔL moving in a straight line to a knot at its own stamp."""
+    """Advance the motion to a stamp, with ΔL on a straight line to a knot at its own stamp."""
     m = memory.record[0]
     duration = (stamp - m.motion_ns) * SECOND
     if duration <= 0.0:
@@ -213,7 +231,7 @@ def _move_along(memory: Memory, stamp: int, corner: int, target: float, c: Const
 def _move_with_answer(
     memory: Memory, stamp: int, start: float, end: float, before: float, c: Constants, a: Actuator
 ) -> None:
-    """The motion at a stamp, ΔL being the answer to a command that moved from start to end (m), split at the clip."""
+    """Advance the motion to a stamp under the answer to a command from start to end (m), split at the clip."""
     m = memory.record[0]
     left = (stamp - m.motion_ns) * SECOND
     if left <= 0.0:
@@ -238,7 +256,7 @@ def _move_with_answer(
 
 @entry
 def _answer(memory: Memory, stamp: int, command: float, a: Actuator) -> None:
-    """The answer to the command at a stamp, the command moving in a straight line to a value in m."""
+    """Advance the answer to a stamp, with the command on a straight line to a value in m."""
     m = memory.record[0]
     if m.engaged:
         duration = (stamp - m.command_ns) * SECOND
@@ -248,20 +266,22 @@ def _answer(memory: Memory, stamp: int, command: float, a: Actuator) -> None:
 
 @entry
 def drag_of(c: Constants) -> float:
-    """How F_c (N) depends on the length's rate (m/s) while all else stays; left out is the share of L̈ in M1·ẍ1."""
+    """Return the derivative (N·s/m) of F_c by the length's rate, without the share of L̈ in M1·ẍ1."""
     return c.bellows_damping + c.friction * c.mu
 
 
 @entry
-def _spend(memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: Any) -> float:
-    """Power at a stamp that the motion has come to, with the energy up to it; returns the length's rate in m/s."""
+def _update_power(
+    memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: Any
+) -> float:
+    """Compute power and energy at the stamp of the motion; return the length's rate in m/s."""
     m, sample = memory.record[0], memory.sample[0]
     rate, variance = math.nan, 0.0
     if not m.on_estimate:
         rate, variance = _slope(memory, stamp, rules, a)
         variance *= m.noise_square[LENGTH_CHANNEL]
     if math.isnan(rate):
-        # Where measured lengths begin or end to drive, the line from one to the other length is no motion of the body.
+        # Where measured lengths begin or end to drive, the line between both lengths is not a motion of the body.
         rate = sample[LENGTH_RATE]
         if m.on_estimate or m.answered:
             rate = (effective(m.command, a) - m.answer) / a.time_constant if m.engaged else 0.0
@@ -276,8 +296,8 @@ def _spend(memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, 
 
 
 @entry
-def publish(memory: Memory, rate: float, c: Constants, out: Rows) -> None:
-    """Adds a state where the motion stands; the length's rate in m/s."""
+def publish(memory: Memory, rate: float, c: Constants, out: OutputRows) -> None:
+    """Add a state of the motion to the output; the length's rate is in m/s."""
     m, sample = memory.record[0], memory.sample[0]
     row = out.states[out.counts[0]]
     zero = m.origin + m.moved * c.pitch
@@ -303,22 +323,22 @@ def publish(memory: Memory, rate: float, c: Constants, out: Rows) -> None:
 
 @entry
 def begin_track(
-    memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: Any, out: Rows
+    memory: Memory, stamp: int, rules: Rules, c: Constants, a: Actuator, p: Any, out: OutputRows
 ) -> None:
-    """Puts the twin at rest at a stamp, the length being the answer to the command, and publishes it."""
+    """Put the twin at rest at a stamp, with the answer to the command as its length, and publish it."""
     m = memory.record[0]
     put_at_rest(memory, stamp, m.answer, ESTIMATED, c)
-    publish(memory, _spend(memory, stamp, rules, c, a, p), c, out)
+    publish(memory, _update_power(memory, stamp, rules, c, a, p), c, out)
 
 
 @entry
 def _follow_command(memory: Memory, next_command: int, a: Actuator) -> None:
-    """The answer at the sample that is taken; `answered` says whether it came there."""
+    """Advance the answer to the row being processed; `answered` is 1 if that was possible."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     m.answered = 1
-    if row.kind == LENGTH:
+    if row.kind == LENGTH_KIND:
         row.c = math.nan
-    if row.kind == COMMAND:
+    if row.kind == COMMAND_KIND:
         if not m.command_ns:
             m.command_ns = row.stamp
         _answer(memory, row.stamp, row.a, a)
@@ -326,30 +346,32 @@ def _follow_command(memory: Memory, next_command: int, a: Actuator) -> None:
         after = memory.rows[next_command]
         share = (row.stamp - m.command_ns) / (after.stamp - m.command_ns)
         _answer(memory, row.stamp, m.command + share * (after.a - m.command), a)
-        if row.kind == LENGTH:
+        if row.kind == LENGTH_KIND:
             row.c = m.answer
     else:
         m.answered = 0
 
 
 @entry
-def _follow(memory: Memory, rules: Rules, c: Constants, a: Actuator, p: Any, out: Rows) -> None:
-    """Answer and motion at the sample that is taken.
+def _follow(
+    memory: Memory, rules: Rules, c: Constants, a: Actuator, p: Any, out: OutputRows
+) -> None:
+    """Advance answer and motion to the row being processed.
 
-    `answered` and `arrived` say whether they came there, `drives` whether it is a length that drives.
+    `answered` and `arrived` are 1 if that was possible; `drives` is 1 if the row drives the motion.
     """
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     stamp, until = row.stamp, row.stamp + rules.look_ahead
-    next_command = next_of(memory, COMMAND, until)
-    next_length = next_of(memory, LENGTH, until)
+    next_command = next_of(memory, COMMAND_KIND, until)
+    next_length = next_of(memory, LENGTH_KIND, until)
     start, before = m.command, m.answer
     _follow_command(memory, next_command, a)
     fresh = next_length >= 0 and m.measured_ns > 0
     fresh = fresh and memory.rows[next_length].stamp - m.measured_ns <= rules.stale
-    measured = row.kind == LENGTH
+    measured = row.kind == LENGTH_KIND
     m.arrived = 1
-    # A motion begins with a measured length where one is ahead: a stop may hold the cable anywhere.
-    commanded = row.kind == COMMAND and not fresh and (m.moving or next_length < 0)
+    # A motion begins with a measured length if one follows, because a stop may hold the cable at any length.
+    commanded = row.kind == COMMAND_KIND and not fresh and (m.moving or next_length < 0)
     m.drives = 1 if measured or commanded else 0
     if measured:
         m.measured_ns = stamp
@@ -360,7 +382,7 @@ def _follow(memory: Memory, rules: Rules, c: Constants, a: Actuator, p: Any, out
         if m.drives:
             length_change = row.a - m.initial_length if measured else m.answer
             put_at_rest(memory, stamp, length_change, m.source, c)
-            publish(memory, _spend(memory, stamp, rules, c, a, p), c, out)
+            publish(memory, _update_power(memory, stamp, rules, c, a, p), c, out)
     elif measured:
         _move_along(memory, stamp, stamp, row.a - m.initial_length, c)
     elif m.drives and not m.on_estimate:
@@ -384,9 +406,9 @@ def _follow_between(
     c: Constants,
     a: Actuator,
 ) -> None:
-    """The motion at a sample that does not drive, on its way to the next one that does, as far as one is known.
+    """Advance the motion to a row that does not drive it, towards the next row that does, if it is known.
 
-    ``next_length`` is the measured length that does, −1 if it is the answer to the command.
+    ``next_length`` is that measured length, −1 for the answer to the command.
     """
     m, rows = memory.record[0], memory.rows
     stamp = rows[m.place].stamp
@@ -408,99 +430,94 @@ def _follow_between(
 
 @entry
 def _leaves_zero(memory: Memory, rules: Rules) -> bool:
-    """Whether the command is about to leave 0 without any word of the driver."""
+    """Return True if the command is about to leave 0 without any driver state."""
     m = memory.record[0]
     row = memory.rows[m.place]
-    if m.activity >= 0 or m.engaged or row.kind != COMMAND:
+    if m.activity >= 0 or m.engaged or row.kind != COMMAND_KIND:
         return False
-    k = next_of(memory, COMMAND, row.stamp + rules.look_ahead)
+    k = next_of(memory, COMMAND_KIND, row.stamp + rules.look_ahead)
     return row.a < -MOVED_M or (k >= 0 and memory.rows[k].a < -MOVED_M)
 
 
 @entry
-def _gap(memory: Memory, rules: Rules) -> bool:
-    """Whether the next length that drives comes after a pause; it is told once."""
+def _gap(memory: Memory, rules: Rules) -> float:
+    """Return the duration (s) of a gap before the next driving length, once; otherwise 0."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     if not m.moving or row.stamp - m.motion_ns <= rules.pause - rules.look_ahead:
-        return False
+        return 0.0
     stamp = row.stamp
-    if row.kind != LENGTH and row.kind != COMMAND:
+    if row.kind != LENGTH_KIND and row.kind != COMMAND_KIND:
         until = row.stamp + rules.look_ahead
-        k = max(next_of(memory, COMMAND, until), next_of(memory, LENGTH, until))
+        k = max(next_of(memory, COMMAND_KIND, until), next_of(memory, LENGTH_KIND, until))
         if k < 0:
-            return False
+            return 0.0
         stamp = memory.rows[k].stamp
     if stamp - m.motion_ns <= rules.pause or m.paused_ns > m.motion_ns:
-        return False
-    m.event_value = (stamp - m.motion_ns) * SECOND
+        return 0.0
+    duration = (stamp - m.motion_ns) * SECOND
     m.paused_ns = row.stamp
-    m.blind_s += m.event_value
-    return True
+    m.blind_s += duration
+    return duration
 
 
 @entry
-def _take_next(memory: Memory, rules: Rules, c: Constants, a: Actuator, p: Any, out: Rows) -> int:
-    """Takes the next row, or says why Python is asked first."""
+def _boundary(memory: Memory, rules: Rules) -> int:
+    """Return the boundary before the next row; DONE if there is none."""
     m, row = memory.record[0], memory.rows[memory.record[0].place]
     if m.cycle_end_ns and row.stamp >= m.cycle_end_ns:
-        return CYCLE
-    if row.kind == GAIT:
-        m.taken_ns = row.stamp
-        return WORD
+        return CYCLE_END
+    if row.kind == GAIT_KIND:
+        m.processed_ns = row.stamp
+        return DRIVER_STATE
     if _leaves_zero(memory, rules):
-        m.taken_ns = row.stamp
-        return BEGINS
-    if _gap(memory, rules):
-        return PAUSE
+        m.processed_ns = row.stamp
+        return UNANNOUNCED_RUN
+    return DONE
+
+
+@entry
+def _process_row(
+    memory: Memory, rules: Rules, c: Constants, a: Actuator, p: Any, out: OutputRows
+) -> None:
+    """Advance to the next row and compare it."""
+    m, row = memory.record[0], memory.rows[memory.record[0].place]
+    gap = _gap(memory, rules)
+    if gap:
+        _report(out, GAP, row.stamp, gap)
     moving = m.moving
     _follow(memory, rules, c, a, p, out)
+    m.processed_ns = row.stamp
     if memory.totals[FAILURE] != 0.0:
         memory.totals[FAILURE] = 0.0
         put_at_rest(memory, row.stamp, m.length_change, m.source, c)
-        m.taken_ns = row.stamp
+        _report(out, ZENO, row.stamp, 0.0)
         m.place += 1
-        return GAVE_UP
-    if row.kind == COMMAND and row.stamp - m.estimated_ns >= rules.period:
+        return
+    if row.kind == COMMAND_KIND and row.stamp - m.estimated_ns >= rules.period:
         line = out.lengths[out.counts[2]]
         line.stamp_ns, line.length_change = row.stamp, m.answer
         line.length = c.initial_length + m.answer
         out.counts[2] += 1
         m.estimated_ns = row.stamp
-    if m.arrived and (m.drives or row.kind > POSITION):
-        rate = _spend(memory, row.stamp, rules, c, a, p)
+    if m.arrived and (m.drives or row.kind > POSITION_KIND):
+        rate = _update_power(memory, row.stamp, rules, c, a, p)
         if m.drives and moving and row.stamp - m.published_ns >= rules.period:
             publish(memory, rate, c, out)
-    jumped = judge(memory, rules, c, out)
-    m.taken_ns = row.stamp
+    shift = judge(memory, rules, c, out)
+    if shift != 0.0:
+        _report(out, TRACKER_MOVED, row.stamp, shift)
     m.place += 1
-    return TRACKER_MOVED if jumped else DONE
 
 
 @unlocked
-def advance(
-    memory: Memory,
-    samples: np.ndarray,
-    first: int,
-    lag: int,
-    rules: Rules,
-    c: Constants,
-    a: Actuator,
-    p: Any,
-    out: Rows,
-) -> tuple[int, int]:
-    """Admits samples from the ``first`` on and takes those whose time has come, ``lag`` ns behind the newest.
-
-    Returns (why it stops, the sample to go on with).
-    """
+def process(
+    memory: Memory, lag: int, rules: Rules, c: Constants, a: Actuator, p: Any, out: OutputRows
+) -> int:
+    """Process all rows at least ``lag`` ns older than the newest, up to a boundary; return the boundary."""
     m = memory.record[0]
-    while True:
-        while m.place < m.filled and memory.rows[m.place].stamp <= m.present - lag:
-            why = _take_next(memory, rules, c, a, p, out)
-            if why != DONE:
-                return why, first
-        if first == samples.shape[0]:
-            return DONE, first
-        said = admit(memory, samples[first : first + 1], rules)
-        first += 1
-        if said != QUIET:
-            return WENT_BACK if said == JUMPED_BACK else WENT_AHEAD, first
+    while m.place < m.filled and memory.rows[m.place].stamp <= m.present - lag:
+        boundary = _boundary(memory, rules)
+        if boundary != DONE:
+            return boundary
+        _process_row(memory, rules, c, a, p, out)
+    return DONE

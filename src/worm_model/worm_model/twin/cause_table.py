@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Table of the causes that the twin can report.
+
+The signatures, the candidates, the messages, the constants of TwinEvent.msg, the table in docs/twin.md and the
+benchmark follow from these rows. Another lasting cause is one more row of `LASTING`.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class EventCode:
+    """Code of TwinEvent.
+
+    Attributes:
+        code: the code.
+        phrase: noun phrase that names the cause in a list of possible causes.
+        meaning: comment in TwinEvent.msg, and meaning on the page.
+        evidence: instruments that show the cause.
+    """
+
+    code: str
+    phrase: str
+    meaning: str
+    evidence: str
+
+
+MISSED = EventCode(
+    "missed_groove",
+    "a missed groove",
+    "a fin missed its last groove of a cycle; which fin is unknown",
+    "tracker; power",
+)
+MISSED_REAR = EventCode(
+    "missed_groove_rear",
+    "a groove missed by the rear fin",
+    "the rear fin missed its last groove of the cycle",
+    "tracker; power",
+)
+MISSED_FRONT = EventCode(
+    "missed_groove_front",
+    "a groove missed by the front fin",
+    "the front fin missed its last groove of the cycle before; x1 falls behind in the reported cycle",
+    "tracker; power",
+)
+GAINED = EventCode(
+    "gained_groove", "a gained groove", "a fin gained one groove more", "tracker; power"
+)
+ROBOT_MOVED = EventCode(
+    "robot_moved",
+    "a robot that was moved",
+    "a step by whole grooves that no fin makes",
+    "tracker",
+)
+CAMERA_MOVED = EventCode(
+    "camera_moved", "a camera that was moved", "a step that is not whole grooves", "tracker"
+)
+CABLE_SLIP = EventCode(
+    "cable_slip",
+    "a cable that slips, is slack or stretched",
+    "gain or offset between command and body has changed: the cable slips, is slack or stretched",
+    "measured length; without it positions and power",
+)
+FRICTION_UP = EventCode(
+    "friction_up",
+    "more friction",
+    "viscous friction has increased",
+    "power, and positions within the cycle",
+)
+FRICTION_DOWN = EventCode(
+    "friction_down",
+    "less friction",
+    "viscous friction has decreased",
+    "power, and positions within the cycle",
+)
+POWER_SCALE = EventCode(
+    "power_scale",
+    "another scale of the power",
+    "the scale of the power has changed: supply or shunt",
+    "power",
+)
+POWER_OFFSET = EventCode(
+    "power_offset",
+    "another zero of the power",
+    "the zero of the power has changed: sensor, or another consumer on the supply",
+    "power",
+)
+INITIAL_LENGTH = EventCode(
+    "initial_length",
+    "another L0",
+    "L0 differs since the beginning of the run; the twin uses the new value",
+    "tracker, at least two cycles",
+)
+CLOCK_JUMP = EventCode(
+    "clock_jump", "a clock that was set", "the clock jumped, or was set during a gait", "stamps"
+)
+GAP = EventCode(
+    "gap", "a gap in the data", "a time without data about the robot has ended", "stamps"
+)
+AMBIGUOUS = EventCode(
+    "ambiguous",
+    "several causes",
+    "several causes remain possible; the message lists them",
+    "all instruments",
+)
+
+
+class Effect(enum.Enum):
+    """How a lasting cause changes the model."""
+
+    RELATIVE = enum.auto()  # the parameter of the row's name changes by a share of its value
+    ABSOLUTE = enum.auto()  # the parameter of the row's name changes by an amount in its SI unit
+    LOOSE_CABLE = enum.auto()  # the cable is longer by an amount in m
+    POWER_SCALE = enum.auto()  # the measured power changes by a share
+    POWER_OFFSET = enum.auto()  # the measured power changes by an amount in W
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Lasting change of the robot or of an instrument.
+
+    Attributes:
+        name: name of the signature; for a change of a parameter, the parameter's key.
+        effect: how it changes the model.
+        up: code of an increase.
+        down: code of a decrease.
+        size: usual size of the change, relative or in the SI unit.
+        unit: unit in messages.
+        scale: factor from the size to that unit.
+        words: description, with ``{}`` for the size.
+        hint: possible explanation, empty if the code says enough.
+        trials: sizes that the benchmark simulates, in threes (small, middle, large).
+    """
+
+    name: str
+    effect: Effect
+    up: EventCode
+    down: EventCode
+    size: float
+    unit: str
+    scale: float
+    words: str
+    hint: str
+    trials: tuple[tuple[float, float, float], ...]
+
+    @property
+    def least(self) -> float:
+        """Lowest possible change in usual sizes; a relative change makes no parameter negative."""
+        return -1.0 / self.size if self.effect is Effect.RELATIVE else -math.inf
+
+    def code(self, size: float) -> EventCode:
+        """Return the code of a change with the sign of a size."""
+        return self.down if size < 0.0 else self.up
+
+    def describe(self, size: float, deviation: float) -> str:
+        """Return the description of a change; size and standard deviation are in usual sizes."""
+        unit = self.scale * self.size
+        value = f"{unit * size:+.1f} ± {2.0 * unit * deviation:.1f} {self.unit}"
+        return self.words.format(value) + (f": {self.hint}" if self.hint else "")
+
+
+#: lasting causes by name
+LASTING = {
+    row.name: row
+    for row in (
+        Cause(
+            name="gain",
+            effect=Effect.RELATIVE,
+            up=CABLE_SLIP,
+            down=CABLE_SLIP,
+            size=0.05,
+            unit="%",
+            scale=100.0,
+            words="the gain of the body's answer changed by {}",
+            hint="a cable that slips, is slack or stretched",
+            trials=((-0.01, -0.03, -0.06),),
+        ),
+        Cause(
+            name="viscous_friction",
+            effect=Effect.RELATIVE,
+            up=FRICTION_UP,
+            down=FRICTION_DOWN,
+            size=0.5,
+            unit="%",
+            scale=100.0,
+            words="friction changed by {}",
+            hint="",
+            trials=((0.5, 1.0, 2.0), (-0.3, -0.6, -0.8)),
+        ),
+        Cause(
+            name="slip",
+            effect=Effect.LOOSE_CABLE,
+            up=CABLE_SLIP,
+            down=CABLE_SLIP,
+            size=0.005,
+            unit="mm",
+            scale=1e3,
+            words="the body is longer under the same command by {}",
+            hint="a cable that slips, is slack or stretched",
+            trials=((0.001, 0.003, 0.006),),
+        ),
+        Cause(
+            name="scale",
+            effect=Effect.POWER_SCALE,
+            up=POWER_SCALE,
+            down=POWER_SCALE,
+            size=0.1,
+            unit="%",
+            scale=100.0,
+            words="the scale of the power changed by {}",
+            hint="supply or shunt",
+            trials=((0.04, 0.10, 0.20),),
+        ),
+        Cause(
+            name="offset",
+            effect=Effect.POWER_OFFSET,
+            up=POWER_OFFSET,
+            down=POWER_OFFSET,
+            size=0.6,
+            unit="W",
+            scale=1.0,
+            words="the power's zero changed by {}",
+            hint="power sensor, or something else that draws from the supply",
+            trials=((0.1, 0.3, 0.6),),
+        ),
+    )
+}
+#: codes of missed grooves by fin
+MISSED_BY_FIN = {"rear": MISSED_REAR, "front": MISSED_FRONT}
+
+_OTHERS = (MISSED, MISSED_REAR, MISSED_FRONT, GAINED, ROBOT_MOVED, CAMERA_MOVED)
+_LAST = (INITIAL_LENGTH, CLOCK_JUMP, GAP, AMBIGUOUS)
+#: all codes of TwinEvent
+EVENT_CODES = tuple(
+    dict.fromkeys(
+        [*_OTHERS, *(code for row in LASTING.values() for code in (row.up, row.down)), *_LAST]
+    )
+)

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Buffer of samples, ordered by stamp; detection of late samples, duplicates, implausible stamps and clock jumps.
+
+- **Late.** A sample more than ``delay_s`` older than the newest of any instrument is counted and excluded, because its
+  neighbours are processed already. All others are inserted by stamp, in whatever order they arrive.
+- **Duplicate**, **not a number** (or not a plausible length, position or power): counted and excluded.
+- **Jump back.** Three samples in a row are older than the newest by more than ``jump_back_s``.
+- **Ahead.** A sample that is ahead of the newest by more than ``hold_ahead_s`` is held. Once three in a row agree, from
+  two topics if two were active, all held samples are inserted: up to ``jump_ahead_s`` as the end of a pause, beyond
+  as a jump of the clock. If a sample of the present arrives before, the held stamps were wrong and are excluded.
+- A **gait state** may be old, because it is latched. The first message of a run is inserted at the onset.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from worm_model.simulation.kernel.compiled import entry, unlocked
+from worm_model.twin.core.memory import (
+    ACCEPTED,
+    AHEAD,
+    COMMAND_KIND,
+    CROWDED,
+    DUPLICATE,
+    GAIT_KIND,
+    HELD,
+    KINDS,
+    LATE,
+    LENGTH_KIND,
+    NANOSECONDS,
+    NOT_A_NUMBER,
+    POSITION_KIND,
+    ROOM,
+    Memory,
+    Rules,
+)
+from worm_model.twin.records import Activity
+
+RUNNING, STOPPING = int(Activity.RUNNING), int(Activity.STOPPING)
+
+LONGEST_M = 1.0  # longest plausible body; a wrong unit would give millions of grooves
+FARTHEST_M = 1e5  # largest plausible position
+MOST_W = 1e5  # largest plausible power
+CONFIRMATIONS = 3  # successive samples that confirm a jump, as a single stamp may be wrong
+ONSET_AHEAD_NS = 5 * NANOSECONDS  # an onset announced further ahead is invalid
+
+NO_JUMP, JUMPED_BACK, JUMPED_AHEAD = 0, 1, 2  # jump of the clock
+
+
+@entry
+def _is_number(s: np.ndarray) -> bool:
+    row = s[0]
+    if row.stamp <= 0:
+        return False
+    if row.kind == GAIT_KIND:
+        return True
+    if row.kind == COMMAND_KIND:
+        return abs(row.a) <= LONGEST_M
+    if row.kind == LENGTH_KIND:
+        return 0.0 < row.a <= LONGEST_M
+    if row.kind == POSITION_KIND:
+        rear, front = row.a, row.b
+        known = not math.isnan(rear) or not math.isnan(front)
+        return known and not abs(rear) > FARTHEST_M and not abs(front) > FARTHEST_M
+    return abs(row.a) <= MOST_W
+
+
+@entry
+def _newest(memory: Memory) -> int:
+    newest = 0
+    for kind in range(KINDS):
+        newest = max(newest, memory.record[0].newest[kind])
+    return newest
+
+
+@entry
+def _place_of(memory: Memory, stamp: int, kind: int) -> int:
+    """Return the index among the rows at which a sample belongs."""
+    m, rows = memory.record[0], memory.rows
+    k = m.filled
+    while k > m.place and (
+        rows[k - 1].stamp > stamp or (rows[k - 1].stamp == stamp and rows[k - 1].kind > kind)
+    ):
+        k -= 1
+    return k
+
+
+@entry
+def _make_room(memory: Memory, rules: Rules) -> bool:
+    """Remove rows that no window needs; return False if none could be removed."""
+    m, rows = memory.record[0], memory.rows
+    first = 0
+    while first < m.place and rows[first].stamp < m.processed_ns - rules.history:
+        first += 1
+    if first < ROOM // 16:
+        first = max(
+            m.place - ROOM // 2, 0
+        )  # the samples are so dense that recent ones must go, too
+    for k in range(m.filled - first):
+        rows[k] = rows[k + first]
+    m.filled -= first
+    m.place -= first
+    return first > 0
+
+
+@entry
+def _insert_row(memory: Memory, s: np.ndarray, rules: Rules) -> bool:
+    """Insert a sample at its stamp; return False for a duplicate or without room."""
+    m, rows, row = memory.record[0], memory.rows, s[0]
+    if m.filled == ROOM and not _make_room(memory, rules):
+        m.counts[CROWDED] += 1
+        return False
+    stamp = row.stamp
+    if row.kind == GAIT_KIND:
+        playing = row.state == RUNNING or row.state == STOPPING
+        if playing and 0 < row.onset <= row.sent + ONSET_AHEAD_NS:
+            stamp = row.onset
+        if m.present > 0:
+            stamp = max(stamp, m.present - rules.delay)
+        stamp = max(stamp, m.processed_ns)
+    elif (
+        m.present == 0
+    ):  # driver states from before the first sample of an instrument apply from here on
+        for k in range(m.place, m.filled):
+            rows[k].stamp = max(rows[k].stamp, stamp)
+    k = _place_of(memory, stamp, row.kind)
+    if (
+        row.kind != GAIT_KIND
+        and k > 0
+        and rows[k - 1].stamp == stamp
+        and rows[k - 1].kind == row.kind
+    ):
+        m.counts[DUPLICATE] += 1
+        return False
+    for j in range(m.filled, k, -1):
+        rows[j] = rows[j - 1]
+    rows[k] = row
+    rows[k].stamp = stamp
+    m.filled += 1
+    m.counts[ACCEPTED] += 1
+    m.newest[row.kind] = max(m.newest[row.kind], row.sent)
+    if row.kind != GAIT_KIND:
+        m.present = max(m.present, row.stamp)
+        m.old_in_a_row = 0
+        m.ahead = 0
+    return True
+
+
+@entry
+def _hold(memory: Memory, s: np.ndarray, rules: Rules) -> int:
+    """Hold a sample that is ahead; insert all held samples once enough of them agree."""
+    m, held, row = memory.record[0], memory.held, s[0]
+    count = 0
+    for k in range(m.ahead):
+        if held[k].stamp <= row.stamp + rules.hold_ahead:
+            held[count] = held[k]
+            count += 1
+    if count < HELD:
+        held[count] = row
+        count += 1
+    m.ahead = count
+    alive, kinds = 0, 0
+    for kind in range(KINDS):
+        recent = m.newest[kind] >= m.present - rules.hold_ahead
+        alive += 1 if kind != GAIT_KIND and recent and m.newest[kind] > 0 else 0
+        for k in range(count):
+            if held[k].kind == kind:
+                kinds += 1
+                break
+    if (count < CONFIRMATIONS or kinds < min(alive, 2)) and count < HELD:
+        return NO_JUMP
+    if held[0].stamp - m.present > rules.jump_ahead:
+        return JUMPED_AHEAD
+    for k in range(count):
+        _insert_row(memory, held[k : k + 1], rules)
+    m.counts[AHEAD] -= count
+    return NO_JUMP
+
+
+@entry
+def insert(memory: Memory, s: np.ndarray, rules: Rules) -> int:
+    """Insert a sample (a row, shape (1,)), or count and exclude it; return the jump of the clock that it reveals.
+
+    After a jump `held` has the first samples of the new time.
+    """
+    m, row = memory.record[0], s[0]
+    if not _is_number(s):
+        m.counts[NOT_A_NUMBER] += 1
+        return NO_JUMP
+    if m.present > 0 and row.stamp - m.present > rules.hold_ahead:
+        m.counts[AHEAD] += 1
+        return _hold(memory, s, rules)
+    if row.kind == GAIT_KIND:
+        if row.sent == m.newest[GAIT_KIND]:
+            m.counts[DUPLICATE] += 1
+        else:
+            _insert_row(memory, s, rules)
+        return NO_JUMP
+    if m.present == 0 or row.stamp >= max(m.present - rules.delay, m.processed_ns):
+        _insert_row(memory, s, rules)
+        return NO_JUMP
+    if row.stamp == m.newest[row.kind]:
+        m.counts[DUPLICATE] += 1
+    else:
+        m.counts[LATE] += 1
+    if _newest(memory) - row.stamp <= rules.jump_back:
+        m.old_in_a_row = 0
+        return NO_JUMP
+    m.old_in_a_row += 1
+    if m.old_in_a_row < CONFIRMATIONS:
+        return NO_JUMP
+    memory.held[0] = row
+    m.ahead = 1
+    return JUMPED_BACK
+
+
+@unlocked
+def insert_all(memory: Memory, samples: np.ndarray, first: int, rules: Rules) -> tuple[int, int]:
+    """Insert samples from the index ``first`` on, up to a jump of the clock; return the jump and the next index."""
+    for k in range(first, samples.shape[0]):
+        jump = insert(memory, samples[k : k + 1], rules)
+        if jump != NO_JUMP:
+            return jump, k + 1
+    return NO_JUMP, samples.shape[0]
