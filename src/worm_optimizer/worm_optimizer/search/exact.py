@@ -30,8 +30,9 @@ from worm_optimizer.search.task import (
 
 # A figure of gaits to be minimised, infinite for a gait that does not qualify; shape (n,).
 Cost = Callable[[Points], Array]
-# Edges of a task at frequencies (n,) in Hz within strokes (n, scan) in m, for the candidates (n,) that they belong to.
-FindEdges = Callable[[Index, Array, Array], Edges]
+# Edges of a task with counts (n,) at frequencies (n,) in Hz within strokes (n, scan) in m, for the candidates (n,) that
+# they belong to. Edges with other counts may be among them.
+FindEdges = Callable[[Index, Index, Array, Array], Edges]
 
 _NEAR_BEST = (
     0.02  # of the lowest cost: local minima within it may turn out lowest between the columns
@@ -119,8 +120,8 @@ def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
         columns = surveyed.columns[[place for _, place, _, _ in seeds]]
         windows = np.array([_window(np.array(near), step / 16.0) for *_, near in seeds])
         scan = np.linspace(windows[:, 0], windows[:, 1], 2 * _WINDOW_SCAN, axis=1)
-        edges = task.edges(columns, scan)
         counts = np.array([count for count, *_ in seeds])
+        edges = task.edges(columns, scan, counts)
         found = edges.points.take(edges.points.count == counts[edges.column])
         surveyed = surveyed.joined(found)
 
@@ -143,8 +144,8 @@ def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[flo
 
 
 def finder(task: Task) -> FindEdges:
-    """The edges of a task, whatever the candidate."""
-    return lambda _, frequency, strokes: task.edges(frequency, strokes)
+    """Return the edges of a task, whatever the candidate."""
+    return lambda _, count, frequency, strokes: task.edges(frequency, strokes, count)
 
 
 def speed_cost(points: Points) -> Array:
@@ -261,8 +262,8 @@ def _costs(
     """
     owner = np.repeat(np.arange(len(brackets)), at.shape[1])
     scan = np.linspace(window[owner, 0], window[owner, 1], _WINDOW_SCAN, axis=1)
-    edges = find(owner, at.ravel(), scan)
-    counts = np.array([bracket.count for bracket in brackets])
+    counts = np.array([bracket.count for bracket in brackets], dtype=np.int64)
+    edges = find(owner, counts[owner], at.ravel(), scan)
     mine = edges.points.count == counts[owner[edges.column]]
     column, points = edges.column[mine], edges.points.take(mine)
     costs = np.full(len(points), np.inf)
@@ -343,7 +344,9 @@ def exact_front(task: Task, resolution: Resolution, zoom: Zoom) -> ExactFront:
 def _cheaper(task: Task, front: Points) -> Points:
     """Longer strokes on the branches of a front's gaits that need less power than these."""
     shares = np.arange(1, _LONGER + 1)[:, np.newaxis] / _LONGER
-    strokes = front.stroke + shares**2 * (task.bounds.stroke_high - front.stroke)
-    tried = task.points(strokes.ravel(), np.tile(front.frequency, _LONGER))
+    spare = task.bounds.stroke_high - front.shape["pretension"] - front.stroke
+    strokes = front.stroke + shares**2 * np.maximum(spare, 0.0)
+    shapes = np.tile(front.shape, _LONGER)
+    tried = task.points(strokes.ravel(), np.tile(front.frequency, _LONGER), shapes)
     same = tried.admissible & (tried.count == np.tile(front.count, _LONGER))
     return tried.take(same & (tried.power < np.tile(front.power, _LONGER)))
