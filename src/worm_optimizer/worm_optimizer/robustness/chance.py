@@ -110,6 +110,10 @@ class PromiseTask:
         is_edge = found.admissible & (found.count >= AVERAGED * promise)
         return Edges(column[is_edge], found.take(is_edge))
 
+    def scanned(self, strokes: int) -> dict[str, float | int]:
+        """Return the draws or phases at each of which a promise is judged, see `Task`."""
+        return {"scenarios": len(self.scenarios)}
+
     @property
     def _required(self) -> int:
         """Number of scenarios that must keep a promise."""

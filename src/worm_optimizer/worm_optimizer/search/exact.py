@@ -320,10 +320,9 @@ class ExactFront:
         """Statement of what was verified, in SI units."""
         box, scan = self.task.bounds, self.resolution
         return {
-            "strokes": scan.strokes,
             "frequencies": scan.frequencies,
-            "stroke_step": (box.stroke_high - box.stroke_low) / (scan.strokes - 1),
             "frequency_step": (box.frequency_high - box.frequency_low) / (scan.frequencies - 1),
+            **self.task.scanned(scan.strokes),
             "edge_tolerance": EDGE_TOLERANCE,
             "edge_allowance": EDGE_ALLOWANCE,
             "counts_verified": len(self.front),

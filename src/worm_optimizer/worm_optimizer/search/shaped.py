@@ -132,6 +132,10 @@ class ShapedTask:
         column = np.concatenate([part.column for part in found])
         return Edges(column, Points.join(*(part.points for part in found)))
 
+    def scanned(self, strokes: int) -> dict[str, float | int]:
+        """Return the number of frequencies at which shares are searched, see `Task`."""
+        return {"frequencies_of_shares": _FREQUENCIES}
+
     @cached_property
     def tracks(self) -> tuple[Track, ...]:
         """Tracks of all branches."""

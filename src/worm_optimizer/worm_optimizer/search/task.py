@@ -155,6 +155,9 @@ class Task(Protocol):
         the box. Of each frequency only the edge with ``count`` (m,) is needed, if that is given; others may be left out.
         """
 
+    def scanned(self, strokes: int) -> dict[str, float | int]:
+        """Return what a survey with a number of strokes scans at each frequency, by name, in SI units."""
+
 
 @dataclass(frozen=True)
 class MarginTask:
@@ -278,6 +281,11 @@ class MarginTask:
         found = points(safe, runs.column)
         is_edge = found.admissible & (2 * found.count == runs.label)
         return Edges(runs.column[is_edge], found.take(is_edge))
+
+    def scanned(self, strokes: int) -> dict[str, float | int]:
+        """Return the strokes of a survey, see `Task`."""
+        step = (self.bounds.stroke_high - self.bounds.stroke_low) / (strokes - 1)
+        return {"strokes": strokes, "stroke_step": step}
 
     def _peaks(self, stroke: Array, frequency: Array, shape: Shapes) -> Peaks:
         """Peaks of gaits that move; zeros if neither a limit nor the holding power needs them."""
