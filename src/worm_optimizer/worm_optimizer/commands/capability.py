@@ -33,8 +33,8 @@ from worm_optimizer.search.pipe_conditions import content_under
 def _parser() -> Parser:
     parser = Parser(
         prog="capability",
-        description="The largest load on the rear module and the largest slope up to which gaits still move: of a given "
-        "gait, of the three gaits of the front, and of the gait that moves against the largest load; cost of transport "
+        description="The largest load on the rear module and the largest slope up to which gaits still move: of your "
+        "own gait, of the three gaits of the front, and of the strongest gait; cost of transport "
         "and speed over the load; with --tether-per-metre and without --distance, how far a tether is dragged.",
     )
     parser.add_number("--stroke", "M", "stroke of a gait of your own in m")

@@ -40,7 +40,7 @@ _FULL = {
     if isinstance(row.default, float) and math.isnan(row.default)
 }
 EXACT, NSGA2 = "exact", "nsga2"
-_SCANNED = "frequencies", "strokes", "scenarios", "frequencies_of_shares"
+_SCANNED = "frequencies", "strokes"
 _POPULATION, _GENERATIONS = 100, 100
 
 
@@ -130,7 +130,9 @@ def _optimize(options: argparse.Namespace) -> None:
     if options.method == EXACT and any(value is not None for value in given):
         raise InputError("--population and --generations need --method nsga2")
     if options.method == NSGA2 and settings.waveform is Waveform.SHAPED:
-        raise InputError("--method nsga2 searches the paper's gaits. Use it with --waveform sinusoid")
+        raise InputError(
+            "--method nsga2 searches the paper's gaits. Use it with --waveform sinusoid"
+        )
     front = make_front(content, settings, options.direction)
     comparison = None
     if options.method == NSGA2:

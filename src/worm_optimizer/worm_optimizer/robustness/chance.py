@@ -108,11 +108,9 @@ class PromiseTask:
         safe = np.minimum(brackets.high + EDGE_ALLOWANCE * brackets.stepped, high[column])
         found = self.points(safe, frequency[column])
         is_edge = found.admissible & (found.count >= AVERAGED * promise)
+        if count is not None:
+            is_edge &= found.count == count[column]
         return Edges(column[is_edge], found.take(is_edge))
-
-    def scanned(self, strokes: int) -> dict[str, float | int]:
-        """Return the draws or phases at each of which a promise is judged, see `Task`."""
-        return {"scenarios": len(self.scenarios)}
 
     @property
     def _required(self) -> int:

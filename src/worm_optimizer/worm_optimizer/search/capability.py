@@ -33,8 +33,8 @@ _STEEPEST = 90.0  # degrees
 class Capability:
     """What a gait moves against.
 
-    ``largest_load`` in N on the rear module and ``largest_slope_deg`` for the robot's weight are the largest up to which
-    the gait gains a groove in every averaged cycle; 0 for a gait that does not move at all. ``full_load`` in N: up to
+    ``largest_load`` in N on the rear module and ``largest_slope_deg`` for the robot's weight are those up to which the
+    gait gains a groove in every averaged cycle; 0 for a gait that does not move at all. ``full_load`` in N: up to
     which it gains as many grooves as without load. ``closed_form_largest_load`` in N is that in the slow limit.
     """
 
@@ -78,7 +78,9 @@ def most_load(task: MarginTask) -> float:
     """Return a load in N that no gait moves: beyond it both engaged fins pass their thresholds at rest."""
     p = task.parameters
     carried = 2.0 * p.engaged_stiffness * p.switching_threshold
-    return carried + abs(p.rear_load) + abs(p.front_load) + p.rear_dry_friction + p.front_dry_friction
+    return (
+        carried + abs(p.rear_load) + abs(p.front_load) + p.rear_dry_friction + p.front_dry_friction
+    )
 
 
 def largest(
@@ -97,7 +99,8 @@ def largest(
         most: end of the range, whose begin is 0; it is returned for gaits that never fail.
         least_grooves: of each gait, (n,).
     """
-    stroke, frequency, shape = (column[:, np.newaxis] for column in gaits)
+    stroke, frequency = (column[:, np.newaxis] for column in gaits[:2])
+    shape = gaits[2][:, np.newaxis]
 
     def keeps(values: Array) -> Mask:
         gained = task.grooves(stroke, frequency, overrides=overrides(values), shape=shape)
@@ -121,7 +124,10 @@ def capabilities(task: MarginTask, gaits: Sequence[Gait]) -> tuple[Capability, .
     shape = shapes_of(len(gaits))
     for name in shape.dtype.names or ():
         shape[name] = [getattr(gait, name) for gait in gaits]
-    columns = np.array([gait.stroke for gait in gaits]), np.array([gait.frequency for gait in gaits])
+    columns = (
+        np.array([gait.stroke for gait in gaits]),
+        np.array([gait.frequency for gait in gaits]),
+    )
     rows = (*columns, shape)
     one, own = np.ones(len(gaits)), robot.grooves(*columns, shape=shape)
     loads, most = loads_on_rear(robot), most_load(robot)
@@ -147,7 +153,7 @@ def strongest(task: MarginTask) -> Gait | None:
     sizes = np.array([_STROKES, _FREQUENCIES])
     best = None
     for _ in range(1 + _ZOOMS):
-        axes = [np.unique(np.linspace(*end, size)) for end, size in zip(ends.T, sizes, strict=True)]
+        axes = [np.unique(np.linspace(ends[0, k], ends[1, k], int(sizes[k]))) for k in (0, 1)]
         stroke, frequency = (axis.ravel() for axis in np.meshgrid(*axes))
         shape = np.full(stroke.size, SINUSOID)
         rows = stroke, frequency, shape
@@ -171,7 +177,9 @@ def curve(task: MarginTask, most: float) -> tuple[LoadPoint, ...]:
     """Return the lowest cost of transport and the highest speed at loads in N on the rear module, up to ``most``."""
     points = []
     for load in np.linspace(0.0, most, _CURVE).tolist():
-        changed = {key: float(value) for key, value in loads_on_rear(task)(np.float64(load)).items()}
+        changed = {
+            key: float(value) for key, value in loads_on_rear(task)(np.float64(load)).items()
+        }
         loaded = dataclasses.replace(task, parameters=task.parameters.replace(**changed))
         front = exact_front(loaded, _RESOLUTION, _ZOOM).front
         if len(front):

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,7 +19,7 @@ SHAPE_ROW = np.dtype([(name, np.float64) for name in WAVEFORM if name in GAIT_DE
 SINUSOID: Shapes = np.array(tuple(GAIT_DEFAULTS[name] for name in SHAPE_ROW.names or ()), SHAPE_ROW)
 
 
-def fields_of(shape: Shapes) -> dict[str, Array]:
+def fields_of(shape: Shapes) -> dict[str, Any]:
     """Return the fields of shapes by name, each with the dimensions of ``shape``."""
     return {name: shape[name] for name in SHAPE_ROW.names or ()}
 

@@ -73,7 +73,7 @@ class ShapeBounds:
 class Columns:
     """Problems that are solved side by side; every field has shape (n,).
 
-    ``frequency`` in Hz, ``margin`` in m, ``count``: the grooves of the averaged cycles together, which are to be gained,
+    ``frequency`` in Hz, ``margin`` in m, ``count``: the grooves to be gained in the averaged cycles together,
     ``profile``: number of the profile.
     """
 
@@ -123,10 +123,17 @@ def corners(
     o, top = pretension[rows], reach[rows]
     short, tight = o + least, np.full(rows.size, tightest)
     for width in widths:
-        top = _bisected(lambda r, x, o=o: keeps(rows[r], o[r], x), top, short, width)
-        top = np.minimum(top + width, most)
+
+        def reaches(part: Index, value: Array, o: Array = o) -> Mask:
+            return keeps(rows[part], o[part], value)
+
+        top = np.minimum(_bisected(reaches, top, short, width) + width, most)
         tight = np.minimum(tight, top - least)
-        o = _bisected(lambda r, x, top=top: keeps(rows[r], x, top[r]), o, tight, width)
+
+        def returns(part: Index, value: Array, top: Array = top) -> Mask:
+            return keeps(rows[part], value, top[part])
+
+        o = _bisected(returns, o, tight, width)
         short = np.maximum(top - (_WINDOW + 1.0) * width, o + least)
         tight = np.minimum(o + _WINDOW * width, tightest)
     safe = np.maximum(o - EDGE_ALLOWANCE, low)
@@ -150,7 +157,7 @@ def _shapes(columns: Columns, shares: Array, pretension: Array) -> Shapes:
 def _bisected(
     keeps: Callable[[Index, Array], Mask], good: Array, bad: Array, width: float
 ) -> Array:
-    """Return values (n,) that keep the grooves, within a width of ones that do not, or of the bad end of the bracket."""
+    """Return values (n,) that keep the grooves, to within a width of the border or of the bad end."""
     good, bad = good.copy(), bad.copy()
     while (open_ := np.flatnonzero(np.abs(good - bad) > width)).size:
         middle = 0.5 * (good[open_] + bad[open_])

@@ -23,6 +23,7 @@ from worm_optimizer.search.task import (
     Bounds,
     Edges,
     Index,
+    MarginTask,
     Mask,
     Points,
     Task,
@@ -37,6 +38,7 @@ FindEdges = Callable[[Index, Index, Array, Array], Edges]
 _NEAR_BEST = (
     0.02  # of the lowest cost: local minima within it may turn out lowest between the columns
 )
+_FASTER = 1e-12  # relative, by which a gait of another branch is faster than the one that it is compared with
 _WINDOW_SCAN = 5  # strokes of a scan in the window around an edge that is followed
 _LEAST_WINDOW = 1e-6  # m
 _LONGER = 4  # longer strokes at which the rise of the power is verified
@@ -319,10 +321,14 @@ class ExactFront:
     def verification(self) -> dict[str, float | int | bool]:
         """Statement of what was verified, in SI units."""
         box, scan = self.task.bounds, self.resolution
+        strokes: dict[str, float | int] = {}
+        if isinstance(self.task, MarginTask):
+            step = (box.stroke_high - box.stroke_low) / (scan.strokes - 1)
+            strokes = {"strokes": scan.strokes, "stroke_step": step}
         return {
             "frequencies": scan.frequencies,
             "frequency_step": (box.frequency_high - box.frequency_low) / (scan.frequencies - 1),
-            **self.task.scanned(scan.strokes),
+            **strokes,
             "edge_tolerance": EDGE_TOLERANCE,
             "edge_allowance": EDGE_ALLOWANCE,
             "counts_verified": len(self.front),
@@ -335,9 +341,31 @@ def exact_front(task: Task, resolution: Resolution, zoom: Zoom) -> ExactFront:
     surveyed = survey(task, resolution, zoom)
     best = lowest(task, surveyed, (power_cost, transport_cost), zoom)
     front = front_of(Points.join(surveyed.points, best))
+    front = front_of(Points.join(front, _rivals(task, surveyed, front)))
     cheaper = _cheaper(task, front)
     front = front_of(Points.join(front, cheaper)) if len(cheaper) else front
     return ExactFront(task, resolution, zoom, surveyed, front, not len(cheaper))
+
+
+def _rivals(task: Task, surveyed: Survey, front: Points) -> Points:
+    """Edges of other branches at the speeds of a front's gaits, between the columns, where they may be cheaper."""
+    if surveyed.columns.size < 2:
+        return front.take(np.empty(0, dtype=np.int64))
+    columns, counts, frequencies, windows = surveyed.columns, [], [], []
+    for count in np.unique(surveyed.points.count):
+        power, strokes = _by_column(surveyed, surveyed.points.power, int(count))
+        at = front.count * front.frequency / count * (1.0 + _FASTER)
+        place = np.clip(np.searchsorted(columns, at), 1, columns.size - 1)
+        near = (front.count != count) & (at >= columns[0]) & (at <= columns[-1])
+        cheapest = np.minimum(power[place - 1], power[place])  # infinite where there is no edge
+        for row in np.flatnonzero(near & (cheapest < front.power * (1.0 + _NEAR_BEST))):
+            counts.append(int(count))
+            frequencies.append(at[row])
+            windows.append(_window(strokes[place[row] - 1 : place[row] + 1]))
+    if not counts:
+        return front.take(np.empty(0, dtype=np.int64))
+    scan = np.linspace(*np.array(windows).T, _WINDOW_SCAN, axis=1)
+    return task.edges(np.array(frequencies), scan, np.array(counts)).points
 
 
 def _cheaper(task: Task, front: Points) -> Points:

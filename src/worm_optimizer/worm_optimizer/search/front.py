@@ -17,7 +17,7 @@ from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phas
 from worm_optimizer.search.actuator_limits import NO_LIMITS, describe_limit
 from worm_optimizer.search.exact import ExactFront, Resolution, Zoom, exact_front
 from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.pipe_conditions import content_under
+from worm_optimizer.search.pipe_conditions import content_under, margin_of_force
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness
 from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
 from worm_optimizer.search.shaped import ShapedTask
@@ -87,8 +87,17 @@ def shaped(task: MarginTask, settings: Settings) -> MarginTask | ShapedTask:
 
 def scanned_price(content: ParameterFile, settings: Settings, direction: int) -> PriceOfRobustness:
     """Return the margin scan of these settings."""
-    task = task_of(content_under(settings.conditions, content), settings, direction)
-    return price_of_robustness(shaped(task, settings), settings.scan.margins())
+    return _price(
+        task_of(content_under(settings.conditions, content), settings, direction), settings
+    )
+
+
+def _price(task: MarginTask, settings: Settings) -> PriceOfRobustness:
+    margins = settings.scan.margins()
+    if settings.waveform is Waveform.SHAPED:
+        over = ShapedTask.over_margins(task, settings.shapes, margins)
+        return price_of_robustness(over, margins)
+    return price_of_robustness(task, margins)
 
 
 def make_front(content: ParameterFile, settings: Settings, direction: int) -> RobustFront:
@@ -182,7 +191,7 @@ def _robust_task(
     if given is not None:
         margin, reason = given
         return shaped(nominal.with_margin(margin), settings), margin, reason
-    price = price_of_robustness(shaped(nominal, settings), settings.scan.margins())
+    price = _price(nominal, settings)
     if not price.moves:
         least = shaped(nominal.with_margin(settings.scan.lowest), settings)
         raise OptimizerError(_why_nothing_moves(least, settings.resolution))

@@ -113,9 +113,6 @@ class ScannedTask(Protocol):
     def parameters(self) -> Parameters:
         """The robot."""
 
-    def prepared(self, margins: Array) -> ScannedTask:
-        """Return a task for edges at margins (n,) in m."""
-
     def edges(
         self,
         frequency: Array,
@@ -128,11 +125,10 @@ class ScannedTask(Protocol):
 
 def price_of_robustness(task: ScannedTask, margins: Array) -> PriceOfRobustness:
     """Scan the rising ``margins`` in m of shape (n,) and locate the cliff."""
-    prepared = task.prepared(margins)
-    points = scan(prepared, margins)
+    points = scan(task, margins)
     return PriceOfRobustness(
         points=points,
-        cliff=find_cliff(prepared, points),
+        cliff=find_cliff(task, points),
         closed_form_cliff_margin=closed_form.cliff_margin(task.parameters),
         groove_phase=closed_form.groove_phase(task.parameters),
     )

@@ -199,8 +199,8 @@ SCAN_SETTINGS: tuple[SettingRow, ...] = (
          choices=tuple(kind.value for kind in Waveform)),
     _Row("pretension_low_m", "pretensions", _SHAPES.pretension[0], "least pretension of shaped gaits, m", 0.0,
          MAX_PRETENSION),
-    _Row("pretension_high_m", "pretensions", _SHAPES.pretension[1], "greatest pretension, m; the greatest stroke bounds "
-         "pretension and stroke together", 0.0, MAX_PRETENSION),
+    _Row("pretension_high_m", "pretensions", _SHAPES.pretension[1], "greatest pretension, m; the greatest stroke "
+         "bounds pretension and stroke together", 0.0, MAX_PRETENSION),
     _Row("contraction_share_low", "contraction-shares", _SHAPES.contraction_share[0], "least contraction share of "
          "shaped gaits", *CONTRACTION_SHARE_RANGE),
     _Row("contraction_share_high", "contraction-shares", _SHAPES.contraction_share[1], "greatest contraction share",
@@ -257,7 +257,11 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
         shapes=ShapeBounds(
             *(
                 (value[f"{name}_low{unit}"], value[f"{name}_high{unit}"])
-                for name, unit in (("pretension", "_m"), ("contraction_share", ""), ("ramp_share", ""))
+                for name, unit in (
+                    ("pretension", "_m"),
+                    ("contraction_share", ""),
+                    ("ramp_share", ""),
+                )
             )
         ),
         holding_power=value["holding_power_w_per_n"],

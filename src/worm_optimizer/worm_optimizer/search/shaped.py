@@ -97,10 +97,11 @@ class ShapedTask:
         """The robot."""
         return self.task.parameters
 
-    def prepared(self, margins: Array) -> ShapedTask:
-        """Return a task for edges at margins (n,) in m."""
+    @staticmethod
+    def over_margins(task: MarginTask, shapes: ShapeBounds, margins: Array) -> ShapedTask:
+        """Return a task for edges at any margin within the range of ``margins`` (n,) in m."""
         nodes = np.unique(np.linspace(margins.min(), margins.max(), _NODES))
-        return dataclasses.replace(self, nodes=tuple(nodes.tolist()))
+        return ShapedTask(task, shapes, tuple(nodes.tolist()))
 
     def points(self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID) -> Points:
         """Evaluate gaits, see `Task`."""
@@ -109,11 +110,11 @@ class ShapedTask:
     def edges(
         self,
         frequency: Array,
-        strokes: Array,
+        _strokes: Array,
         count: Index | None = None,
         margin: Array | None = None,
     ) -> Edges:
-        """Find the corner of each branch at each frequency, see `Task`; the ``strokes`` are not needed.
+        """Find the corner of each branch at each frequency, see `Task`; the strokes are not needed.
 
         ``margin`` in m, of shape (m,), must be within the nodes.
         """
@@ -131,10 +132,6 @@ class ShapedTask:
             found.append(Edges(rows[kept], points.take(kept)))
         column = np.concatenate([part.column for part in found])
         return Edges(column, Points.join(*(part.points for part in found)))
-
-    def scanned(self, strokes: int) -> dict[str, float | int]:
-        """Return the number of frequencies at which shares are searched, see `Task`."""
-        return {"frequencies_of_shares": _FREQUENCIES}
 
     @cached_property
     def tracks(self) -> tuple[Track, ...]:
@@ -157,7 +154,9 @@ class ShapedTask:
         columns = np.arange(frequency.size)
         low, high = table[below, columns], table[above, columns]
         with np.errstate(invalid="ignore"):
-            part = (margin - nodes[below]) / np.where(above > below, nodes[above] - nodes[below], 1.0)
+            part = (margin - nodes[below]) / np.where(
+                above > below, nodes[above] - nodes[below], 1.0
+            )
         part = part[:, np.newaxis]
         mixed = (1.0 - part) * low + part * high
         return np.where(np.isnan(mixed), np.where(np.isnan(high), low, high), mixed)
@@ -242,10 +241,11 @@ class _Search:
             ]
         )
         starts[:, 1:] = np.clip(starts[:, 1:], *self.shapes.shares.T)
+        numbers = np.arange(len(starts), dtype=float)
         margin, frequency, start = (
-            axis.ravel()
-            for axis in np.meshgrid(margins, frequencies, np.arange(len(starts)), indexing="ij")
+            axis.ravel() for axis in np.meshgrid(margins, frequencies, numbers, indexing="ij")
         )
+        start = start.astype(np.int64)
         columns = Columns(frequency, margin, np.ones(margin.size, np.int64), starts[start, 0])
         gained = gained_of(self._widest(columns, starts[start, 1:], margin))
         wanted = [
@@ -275,7 +275,7 @@ class _Search:
 
     def ended(self, known: Solved, highest: float) -> Solved:
         """Search the highest frequency of each branch that ends below the ``highest`` one in Hz."""
-        lasts = [group.take([-1]) for group in known.groups()]
+        lasts = [group.take(np.array([-1])) for group in known.groups()]
         lasts = [last for last in lasts if last.columns.frequency[0] < highest]
         if not lasts:
             return known
@@ -298,7 +298,9 @@ class _Search:
         parts = [known]
         for group in known.groups():
             own = group.columns.frequency
-            lacking = np.setdiff1d(frequencies[(frequencies > own[0]) & (frequencies < own[-1])], own)
+            lacking = np.setdiff1d(
+                frequencies[(frequencies > own[0]) & (frequencies < own[-1])], own
+            )
             rows = np.zeros(lacking.size, dtype=np.int64)
             columns = dataclasses.replace(group.take(rows).columns, frequency=lacking)
             shares = group.track().shares_at(lacking)

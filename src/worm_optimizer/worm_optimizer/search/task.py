@@ -143,20 +143,15 @@ class Task(Protocol):
     def bounds(self) -> Bounds:
         """The box of gaits."""
 
-    def points(
-        self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID
-    ) -> Points:
+    def points(self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID) -> Points:
         """Evaluate gaits; ``stroke`` in m, ``frequency`` in Hz and ``shape`` of shape (n,)."""
 
     def edges(self, frequency: Array, strokes: Array, count: Index | None = None) -> Edges:
         """Find the shortest admissible stroke of each branch at each ``frequency`` in Hz of shape (m,).
 
         ``strokes`` in m of shape (m, scan), rising along each row, span those in which to look, as far as they are in
-        the box. Of each frequency only the edge with ``count`` (m,) is needed, if that is given; others may be left out.
+        the box. If ``count`` (m,) is given, only the edges with that count are needed.
         """
-
-    def scanned(self, strokes: int) -> dict[str, float | int]:
-        """Return what a survey with a number of strokes scans at each frequency, by name, in SI units."""
 
 
 @dataclass(frozen=True)
@@ -198,10 +193,6 @@ class MarginTask:
     def with_margin(self, margin: float) -> MarginTask:
         """The same task with another margin in m."""
         return dataclasses.replace(self, margin=margin)
-
-    def prepared(self, margins: Array) -> MarginTask:
-        """Return the task: its edges at any margins (n,) in m need no preparation."""
-        return self
 
     def table(
         self,
@@ -280,20 +271,15 @@ class MarginTask:
         safe = np.minimum(runs.low + allowance, self.bounds.stroke_high)
         found = points(safe, runs.column)
         is_edge = found.admissible & (2 * found.count == runs.label)
+        if count is not None:
+            is_edge &= found.count == count[runs.column]
         return Edges(runs.column[is_edge], found.take(is_edge))
-
-    def scanned(self, strokes: int) -> dict[str, float | int]:
-        """Return the strokes of a survey, see `Task`."""
-        step = (self.bounds.stroke_high - self.bounds.stroke_low) / (strokes - 1)
-        return {"strokes": strokes, "stroke_step": step}
 
     def _peaks(self, stroke: Array, frequency: Array, shape: Shapes) -> Peaks:
         """Peaks of gaits that move; zeros if neither a limit nor the holding power needs them."""
         if not (self.limits.need_simulation or self.holding_power):
             return Peaks(*np.zeros((4, stroke.size)))
-        return peaks(
-            stroke, frequency, self.direction, self.parameters, self.limits, shape
-        )
+        return peaks(stroke, frequency, self.direction, self.parameters, self.limits, shape)
 
     def _excess(self, stroke: Array, frequency: Array, shape: Shapes, peak: Peaks) -> Array:
         """Return the relative excess over the actuator limits, 1 for a gait that the simulator gives up on."""
