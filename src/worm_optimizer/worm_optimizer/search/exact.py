@@ -341,17 +341,23 @@ def exact_front(task: Task, resolution: Resolution, zoom: Zoom) -> ExactFront:
     surveyed = survey(task, resolution, zoom)
     best = lowest(task, surveyed, (power_cost, transport_cost), zoom)
     front = front_of(Points.join(surveyed.points, best))
-    front = front_of(Points.join(front, _rivals(task, surveyed, front)))
+    box = task.bounds
+    reach = 0.25 * (box.stroke_high - box.stroke_low) / (resolution.strokes - 1)
+    front = front_of(Points.join(front, _rivals(task, surveyed, front, reach)))
     cheaper = _cheaper(task, front)
     front = front_of(Points.join(front, cheaper)) if len(cheaper) else front
     return ExactFront(task, resolution, zoom, surveyed, front, not len(cheaper))
 
 
-def _rivals(task: Task, surveyed: Survey, front: Points) -> Points:
-    """Edges of other branches at the speeds of a front's gaits, between the columns, where they may be cheaper."""
+def _rivals(task: Task, surveyed: Survey, front: Points, reach: float) -> Points:
+    """Edges of other branches at the speeds of a front's gaits, between the columns, where they may be cheaper.
+
+    They are searched at least ``reach`` m around the edges in the neighbouring columns.
+    """
     if surveyed.columns.size < 2:
         return front.take(np.empty(0, dtype=np.int64))
-    columns, counts, frequencies, windows = surveyed.columns, [], [], []
+    columns, rows = surveyed.columns, []
+    counts, frequencies, windows = [], [], []
     for count in np.unique(surveyed.points.count):
         power, strokes = _by_column(surveyed, surveyed.points.power, int(count))
         at = front.count * front.frequency / count * (1.0 + _FASTER)
@@ -359,13 +365,16 @@ def _rivals(task: Task, surveyed: Survey, front: Points) -> Points:
         near = (front.count != count) & (at >= columns[0]) & (at <= columns[-1])
         cheapest = np.minimum(power[place - 1], power[place])  # infinite where there is no edge
         for row in np.flatnonzero(near & (cheapest < front.power * (1.0 + _NEAR_BEST))):
+            rows.append(row)
             counts.append(int(count))
             frequencies.append(at[row])
-            windows.append(_window(strokes[place[row] - 1 : place[row] + 1]))
-    if not counts:
+            windows.append(_window(strokes[place[row] - 1 : place[row] + 1], reach))
+    if not rows:
         return front.take(np.empty(0, dtype=np.int64))
     scan = np.linspace(*np.array(windows).T, _WINDOW_SCAN, axis=1)
-    return task.edges(np.array(frequencies), scan, np.array(counts)).points
+    edges = task.edges(np.array(frequencies), scan, np.array(counts))
+    own = front.power[np.array(rows)[edges.column]]
+    return edges.points.take(edges.points.power < own)
 
 
 def _cheaper(task: Task, front: Points) -> Points:
