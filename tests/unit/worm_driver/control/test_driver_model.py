@@ -24,7 +24,7 @@ from hypothesis.stateful import (
 
 from worm_driver.errors import DriverError
 from worm_driver.gait import gait_player
-from worm_driver.gait.gait_limits import Gait
+from worm_driver.gait.gait_limits import COSINE, TRAPEZOID, Gait
 from worm_driver.gait.gait_player import Phase as GaitPhase
 from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.virtual_robot.wire.faults import make_fault
@@ -50,7 +50,7 @@ REACH = QUICK.limits.following_error + 2 * QUICK.period * QUICK.max_cable_speed
 SPRINGS_BACK = 2.5e-3
 #: m, by which a wrong sample may be off and not be noticed: see docs/safety.md
 OFF = 0.006
-MAY_MOVE = (GaitPhase.RUNNING, GaitPhase.STOPPING, GaitPhase.RETURNING)
+MAY_MOVE = (GaitPhase.RUNNING, GaitPhase.STOPPING, GaitPhase.RETURNING, GaitPhase.TENSIONING)
 
 FAULTS = st.one_of(
     st.tuples(
@@ -93,13 +93,28 @@ FAULTS = st.one_of(
         st.sampled_from(["i2c_nack", "ina219_overflow", "ina219_reset"]), st.just({"count": 3})
     ),
 )
-GAITS = st.builds(Gait, st.floats(0.01, 0.06), st.floats(0.2, 0.4), st.sampled_from([1, -1]))
+PAPERS = st.builds(Gait, st.floats(0.01, 0.06), st.floats(0.2, 0.4), st.sampled_from([1, -1]))
+SHAPED = st.builds(
+    Gait,
+    st.floats(0.01, 0.06),
+    st.floats(0.2, 0.4),
+    st.sampled_from([1, -1]),
+    pretension=st.sampled_from([0.0, 5e-5, 0.004, 0.015, 0.03]),
+    contraction_share=st.sampled_from([0.3, 0.5, 0.65]),
+    profile=st.sampled_from([COSINE, TRAPEZOID]),
+    ramp_share=st.sampled_from([0.1, 0.3, 0.5]),
+)
+GAITS = st.one_of(PAPERS, SHAPED)
 ODD_GAITS = st.builds(
     Gait,
     st.sampled_from([0.03, math.nan, 0.0, 1e-300, 1.0]),
     st.sampled_from([math.inf, -0.2, 1e-300]),
     st.sampled_from([1, 0]),
     st.sampled_from([0.0, math.inf, 1e300]),
+    st.sampled_from([0.0, math.nan, -0.01, 0.08]),
+    st.sampled_from([0.5, 0.0, 1.0, math.nan]),
+    st.sampled_from([COSINE, 2]),
+    st.sampled_from([0.25, 0.0, math.nan]),
 )
 
 
