@@ -35,7 +35,8 @@ class Capability:
 
     ``largest_load`` in N on the rear module and ``largest_slope_deg`` for the robot's weight are those up to which the
     gait gains a groove in every averaged cycle; 0 for a gait that does not move at all. ``full_load`` in N: up to
-    which it gains as many grooves as without load. ``closed_form_largest_load`` in N is that in the slow limit.
+    which it gains as many grooves as without load. ``closed_form_largest_load`` in N is the largest load in the slow
+    limit, NaN for a gait that does not move then. All are in addition to the loads of the robot.
     """
 
     gait: Gait
@@ -137,9 +138,10 @@ def capabilities(task: MarginTask, gaits: Sequence[Gait]) -> tuple[Capability, .
         largest(robot, rows, loads, most, np.maximum(own, 1)).tolist(),
         strict=True,
     )
+    present = task.direction * (task.parameters.rear_load + task.parameters.front_load)
     bare = [dataclasses.replace(gait, margin=0.0) for gait in gaits]
     return tuple(
-        Capability(gait, *values, largest_load(gait, task.parameters))
+        Capability(gait, *values, largest_load(gait, task.parameters) - present)
         for gait, values in zip(bare, found, strict=True)
     )
 

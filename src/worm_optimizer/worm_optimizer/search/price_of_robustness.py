@@ -113,6 +113,10 @@ class ScannedTask(Protocol):
     def parameters(self) -> Parameters:
         """The robot."""
 
+    @property
+    def direction(self) -> int:
+        """Direction of the gaits."""
+
     def edges(
         self,
         frequency: Array,
@@ -129,7 +133,7 @@ def price_of_robustness(task: ScannedTask, margins: Array) -> PriceOfRobustness:
     return PriceOfRobustness(
         points=points,
         cliff=find_cliff(task, points),
-        closed_form_cliff_margin=closed_form.cliff_margin(task.parameters),
+        closed_form_cliff_margin=closed_form.cliff_margin(task.parameters, task.direction),
         groove_phase=closed_form.groove_phase(task.parameters),
     )
 

@@ -97,6 +97,11 @@ class ShapedTask:
         """The robot."""
         return self.task.parameters
 
+    @property
+    def direction(self) -> int:
+        """Direction of the gaits."""
+        return self.task.direction
+
     @staticmethod
     def over_margins(task: MarginTask, shapes: ShapeBounds, margins: Array) -> ShapedTask:
         """Return a task for edges at any margin within the range of ``margins`` (n,) in m."""
