@@ -397,7 +397,9 @@ def waveform_gain_picture() -> Figure:
     for axes, margin in zip(panels, (0.0, 3.4e-3), strict=True):
         for name, color, marker in (("sinusoid", BLUE, "o"), ("shaped", VERMILION, "s")):
             gaits = _front(name, margin).gaits
-            speeds, powers = ([getattr(gait, field) for gait in gaits] for field in ("speed", "power"))
+            speeds, powers = (
+                [getattr(gait, field) for gait in gaits] for field in ("speed", "power")
+            )
             axes.plot(
                 MM * np.array(speeds), powers, color=color, marker=marker, ms=3, lw=0.0, label=name
             )

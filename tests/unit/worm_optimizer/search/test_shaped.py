@@ -69,7 +69,9 @@ def test_the_lowest_cost_of_transport_reaches_the_goal(margin, cost):
 @pytest.mark.parametrize("margin", [0.0, 3.4e-3])
 def test_no_random_gait_of_the_box_dominates_the_front(margin):
     exact = shaped_front(margin)
-    assert largest_excess(exact.front, random_gaits(MarginTask(margin=margin), 20_000, 1)) < ACCEPTED
+    assert (
+        largest_excess(exact.front, random_gaits(MarginTask(margin=margin), 20_000, 1)) < ACCEPTED
+    )
 
 
 @pytest.mark.parametrize("margin", [0.0, 3.4e-3])
@@ -88,7 +90,12 @@ def test_every_gait_gains_its_grooves_when_it_is_evaluated_again():
         fields = {name: float(front.shape[name][row]) for name in SHAPE_ROW.names}
         profile = Profile(int(fields.pop("profile")))
         gait = Gait(
-            float(front.stroke[row]), float(front.frequency[row]), 1, 3.4e-3, profile=profile, **fields
+            float(front.stroke[row]),
+            float(front.frequency[row]),
+            1,
+            3.4e-3,
+            profile=profile,
+            **fields,
         )
         again = evaluate_gait(gait)
         assert again.grooves_per_cycle == pytest.approx(front.grooves[row], abs=1e-3)
@@ -99,7 +106,8 @@ def test_at_a_corner_neither_less_reach_nor_more_pretension_keeps_the_grooves():
     task, hair = MarginTask(), 1e-6
     columns = Columns(np.array([0.15]), np.array([0.0]), np.array([6]), np.array([1.0]))
     found, gains = corners(task, ShapeBounds(), columns, np.array([[0.65, 0.1]]), FINE)
-    assert gains.all() and found.count.tolist() == [6]
+    assert gains.all()
+    assert found.count.tolist() == [6]
     tighter = found.shape.copy()
     tighter["pretension"] += hair
     assert task.points(found.stroke - hair, found.frequency, found.shape).count[0] < 6
@@ -116,7 +124,8 @@ def test_limits_hold_for_every_gait_of_the_front():
     peak = peaks(front.stroke, front.frequency, 1, PAPER, limits, front.shape)
     assert len(front) > 3
     assert np.all(peak_rate(front.shape) * front.stroke * front.frequency <= 0.05 * (1.0 + 1e-9))
-    assert np.all(peak.force <= 60.0) and np.all(peak.power <= 5.0)
+    assert np.all(peak.force <= 60.0)
+    assert np.all(peak.power <= 5.0)
     within = random_gaits(task, 5_000, 2)
     assert largest_excess(front, within) < 5e-3
 
@@ -146,7 +155,9 @@ def test_the_rate_of_the_waveform_is_that_of_the_command():
     rng = np.random.default_rng(3)
     phases = (np.arange(4000) + 0.5) / 4000
     for profile in Profile:
-        gait = Gait(0.05, 1.0, contraction_share=rng.uniform(0.2, 0.8), profile=profile, ramp_share=0.3)
+        gait = Gait(
+            0.05, 1.0, contraction_share=rng.uniform(0.2, 0.8), profile=profile, ramp_share=0.3
+        )
         fields = {name: getattr(gait, name) for name in SHAPE_ROW.names}
         shape = shapes_of(1, **fields)
         steps = -np.diff(gait.command(np.append(phases - 0.5 / 4000, 1.0 - 1e-12))) * 4000
