@@ -15,6 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
+from worm_model.conditions import CONDITION_ROWS
 from worm_model.errors import InputError, printable
 from worm_model.gait import (
     FORWARD,
@@ -88,6 +89,12 @@ class Parser(argparse.ArgumentParser):
             choices=[str(profile) for profile in Profile],
             help=f"{GAIT_MEANINGS['profile']} (default: {Profile.COSINE})",
         )
+
+    def add_conditions(self) -> None:
+        """Add an option for each field of `Conditions`; `conditions_of` makes the conditions of the parsed options."""
+        for name, row in CONDITION_ROWS.items():
+            metavar = row["unit"].upper().replace("/", "_PER_")
+            self.add_number(row["option"], metavar, row["meaning"], 0.0, dest=name)
 
     def add_figure(self) -> None:
         """Adds --figure; see `figure_file`."""
