@@ -158,18 +158,10 @@ class SettingRow:
 
 _BOX, _SCAN, _PLAIN, _SHAPES = Bounds(), ScanSettings(), Settings(), ShapeBounds()
 _Row = SettingRow
-_OPTIONS = {
-    "slope_deg": "slope",
-    "tether_N": "tether",
-    "tether_N_per_m": "tether-per-metre",
-    "distance_m": "distance",
-    "flow_m_per_s": "flow",
-    "drag_area_m2": "drag-area",
-}
 _CONDITIONS = tuple(
     _Row(
         name.lower(),
-        _OPTIONS[name],
+        row["option"].removeprefix("--"),
         0.0,
         f"{row['meaning']}, {row['unit']}",
         row["low"],
