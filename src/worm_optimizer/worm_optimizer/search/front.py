@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile, Parameters
-from worm_model.simulation.simulator import cost_of_transport
+from worm_model.simulation.simulator import LoadError, cost_of_transport, evaluate_gait
 from worm_optimizer.robustness.chance import PromiseTask, margins_stood
 from worm_optimizer.robustness.prediction import Prediction, outline, predict
 from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phase_known
@@ -222,6 +223,11 @@ def _why_nothing_moves(task: MarginTask | ShapedTask | PromiseTask, resolution: 
     unlimited = free if isinstance(task, MarginTask) else dataclasses.replace(task, task=free)
     moving = front_of_task(unlimited, resolution).surveyed.points
     if not len(moving):
+        longest = Gait(robot.bounds.stroke_high, robot.bounds.frequency_low, robot.direction)
+        try:
+            evaluate_gait(longest, robot.parameters)
+        except LoadError as error:
+            return str(error)
         return (
             "no gait within the bounds gains a groove in every cycle: "
             "lower the margin or the probability, or allow longer strokes"
