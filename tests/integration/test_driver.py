@@ -365,6 +365,31 @@ def test_stop_is_served_while_a_deactivation_returns_to_rest(
     assert "stop was called" in commander.states[-1].message
 
 
+def test_a_fault_while_a_deactivation_returns_to_rest_leaves_the_torque_on(
+    processes, directory, commander, probe
+):
+    given = parameters(directory, return_speed_m_per_s=0.005)
+    processes.start_node("worm_driver", "driver_node", **given)
+    cable = run_into_a_gait(commander, probe)
+    client = probe.node.create_client(ChangeState, "driver/change_state")
+    probe.meet("driver/change_state")
+    deactivate = Transition(id=Transition.TRANSITION_DEACTIVATE)
+    changed = client.call_async(ChangeState.Request(transition=deactivate))
+    probe.wait_for(
+        lambda: commander.states[-1].message == "the driver is deactivated", "way back to rest"
+    )
+    commander.inject(name="no_answer", target=11, duration=3600.0)
+    assert not probe.result(changed, "answer to the deactivation").success
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
+    commander.wait_for_state(GaitState.FAULT, "fault")
+    commander.inject(name="clear")
+    cable.clear()
+    probe.wait_for(lambda: len(cable) > 50, "half a second")
+    assert max(message.length_change for message in cable) < -0.005
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)  # in FAULT: a person wants it so
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
+
+
 # --- every way out ------------------------------------------------------------------------------------
 
 
