@@ -12,6 +12,7 @@ from worm_model.gait import Gait, gait_of
 from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import GaitTable
 from worm_model.simulation.closed_form import groove_phase
+from worm_model.simulation.simulator import cost_of_transport
 from worm_optimizer.robustness.success_probability import stroke_to_edges, success_probability
 from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
 from worm_optimizer.search.command_shape import SINUSOID, Shapes
@@ -62,12 +63,13 @@ def outline(
     """
     robust = task.table(stroke, frequency, margin, shape=shape)
     nominal = task.table(stroke, frequency, np.zeros_like(margin), shape=shape)
+    held = task.held_power(stroke, frequency, np.broadcast_to(shape, stroke.shape))
     columns = {
         **robust.gait,
         "direction": np.full(stroke.shape, task.direction),
-        **_figures(robust),
+        **_figures(task, robust, held),
         "groove_phase": np.full_like(stroke, groove_phase(task.parameters)),
-        **{f"nominal_{name}": values for name, values in _figures(nominal).items()},
+        **{f"nominal_{name}": values for name, values in _figures(task, nominal, held).items()},
     }
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     return tuple(Prediction(**dict(zip(columns, row, strict=True))) for row in rows)
@@ -108,7 +110,12 @@ def predict(
     )
 
 
-def _figures(table: GaitTable) -> dict[str, Array]:
-    """Speed, power, cost of transport and grooves per cycle of a table of gaits."""
-    names = ("speed", "power", "cost_of_transport", "grooves_per_cycle")
-    return {name: getattr(table, name) for name in names}
+def _figures(task: MarginTask, table: GaitTable, held: Array) -> dict[str, Array]:
+    """Return speed, power with the ``held`` one in W, cost of transport and grooves per cycle of a table of gaits."""
+    power = table.power + held
+    return {
+        "speed": table.speed,
+        "power": power,
+        "cost_of_transport": cost_of_transport(table.speed, power, task.parameters.mass),
+        "grooves_per_cycle": table.grooves_per_cycle,
+    }

@@ -27,7 +27,7 @@ from worm_model.gait import (
 from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.batch import GaitTable, evaluate_gaits
 from worm_model.simulation.simulator import AVERAGED
-from worm_optimizer.search.actuator_limits import ActuatorLimits, Peaks, peaks
+from worm_optimizer.search.actuator_limits import ActuatorLimits, peaks
 from worm_optimizer.search.command_shape import SINUSOID, Shapes, fields_of, peak_rate
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.runs import Array, Index, find_runs
@@ -242,9 +242,9 @@ class MarginTask:
         moving = count > 0
         violation = np.ones(strokes.shape)
         power = table.power.copy()
-        peak = self._peaks(strokes[moving], frequencies[moving], shapes[moving])
-        violation[moving] = self._excess(strokes[moving], frequencies[moving], shapes[moving], peak)
-        power[moving] += self.holding_power * peak.mean_force
+        gaits = strokes[moving], frequencies[moving], shapes[moving]
+        violation[moving] = self._excess(*gaits)
+        power[moving] += self.held_power(*gaits)
         return Points(strokes, frequencies, table.speed, power, count, violation, shapes)
 
     def edges(
@@ -275,14 +275,18 @@ class MarginTask:
             is_edge &= found.count == count[runs.column]
         return Edges(runs.column[is_edge], found.take(is_edge))
 
-    def _peaks(self, stroke: Array, frequency: Array, shape: Shapes) -> Peaks:
-        """Peaks of gaits that move; zeros if neither a limit nor the holding power needs them."""
-        if not (self.limits.need_simulation or self.holding_power):
-            return Peaks(*np.zeros((4, stroke.size)))
-        return peaks(stroke, frequency, self.direction, self.parameters, self.limits, shape)
+    def held_power(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
+        """Return the holding power of gaits (n,) in W."""
+        if not self.holding_power:
+            return np.zeros(stroke.shape)
+        peak = peaks(stroke, frequency, self.direction, self.parameters, shape=shape)
+        return self.holding_power * peak.mean_force
 
-    def _excess(self, stroke: Array, frequency: Array, shape: Shapes, peak: Peaks) -> Array:
-        """Return the relative excess over the actuator limits, 1 for a gait that the simulator gives up on."""
-        speed = peak_rate(shape) * stroke * frequency
-        excess = self.limits.excess(speed, peak.force, peak.power, peak.motor_load)
+    def _excess(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
+        """Return the relative excess of gaits that move over the limits, 1 where the simulator gives up."""
+        loads = np.zeros((3, stroke.size))
+        if self.limits.need_simulation:
+            peak = peaks(stroke, frequency, self.direction, self.parameters, self.limits, shape)
+            loads[:] = peak.force, peak.power, peak.motor_load
+        excess = self.limits.excess(peak_rate(shape) * stroke * frequency, *loads)
         return np.nan_to_num(excess, nan=1.0)
