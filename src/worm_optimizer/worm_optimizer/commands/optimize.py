@@ -40,7 +40,6 @@ _FULL = {
     if isinstance(row.default, float) and math.isnan(row.default)
 }
 EXACT, NSGA2 = "exact", "nsga2"
-_SCANNED = "frequencies", "strokes"
 _POPULATION, _GENERATIONS = 100, 100
 
 
@@ -92,16 +91,14 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 def describe(front: RobustFront, nominal: dict[str, Prediction], uncertainty: str) -> str:
     """A front for people."""
     checks = front.exact.verification
-    scanned = ", ".join(
-        f"{checks[name]} {name.replace('_', ' ')}" for name in _SCANNED if name in checks
-    )
+    strokes = f"{checks['strokes']} strokes at each of " if "strokes" in checks else ""
     rises = "rises" if checks["power_rises"] else "does not rise everywhere"
     return "\n".join(
         [
             f"margin             {1e3 * front.margin:.2f} mm: {front.reason}",
             f"groove phase       {1e3 * front.cruise.groove_phase:+.2f} mm; every speed holds for it",
             f"front              {len(front.gaits)} gaits",
-            f"verified           {scanned}; edges to "
+            f"verified           {strokes}{checks['frequencies']} frequencies; edges to "
             f"{1e9 * checks['edge_tolerance']:g} nm, and as much above them; power {rises} within the branches",
             f"limits             {front.settings.limits.description() or 'none'}",
             "",
