@@ -371,7 +371,8 @@ def _rivals(task: Task, surveyed: Survey, front: Points, reach: float) -> Points
             windows.append(_window(strokes[place[row] - 1 : place[row] + 1], reach))
     if not rows:
         return front.take(np.empty(0, dtype=np.int64))
-    scan = np.linspace(*np.array(windows).T, _WINDOW_SCAN, axis=1)
+    low, high = np.array(windows).T
+    scan = np.linspace(low, high, _WINDOW_SCAN, axis=1)
     edges = task.edges(np.array(frequencies), scan, np.array(counts))
     own = front.power[np.array(rows)[edges.column]]
     return edges.points.take(edges.points.power < own)

@@ -79,7 +79,7 @@ def task_of(content: ParameterFile, settings: Settings, direction: int) -> Margi
     )
 
 
-def shaped(task: MarginTask, settings: Settings) -> MarginTask | ShapedTask:
+def waveform_task(task: MarginTask, settings: Settings) -> MarginTask | ShapedTask:
     """Return the task over the gaits of the chosen waveform."""
     if settings.waveform is Waveform.SHAPED:
         return ShapedTask(task, settings.shapes)
@@ -191,12 +191,12 @@ def _robust_task(
     given = given_margin(nominal.parameters, settings)
     if given is not None:
         margin, reason = given
-        return shaped(nominal.with_margin(margin), settings), margin, reason
+        return waveform_task(nominal.with_margin(margin), settings), margin, reason
     price = _price(nominal, settings)
     if not price.moves:
-        least = shaped(nominal.with_margin(settings.scan.lowest), settings)
+        least = waveform_task(nominal.with_margin(settings.scan.lowest), settings)
         raise OptimizerError(_why_nothing_moves(least, settings.resolution))
-    task = shaped(nominal.with_margin(price.margin), settings)
+    task = waveform_task(nominal.with_margin(price.margin), settings)
     return task, price.margin, reason_for(price)
 
 
@@ -274,7 +274,7 @@ def nominal_gaits(
     """The three gaits of the exact front without any margin, by name; none if no gait moves."""
     content = content_under(settings.conditions, content)
     task = task_of(content, settings, direction)
-    front = front_of_task(shaped(task, settings), settings.resolution).front
+    front = front_of_task(waveform_task(task, settings), settings.resolution).front
     if not len(front):
         return {}
     chosen = front.take(three_rows(front, content.parameters))
