@@ -32,7 +32,7 @@ from worm_optimizer.search.task import (
 # Widths in m to which both borders are located in turn: one moves a little while the other is located.
 COARSE = (2e-5, 1e-6)
 FINE = (*COARSE, EDGE_TOLERANCE)
-_WINDOW = 3.0  # of the last width, in which a border is located again
+_WINDOW = 50.0  # of the last width, in which a border is located again: it moves while the other one is located
 _FIRST_STEPS = (0.08, 0.1)  # of contraction share and ramp share
 _LEAST_STEP = 0.015  # of the first step, at which the search ends
 _SHRINK = 0.4
