@@ -15,7 +15,8 @@ from pathlib import Path
 from worm_model.identification.estimate import Estimate, not_identifiable
 from worm_model.parameters import KEYS, PAPER, ParameterFile, Parameters
 
-MEASURED = ("rear_mass", "front_mass", "unstressed_length", "pitch")
+LOADS = ("rear_load", "front_load")  # conditions of the runs, which count as exact
+MEASURED = ("rear_mass", "front_mass", "unstressed_length", "pitch", *LOADS)
 # Default half-widths of the 95 % bounds: a kitchen scale, a ruler, a ruler over many ridges
 READING = {
     "rear_mass": 1e-3,
@@ -68,7 +69,7 @@ class ReferenceValues:
             low, high = self.intervals[key]
             return Estimate(value, low, high, True, note)
         if key in MEASURED:
-            reading = READING[key]
+            reading = READING.get(key, 0.0)
             return Estimate(value, value - reading, value + reading, True, note)
         return not_identifiable(value, note)
 
