@@ -13,9 +13,15 @@ from benchmarks.report import Row, cpu_time
 from worm_model.parameters import PAPER, ParameterFile
 from worm_optimizer.search import nsga2
 from worm_optimizer.search.exact import Resolution, Zoom, exact_front
-from worm_optimizer.search.front import RobustFront, make_front, scanned_price
+from worm_optimizer.search.front import (
+    RobustFront,
+    front_of_task,
+    make_front,
+    scanned_price,
+    waveform_task,
+)
 from worm_optimizer.search.gait_request import GaitRequest, Objective, select
-from worm_optimizer.search.search_settings import Robustness, Settings
+from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
 from worm_optimizer.search.servo_limits import limits_of, load_driver_file, servo_model
 from worm_optimizer.search.task import MarginTask
 
@@ -76,6 +82,18 @@ def _limited_rows() -> list[Row]:
     ]
 
 
+def _shaped_row(margin: float) -> Row:
+    shaped = dataclasses.replace(DEFAULTS, margin=margin, waveform=Waveform.SHAPED)
+    task = MarginTask(margin=margin)
+    how = f"margin {1e3 * margin:g} mm, over pretension, shares and profile"
+    return _row(
+        "front of shaped gaits",
+        lambda: front_of_task(waveform_task(task, shaped), DEFAULTS.resolution),
+        "20 times that of the sinusoid",
+        how,
+    )
+
+
 def _promise_row(kind: Robustness, goal: str, how: str) -> Row:
     settings = dataclasses.replace(DEFAULTS, robustness=kind)
     return _row(f"front, {kind.value}", lambda: make_front(ParameterFile(), settings, 1), goal, how)
@@ -102,6 +120,7 @@ def run() -> list[Row]:
         _scan_row(0.2952),
         _scan_row(0.2941),
         *_limited_rows(),
+        *(_shaped_row(margin) for margin in (0.0, 3.4e-3)),
         _promise_row(Robustness.CHANCE, "10 s", "200 draws, success of three gaits over 500"),
         _promise_row(Robustness.ANY_PHASE, "10 s", "64 phases, success of three gaits over 500"),
         _nsga2_row(),

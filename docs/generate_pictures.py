@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -45,8 +46,10 @@ from worm_model.simulation.actuation import effective_command
 from worm_model.simulation.closed_form import front_groove, groove_phase
 from worm_model.simulation.simulator import Locomotion, simulate
 from worm_model.twin.scene import FREE, HOLDING, YIELDING
+from worm_optimizer.report.capability_figure import capability_figure
 from worm_optimizer.report.front_plots import price_figure
-from worm_optimizer.search.front import scanned_price
+from worm_optimizer.search.capability import capabilities, curve, strongest
+from worm_optimizer.search.front import RobustFront, make_front, scanned_price
 from worm_optimizer.search.search_settings import settings_of
 
 FOLDER = Path(__file__).with_name("figures") / "model"
@@ -355,6 +358,72 @@ def phase_map_picture() -> Figure:
     return phase_map_figure(content)
 
 
+@cache
+def _front(waveform: str, margin: float) -> RobustFront:
+    """Return the front of the paper's parameters over gaits of a waveform at a margin (m)."""
+    settings = settings_of({"waveform": waveform, "margin_m": margin, "samples": 1})
+    return make_front(ParameterFile(), settings, FORWARD)
+
+
+def waveforms_picture() -> Figure:
+    """Plot the cycle of the paper's cruise and of the shaped cruise: command, length change and power."""
+    figure = new_figure(WIDTH, 4.8)
+    panels = figure.subplots(2, 2, sharex="col", sharey="row")
+    for (above, below), name in zip(panels.T, ("sinusoid", "shaped"), strict=True):
+        cruise = _front(name, 0.0).cruise
+        run = simulated_run(cruise.gait, p, 3, 200.0)
+        cycle = run.time >= 2.0 * cruise.period
+        time = run.time[cycle] - 2.0 * cruise.period
+        change = run.motions.length[cycle] - p.initial_length
+        above.plot(time, MM * run.command[cycle], label="command", **COMMANDED)
+        above.plot(time, MM * change, label="length change", **MEASURED)
+        below.plot(time, run.motions.power[cycle], **MEASURED)
+        below.axhline(cruise.power, color=VERMILION, linestyle="--", linewidth=1.0)
+        below.set_xlabel("time (s)")
+        note = f"{name}: f = {cruise.frequency:.3f} Hz, cost of transport {cruise.cost_of_transport:.1f}"
+        above.set_title(note, loc="left", fontsize="small")
+        for axes in (above, below):
+            axes.grid(visible=True, linewidth=0.4)
+    panels[0, 0].set_ylabel("mm")
+    panels[1, 0].set_ylabel("power (W)")
+    panels[0, 1].legend(loc="lower right", fontsize="small", frameon=False)
+    return figure
+
+
+def waveform_gain_picture() -> Figure:
+    """Plot the fronts of both waveforms at two margins."""
+    figure = new_figure(WIDTH, 4.2)
+    panels = figure.subplots(1, 2, sharey=True)
+    for axes, margin in zip(panels, (0.0, 3.4e-3), strict=True):
+        for name, color, marker in (("sinusoid", BLUE, "o"), ("shaped", VERMILION, "s")):
+            gaits = _front(name, margin).gaits
+            speeds, powers = (
+                [getattr(gait, field) for gait in gaits] for field in ("speed", "power")
+            )
+            axes.plot(
+                MM * np.array(speeds), powers, color=color, marker=marker, ms=3, lw=0.0, label=name
+            )
+        axes.set_xlabel("speed (mm/s)")
+        axes.set_title(f"margin {MM * margin:.1f} mm", loc="left", fontsize="small")
+        axes.grid(visible=True, linewidth=0.4)
+    panels[0].set_ylabel("power (W)")
+    panels[0].legend(loc="upper left", fontsize="small", frameon=False)
+    letter(tuple(panels))
+    return figure
+
+
+def capability_picture() -> Figure:
+    """Plot the largest loads of the paper's robot, and the price of a load."""
+    front = _front("sinusoid", 3.4e-3)
+    task = front.nominal
+    gaits = {name: each.gait for name, each in front.three.items()}
+    best = strongest(task)
+    assert best is not None
+    gaits["best"] = best
+    found = dict(zip(gaits, capabilities(task, list(gaits.values())), strict=True))
+    return capability_figure(found, curve(task, found["best"].largest_load))
+
+
 PICTURES: Mapping[str, Callable[[], Figure]] = {
     "robot": robot_picture,
     "stride": stride_picture,
@@ -363,6 +432,9 @@ PICTURES: Mapping[str, Callable[[], Figure]] = {
     "groove_phase": groove_phase_picture,
     "price_of_robustness": price_picture,
     "phase_map": phase_map_picture,
+    "waveforms": waveforms_picture,
+    "waveform_gain": waveform_gain_picture,
+    "capability": capability_picture,
 }
 ANIMATION = "gait.gif"
 

@@ -18,6 +18,7 @@ EXECUTABLES: list[str] = [  # "executable = module:function", each lands in lib/
     "campaign = worm_optimizer.nodes.executables:campaign",
     "console = worm_optimizer.nodes.executables:console",
     "study = worm_optimizer.commands.study:main",
+    "capability = worm_optimizer.commands.capability:main",
     "sensitivity = worm_optimizer.commands.sensitivity:main",
 ]
 # What pip brings for a worker of a study, which needs no ROS; requirements*.txt pin the versions.

@@ -109,6 +109,12 @@ class Gait:
         return 1.0 / self.frequency
 
     @property
+    def is_sinusoid(self) -> bool:
+        """True for the paper's gait: no pretension, both halves a cosine of the same length."""
+        shape = self.pretension, self.contraction_share, self.profile
+        return shape == (0.0, 0.5, Profile.COSINE)
+
+    @property
     def reach(self) -> float:
         """Largest contraction o + S that is commanded, m."""
         return self.pretension + self.stroke

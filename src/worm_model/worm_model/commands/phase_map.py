@@ -17,6 +17,7 @@ from worm_model.commands.command_line import (
     figure_file,
     print_result,
 )
+from worm_model.conditions import conditions_of, under
 from worm_model.gait import STROKE_RANGE
 from worm_model.parameters import load_parameters
 
@@ -33,6 +34,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--points", type=int, default=161, metavar="N", help="per axis (default 161)"
     )
+    parser.add_conditions()
     parser.add_figure()
     parser.add_json()
     parser.add_parameters()
@@ -63,7 +65,7 @@ def _map(options: argparse.Namespace) -> None:
         raise InputError("--points: give between 2 and 2000 points per axis")
     if not 0.0 < options.lowest < options.highest:
         raise InputError("--lowest must be above 0 and below --highest, both in metres")
-    parameters = load_parameters(options.parameters)
+    parameters = under(conditions_of(options), load_parameters(options.parameters))
     figure = figure_file(options)
     pitch = parameters.pitch
     # (−d/2, d/2]: the lower end is the upper end of the next groove

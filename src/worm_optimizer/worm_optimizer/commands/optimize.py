@@ -18,11 +18,17 @@ from worm_model.commands.command_line import (
     run_command,
 )
 from worm_model.parameters import load_parameter_file
-from worm_optimizer.commands.search_options import add_front_options, chosen_settings, gait_table
-from worm_optimizer.report.front_plots import front_and_map_figure
+from worm_optimizer.commands.search_options import (
+    add_front_options,
+    chosen_settings,
+    gait_table,
+    shape_lines,
+)
+from worm_optimizer.report.front_plots import front_and_map_figure, front_figure
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.robustness.uncertainty import description
 from worm_optimizer.search.front import RobustFront, make_front, nominal_gaits, replaced
+from worm_optimizer.search.search_settings import Waveform
 
 if TYPE_CHECKING:
     from worm_optimizer.search.nsga2 import Comparison
@@ -85,17 +91,19 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 def describe(front: RobustFront, nominal: dict[str, Prediction], uncertainty: str) -> str:
     """A front for people."""
     checks = front.exact.verification
+    strokes = f"{checks['strokes']} strokes at each of " if "strokes" in checks else ""
     rises = "rises" if checks["power_rises"] else "does not rise everywhere"
     return "\n".join(
         [
             f"margin             {1e3 * front.margin:.2f} mm: {front.reason}",
             f"groove phase       {1e3 * front.cruise.groove_phase:+.2f} mm; every speed holds for it",
             f"front              {len(front.gaits)} gaits",
-            f"verified           {checks['strokes']} strokes at each of {checks['frequencies']} frequencies; edges to "
+            f"verified           {strokes}{checks['frequencies']} frequencies; edges to "
             f"{1e9 * checks['edge_tolerance']:g} nm, and as much above them; power {rises} within the branches",
             f"limits             {front.settings.limits.description() or 'none'}",
             "",
             gait_table(front.three, nominal),
+            *shape_lines(front.three),
             "",
             f"success: share of draws of the parameters ({uncertainty}) in which the robot, without a "
             "margin, gains the predicted grooves in every averaged cycle; any φ: at an unknown phase",
@@ -118,6 +126,10 @@ def _optimize(options: argparse.Namespace) -> None:
     given = options.population, options.generations
     if options.method == EXACT and any(value is not None for value in given):
         raise InputError("--population and --generations need --method nsga2")
+    if options.method == NSGA2 and settings.waveform is Waveform.SHAPED:
+        raise InputError(
+            "--method nsga2 searches the paper's gaits. Use it with --waveform sinusoid"
+        )
     front = make_front(content, settings, options.direction)
     comparison = None
     if options.method == NSGA2:
@@ -125,7 +137,8 @@ def _optimize(options: argparse.Namespace) -> None:
         front = replaced(front, comparison.front)
     nominal = nominal_gaits(content, settings, options.direction)
     if figure is not None:
-        save_figure(front_and_map_figure(front, front.three), figure)
+        draw = front_figure if settings.waveform is Waveform.SHAPED else front_and_map_figure
+        save_figure(draw(front, front.three), figure)
     limits = {
         name: value for name, value in asdict(settings.limits).items() if math.isfinite(value)
     }
@@ -140,6 +153,8 @@ def _optimize(options: argparse.Namespace) -> None:
             **(comparison_json(comparison) if comparison else {}),
             "uncertainty": uncertainty,
             "limits": limits,
+            "waveform": settings.waveform.value,
+            "conditions": asdict(settings.conditions),
         },
         "\n".join(reversed(words)),
     )

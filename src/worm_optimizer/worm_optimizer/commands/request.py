@@ -21,6 +21,7 @@ from worm_optimizer.commands.search_options import (
     chosen_settings,
     gait_table,
     request_of_options,
+    shape_lines,
 )
 from worm_optimizer.report.front_plots import front_figure
 from worm_optimizer.robustness.prediction import Prediction
@@ -43,7 +44,7 @@ def _parser() -> Parser:
 def describe(gait: Prediction) -> str:
     """A gait for people; the groove phase always stands beside the speed, which holds for it alone."""
     phase = f"groove phase {1e3 * gait.groove_phase:+.2f} mm; the speed holds for it"
-    return f"{gait_table({'gait': gait}, {})}\n{phase}"
+    return "\n".join([gait_table({"gait": gait}, {}), *shape_lines({"gait": gait}), phase])
 
 
 def _request(options: argparse.Namespace) -> None:

@@ -10,6 +10,7 @@ from itertools import groupby
 from typing import Any
 
 from worm_model.commands.command_line import InputError, Parser, number
+from worm_model.gait import Profile
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.search.search_settings import (
@@ -26,6 +27,10 @@ _OBJECTIVES = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
 # By what a parameter's name ends with; the longest first.
 _VALUES = {
     "_m_per_s": "MPS",
+    "_n_per_m": "N_PER_M",
+    "_w_per_n": "W_PER_N",
+    "_deg": "DEG",
+    "_m2": "M2",
     "_m": "M",
     "_n": "NEWTON",
     "_w": "W",
@@ -148,6 +153,17 @@ def gait_table(robust: Mapping[str, Prediction], nominal: Mapping[str, Predictio
     for kind, gaits in (("robust", robust), ("nominal", nominal)):
         lines += [_line(f"{kind} {name.replace('_', ' ')}", gait) for name, gait in gaits.items()]
     return "\n".join(lines)
+
+
+def shape_lines(gaits: Mapping[str, Prediction]) -> list[str]:
+    """Return a line with the shape of each gait that is not the paper's sinusoid."""
+    return [
+        f"{name.replace('_', ' '):<20} pretension {1e3 * gait.pretension:.2f} mm, contraction share "
+        f"{gait.contraction_share:.3f}, {gait.profile}"
+        + (f", ramp share {gait.ramp_share:.3f}" if gait.profile is Profile.TRAPEZOID else "")
+        for name, gait in gaits.items()
+        if not gait.is_sinusoid
+    ]
 
 
 def _line(name: str, gait: Prediction) -> str:

@@ -16,8 +16,10 @@ from worm_model.commands.command_line import (
     print_result,
     run_command,
 )
+from worm_model.conditions import conditions_of
 from worm_model.gait import Gait
 from worm_model.parameters import SYMBOLS, UNITS, load_parameter_file
+from worm_optimizer.search.pipe_conditions import content_under
 from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
 from worm_optimizer.study.sensitivity_figure import sensitivity_figure
 from worm_optimizer.study.sobol import index_text, warnings_of
@@ -40,6 +42,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--seed", type=int, default=0, metavar="N", help="of the samples (default 0)"
     )
+    parser.add_conditions()
     parser.add_figure()
     parser.add_json()
     parser.add_parameters()
@@ -105,7 +108,7 @@ def _run(options: argparse.Namespace) -> None:
     if options.seed < 0:
         raise InputError("--seed must not be negative")
     gait = Gait(options.stroke, options.frequency, options.direction)
-    content = load_parameter_file(options.parameters)
+    content = content_under(conditions_of(options), load_parameter_file(options.parameters))
     figure = figure_file(options)
     result = sensitivity(gait, content, options.samples, options.seed)
     if figure is not None:

@@ -16,7 +16,12 @@ from worm_optimizer.search.front import RobustFront
 from worm_optimizer.search.gait_request import GaitAnswer, RequestStatus
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.price_of_robustness import CLIFF_RULE, PriceOfRobustness
-from worm_optimizer.search.search_settings import ScanSettings, Settings, robustness_of
+from worm_optimizer.search.search_settings import (
+    ScanSettings,
+    Settings,
+    robustness_of,
+    waveform_of,
+)
 
 T = TypeVar("T")
 
@@ -68,6 +73,8 @@ def settings_of_goal(base: Settings, goal: OptimizeGaits.Goal) -> Settings:
         base,
         seed=int(goal.seed),
         margin=None if math.isnan(goal.margin) else goal.margin,
+        margin_force=goal.margin_force or None,
+        waveform=waveform_of(goal.waveform) if goal.waveform else base.waveform,
         robustness=robustness_of(goal.robustness) if goal.robustness else base.robustness,
         probability=goal.probability or base.probability,
     )

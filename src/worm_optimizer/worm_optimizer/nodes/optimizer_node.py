@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,6 +13,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
 from worm_model.parameters import ParameterError, ParameterFile, load_parameter_file
 from worm_model.simulation.simulator import SimulationError
@@ -41,8 +42,9 @@ _NAMES = {FORWARD: "forward", REVERSE: "reverse"}
 class OptimizerNode(Node):
     """Server of request_gait, optimize_gaits and scan_margin, one request at a time.
 
-    Computing a front takes half a second, or some seconds with a required success probability. A front is computed
-    for the first request that needs it and stored until the settings or the parameter file change.
+    Computing a front takes half a second, or some seconds with a required success probability or of shaped gaits. A
+    front is computed for the first request that needs it and stored until the settings, the conditions or the parameter
+    file change.
 
     Raises:
         ParameterError, OptimizerError, OSError: A parameter of the node is invalid.
@@ -101,20 +103,34 @@ class OptimizerNode(Node):
         self._fronts, self._resting, self._failures = {}, {}, {}
 
     def _check_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name == optimizer_parameters.PARAMETER_FILE:
-                try:
-                    load_parameter_file(parameter.value)
-                except ParameterError as error:
-                    return SetParametersResult(successful=False, reason=str(error))
+        changes = {parameter.name: parameter.value for parameter in parameters}
+        try:
+            self._under(changes)
+            if optimizer_parameters.PARAMETER_FILE in changes:
+                load_parameter_file(changes[optimizer_parameters.PARAMETER_FILE])
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _take_parameters(self, parameters: Sequence[Parameter]) -> None:
-        for parameter in parameters:
-            if parameter.name == optimizer_parameters.PARAMETER_FILE:
-                self._content = load_parameter_file(parameter.value)
-                self._forget()
-                self._first.reset()
+        changes = {parameter.name: parameter.value for parameter in parameters}
+        if optimizer_parameters.PARAMETER_FILE in changes:
+            self._content = load_parameter_file(changes[optimizer_parameters.PARAMETER_FILE])
+        elif not changes.keys() & optimizer_parameters.CONDITIONS.keys():
+            return
+        self._settings = self._under(changes)
+        self._forget()
+        self._first.reset()
+
+    def _under(self, changes: Mapping[str, Any]) -> Settings:
+        """Return the settings with changed parameters of the conditions. Raises `ConditionsError`."""
+        conditions = {
+            field: changes[name]
+            for name, field in optimizer_parameters.CONDITIONS.items()
+            if name in changes
+        }
+        changed = dataclasses.replace(self._settings.conditions, **conditions)
+        return dataclasses.replace(self._settings, conditions=changed)
 
     # --- requests ----------------------------------------------------------------------------------
 

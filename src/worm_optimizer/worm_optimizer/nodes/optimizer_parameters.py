@@ -7,21 +7,24 @@ import dataclasses
 
 from rclpy.node import Node
 
+from worm_model.conditions import CONDITION_ROWS
 from worm_msgs.parameter_rows import ParameterRow
 from worm_optimizer.search.search_settings import SETTINGS, Settings, settings_of
 
 PARAMETER_FILE = "parameter_file"
+#: field of `Conditions` by the parameter that sets it
+CONDITIONS = {name.lower(): name for name in CONDITION_ROWS}
 MOST_RESTING = 8  # largest number of stored fronts for other initial lengths
 
 
 def rows() -> list[ParameterRow]:
-    """Return the declarations of all parameters. Only the parameter file can change while the node runs."""
-    fixed = (
+    """Return the declarations of all parameters. Parameter file and conditions can change while the node runs."""
+    settings = (
         ParameterRow(row.parameter, row.default, row.meaning, row.low, row.high) for row in SETTINGS
     )
     return [
         ParameterRow(PARAMETER_FILE, "", "Parameter file; empty: the paper's values."),
-        *(dataclasses.replace(row, read_only=True) for row in fixed),
+        *(dataclasses.replace(row, read_only=row.name not in CONDITIONS) for row in settings),
     ]
 
 

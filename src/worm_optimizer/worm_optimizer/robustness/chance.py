@@ -20,6 +20,7 @@ from worm_model.gait import MAX_MARGIN
 from worm_model.simulation.simulator import AVERAGED
 from worm_optimizer.robustness.success_probability import grooves_in
 from worm_optimizer.robustness.uncertainty import Scenarios
+from worm_optimizer.search.command_shape import SINUSOID, Shapes
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.task import (
     EDGE_ALLOWANCE,
@@ -65,19 +66,25 @@ class PromiseTask:
         """The box of gaits."""
         return self.task.bounds
 
-    def points(self, stroke: ArrayLike, frequency: ArrayLike) -> Points:
-        """Evaluate gaits by what they promise; ``stroke`` in m and ``frequency`` in Hz of shape (n,)."""
-        points = self.task.with_margin(0.0).points(stroke, frequency)
+    def points(self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID) -> Points:
+        """Evaluate gaits by the grooves that they promise, see `Task`."""
+        points = self.task.with_margin(0.0).points(stroke, frequency, shape)
         promise = self._promise(
-            grooves_in(self.task, points.stroke, points.frequency, self.scenarios)
+            grooves_in(self.task, points.stroke, points.frequency, self.scenarios, points.shape)
         )
         speed = promise * self.task.parameters.pitch * points.frequency
         violation = np.where(promise >= 1, points.violation, 1.0)
         return Points(
-            points.stroke, points.frequency, speed, points.power, AVERAGED * promise, violation
+            points.stroke,
+            points.frequency,
+            speed,
+            points.power,
+            AVERAGED * promise,
+            violation,
+            points.shape,
         )
 
-    def edges(self, frequency: Array, strokes: Array) -> Edges:
+    def edges(self, frequency: Array, strokes: Array, count: Index | None = None) -> Edges:
         """Find the shortest strokes that keep each promise, see `Task`.
 
         Within a scenario, more stroke is taken to gain no fewer grooves; the gaits that are returned are judged on all
@@ -101,6 +108,8 @@ class PromiseTask:
         safe = np.minimum(brackets.high + EDGE_ALLOWANCE * brackets.stepped, high[column])
         found = self.points(safe, frequency[column])
         is_edge = found.admissible & (found.count >= AVERAGED * promise)
+        if count is not None:
+            is_edge &= found.count == count[column]
         return Edges(column[is_edge], found.take(is_edge))
 
     @property
@@ -185,18 +194,25 @@ def margins_stood(task: MarginTask, front: Points) -> Array:
     strokes = np.repeat(front.stroke[:, np.newaxis], looked.size, axis=1)
     frequencies = np.repeat(front.frequency[:, np.newaxis], looked.size, axis=1)
     promised = front.count // AVERAGED
-    kept = _kept(task, strokes, frequencies, looked, promised[:, np.newaxis])
+    kept = _kept(
+        task, strokes, frequencies, looked, promised[:, np.newaxis], front.shape[:, np.newaxis]
+    )
     lost = np.argmin(np.column_stack([kept, np.zeros(len(front), dtype=bool)]), axis=1)
     low = looked[np.maximum(lost - 1, 0)]
     high = low + np.where(lost > 0, _MARGIN_STEP, 0.0)
     for _ in range(_MARGIN_PASSES):
         middle = 0.5 * (low + high)
-        stays = _kept(task, front.stroke, front.frequency, middle, promised)
+        stays = _kept(task, front.stroke, front.frequency, middle, promised, front.shape)
         low, high = np.where(stays, middle, low), np.where(stays, high, middle)
     return low
 
 
 def _kept(
-    task: MarginTask, stroke: Array, frequency: Array, margin: Array, promised: Index
+    task: MarginTask,
+    stroke: Array,
+    frequency: Array,
+    margin: Array,
+    promised: Index,
+    shape: Shapes,
 ) -> Mask:
-    return task.grooves(stroke, frequency, margin) >= promised
+    return task.grooves(stroke, frequency, margin, shape=shape) >= promised

@@ -12,8 +12,10 @@ from worm_model.gait import Gait, gait_of
 from worm_model.parameters import ParameterFile
 from worm_model.simulation.batch import GaitTable
 from worm_model.simulation.closed_form import groove_phase
+from worm_model.simulation.simulator import cost_of_transport
 from worm_optimizer.robustness.success_probability import stroke_to_edges, success_probability
 from worm_optimizer.robustness.uncertainty import phase_known, phase_unknown
+from worm_optimizer.search.command_shape import SINUSOID, Shapes
 from worm_optimizer.search.task import Array, MarginTask, branch_of
 
 
@@ -48,21 +50,26 @@ class Prediction(Gait):
 
 
 def outline(
-    task: MarginTask, stroke: Array, frequency: Array, margin: Array
+    task: MarginTask,
+    stroke: Array,
+    frequency: Array,
+    margin: Array,
+    shape: Shapes = SINUSOID,
 ) -> tuple[Prediction, ...]:
     """Predict gaits with and without their margins, without distances to edges and probabilities.
 
-    ``stroke`` in m, ``frequency`` in Hz and ``margin`` in m of shape (n,) make the gaits, the task their direction and
-    model.
+    ``stroke`` in m, ``frequency`` in Hz, ``margin`` in m and ``shape`` of shape (n,) make the gaits, the task their
+    direction and model.
     """
-    robust = task.table(stroke, frequency, margin=margin)
-    nominal = task.table(stroke, frequency, margin=np.zeros_like(margin))
+    robust = task.table(stroke, frequency, margin, shape=shape)
+    nominal = task.table(stroke, frequency, np.zeros_like(margin), shape=shape)
+    held = task.held_power(stroke, frequency, np.broadcast_to(shape, stroke.shape))
     columns = {
         **robust.gait,
         "direction": np.full(stroke.shape, task.direction),
-        **_figures(robust),
+        **_figures(task, robust, held),
         "groove_phase": np.full_like(stroke, groove_phase(task.parameters)),
-        **{f"nominal_{name}": values for name, values in _figures(nominal).items()},
+        **{f"nominal_{name}": values for name, values in _figures(task, nominal, held).items()},
     }
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
     return tuple(Prediction(**dict(zip(columns, row, strict=True))) for row in rows)
@@ -76,15 +83,16 @@ def predict(
     margin: Array,
     samples: int,
     seed: int,
+    shape: Shapes = SINUSOID,
 ) -> tuple[Prediction, ...]:
     """Predict gaits with all that `Prediction` holds; see `outline`.
 
     ``content`` has the uncertainty, of which ``samples`` are drawn with ``seed``.
     """
-    promised = branch_of(task.table(stroke, frequency, margin=margin))
-    lower, upper = stroke_to_edges(task, stroke, frequency)
+    promised = branch_of(task.table(stroke, frequency, margin, shape=shape))
+    lower, upper = stroke_to_edges(task, stroke, frequency, shape)
     known, unknown = (
-        success_probability(task, stroke, frequency, promised, draw(content, samples, seed))
+        success_probability(task, stroke, frequency, promised, draw(content, samples, seed), shape)
         for draw in (phase_known, phase_unknown)
     )
     more = zip(*(column.tolist() for column in (lower, upper, known, unknown)), strict=True)
@@ -97,12 +105,17 @@ def predict(
             success_probability_any_phase=any_phase,
         )
         for gait, (to_lower, to_upper, phase_is_known, any_phase) in zip(
-            outline(task, stroke, frequency, margin), more, strict=True
+            outline(task, stroke, frequency, margin, shape), more, strict=True
         )
     )
 
 
-def _figures(table: GaitTable) -> dict[str, Array]:
-    """Speed, power, cost of transport and grooves per cycle of a table of gaits."""
-    names = ("speed", "power", "cost_of_transport", "grooves_per_cycle")
-    return {name: getattr(table, name) for name in names}
+def _figures(task: MarginTask, table: GaitTable, held: Array) -> dict[str, Array]:
+    """Return speed, power with the ``held`` one in W, cost of transport and grooves per cycle of a table of gaits."""
+    power = table.power + held
+    return {
+        "speed": table.speed,
+        "power": power,
+        "cost_of_transport": cost_of_transport(table.speed, power, task.parameters.mass),
+        "grooves_per_cycle": table.grooves_per_cycle,
+    }

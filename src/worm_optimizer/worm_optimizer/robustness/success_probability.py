@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from worm_optimizer.robustness.uncertainty import Scenarios
 from worm_optimizer.search.actuator_limits import NO_LIMITS
+from worm_optimizer.search.command_shape import SINUSOID, Shapes
 from worm_optimizer.search.runs import find_runs
 from worm_optimizer.search.task import EDGE_TOLERANCE, Array, Index, MarginTask
 
@@ -18,19 +19,25 @@ _EDGE_STROKES = 41  # strokes of the scan for a gait's edges
 
 
 def grooves_in(
-    task: MarginTask, stroke: ArrayLike, frequency: ArrayLike, scenarios: Scenarios
+    task: MarginTask,
+    stroke: ArrayLike,
+    frequency: ArrayLike,
+    scenarios: Scenarios,
+    shape: Shapes = SINUSOID,
 ) -> Index:
     """Least grooves gained in an averaged cycle by each gait in each scenario, with the task's margin.
 
     ``stroke`` in m and ``frequency`` in Hz of shape (n,); the result has shape (n, scenarios).
     """
     strokes, frequencies = np.asarray(stroke, dtype=float), np.asarray(frequency, dtype=float)
+    shapes = np.broadcast_to(shape, strokes.shape)
     rows = max(1, _BATCH // len(scenarios))
     parts = [np.empty((0, len(scenarios)), dtype=np.int64)]
     for start in range(0, strokes.size, rows):
         part = slice(start, start + rows)
         gaits = strokes[part, np.newaxis], frequencies[part, np.newaxis]
-        parts.append(task.grooves(*gaits, overrides=scenarios.overrides))
+        own = shapes[part, np.newaxis]
+        parts.append(task.grooves(*gaits, overrides=scenarios.overrides, shape=own))
     return np.concatenate(parts)
 
 
@@ -40,30 +47,34 @@ def success_probability(
     frequency: ArrayLike,
     promised: ArrayLike,
     scenarios: Scenarios,
+    shape: Shapes = SINUSOID,
 ) -> Array:
     """Share of the scenarios in which the robot gains the promised grooves in every averaged cycle.
 
     The robot has no margin: thresholds are nominal, whatever the task's margin. ``promised`` grooves per
     cycle and the result have the shape (n,) of ``stroke`` in m and ``frequency`` in Hz.
     """
-    gained = grooves_in(task.with_margin(0.0), stroke, frequency, scenarios)
+    gained = grooves_in(task.with_margin(0.0), stroke, frequency, scenarios, shape)
     return np.mean(gained >= np.asarray(promised)[:, np.newaxis], axis=1)
 
 
-def stroke_to_edges(task: MarginTask, stroke: Array, frequency: Array) -> tuple[Array, Array]:
+def stroke_to_edges(
+    task: MarginTask, stroke: Array, frequency: Array, shape: Shapes = SINUSOID
+) -> tuple[Array, Array]:
     """Distances in m by which each stroke may shrink and grow before the robot's grooves per cycle change.
 
     The robot is nominal: no margin, no limits. Where the branch reaches a bound of the box, the distance to the
     bound. ``stroke`` in m and ``frequency`` in Hz of shape (n,).
     """
     nominal = dataclasses.replace(task, margin=0.0, limits=NO_LIMITS)
-    box = task.bounds
+    box, shapes = task.bounds, np.broadcast_to(shape, stroke.shape)
+    most = np.maximum(box.stroke_high - shapes["pretension"], stroke)
 
     def label(strokes: Array, column: Index) -> Index:
-        return nominal.points(strokes, frequency[column]).count
+        return nominal.points(strokes, frequency[column], shapes[column]).count
 
-    scan = np.linspace(box.stroke_low, box.stroke_high, _EDGE_STROKES)
-    strokes = np.column_stack([np.tile(scan, (stroke.size, 1)), stroke])
+    scan = np.linspace(np.full(stroke.shape, box.stroke_low), most, _EDGE_STROKES, axis=1)
+    strokes = np.column_stack([scan, stroke])
     runs = find_runs(label, np.sort(strokes, axis=1), EDGE_TOLERANCE)
     own = (runs.low <= stroke[runs.column]) & (stroke[runs.column] <= runs.high)
     # A stroke is a stroke of its own scan, so that one run of its column holds it: the first of those found.
@@ -71,5 +82,5 @@ def stroke_to_edges(task: MarginTask, stroke: Array, frequency: Array) -> tuple[
     lower = np.where(runs.stepped[place], runs.low[place], box.stroke_low)
     following = np.minimum(place + 1, len(runs.column) - 1)
     is_last = (following == place) | ~runs.stepped[following]
-    upper = np.where(is_last, box.stroke_high, runs.high[place])
+    upper = np.where(is_last, most, runs.high[place])
     return stroke - lower, upper - stroke

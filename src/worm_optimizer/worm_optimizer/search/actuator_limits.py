@@ -12,19 +12,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from worm_model.parameters import Parameters
 from worm_model.simulation.batch import sample_cycle
+from worm_optimizer.search.command_shape import (
+    SINUSOID,
+    Shapes,
+    fields_of,
+    peak_rate,
+    pull_rate,
+)
 from worm_optimizer.search.optimizer_errors import OptimizerError
 
 Array = NDArray[np.float64]
 
 _CYCLE = 2  # counted from 0: the third is periodic, up to the groove it is in
-_SAMPLES = 400  # moments of that cycle at which force and power are looked at; in the first half the cable is pulled
+_SAMPLES = 400  # moments of that cycle at which force and power are sampled
 
 
 @dataclass(frozen=True)
 class ActuatorLimits:
     """Greatest values that a gait may ask of the hardware; infinite means no limit.
 
-    ``cable_speed`` in m/s bounds the commanded cable speed, π·f·S at its fastest; ``cable_force`` in N
+    ``cable_speed`` in m/s bounds the largest commanded cable speed, π·f·S of the sinusoid; ``cable_force`` in N
     bounds F_c (eq:Fc) and ``electrical_power`` in W the source power P (eq:power_model), such as the
     range of its sensor, both as the nominal model predicts them over a cycle. ``stall_force`` in N and
     ``no_load_speed`` in m/s are the ends of the motors' line of speed over torque: while the cable is
@@ -89,11 +96,15 @@ NO_LIMITS = ActuatorLimits()
 
 @dataclass(frozen=True)
 class Peaks:
-    """Greatest cable force in N, electrical power in W and share (1) of the motors' line in a cycle, each (n,)."""
+    """Largest cable force in N, electrical power in W and share (1) of the motors' line in a cycle, each (n,).
+
+    ``mean_force`` is the mean pull of the cable in N.
+    """
 
     force: Array
     power: Array
     motor_load: Array
+    mean_force: Array
 
 
 def peaks(
@@ -102,18 +113,21 @@ def peaks(
     direction: int,
     parameters: Parameters,
     limits: ActuatorLimits = NO_LIMITS,
+    shape: Shapes = SINUSOID,
 ) -> Peaks:
-    """Peaks over a periodic cycle of gaits, ``stroke`` in m and ``frequency`` in Hz of shape (n,).
+    """Return the peaks over a periodic cycle of gaits, ``stroke`` in m and ``frequency`` in Hz of shape (n,).
 
     ``limits`` hold the ends of the motors' line. NaN where the simulator gave up on a gait.
     """
     phases = np.arange(_SAMPLES) / _SAMPLES
-    force, power = sample_cycle(stroke, frequency, direction, parameters, _CYCLE, phases)
-    pull = slice(1, _SAMPLES // 2)
-    fastest = np.pi * np.multiply(frequency, stroke)
-    pulled = np.multiply.outer(fastest, np.sin(2.0 * np.pi * phases[pull]))
-    load = np.maximum(force[:, pull], 0.0) / limits.stall_force + pulled / limits.no_load_speed
-    return Peaks(force.max(axis=1), power.max(axis=1), load.max(axis=1))
+    shapes = np.broadcast_to(shape, np.shape(stroke))
+    force, power = sample_cycle(
+        stroke, frequency, direction, parameters, _CYCLE, phases, **fields_of(shapes)
+    )
+    pulled = pull_rate(shapes, phases) * np.multiply(frequency, stroke)[:, np.newaxis]
+    pull = np.maximum(force, 0.0)
+    load = np.where(pulled > 0.0, pull / limits.stall_force + pulled / limits.no_load_speed, 0.0)
+    return Peaks(force.max(axis=1), power.max(axis=1), load.max(axis=1), pull.mean(axis=1))
 
 
 def describe_limit(
@@ -122,13 +136,15 @@ def describe_limit(
     frequency: Array,
     direction: int,
     parameters: Parameters,
+    shape: Shapes = SINUSOID,
 ) -> str:
     """Name the limit that excludes all of some gaits, with what they would need at least.
 
     ``stroke`` in m and ``frequency`` in Hz of shape (n,), at least one gait, of which none satisfies all limits.
     """
-    peak = peaks(stroke, frequency, direction, parameters, limits)
-    figures = np.pi * stroke * frequency, peak.force, peak.power, peak.motor_load
+    peak = peaks(stroke, frequency, direction, parameters, limits, shape)
+    speed = peak_rate(shape) * stroke * frequency
+    figures = speed, peak.force, peak.power, peak.motor_load
     least = {name: float(np.nanmin(each)) for name, each in limits.ratios(*figures).items()}
     name, ratio = max(least.items(), key=lambda item: item[1])
     if ratio > 1.0:

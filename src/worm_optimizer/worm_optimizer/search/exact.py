@@ -23,6 +23,7 @@ from worm_optimizer.search.task import (
     Bounds,
     Edges,
     Index,
+    MarginTask,
     Mask,
     Points,
     Task,
@@ -30,12 +31,14 @@ from worm_optimizer.search.task import (
 
 # A figure of gaits to be minimised, infinite for a gait that does not qualify; shape (n,).
 Cost = Callable[[Points], Array]
-# Edges of a task at frequencies (n,) in Hz within strokes (n, scan) in m, for the candidates (n,) that they belong to.
-FindEdges = Callable[[Index, Array, Array], Edges]
+# Edges of a task with counts (n,) at frequencies (n,) in Hz within strokes (n, scan) in m, for the candidates (n,) that
+# they belong to. Edges with other counts may be among them.
+FindEdges = Callable[[Index, Index, Array, Array], Edges]
 
 _NEAR_BEST = (
     0.02  # of the lowest cost: local minima within it may turn out lowest between the columns
 )
+_FASTER = 1e-12  # relative, by which a gait of another branch is faster than the one that it is compared with
 _WINDOW_SCAN = 5  # strokes of a scan in the window around an edge that is followed
 _LEAST_WINDOW = 1e-6  # m
 _LONGER = 4  # longer strokes at which the rise of the power is verified
@@ -119,8 +122,8 @@ def _completed(task: Task, surveyed: Survey, step: float) -> Survey:
         columns = surveyed.columns[[place for _, place, _, _ in seeds]]
         windows = np.array([_window(np.array(near), step / 16.0) for *_, near in seeds])
         scan = np.linspace(windows[:, 0], windows[:, 1], 2 * _WINDOW_SCAN, axis=1)
-        edges = task.edges(columns, scan)
         counts = np.array([count for count, *_ in seeds])
+        edges = task.edges(columns, scan, counts)
         found = edges.points.take(edges.points.count == counts[edges.column])
         surveyed = surveyed.joined(found)
 
@@ -143,8 +146,8 @@ def _seeds(surveyed: Survey, step: float) -> list[tuple[int, int, int, tuple[flo
 
 
 def finder(task: Task) -> FindEdges:
-    """The edges of a task, whatever the candidate."""
-    return lambda _, frequency, strokes: task.edges(frequency, strokes)
+    """Return the edges of a task, whatever the candidate."""
+    return lambda _, count, frequency, strokes: task.edges(frequency, strokes, count)
 
 
 def speed_cost(points: Points) -> Array:
@@ -261,8 +264,8 @@ def _costs(
     """
     owner = np.repeat(np.arange(len(brackets)), at.shape[1])
     scan = np.linspace(window[owner, 0], window[owner, 1], _WINDOW_SCAN, axis=1)
-    edges = find(owner, at.ravel(), scan)
-    counts = np.array([bracket.count for bracket in brackets])
+    counts = np.array([bracket.count for bracket in brackets], dtype=np.int64)
+    edges = find(owner, counts[owner], at.ravel(), scan)
     mine = edges.points.count == counts[owner[edges.column]]
     column, points = edges.column[mine], edges.points.take(mine)
     costs = np.full(len(points), np.inf)
@@ -318,11 +321,14 @@ class ExactFront:
     def verification(self) -> dict[str, float | int | bool]:
         """Statement of what was verified, in SI units."""
         box, scan = self.task.bounds, self.resolution
+        strokes: dict[str, float | int] = {}
+        if isinstance(self.task, MarginTask):
+            step = (box.stroke_high - box.stroke_low) / (scan.strokes - 1)
+            strokes = {"strokes": scan.strokes, "stroke_step": step}
         return {
-            "strokes": scan.strokes,
             "frequencies": scan.frequencies,
-            "stroke_step": (box.stroke_high - box.stroke_low) / (scan.strokes - 1),
             "frequency_step": (box.frequency_high - box.frequency_low) / (scan.frequencies - 1),
+            **strokes,
             "edge_tolerance": EDGE_TOLERANCE,
             "edge_allowance": EDGE_ALLOWANCE,
             "counts_verified": len(self.front),
@@ -335,15 +341,49 @@ def exact_front(task: Task, resolution: Resolution, zoom: Zoom) -> ExactFront:
     surveyed = survey(task, resolution, zoom)
     best = lowest(task, surveyed, (power_cost, transport_cost), zoom)
     front = front_of(Points.join(surveyed.points, best))
+    box = task.bounds
+    reach = 0.25 * (box.stroke_high - box.stroke_low) / (resolution.strokes - 1)
+    front = front_of(Points.join(front, _rivals(task, surveyed, front, reach)))
     cheaper = _cheaper(task, front)
     front = front_of(Points.join(front, cheaper)) if len(cheaper) else front
     return ExactFront(task, resolution, zoom, surveyed, front, not len(cheaper))
 
 
+def _rivals(task: Task, surveyed: Survey, front: Points, reach: float) -> Points:
+    """Edges of other branches at the speeds of a front's gaits, between the columns, where they may be cheaper.
+
+    They are searched at least ``reach`` m around the edges in the neighbouring columns.
+    """
+    if surveyed.columns.size < 2:
+        return front.take(np.empty(0, dtype=np.int64))
+    columns, rows = surveyed.columns, []
+    counts, frequencies, windows = [], [], []
+    for count in np.unique(surveyed.points.count):
+        power, strokes = _by_column(surveyed, surveyed.points.power, int(count))
+        at = front.count * front.frequency / count * (1.0 + _FASTER)
+        place = np.clip(np.searchsorted(columns, at), 1, columns.size - 1)
+        near = (front.count != count) & (at >= columns[0]) & (at <= columns[-1])
+        cheapest = np.minimum(power[place - 1], power[place])  # infinite where there is no edge
+        for row in np.flatnonzero(near & (cheapest < front.power * (1.0 + _NEAR_BEST))):
+            rows.append(row)
+            counts.append(int(count))
+            frequencies.append(at[row])
+            windows.append(_window(strokes[place[row] - 1 : place[row] + 1], reach))
+    if not rows:
+        return front.take(np.empty(0, dtype=np.int64))
+    low, high = np.array(windows).T
+    scan = np.linspace(low, high, _WINDOW_SCAN, axis=1)
+    edges = task.edges(np.array(frequencies), scan, np.array(counts))
+    own = front.power[np.array(rows)[edges.column]]
+    return edges.points.take(edges.points.power < own)
+
+
 def _cheaper(task: Task, front: Points) -> Points:
     """Longer strokes on the branches of a front's gaits that need less power than these."""
     shares = np.arange(1, _LONGER + 1)[:, np.newaxis] / _LONGER
-    strokes = front.stroke + shares**2 * (task.bounds.stroke_high - front.stroke)
-    tried = task.points(strokes.ravel(), np.tile(front.frequency, _LONGER))
+    spare = task.bounds.stroke_high - front.shape["pretension"] - front.stroke
+    strokes = front.stroke + shares**2 * np.maximum(spare, 0.0)
+    shapes = np.tile(front.shape, _LONGER)
+    tried = task.points(strokes.ravel(), np.tile(front.frequency, _LONGER), shapes)
     same = tried.admissible & (tried.count == np.tile(front.count, _LONGER))
     return tried.take(same & (tried.power < np.tile(front.power, _LONGER)))

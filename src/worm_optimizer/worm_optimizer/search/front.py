@@ -9,22 +9,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile, Parameters
-from worm_model.simulation.simulator import cost_of_transport
+from worm_model.simulation.simulator import LoadError, cost_of_transport, evaluate_gait
 from worm_optimizer.robustness.chance import PromiseTask, margins_stood
 from worm_optimizer.robustness.prediction import Prediction, outline, predict
 from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phase_known
 from worm_optimizer.search.actuator_limits import NO_LIMITS, describe_limit
 from worm_optimizer.search.exact import ExactFront, Resolution, Zoom, exact_front
 from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.pipe_conditions import content_under, margin_of_force
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness
-from worm_optimizer.search.search_settings import Robustness, Settings
+from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
+from worm_optimizer.search.shaped import ShapedTask
 from worm_optimizer.search.task import Array, Index, MarginTask, Points, Task
 
 # Draws over which a promise is optimised; its gaits are then judged on others.
 _CHANCE_SCENARIOS = 200
 _PROMISE_COLUMNS = 41  # frequencies of a survey whose gaits are each judged in every scenario
 _PROMISE_ZOOM = Zoom(points=9, rounds=6)
+_SHAPED_COLUMNS = 81  # frequencies of a survey whose edges are corners
+_SHAPED_ZOOM = Zoom(points=9, rounds=6)
 
 
 @dataclass(frozen=True)
@@ -64,17 +69,41 @@ class RobustFront:
 
 
 def task_of(content: ParameterFile, settings: Settings, direction: int) -> MarginTask:
-    """The optimisation task of these settings, without a margin."""
-    return MarginTask(content.parameters, direction, bounds=settings.bounds, limits=settings.limits)
+    """Return the optimisation task of these settings, without a margin; the conditions are those of ``content``."""
+    return MarginTask(
+        content.parameters,
+        direction,
+        bounds=settings.bounds,
+        limits=settings.limits,
+        holding_power=settings.holding_power,
+    )
+
+
+def waveform_task(task: MarginTask, settings: Settings) -> MarginTask | ShapedTask:
+    """Return the task over the gaits of the chosen waveform."""
+    if settings.waveform is Waveform.SHAPED:
+        return ShapedTask(task, settings.shapes)
+    return task
 
 
 def scanned_price(content: ParameterFile, settings: Settings, direction: int) -> PriceOfRobustness:
-    """The margin scan of these settings."""
-    return price_of_robustness(task_of(content, settings, direction), settings.scan.margins())
+    """Return the margin scan of these settings."""
+    return _price(
+        task_of(content_under(settings.conditions, content), settings, direction), settings
+    )
+
+
+def _price(task: MarginTask, settings: Settings) -> PriceOfRobustness:
+    margins = settings.scan.margins()
+    if settings.waveform is Waveform.SHAPED:
+        over = ShapedTask.over_margins(task, settings.shapes, margins)
+        return price_of_robustness(over, margins)
+    return price_of_robustness(task, margins)
 
 
 def make_front(content: ParameterFile, settings: Settings, direction: int) -> RobustFront:
     """Compute the front of these settings. Raises `OptimizerError` if no gait moves within the limits."""
+    content = content_under(settings.conditions, content)
     nominal = task_of(content, settings, direction)
     task, margin, reason = _robust_task(nominal, content, settings)
     exact = front_of_task(task, settings.resolution)
@@ -90,7 +119,9 @@ def make_front(content: ParameterFile, settings: Settings, direction: int) -> Ro
         margin=margin,
         reason=reason,
         exact=exact,
-        gaits=outline(nominal, exact.front.stroke, exact.front.frequency, margins),
+        gaits=outline(
+            nominal, exact.front.stroke, exact.front.frequency, margins, exact.front.shape
+        ),
         **dict(zip(("min_power", "cruise", "max_speed"), three, strict=True)),
         nominal=nominal,
         content=content,
@@ -99,11 +130,15 @@ def make_front(content: ParameterFile, settings: Settings, direction: int) -> Ro
 
 
 def front_of_task(task: Task, resolution: Resolution) -> ExactFront:
-    """Compute the exact front of a task; one whose gaits are judged in many scenarios has fewer columns."""
+    """Compute the exact front of a task; one whose edges cost much has fewer columns."""
     if isinstance(task, PromiseTask):
         frequencies = min(resolution.frequencies, _PROMISE_COLUMNS)
         fewer = dataclasses.replace(resolution, frequencies=frequencies)
         return exact_front(task, fewer, _PROMISE_ZOOM)
+    if isinstance(task, ShapedTask):
+        frequencies = min(resolution.frequencies, _SHAPED_COLUMNS)
+        fewer = dataclasses.replace(resolution, frequencies=frequencies)
+        return exact_front(task, fewer, _SHAPED_ZOOM)
     return exact_front(task, resolution, Zoom())
 
 
@@ -114,7 +149,7 @@ def replaced(front: RobustFront, gaits: Points) -> RobustFront:
     min_power, cruise, max_speed = front.predicted(chosen)
     return dataclasses.replace(
         front,
-        gaits=outline(front.nominal, gaits.stroke, gaits.frequency, margins),
+        gaits=outline(front.nominal, gaits.stroke, gaits.frequency, margins, gaits.shape),
         min_power=min_power,
         cruise=cruise,
         max_speed=max_speed,
@@ -132,7 +167,7 @@ def _predicted(
     nominal: MarginTask, content: ParameterFile, settings: Settings, points: Points, margins: Array
 ) -> tuple[Prediction, ...]:
     gaits = points.stroke, points.frequency, margins
-    return predict(nominal, content, *gaits, settings.samples, settings.seed)
+    return predict(nominal, content, *gaits, settings.samples, settings.seed, points.shape)
 
 
 def three_rows(front: Points, parameters: Parameters) -> Index:
@@ -143,7 +178,7 @@ def three_rows(front: Points, parameters: Parameters) -> Index:
 
 def _robust_task(
     nominal: MarginTask, content: ParameterFile, settings: Settings
-) -> tuple[Task, float, str]:
+) -> tuple[MarginTask | ShapedTask | PromiseTask, float, str]:
     """The task to search, its margin in m and the reason for it in words."""
     match settings.robustness:
         case Robustness.CHANCE:
@@ -153,13 +188,26 @@ def _robust_task(
             return promise, 0.0, f"its grooves are kept with probability {settings.probability:g}"
         case Robustness.ANY_PHASE:
             return any_phase_task(nominal), 0.0, "its grooves are kept at every groove phase"
-    if settings.margin is not None:
-        return nominal.with_margin(settings.margin), settings.margin, "given"
-    price = price_of_robustness(nominal, settings.scan.margins())
+    given = given_margin(nominal.parameters, settings)
+    if given is not None:
+        margin, reason = given
+        return waveform_task(nominal.with_margin(margin), settings), margin, reason
+    price = _price(nominal, settings)
     if not price.moves:
-        least = nominal.with_margin(settings.scan.lowest)
+        least = waveform_task(nominal.with_margin(settings.scan.lowest), settings)
         raise OptimizerError(_why_nothing_moves(least, settings.resolution))
-    return nominal.with_margin(price.margin), price.margin, reason_for(price)
+    task = waveform_task(nominal.with_margin(price.margin), settings)
+    return task, price.margin, reason_for(price)
+
+
+def given_margin(parameters: Parameters, settings: Settings) -> tuple[float, str] | None:
+    """Return the margin in m that settings state, and the reason for it; None if they state none."""
+    if settings.margin is not None:
+        return settings.margin, "given"
+    if settings.margin_force is None:
+        return None
+    margin = margin_of_force(parameters, settings.margin_force)
+    return margin, f"it allows for a load of {settings.margin_force:g} N"
 
 
 def any_phase_task(nominal: MarginTask) -> PromiseTask:
@@ -168,20 +216,29 @@ def any_phase_task(nominal: MarginTask) -> PromiseTask:
     return PromiseTask(guarded, every_phase(nominal.parameters), 1.0)
 
 
-def _why_nothing_moves(task: Task, resolution: Resolution) -> str:
+def _why_nothing_moves(task: MarginTask | ShapedTask | PromiseTask, resolution: Resolution) -> str:
     """The reason why the front of a task is empty: the limit that excludes all gaits, or that none moves."""
-    robot = task.task if isinstance(task, PromiseTask) else task
-    assert isinstance(robot, MarginTask)
+    robot = task if isinstance(task, MarginTask) else task.task
     free = dataclasses.replace(robot, limits=NO_LIMITS)
-    unlimited = dataclasses.replace(task, task=free) if isinstance(task, PromiseTask) else free
+    unlimited = free if isinstance(task, MarginTask) else dataclasses.replace(task, task=free)
     moving = front_of_task(unlimited, resolution).surveyed.points
     if not len(moving):
+        longest = Gait(robot.bounds.stroke_high, robot.bounds.frequency_low, robot.direction)
+        try:
+            evaluate_gait(longest, robot.parameters)
+        except LoadError as error:
+            return str(error)
         return (
             "no gait within the bounds gains a groove in every cycle: "
             "lower the margin or the probability, or allow longer strokes"
         )
     return describe_limit(
-        robot.limits, moving.stroke, moving.frequency, robot.direction, robot.parameters
+        robot.limits,
+        moving.stroke,
+        moving.frequency,
+        robot.direction,
+        robot.parameters,
+        moving.shape,
     )
 
 
@@ -215,8 +272,9 @@ def nominal_gaits(
     content: ParameterFile, settings: Settings, direction: int
 ) -> dict[str, Prediction]:
     """The three gaits of the exact front without any margin, by name; none if no gait moves."""
+    content = content_under(settings.conditions, content)
     task = task_of(content, settings, direction)
-    front = front_of_task(task, settings.resolution).front
+    front = front_of_task(waveform_task(task, settings), settings.resolution).front
     if not len(front):
         return {}
     chosen = front.take(three_rows(front, content.parameters))

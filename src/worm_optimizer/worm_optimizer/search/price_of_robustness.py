@@ -10,9 +10,11 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from worm_model.parameters import Parameters
 from worm_model.simulation import closed_form
 from worm_model.simulation.simulator import AVERAGED, cost_of_transport
 from worm_optimizer.search.exact import (
@@ -25,7 +27,7 @@ from worm_optimizer.search.exact import (
     transport_cost,
 )
 from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.task import Array, Edges, Index, MarginTask, Points
+from worm_optimizer.search.task import Array, Bounds, Edges, Index, Points
 
 CLIFF_RISE = 1.25
 CLIFF_TOLERANCE = 1e-6  # m
@@ -100,23 +102,48 @@ class PriceOfRobustness:
         return max(point.margin for point in self.points if point.branch)
 
 
-def price_of_robustness(task: MarginTask, margins: Array) -> PriceOfRobustness:
+class ScannedTask(Protocol):
+    """Task whose edges at any margin are available."""
+
+    @property
+    def bounds(self) -> Bounds:
+        """The box of gaits."""
+
+    @property
+    def parameters(self) -> Parameters:
+        """The robot."""
+
+    @property
+    def direction(self) -> int:
+        """Direction of the gaits."""
+
+    def edges(
+        self,
+        frequency: Array,
+        strokes: Array,
+        count: Index | None = None,
+        margin: Array | None = None,
+    ) -> Edges:
+        """Find the edges, see `task.Task`, at ``margin`` in m of shape (m,)."""
+
+
+def price_of_robustness(task: ScannedTask, margins: Array) -> PriceOfRobustness:
     """Scan the rising ``margins`` in m of shape (n,) and locate the cliff."""
     points = scan(task, margins)
     return PriceOfRobustness(
         points=points,
         cliff=find_cliff(task, points),
-        closed_form_cliff_margin=closed_form.cliff_margin(task.parameters),
+        closed_form_cliff_margin=closed_form.cliff_margin(task.parameters, task.direction),
         groove_phase=closed_form.groove_phase(task.parameters),
     )
 
 
-def scan(task: MarginTask, margins: Array) -> tuple[MarginPoint, ...]:
+def scan(task: ScannedTask, margins: Array) -> tuple[MarginPoint, ...]:
     """Find the lowest cost of transport at each of ``margins`` in m of shape (n,)."""
     columns, box = _RESOLUTION.columns(task.bounds), task.bounds
     at = np.repeat(margins, columns.size)
     strokes = np.linspace(box.stroke_low, box.stroke_high, _RESOLUTION.strokes)
-    edges = task.edges(np.tile(columns, margins.size), np.tile(strokes, (at.size, 1)), at)
+    edges = task.edges(np.tile(columns, margins.size), np.tile(strokes, (at.size, 1)), margin=at)
     of_margin = edges.column // columns.size
     found = [edges.points.take(of_margin == place) for place in range(margins.size)]
     brackets = [
@@ -129,18 +156,18 @@ def scan(task: MarginTask, margins: Array) -> tuple[MarginPoint, ...]:
     return tuple(_margin_point(task, *pair) for pair in zip(margins.tolist(), optima, strict=True))
 
 
-def _followed(task: MarginTask, brackets: Sequence[Bracket], margins: Array) -> list[Points]:
+def _followed(task: ScannedTask, brackets: Sequence[Bracket], margins: Array) -> list[Points]:
     """Optima between the columns, by margin."""
     owner = np.array([bracket.owner for bracket in brackets], dtype=np.int64)
 
-    def find(bracket: Index, frequency: Array, strokes: Array) -> Edges:
-        return task.edges(frequency, strokes, margins[owner[bracket]])
+    def find(bracket: Index, count: Index, frequency: Array, strokes: Array) -> Edges:
+        return task.edges(frequency, strokes, count, margins[owner[bracket]])
 
     best, known = followed(find, brackets, _ZOOM)
     return [best.take(known & (owner == place)) for place in range(margins.size)]
 
 
-def _margin_point(task: MarginTask, margin: float, points: Points) -> MarginPoint:
+def _margin_point(task: ScannedTask, margin: float, points: Points) -> MarginPoint:
     if not len(points):
         return MarginPoint(margin, math.nan, math.nan, math.nan, 0.0, ())
     cost = cost_of_transport(points.speed, points.power, task.parameters.mass)
@@ -155,7 +182,7 @@ def _margin_point(task: MarginTask, margin: float, points: Points) -> MarginPoin
     )
 
 
-def find_cliff(task: MarginTask, points: Sequence[MarginPoint]) -> Cliff | None:
+def find_cliff(task: ScannedTask, points: Sequence[MarginPoint]) -> Cliff | None:
     """Locate the cliff of a scan by `CLIFF_RULE`; None if there is none. ``points`` by rising margin."""
     for before, after in itertools.pairwise(points):
         if _is_lost(before, after):
@@ -172,7 +199,7 @@ def _is_lost(before: MarginPoint, after: MarginPoint) -> bool:
     return not after.branch or after.cost_of_transport >= CLIFF_RISE * before.cost_of_transport
 
 
-def _bisected(task: MarginTask, before: MarginPoint, after: MarginPoint) -> float:
+def _bisected(task: ScannedTask, before: MarginPoint, after: MarginPoint) -> float:
     low, high = before.margin, after.margin
     while high - low > CLIFF_TOLERANCE:
         middle = 0.5 * (low + high)

@@ -11,8 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.gait import MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE
+from worm_model.conditions import CONDITION_ROWS, Conditions
+from worm_model.gait import (
+    CONTRACTION_SHARE_RANGE,
+    MAX_FREQUENCY,
+    MAX_MARGIN,
+    MAX_PRETENSION,
+    MAX_STROKE,
+    RAMP_SHARE_RANGE,
+)
 from worm_optimizer.search.actuator_limits import ActuatorLimits
+from worm_optimizer.search.corners import ShapeBounds
 from worm_optimizer.search.exact import Resolution
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.servo_limits import servo_models, within
@@ -55,6 +64,22 @@ class Robustness(str, enum.Enum):
     ANY_PHASE = "any_phase"  # the promised grooves are kept at every groove phase
 
 
+class Waveform(str, enum.Enum):
+    """Gaits that are searched."""
+
+    SINUSOID = "sinusoid"  # the paper's
+    SHAPED = "shaped"  # any pretension, contraction share, profile and ramp share within bounds
+
+
+def waveform_of(name: str) -> Waveform:
+    """Return the waveform of a name. Raises `OptimizerError` naming the known ones."""
+    try:
+        return Waveform(name)
+    except ValueError:
+        known = ", ".join(each.value for each in Waveform)
+        raise OptimizerError(f"waveform: {name!r} is none of {known}") from None
+
+
 def robustness_of(name: str) -> Robustness:
     """The kind of robustness of that name; raises `OptimizerError` naming those that there are."""
     try:
@@ -66,10 +91,11 @@ def robustness_of(name: str) -> Robustness:
 
 @dataclass(frozen=True)
 class Settings:
-    """What an optimisation is done with.
+    """Settings of an optimisation.
 
-    ``margin`` in m, None: chosen at the cliff of the scan; ``probability`` is that of
-    `Robustness.CHANCE`; ``samples`` are the Monte Carlo draws of a success probability, ``seed`` that of all draws.
+    ``margin`` in m, or ``margin_force``, the load in N that it allows for; both None: chosen at the cliff of the scan.
+    ``probability`` is that of `Robustness.CHANCE`. ``samples`` are the Monte Carlo draws of a success probability,
+    ``seed`` is that of all draws. ``shapes`` bound shaped gaits. ``holding_power`` in W/N, see `task.MarginTask`.
     """
 
     bounds: Bounds = field(default_factory=Bounds)
@@ -81,8 +107,27 @@ class Settings:
     probability: float = 0.95
     samples: int = 500
     seed: int = 1
+    conditions: Conditions = field(default_factory=Conditions)
+    waveform: Waveform = Waveform.SINUSOID
+    shapes: ShapeBounds = field(default_factory=ShapeBounds)
+    holding_power: float = 0.0
+    margin_force: float | None = None
 
     def __post_init__(self) -> None:
+        if self.margin_force is not None and not 0.0 <= self.margin_force < math.inf:
+            raise OptimizerError(
+                f"margin_force: {self.margin_force} N: give a finite number that is not negative"
+            )
+        if self.margin is not None and self.margin_force is not None:
+            raise OptimizerError("margin: it is given in m and as a force in N; give one of them")
+        if not 0.0 <= self.holding_power < math.inf:
+            raise OptimizerError(
+                f"holding_power: {self.holding_power} W/N: give a finite number that is not negative"
+            )
+        if self.waveform is Waveform.SHAPED and self.robustness is not Robustness.MARGIN:
+            raise OptimizerError(
+                f"robustness: {self.robustness.value} is known for the sinusoid alone. Use margin, or waveform sinusoid"
+            )
         if self.margin is not None and not 0.0 <= self.margin <= MAX_MARGIN:
             raise OptimizerError(
                 f"margin: {self.margin} m is not between 0 and {MAX_MARGIN:g} m; "
@@ -111,8 +156,19 @@ class SettingRow:
     choices: tuple[str, ...] = ()
 
 
-_BOX, _SCAN, _PLAIN = Bounds(), ScanSettings(), Settings()
+_BOX, _SCAN, _PLAIN, _SHAPES = Bounds(), ScanSettings(), Settings(), ShapeBounds()
 _Row = SettingRow
+_CONDITIONS = tuple(
+    _Row(
+        name.lower(),
+        row["option"].removeprefix("--"),
+        0.0,
+        f"{row['meaning']}, {row['unit']}",
+        row["low"],
+        row["high"],
+    )
+    for name, row in CONDITION_ROWS.items()
+)
 
 # What decides about a margin scan, and so about a front, too.
 SCAN_SETTINGS: tuple[SettingRow, ...] = (
@@ -129,12 +185,28 @@ SCAN_SETTINGS: tuple[SettingRow, ...] = (
          f"{', '.join(servo_models())}; empty: not known"),
     _Row("limits.supply_voltage_v", "supply-voltage", 0.0, "with the driver's file, the supply voltage of the servos, "
          "V; 0: what their manual recommends", 0.0, 100.0),
+    *_CONDITIONS,
+    _Row("waveform", "waveform", Waveform.SINUSOID.value, "gaits that are searched: the paper's (sinusoid), or with "
+         "pretension, contraction share, profile and ramp share within bounds (shaped)",
+         choices=tuple(kind.value for kind in Waveform)),
+    _Row("pretension_low_m", "pretensions", _SHAPES.pretension[0], "least pretension of shaped gaits, m", 0.0,
+         MAX_PRETENSION),
+    _Row("pretension_high_m", "pretensions", _SHAPES.pretension[1], "greatest pretension, m; the greatest stroke "
+         "bounds pretension and stroke together", 0.0, MAX_PRETENSION),
+    _Row("contraction_share_low", "contraction-shares", _SHAPES.contraction_share[0], "least contraction share of "
+         "shaped gaits", *CONTRACTION_SHARE_RANGE),
+    _Row("contraction_share_high", "contraction-shares", _SHAPES.contraction_share[1], "greatest contraction share",
+         *CONTRACTION_SHARE_RANGE),
+    _Row("ramp_share_low", "ramp-shares", _SHAPES.ramp_share[0], "least ramp share of shaped gaits", *RAMP_SHARE_RANGE),
+    _Row("ramp_share_high", "ramp-shares", _SHAPES.ramp_share[1], "greatest ramp share", *RAMP_SHARE_RANGE),
+    _Row("holding_power_w_per_n", "holding-power", 0.0, "power for each newton of the mean cable force, W/N", 0.0, 1e3),
     _Row("scan_lowest_m", "lowest", _SCAN.lowest, "least margin of the scan, m", 0.0, MAX_MARGIN),
     _Row("scan_highest_m", "highest", _SCAN.highest, "greatest margin of the scan, m", 0.0, MAX_MARGIN),
     _Row("scan_step_m", "step", _SCAN.step, "step between the margins of the scan, m", 1e-6, MAX_MARGIN),
 )  # fmt: skip
 FRONT_SETTINGS: tuple[SettingRow, ...] = (
     _Row("margin_m", "margin", math.nan, "robustness margin, m; NaN or not given: at the cliff of the scan"),
+    _Row("margin_n", "margin-n", math.nan, "the same as the load that it allows for, N"),
     _Row("robustness", "robustness", Robustness.MARGIN.value, "what keeps gaits robust: an enlarged threshold "
          "(margin), a probability of keeping the promised grooves (chance), or keeping them at every groove phase "
          "(any_phase)", choices=tuple(kind.value for kind in Robustness)),
@@ -172,4 +244,18 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
         margin=None if math.isnan(value["margin_m"]) else value["margin_m"],
         samples=value["samples"],
         seed=value["seed"],
+        conditions=Conditions(**{name: value[name.lower()] for name in CONDITION_ROWS}),
+        waveform=waveform_of(value["waveform"]),
+        shapes=ShapeBounds(
+            *(
+                (value[f"{name}_low{unit}"], value[f"{name}_high{unit}"])
+                for name, unit in (
+                    ("pretension", "_m"),
+                    ("contraction_share", ""),
+                    ("ramp_share", ""),
+                )
+            )
+        ),
+        holding_power=value["holding_power_w_per_n"],
+        margin_force=None if math.isnan(value["margin_n"]) else value["margin_n"],
     )

@@ -28,6 +28,7 @@ from worm_model.parameters import PAPER, Parameters
 from worm_model.simulation.batch import GaitTable, evaluate_gaits
 from worm_model.simulation.simulator import AVERAGED
 from worm_optimizer.search.actuator_limits import ActuatorLimits, peaks
+from worm_optimizer.search.command_shape import SINUSOID, Shapes, fields_of, peak_rate
 from worm_optimizer.search.optimizer_errors import OptimizerError
 from worm_optimizer.search.runs import Array, Index, find_runs
 
@@ -72,7 +73,7 @@ class Points:
 
     ``speed`` counts along the gait's direction. ``count`` names the branch: the grooves gained in the averaged cycles
     together, 0 unless each of them gains one. ``violation`` is 0 for a gait that gains a groove in every averaged cycle
-    and satisfies the actuator limits, and grows with what is missing.
+    and satisfies the actuator limits, and grows with what is missing. ``shape`` is the paper's unless it is given.
     """
 
     stroke: Array  # m
@@ -81,6 +82,10 @@ class Points:
     power: Array  # W
     count: Index  # 1
     violation: Array  # 1
+    shape: Shapes = field(default_factory=lambda: SINUSOID)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", np.broadcast_to(self.shape, self.stroke.shape))
 
     @property
     def grooves(self) -> Array:
@@ -117,6 +122,12 @@ def branch_of(table: GaitTable) -> Index:
     return np.floor(np.maximum(advance, 0.0) + _TRANSIENT).astype(np.int64)
 
 
+def gained_of(table: GaitTable) -> Index:
+    """Return the grooves gained in the averaged cycles together, 0 unless each of them gains one."""
+    gained = np.where(branch_of(table) >= 1, AVERAGED * table.grooves_per_cycle, 0.0)
+    return np.rint(gained).astype(np.int64)
+
+
 @dataclass(frozen=True)
 class Edges:
     """The lower edges of the branches in some columns: ``points`` with the ``column`` of each, shape (n,)."""
@@ -132,20 +143,23 @@ class Task(Protocol):
     def bounds(self) -> Bounds:
         """The box of gaits."""
 
-    def points(self, stroke: ArrayLike, frequency: ArrayLike) -> Points:
-        """Evaluate gaits; ``stroke`` in m and ``frequency`` in Hz of shape (n,)."""
+    def points(self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID) -> Points:
+        """Evaluate gaits; ``stroke`` in m, ``frequency`` in Hz and ``shape`` of shape (n,)."""
 
-    def edges(self, frequency: Array, strokes: Array) -> Edges:
+    def edges(self, frequency: Array, strokes: Array, count: Index | None = None) -> Edges:
         """Find the shortest admissible stroke of each branch at each ``frequency`` in Hz of shape (m,).
 
         ``strokes`` in m of shape (m, scan), rising along each row, span those in which to look, as far as they are in
-        the box.
+        the box. If ``count`` (m,) is given, only the edges with that count are needed.
         """
 
 
 @dataclass(frozen=True)
 class MarginTask:
     """The problem of eq:moo_formulation with thresholds enlarged by ``margin`` m (eq:A1_switch_robust).
+
+    ``bounds.stroke_high`` bounds the largest contraction, pretension included. ``holding_power`` in W/N is added to the
+    power for each newton of the mean cable force, as servos draw current for a torque that they only hold.
 
     Raises `OptimizerError` if the margin, the direction, a stroke of the box or a limit is not admissible.
     """
@@ -155,6 +169,7 @@ class MarginTask:
     margin: float = 0.0
     bounds: Bounds = field(default_factory=Bounds)
     limits: ActuatorLimits = field(default_factory=ActuatorLimits)
+    holding_power: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.margin <= MAX_MARGIN:
@@ -185,8 +200,9 @@ class MarginTask:
         frequency: ArrayLike,
         margin: ArrayLike | None = None,
         overrides: Mapping[str, Array] | None = None,
+        shape: Shapes = SINUSOID,
     ) -> GaitTable:
-        """The simulator's table of gaits inputs broadcast together.
+        """Return the simulator's table of gaits; all arguments are broadcast together.
 
         ``margin`` in m replaces the task's; ``overrides`` holds arrays of parameter values by key.
         """
@@ -197,6 +213,7 @@ class MarginTask:
             direction=self.direction,
             parameters=self.parameters,
             overrides=dict(overrides or {}),
+            **fields_of(shape),
         )
 
     def grooves(
@@ -205,29 +222,44 @@ class MarginTask:
         frequency: ArrayLike,
         margin: ArrayLike | None = None,
         overrides: Mapping[str, Array] | None = None,
+        shape: Shapes = SINUSOID,
     ) -> Index:
-        """Least grooves gained in an averaged cycle along the direction, at least 0; see `table`."""
-        return branch_of(self.table(stroke, frequency, margin, overrides))
+        """Return the least grooves gained in an averaged cycle along the direction, at least 0; see `table`."""
+        return branch_of(self.table(stroke, frequency, margin, overrides, shape))
 
     def points(
-        self, stroke: ArrayLike, frequency: ArrayLike, margin: ArrayLike | None = None
+        self,
+        stroke: ArrayLike,
+        frequency: ArrayLike,
+        shape: Shapes = SINUSOID,
+        margin: ArrayLike | None = None,
     ) -> Points:
         """Evaluate gaits, see `Task`; ``margin`` in m replaces the task's."""
         strokes, frequencies = np.asarray(stroke, dtype=float), np.asarray(frequency, dtype=float)
-        table = self.table(strokes, frequencies, margin)
-        moving = branch_of(table) >= 1
-        gained = np.rint(AVERAGED * np.where(moving, table.grooves_per_cycle, 0.0))
-        violation = np.where(moving, self._excess(strokes, frequencies, moving), 1.0)
-        count = gained.astype(np.int64)
-        return Points(strokes, frequencies, table.speed, table.power, count, violation)
+        shapes = np.broadcast_to(shape, strokes.shape)
+        table = self.table(strokes, frequencies, margin, shape=shapes)
+        count = gained_of(table)
+        moving = count > 0
+        violation = np.ones(strokes.shape)
+        power = table.power.copy()
+        gaits = strokes[moving], frequencies[moving], shapes[moving]
+        violation[moving] = self._excess(*gaits)
+        power[moving] += self.held_power(*gaits)
+        return Points(strokes, frequencies, table.speed, power, count, violation, shapes)
 
-    def edges(self, frequency: Array, strokes: Array, margin: Array | None = None) -> Edges:
-        """Find the branches' lower edges by scan and bisection, see `Task`; ``margin`` in m of shape (m,)."""
+    def edges(
+        self,
+        frequency: Array,
+        strokes: Array,
+        count: Index | None = None,
+        margin: Array | None = None,
+    ) -> Edges:
+        """Find the lower edges of all branches by scan and bisection, see `Task`; ``margin`` in m of shape (m,)."""
         margins = np.full(frequency.shape, self.margin) if margin is None else margin
         within = np.clip(strokes, self.bounds.stroke_low, self.bounds.stroke_high)
 
         def points(stroke: Array, column: Index) -> Points:
-            return self.points(stroke, frequency[column], margins[column])
+            return self.points(stroke, frequency[column], margin=margins[column])
 
         def label(stroke: Array, column: Index) -> Index:
             # Even within the limits, odd beyond: the strip between an edge and a limit may be thinner than the scan.
@@ -239,18 +271,22 @@ class MarginTask:
         safe = np.minimum(runs.low + allowance, self.bounds.stroke_high)
         found = points(safe, runs.column)
         is_edge = found.admissible & (2 * found.count == runs.label)
+        if count is not None:
+            is_edge &= found.count == count[runs.column]
         return Edges(runs.column[is_edge], found.take(is_edge))
 
-    def _excess(self, stroke: Array, frequency: Array, moving: Mask) -> Array:
-        """Relative excess over the actuator limits; what needs a simulation only of the moving gaits.
+    def held_power(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
+        """Return the holding power of gaits (n,) in W."""
+        if not self.holding_power:
+            return np.zeros(stroke.shape)
+        peak = peaks(stroke, frequency, self.direction, self.parameters, shape=shape)
+        return self.holding_power * peak.mean_force
 
-        Of a gait that the simulator gives up on, all of it.
-        """
+    def _excess(self, stroke: Array, frequency: Array, shape: Shapes) -> Array:
+        """Return the relative excess of gaits that move over the limits, 1 where the simulator gives up."""
         loads = np.zeros((3, stroke.size))
         if self.limits.need_simulation:
-            peak = peaks(
-                stroke[moving], frequency[moving], self.direction, self.parameters, self.limits
-            )
-            loads[:, moving] = peak.force, peak.power, peak.motor_load
-        excess = self.limits.excess(np.pi * stroke * frequency, *loads)
+            peak = peaks(stroke, frequency, self.direction, self.parameters, self.limits, shape)
+            loads[:] = peak.force, peak.power, peak.motor_load
+        excess = self.limits.excess(peak_rate(shape) * stroke * frequency, *loads)
         return np.nan_to_num(excess, nan=1.0)

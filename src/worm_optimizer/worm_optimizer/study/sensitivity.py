@@ -90,5 +90,6 @@ def _figures(
     )  # the drawn value is the groove phase
     table = evaluate_gaits(**asdict(replace(gait, margin=0.0)), parameters=p, overrides=drawn)
     sets = (dict(zip(drawn, row, strict=True)) for row in np.stack(list(drawn.values()), axis=1))
-    cliffs = [cliff_margin(p.replace(**{k: float(v) for k, v in row.items()})) for row in sets]
+    robots = (p.replace(**{k: float(v) for k, v in row.items()}) for row in sets)
+    cliffs = [cliff_margin(robot, gait.direction) for robot in robots]
     return np.stack([table.speed, table.power, np.array(cliffs)])

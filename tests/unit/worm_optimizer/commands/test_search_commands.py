@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from worm_optimizer.commands import optimize, request, scan_margin
+from worm_optimizer.commands import capability, optimize, request, scan_margin
 
 GAIT_KEYS = set(
     "stroke frequency direction margin speed power cost_of_transport grooves_per_cycle groove_phase "
@@ -193,3 +193,38 @@ def test_a_figure_of_an_unknown_kind_is_refused(run, tmp_path):
     status, _, err = run(optimize, *QUICK, "--figure", str(tmp_path / "figure.txt"))
     assert status == 2
     assert "end its name in .png, .pdf, .svg" in err
+
+
+def test_optimize_searches_shaped_gaits_under_conditions(run):
+    few = "--frequencies", "0.14", "0.16", "--waveform", "shaped", "--slope", "5", "--margin-n", "1"
+    told = json.loads(run(optimize, *few, "--samples", "5", "--json")[1])
+    cruise = told["cruise"]
+    assert told["waveform"] == "shaped"
+    assert told["conditions"]["slope_deg"] == 5.0
+    assert told["margin"] == pytest.approx(1.0 / 2275.1)
+    assert cruise["profile"] == "trapezoid"
+    assert cruise["stroke"] + cruise["pretension"] <= 0.09 + 1e-12
+    assert told["nominal"]["cruise"]["cost_of_transport"] < cruise["cost_of_transport"]
+
+
+def test_nsga2_searches_the_sinusoid_alone(run):
+    status, _, error = run(optimize, *QUICK, "--waveform", "shaped", "--method", "nsga2")
+    assert status == 2
+    assert "--waveform sinusoid" in error
+
+
+def test_capability_prints_the_contracts_keys(run):
+    words = "--stroke", "0.0754", "--frequency", "0.147", "--tether-per-metre", "0.5"
+    few = "--frequencies", "0.1", "0.2"
+    status, out, _ = run(capability, *QUICK, *few, *words, "--json")
+    told = json.loads(out)
+    assert status == 0
+    names = [each["name"] for each in told["gaits"]]
+    assert names == ["given", "min_power", "cruise", "max_speed"]
+    for each in (*told["gaits"], told["best"]):
+        assert set(each) >= {"gait", "largest_load", "largest_slope_deg"}
+        assert each["tether_m"] == pytest.approx(each["largest_load"] / 0.5)
+        assert told["best"]["largest_load"] >= each["largest_load"] - 0.02
+    assert 60.0 < told["gaits"][0]["largest_slope_deg"] < 90.0
+    assert told["closed_form_largest_load"] == told["best"]["closed_form_largest_load"]
+    assert told["loads"][0]["load"] == 0.0

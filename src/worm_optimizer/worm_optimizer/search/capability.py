@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Capability of a robot: the largest load and slope of its gaits, and its best gaits over the load."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from worm_model.gait import Gait
+from worm_model.parameters import STANDARD_GRAVITY
+from worm_model.simulation.closed_form import largest_load
+from worm_model.simulation.simulator import cost_of_transport
+from worm_optimizer.search.command_shape import SINUSOID, Shapes, shapes_of
+from worm_optimizer.search.exact import Resolution, Zoom, exact_front
+from worm_optimizer.search.task import Array, MarginTask, Mask
+
+# Parameters by key under loads or slopes, arrays that are broadcast against gaits.
+Overrides = Callable[[Array], Mapping[str, Array]]
+
+_SCAN = 65  # loads at which a gait is first evaluated
+_TOLERANCE = 1e-4  # of the range
+_STROKES, _FREQUENCIES = 41, 17  # of the box, among which the best gait is searched
+_ZOOMS = 4
+_CURVE = 13  # loads of the curves
+_RESOLUTION, _ZOOM = Resolution(strokes=21, frequencies=17), Zoom(points=9, rounds=5)
+_STEEPEST = 90.0  # degrees
+
+
+@dataclass(frozen=True)
+class Capability:
+    """What a gait moves against.
+
+    ``largest_load`` in N on the rear module and ``largest_slope_deg`` for the robot's weight are those up to which the
+    gait gains a groove in every averaged cycle; 0 for a gait that does not move at all. ``full_load`` in N: up to
+    which it gains as many grooves as without load. ``closed_form_largest_load`` in N is the largest load in the slow
+    limit, NaN for a gait that does not move then. All are in addition to the loads of the robot.
+    """
+
+    gait: Gait
+    largest_load: float
+    largest_slope_deg: float
+    full_load: float
+    closed_form_largest_load: float
+
+
+@dataclass(frozen=True)
+class LoadPoint:
+    """Best figures of all gaits at a ``load`` in N; NaN where no gait moves. ``speed`` in m/s."""
+
+    load: float
+    cost_of_transport: float
+    speed: float
+
+
+def loads_on_rear(task: MarginTask) -> Overrides:
+    """Return the parameters under loads in N on the rear module, against the direction of the task."""
+    base, direction = task.parameters.rear_load, task.direction
+    return lambda loads: {"rear_load": base + direction * loads}
+
+
+def slopes(task: MarginTask) -> Overrides:
+    """Return the parameters on slopes in degrees, uphill in the direction of the task."""
+    p, direction = task.parameters, task.direction
+
+    def under(degrees: Array) -> Mapping[str, Array]:
+        rise = direction * STANDARD_GRAVITY * np.sin(np.radians(degrees))
+        return {
+            "rear_load": p.rear_load + p.rear_mass * rise,
+            "front_load": p.front_load + p.front_mass * rise,
+        }
+
+    return under
+
+
+def most_load(task: MarginTask) -> float:
+    """Return a load in N that no gait moves: beyond it both engaged fins pass their thresholds at rest."""
+    p = task.parameters
+    carried = 2.0 * p.engaged_stiffness * p.switching_threshold
+    return (
+        carried + abs(p.rear_load) + abs(p.front_load) + p.rear_dry_friction + p.front_dry_friction
+    )
+
+
+def largest(
+    task: MarginTask,
+    gaits: tuple[Array, Array, Shapes],
+    overrides: Overrides,
+    most: float,
+    least_grooves: Array,
+) -> Array:
+    """Return the largest value up to which gaits gain the least grooves (n,) in each averaged cycle.
+
+    Args:
+        task: the robot; its margin is that of the gaits.
+        gaits: stroke in m, frequency in Hz, and shape, (n,) each.
+        overrides: parameters under the values.
+        most: end of the range, whose begin is 0; it is returned for gaits that never fail.
+        least_grooves: of each gait, (n,).
+    """
+    stroke, frequency = (column[:, np.newaxis] for column in gaits[:2])
+    shape = gaits[2][:, np.newaxis]
+
+    def keeps(values: Array) -> Mask:
+        gained = task.grooves(stroke, frequency, overrides=overrides(values), shape=shape)
+        return gained >= least_grooves[:, np.newaxis]
+
+    values = np.linspace(0.0, most, _SCAN)
+    kept = keeps(np.tile(values, (len(stroke), 1)))
+    first = np.argmin(np.column_stack([kept, np.zeros(len(kept), dtype=bool)]), axis=1)
+    good = values[np.maximum(first - 1, 0)]
+    bad = np.where((first == 0) | (first == _SCAN), good, values[np.minimum(first, _SCAN - 1)])
+    while (bad - good).max(initial=0.0) > _TOLERANCE * most:
+        middle = 0.5 * (good + bad)
+        stays = keeps(middle[:, np.newaxis])[:, 0]
+        good, bad = np.where(stays, middle, good), np.where(stays, bad, middle)
+    return good
+
+
+def capabilities(task: MarginTask, gaits: Sequence[Gait]) -> tuple[Capability, ...]:
+    """Return what gaits, without their margins, move against; the loads of the task's robot are there, too."""
+    robot = task.with_margin(0.0)
+    shape = shapes_of(len(gaits))
+    for name in shape.dtype.names or ():
+        shape[name] = [getattr(gait, name) for gait in gaits]
+    columns = (
+        np.array([gait.stroke for gait in gaits]),
+        np.array([gait.frequency for gait in gaits]),
+    )
+    rows = (*columns, shape)
+    one, own = np.ones(len(gaits)), robot.grooves(*columns, shape=shape)
+    loads, most = loads_on_rear(robot), most_load(robot)
+    found = zip(
+        largest(robot, rows, loads, most, one).tolist(),
+        largest(robot, rows, slopes(robot), _STEEPEST, one).tolist(),
+        largest(robot, rows, loads, most, np.maximum(own, 1)).tolist(),
+        strict=True,
+    )
+    present = task.direction * (task.parameters.rear_load + task.parameters.front_load)
+    bare = [dataclasses.replace(gait, margin=0.0) for gait in gaits]
+    return tuple(
+        Capability(gait, *values, largest_load(gait, task.parameters) - present)
+        for gait, values in zip(bare, found, strict=True)
+    )
+
+
+def strongest(task: MarginTask) -> Gait | None:
+    """Return the sinusoid of the task's box that moves against the largest load; None if none moves."""
+    robot, box = task.with_margin(0.0), task.bounds
+    low = np.array([box.stroke_low, box.frequency_low])
+    high = np.array([box.stroke_high, box.frequency_high])
+    ends = np.stack([low, high])
+    sizes = np.array([_STROKES, _FREQUENCIES])
+    best = None
+    for _ in range(1 + _ZOOMS):
+        axes = [np.unique(np.linspace(ends[0, k], ends[1, k], int(sizes[k]))) for k in (0, 1)]
+        stroke, frequency = (axis.ravel() for axis in np.meshgrid(*axes))
+        shape = np.full(stroke.size, SINUSOID)
+        rows = stroke, frequency, shape
+        moves = robot.grooves(stroke, frequency) >= 1
+        if not moves.any():
+            break
+        rows = stroke[moves], frequency[moves], shape[moves]
+        loads = largest(robot, rows, loads_on_rear(robot), most_load(robot), np.ones(moves.sum()))
+        row = int(np.argmax(loads))
+        if best is None or loads[row] > best[0]:
+            best = loads[row], rows[0][row], rows[1][row]
+        step = (ends[1] - ends[0]) / (sizes - 1)
+        centre, sizes = np.array(best[1:]), np.array([9, 9])
+        ends = np.clip(np.stack([centre - step, centre + step]), low, high)
+    if best is None:
+        return None
+    return Gait(float(best[1]), float(best[2]), task.direction)
+
+
+def curve(task: MarginTask, most: float) -> tuple[LoadPoint, ...]:
+    """Return the lowest cost of transport and the highest speed at loads in N on the rear module, up to ``most``."""
+    points = []
+    for load in np.linspace(0.0, most, _CURVE).tolist():
+        changed = {
+            key: float(value) for key, value in loads_on_rear(task)(np.float64(load)).items()
+        }
+        loaded = dataclasses.replace(task, parameters=task.parameters.replace(**changed))
+        front = exact_front(loaded, _RESOLUTION, _ZOOM).front
+        if len(front):
+            cost = cost_of_transport(front.speed, front.power, loaded.parameters.mass)
+            points.append(LoadPoint(load, float(cost.min()), float(front.speed.max())))
+        else:
+            points.append(LoadPoint(load, np.nan, np.nan))
+    return tuple(points)

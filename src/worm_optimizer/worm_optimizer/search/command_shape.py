@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shapes of the commanded contraction: all fields of a gait that shape it, other than stroke and frequency."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from worm_model.gait import GAIT_DEFAULTS, WAVEFORM, Profile
+
+Array = NDArray[np.float64]
+# Rows of SHAPE_ROW, shape (n,).
+Shapes = NDArray[np.void]
+
+SHAPE_ROW = np.dtype([(name, np.float64) for name in WAVEFORM if name in GAIT_DEFAULTS])
+#: the paper's gait, shape ()
+SINUSOID: Shapes = np.array(tuple(GAIT_DEFAULTS[name] for name in SHAPE_ROW.names or ()), SHAPE_ROW)
+
+
+def fields_of(shape: Shapes) -> dict[str, Any]:
+    """Return the fields of shapes by name, each with the dimensions of ``shape``."""
+    return {name: shape[name] for name in SHAPE_ROW.names or ()}
+
+
+def shapes_of(count: int, **fields: ArrayLike) -> Shapes:
+    """Return ``count`` shapes with some fields (m or 1, scalars or (count,)) other than the paper's."""
+    shape = np.full(count, SINUSOID)
+    for name, values in fields.items():
+        shape[name] = values
+    return shape
+
+
+def peak_rate(shape: Shapes) -> Array:
+    """Return the largest commanded cable speed of shapes, relative to stroke times frequency."""
+    faster = np.minimum(shape["contraction_share"], 1.0 - shape["contraction_share"])
+    steady = 1.0 / (1.0 - shape["ramp_share"])
+    return np.where(shape["profile"] == Profile.COSINE, 0.5 * np.pi, steady) / faster
+
+
+def pull_rate(shape: Shapes, phases: Array) -> Array:
+    """Return the speed at which shapes (n,) wind the cable, relative to stroke times frequency.
+
+    ``phases`` of shape (m,) are shares of a cycle. The result, of shape (n, m), is 0 while the body extends.
+    """
+    share, ramp = shape["contraction_share"][:, np.newaxis], shape["ramp_share"][:, np.newaxis]
+    part = np.minimum(phases / share, 1.0)
+    cosine = 0.5 * np.pi * np.sin(np.pi * part)
+    trapezoid = np.minimum(1.0, np.minimum(part, 1.0 - part) / ramp) / (1.0 - ramp)
+    is_cosine = shape["profile"][:, np.newaxis] == Profile.COSINE
+    return np.where(is_cosine, cosine, trapezoid) / share

@@ -1,0 +1,355 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Shaped gaits: the edge of each branch, minimised over pretension, contraction share, profile and ramp share.
+
+At some frequencies the shares of the cheapest corner of each branch (`corners`) are searched from several starts.
+Between two of these frequencies the shares are interpolated and the corner is located again: near a minimum the power
+hardly depends on the shares.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from worm_model.gait import Profile
+from worm_model.parameters import Parameters
+from worm_model.simulation.batch import GaitTable
+from worm_model.simulation.simulator import AVERAGED
+from worm_optimizer.search.command_shape import SINUSOID, Shapes, shapes_of
+from worm_optimizer.search.corners import (
+    COARSE,
+    FINE,
+    FORBIDDEN,
+    Columns,
+    ShapeBounds,
+    corners,
+    costs_of,
+    improve,
+)
+from worm_optimizer.search.task import (
+    Array,
+    Bounds,
+    Edges,
+    Index,
+    MarginTask,
+    Mask,
+    Points,
+    gained_of,
+)
+
+_FREQUENCIES = 17  # at which shares are searched
+_FREQUENCIES_OF_NODES = 9  # the same for several margins
+_NODES = 5  # margins of a scan at which shares are searched
+_START_SHARES = (0.35, 0.5, 0.65, 0.8)  # contraction shares
+_START_RAMPS = (0.1, 0.25, 0.5)  # ramp shares of a trapezoid
+_SMALL_STEP = 0.25  # first step of the search from a neighbouring frequency
+_ENDING = 12  # bisections of the highest frequency of a branch
+_MARGIN_HALVINGS = 12
+
+
+@dataclass(frozen=True)
+class Track:
+    """Shares of the cheapest corners of a branch over the frequency.
+
+    ``frequency`` in Hz, rising, of shape (n,); ``shares`` (contraction, ramp) of shape (n, 2).
+    """
+
+    margin: float
+    count: int
+    profile: float
+    frequency: Array
+    shares: Array
+
+    def shares_at(self, frequency: Array) -> Array:
+        """Return the interpolated shares (m, 2) at frequencies (m,) in Hz; NaN beyond the track."""
+        columns = [
+            np.interp(frequency, self.frequency, column, left=np.nan, right=np.nan)
+            for column in self.shares.T
+        ]
+        return np.column_stack(columns)
+
+
+@dataclass(frozen=True)
+class ShapedTask:
+    """The problem of a `MarginTask` over shaped gaits: every edge is that of the cheapest shape.
+
+    The largest stroke of its bounds bounds the reach, pretension included. Shares are searched at the margins
+    ``nodes`` in m, rising, and interpolated between them; without nodes, at the margin of the task.
+    """
+
+    task: MarginTask
+    shapes: ShapeBounds
+    nodes: tuple[float, ...] = ()
+
+    @property
+    def bounds(self) -> Bounds:
+        """The box of gaits."""
+        return self.task.bounds
+
+    @property
+    def parameters(self) -> Parameters:
+        """The robot."""
+        return self.task.parameters
+
+    @property
+    def direction(self) -> int:
+        """Direction of the gaits."""
+        return self.task.direction
+
+    @staticmethod
+    def over_margins(task: MarginTask, shapes: ShapeBounds, margins: Array) -> ShapedTask:
+        """Return a task for edges at any margin within the range of ``margins`` (n,) in m."""
+        nodes = np.unique(np.linspace(margins.min(), margins.max(), _NODES))
+        return ShapedTask(task, shapes, tuple(nodes.tolist()))
+
+    def points(self, stroke: ArrayLike, frequency: ArrayLike, shape: Shapes = SINUSOID) -> Points:
+        """Evaluate gaits, see `Task`."""
+        return self.task.points(stroke, frequency, shape)
+
+    def edges(
+        self,
+        frequency: Array,
+        _strokes: Array,
+        count: Index | None = None,
+        margin: Array | None = None,
+    ) -> Edges:
+        """Find the corner of each branch at each frequency, see `Task`; the strokes are not needed.
+
+        ``margin`` in m, of shape (m,), must be within the nodes.
+        """
+        margins = np.full(frequency.shape, self.task.margin) if margin is None else margin
+        found = [Edges(np.empty(0, dtype=np.int64), self.points(np.empty(0), np.empty(0)))]
+        for own, profile in sorted({(track.count, track.profile) for track in self.tracks}):
+            shares = self._shares(own, profile, frequency, margins)
+            wanted = np.isfinite(shares[:, 0])
+            wanted &= True if count is None else count == own
+            rows = np.flatnonzero(wanted)
+            key = np.full(rows.size, own), np.full(rows.size, profile)
+            columns = Columns(frequency[rows], margins[rows], *key)
+            points, gains = corners(self.task, self.shapes, columns, shares[rows], FINE)
+            kept = gains & points.admissible
+            found.append(Edges(rows[kept], points.take(kept)))
+        column = np.concatenate([part.column for part in found])
+        return Edges(column, Points.join(*(part.points for part in found)))
+
+    @cached_property
+    def tracks(self) -> tuple[Track, ...]:
+        """Tracks of all branches."""
+        count = _FREQUENCIES_OF_NODES if len(self.nodes) > 1 else _FREQUENCIES
+        box = self.bounds
+        frequencies = np.unique(np.linspace(box.frequency_low, box.frequency_high, count))
+        margins = np.array(self.nodes or (self.task.margin,))
+        return tuple(tracks_of(self.task, self.shapes, margins, frequencies))
+
+    def _shares(self, count: int, profile: float, frequency: Array, margin: Array) -> Array:
+        """Shares (m, 2) of a branch, between the nodes of the margin; NaN where it has none."""
+        nodes = np.array(self.nodes or (self.task.margin,))
+        table = np.full((nodes.size, frequency.size, 2), np.nan)
+        for track in self.tracks:
+            if (track.count, track.profile) == (count, profile):
+                table[np.searchsorted(nodes, track.margin)] = track.shares_at(frequency)
+        above = np.clip(np.searchsorted(nodes, margin), 0, nodes.size - 1)
+        below = np.maximum(above - 1, 0)
+        columns = np.arange(frequency.size)
+        low, high = table[below, columns], table[above, columns]
+        with np.errstate(invalid="ignore"):
+            part = (margin - nodes[below]) / np.where(
+                above > below, nodes[above] - nodes[below], 1.0
+            )
+        part = part[:, np.newaxis]
+        mixed = (1.0 - part) * low + part * high
+        return np.where(np.isnan(mixed), np.where(np.isnan(high), low, high), mixed)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Problems with the shares (n, 2) of their cheapest corners and the costs in W, (n,), see `costs_of`."""
+
+    columns: Columns
+    shares: Array
+    cost: Array
+
+    def take(self, rows: Index | Mask) -> Solved:
+        """Return the rows (integers or a mask)."""
+        return Solved(self.columns.take(rows), self.shares[rows], self.cost[rows])
+
+    @staticmethod
+    def join(*parts: Solved) -> Solved:
+        """Return the rows of all parts, in order."""
+        return Solved(
+            Columns.join(*(part.columns for part in parts)),
+            np.concatenate([part.shares for part in parts]),
+            np.concatenate([part.cost for part in parts]),
+        )
+
+    def best(self) -> Solved:
+        """Return the cheapest row of each problem, sorted by margin, count, profile and frequency."""
+        own = self.columns
+        keys = np.stack([own.frequency, own.profile, own.count, own.margin])
+        order = np.lexsort((self.cost, *keys))
+        first = np.ones(order.size, dtype=bool)
+        first[1:] = np.any(np.diff(keys[:, order], axis=1) != 0.0, axis=0)
+        return self.take(order[first])
+
+    def groups(self) -> Iterator[Solved]:
+        """Yield the rows of each margin, count and profile; they must be sorted."""
+        own = self.columns
+        keys = np.stack([own.profile, own.count, own.margin])
+        borders = np.flatnonzero(np.any(np.diff(keys, axis=1) != 0.0, axis=0)) + 1
+        for rows in np.split(np.arange(self.cost.size), borders):
+            if rows.size:
+                yield self.take(rows)
+
+    def track(self) -> Track:
+        """Return the rows of one group as a track."""
+        own = self.columns
+        key = float(own.margin[0]), int(own.count[0]), float(own.profile[0])
+        return Track(*key, own.frequency, self.shares)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Search for the cheapest shares of many problems."""
+
+    task: MarginTask
+    shapes: ShapeBounds
+
+    def costs(self, columns: Columns, shares: Array) -> Array:
+        """Return the power at the corners in W, see `costs_of`."""
+        return costs_of(*corners(self.task, self.shapes, columns, shares, COARSE))
+
+    def improved(self, columns: Columns, shares: Array, step: float) -> Solved:
+        """Search for cheaper shares, from given ones."""
+
+        def cost_of(rows: Index, tried: Array) -> Array:
+            return self.costs(columns.take(rows), tried)
+
+        found = improve(cost_of, columns.profile, self.shapes.shares, shares, step)
+        return Solved(columns, *found)
+
+    def begun(self, margins: Array, frequencies: Array) -> Solved:
+        """Search from several shares, for each branch that one of these gains."""
+        starts = np.array(
+            [
+                (profile, share, ramp)
+                for profile, ramps in (
+                    (Profile.TRAPEZOID, _START_RAMPS),
+                    (Profile.COSINE, _START_RAMPS[:1]),
+                )
+                for share, ramp in itertools.product(_START_SHARES, ramps)
+            ]
+        )
+        starts[:, 1:] = np.clip(starts[:, 1:], *self.shapes.shares.T)
+        numbers = np.arange(len(starts), dtype=float)
+        margin, frequency, start = (
+            axis.ravel() for axis in np.meshgrid(margins, frequencies, numbers, indexing="ij")
+        )
+        start = start.astype(np.int64)
+        columns = Columns(frequency, margin, np.ones(margin.size, np.int64), starts[start, 0])
+        gained = gained_of(self._widest(columns, starts[start, 1:], margin))
+        wanted = [
+            np.flatnonzero(gained >= count)
+            for count in range(AVERAGED, int(gained.max(initial=0)) + 1, AVERAGED)
+        ]
+        count = np.repeat(AVERAGED * np.arange(1, len(wanted) + 1), [len(w) for w in wanted])
+        rows = np.concatenate([np.empty(0, dtype=np.int64), *wanted])
+        columns = dataclasses.replace(columns.take(rows), count=count)
+        shares = starts[start[rows], 1:]
+        best = Solved(columns, shares, self.costs(columns, shares)).best()
+        best = best.take(np.isfinite(best.cost))
+        return self.improved(best.columns, best.shares, 1.0)
+
+    def continued(self, known: Solved) -> Solved:
+        """Search from the shares of neighbouring frequencies, where these are cheaper."""
+        parts = []
+        for group in known.groups():
+            places = np.arange(group.cost.size)
+            for at, near in ((places[1:], places[:-1]), (places[:-1], places[1:])):
+                own = group.take(at)
+                parts.append(Solved(own.columns, group.shares[near], own.cost))
+        tried = Solved.join(*parts) if parts else known
+        costs = self.costs(tried.columns, tried.shares)
+        better = costs < tried.cost * (1.0 - 1e-6)
+        return self.improved(tried.columns.take(better), tried.shares[better], _SMALL_STEP)
+
+    def ended(self, known: Solved, highest: float) -> Solved:
+        """Search the highest frequency of each branch that ends below the ``highest`` one in Hz."""
+        lasts = [group.take(np.array([-1])) for group in known.groups()]
+        lasts = [last for last in lasts if last.columns.frequency[0] < highest]
+        if not lasts:
+            return known
+        good = Solved.join(*lasts)
+        bad = np.full(good.cost.size, highest)
+        shares = good.shares
+        for _ in range(_ENDING):
+            middle = 0.5 * (good.columns.frequency + bad)
+            columns = dataclasses.replace(good.columns, frequency=middle)
+            shares = self._widest_margin(columns, shares)
+            tried = Solved(columns, shares, self.costs(columns, shares))
+            keeps = tried.cost < FORBIDDEN
+            rows = np.arange(keeps.size)
+            good = Solved.join(good, tried).take(np.where(keeps, rows + keeps.size, rows))
+            bad = np.where(keeps, bad, middle)
+        return self.improved(good.columns, good.shares, _SMALL_STEP)
+
+    def filled(self, known: Solved, frequencies: Array) -> Solved:
+        """Search at the frequencies in Hz that a branch lacks between others, from interpolated shares."""
+        parts = [known]
+        for group in known.groups():
+            own = group.columns.frequency
+            lacking = np.setdiff1d(
+                frequencies[(frequencies > own[0]) & (frequencies < own[-1])], own
+            )
+            rows = np.zeros(lacking.size, dtype=np.int64)
+            columns = dataclasses.replace(group.take(rows).columns, frequency=lacking)
+            shares = group.track().shares_at(lacking)
+            parts.append(self.improved(columns, shares, _SMALL_STEP))
+        return Solved.join(*parts)
+
+    def _widest(self, columns: Columns, shares: Array, margin: Array) -> GaitTable:
+        """Table of the gaits with the least pretension and the largest reach."""
+        share, ramp = shares.T
+        low = self.shapes.pretension[0]
+        shape = shapes_of(
+            len(shares),
+            pretension=low,
+            contraction_share=share,
+            profile=columns.profile,
+            ramp_share=ramp,
+        )
+        stroke = np.full(len(shares), self.task.bounds.stroke_high - low)
+        return self.task.table(stroke, columns.frequency, margin, shape=shape)
+
+    def _widest_margin(self, columns: Columns, shares: Array) -> Array:
+        """Search the shares with which the widest swing keeps the grooves at the largest margin."""
+
+        def cost_of(rows: Index, tried: Array) -> Array:
+            own, size = columns.take(rows), rows.size
+            good, bad = np.full(size, -1.0), np.full(size, 2.0 * self.task.parameters.pitch)
+            for _ in range(_MARGIN_HALVINGS if size else 0):
+                middle = 0.5 * (np.maximum(good, 0.0) + bad)
+                keeps = gained_of(self._widest(own, tried, middle)) >= own.count
+                good, bad = np.where(keeps, middle, good), np.where(keeps, bad, middle)
+            return -good
+
+        return improve(cost_of, columns.profile, self.shapes.shares, shares, 0.5)[0]
+
+
+def tracks_of(
+    task: MarginTask, shapes: ShapeBounds, margins: Array, frequencies: Array
+) -> list[Track]:
+    """Search the cheapest shares of all branches at ``margins`` in m and ``frequencies`` in Hz, rising."""
+    search = _Search(task, shapes)
+    known = search.begun(margins, frequencies).best()
+    known = Solved.join(known, search.continued(known)).best()
+    known = known.take(known.cost < FORBIDDEN)
+    known = Solved.join(known, search.ended(known, float(frequencies[-1]))).best()
+    known = search.filled(known, frequencies).best()
+    known = known.take(known.cost < FORBIDDEN)
+    return [group.track() for group in known.groups()]

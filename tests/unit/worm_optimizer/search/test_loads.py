@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fronts, margins and scans under loads, and the capability of a robot, against direct evaluations and closed forms."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from gaits_for_tests import COARSE, QUICK, coarse_front
+
+from worm_model.conditions import Conditions, under
+from worm_model.gait import Gait
+from worm_model.parameters import PAPER, ParameterFile
+from worm_model.simulation.closed_form import cliff_margin, largest_load
+from worm_model.simulation.simulator import evaluate_gait
+from worm_optimizer.robustness.uncertainty import phase_known
+from worm_optimizer.search.capability import capabilities, curve, strongest
+from worm_optimizer.search.exact import Zoom, exact_front
+from worm_optimizer.search.front import make_front
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.pipe_conditions import content_under, margin_of_force
+from worm_optimizer.search.price_of_robustness import price_of_robustness
+from worm_optimizer.search.search_settings import Settings, settings_of
+from worm_optimizer.search.task import Bounds, MarginTask
+
+UPHILL = under(Conditions(slope_deg=20.0, tether_N=2.0), PAPER)
+
+
+def test_no_gait_of_a_dense_grid_is_cheaper_under_a_load():
+    task = MarginTask(UPHILL, margin=1e-3)
+    front = exact_front(task, COARSE, Zoom()).front
+    strokes, frequencies = np.meshgrid(np.linspace(0.01, 0.09, 401), np.linspace(0.08, 0.4, 17))
+    points = task.points(strokes.ravel(), frequencies.ravel())
+    grid = points.take(points.admissible)
+    speed = front.count * front.frequency
+    best = [
+        grid.power[grid.count * grid.frequency >= least * (1.0 - 1e-9)].min(initial=np.inf)
+        for least in speed
+    ]
+    assert len(front) > 5
+    assert np.all(front.power <= np.array(best) * (1.0 + 2e-5))
+
+
+def test_forward_and_reverse_differ_under_a_load():
+    """The load pushes a reverse gait."""
+    forward, reverse = (coarse_front(MarginTask(UPHILL, way, 1e-3)).front for way in (1, -1))
+    assert forward.power.min() != pytest.approx(reverse.power.min(), rel=1e-3)
+    # in the mirror, the front module is the rear one
+    pushed = UPHILL.replace(rear_load=-UPHILL.front_load, front_load=-UPHILL.rear_load)
+    mirrored = coarse_front(MarginTask(pushed, -1, 1e-3)).front
+    assert mirrored.power.min() == pytest.approx(forward.power.min(), rel=1e-6)
+
+
+@pytest.mark.parametrize("load", [0.0, 2.0, 4.0])
+def test_the_cliff_under_a_load_is_that_of_the_closed_form_in_the_slow_limit(load):
+    slow = Bounds(0.01, 0.12, 0.01, 0.02)
+    robot = PAPER.replace(rear_load=0.5 * load, front_load=0.5 * load, viscous_friction=5.0)
+    expected = cliff_margin(robot)
+    margins = np.arange(expected - 4e-4, expected + 4e-4, 2e-4)
+    price = price_of_robustness(MarginTask(robot, bounds=slow), np.maximum(margins, 0.0))
+    assert price.cliff is not None
+    assert price.cliff.margin == pytest.approx(expected, abs=5e-5)
+    assert price.closed_form_cliff_margin == expected
+
+
+def test_a_margin_may_be_stated_as_a_force():
+    settings = dataclasses.replace(QUICK, margin_force=5.0)
+    front = make_front(ParameterFile(), settings, 1)
+    assert front.margin == pytest.approx(5.0 / (1833.1 + 442.0))
+    assert front.margin == margin_of_force(PAPER, 5.0)
+
+
+@pytest.mark.parametrize("values", [{"margin_n": -1.0}, {"margin_n": 5.0, "margin_m": 0.001}])
+def test_a_margin_that_contradicts_itself_is_rejected(values):
+    with pytest.raises(OptimizerError, match="margin"):
+        settings_of(values)
+
+
+def test_conditions_of_the_settings_load_the_robot():
+    settings = dataclasses.replace(QUICK, margin=1e-3, conditions=Conditions(slope_deg=20.0))
+    front = make_front(ParameterFile(), settings, 1)
+    weight = PAPER.rear_mass * 9.80665 * math.sin(math.radians(20.0))
+    assert front.content.parameters.rear_load == pytest.approx(weight)
+    level = make_front(ParameterFile(), dataclasses.replace(QUICK, margin=1e-3), 1)
+    assert front.cruise.cost_of_transport > level.cruise.cost_of_transport
+
+
+def test_an_interval_of_a_load_moves_with_the_conditions_and_is_drawn():
+    content = ParameterFile(intervals={"rear_load": (-0.5, 0.5)})
+    loaded = content_under(Conditions(tether_N=2.0), content)
+    assert loaded.intervals["rear_load"] == pytest.approx((1.5, 2.5))
+    drawn = phase_known(loaded, 2000, 1).overrides["rear_load"]
+    assert np.mean(drawn) == pytest.approx(2.0, abs=0.02)
+    assert np.mean((drawn > 1.5) & (drawn < 2.5)) == pytest.approx(0.95, abs=0.02)
+    assert content_under(Conditions(), content) is content
+
+
+def test_the_largest_load_is_where_a_gait_stops_to_move():
+    task, gait = MarginTask(), Gait(0.0754, 0.147)
+    (found,) = capabilities(task, [gait])
+    step = 2e-4 * 2.0 * PAPER.engaged_stiffness * PAPER.switching_threshold
+    for load, moves in ((found.largest_load - step, True), (found.largest_load + step, False)):
+        result = evaluate_gait(gait, PAPER.replace(rear_load=load))
+        assert (result.min_grooves > 0.9) == moves
+    for slope, grooves in ((60.0, 2.0), (15.0, 2.0)):
+        climbed = evaluate_gait(gait, under(Conditions(slope_deg=slope), PAPER))
+        assert climbed.grooves_per_cycle == pytest.approx(grooves, abs=0.01)
+    assert 60.0 < found.largest_slope_deg < 90.0
+    assert found.full_load <= found.largest_load
+    assert found.closed_form_largest_load == largest_load(gait, PAPER)
+
+
+def test_no_gait_of_a_grid_carries_more_than_the_strongest():
+    task = MarginTask(bounds=Bounds(frequency_low=0.1, frequency_high=0.2))
+    best = strongest(task)
+    (found,) = capabilities(task, [best])
+    loaded = MarginTask(
+        PAPER.replace(rear_load=1.01 * found.largest_load + 0.05), bounds=task.bounds
+    )
+    strokes, frequencies = np.meshgrid(np.linspace(0.01, 0.09, 161), np.linspace(0.1, 0.2, 5))
+    assert not np.any(loaded.points(strokes.ravel(), frequencies.ravel()).count)
+    points = curve(task, found.largest_load)
+    costs = [point.cost_of_transport for point in points]
+    assert points[0].load == 0.0
+    assert costs[0] == np.nanmin(costs)
+
+
+def test_gaits_that_do_not_move_carry_nothing():
+    (found,) = capabilities(MarginTask(), [Gait(0.02, 0.2)])
+    assert found.largest_load == found.largest_slope_deg == 0.0
+    assert strongest(MarginTask(bounds=Bounds(0.01, 0.02))) is None
+
+
+def test_a_load_that_the_fins_do_not_hold_is_the_reason():
+    settings = dataclasses.replace(QUICK, margin=0.0, conditions=Conditions(tether_N=200.0))
+    with pytest.raises(OptimizerError, match="200 N; the fins hold up to"):
+        make_front(ParameterFile(), settings, 1)
+
+
+def test_settings_without_conditions_are_level():
+    assert settings_of({}) == Settings()

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The front of shaped gaits against random gaits of its box, the paper's front, limits, and the goals of the issue."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from gaits_for_tests import COARSE, coarse_front
+
+from worm_model.gait import Gait, Profile
+from worm_model.parameters import PAPER
+from worm_model.simulation.simulator import cost_of_transport, evaluate_gait
+from worm_optimizer.search.actuator_limits import ActuatorLimits, peaks
+from worm_optimizer.search.command_shape import SHAPE_ROW, peak_rate, pull_rate, shapes_of
+from worm_optimizer.search.corners import FINE, Columns, ShapeBounds, corners
+from worm_optimizer.search.exact import ExactFront, Zoom, exact_front
+from worm_optimizer.search.optimizer_errors import OptimizerError
+from worm_optimizer.search.pareto import front_of
+from worm_optimizer.search.shaped import ShapedTask
+from worm_optimizer.search.task import Bounds, MarginTask, Points
+
+ACCEPTED = 1e-4  # relative excess of power over a random gait
+
+
+@cache
+def shaped_front(margin: float) -> ExactFront:
+    """The front of the paper's robot over shaped gaits at a margin in m, on few frequencies."""
+    return exact_front(ShapedTask(MarginTask(margin=margin), ShapeBounds()), COARSE, Zoom(9, 6))
+
+
+def random_gaits(task: MarginTask, count: int, seed: int) -> Points:
+    """Admissible gaits of the box with any shape."""
+    rng = np.random.default_rng(seed)
+    box, shapes = task.bounds, ShapeBounds()
+    reach = rng.uniform(box.stroke_low, box.stroke_high, count)
+    stroke = rng.uniform(box.stroke_low, reach)
+    shape = shapes_of(
+        count,
+        pretension=reach - stroke,
+        contraction_share=rng.uniform(*shapes.contraction_share, count),
+        profile=rng.integers(0, 2, count),
+        ramp_share=rng.uniform(*shapes.ramp_share, count),
+    )
+    points = task.points(stroke, rng.uniform(box.frequency_low, box.frequency_high, count), shape)
+    return points.take(points.admissible)
+
+
+def largest_excess(front: Points, others: Points) -> float:
+    """Largest relative excess of a gait's power over that of others that are as fast or faster."""
+    order = np.argsort(others.count * others.frequency)
+    speed, power = (others.count * others.frequency)[order], others.power[order]
+    best = np.append(np.minimum.accumulate(power[::-1])[::-1], np.inf)
+    place = np.searchsorted(speed, front.count * front.frequency * (1.0 - 1e-9))
+    return float(np.max(front.power / best[place] - 1.0))
+
+
+@pytest.mark.parametrize(("margin", "cost"), [(0.0, 46.9), (3.4e-3, 57.4)])
+def test_the_lowest_cost_of_transport_reaches_the_goal(margin, cost):
+    front = shaped_front(margin).front
+    costs = cost_of_transport(front.speed, front.power, PAPER.mass)
+    assert costs.min() <= cost
+    best = int(np.argmin(costs))
+    assert front.stroke[best] + front.shape["pretension"][best] <= 0.09 + 1e-12
+    assert front.frequency[best] <= 0.4
+    assert front.shape["ramp_share"][best] >= 0.1
+
+
+@pytest.mark.parametrize("margin", [0.0, 3.4e-3])
+def test_no_random_gait_of_the_box_dominates_the_front(margin):
+    exact = shaped_front(margin)
+    assert (
+        largest_excess(exact.front, random_gaits(MarginTask(margin=margin), 20_000, 1)) < ACCEPTED
+    )
+
+
+@pytest.mark.parametrize("margin", [0.0, 3.4e-3])
+def test_the_papers_front_does_not_dominate_the_front(margin):
+    """The sinusoid is one of the shapes."""
+    front = shaped_front(margin).front
+    paper = coarse_front(MarginTask(margin=margin)).front
+    assert largest_excess(front, paper) < ACCEPTED
+    assert front.speed[-1] >= paper.speed[-1] * (1.0 - ACCEPTED)
+    assert front.power[0] <= paper.power[0]
+
+
+def test_every_gait_gains_its_grooves_when_it_is_evaluated_again():
+    front = shaped_front(3.4e-3).front
+    for row in range(0, len(front), 7):
+        fields = {name: float(front.shape[name][row]) for name in SHAPE_ROW.names}
+        profile = Profile(int(fields.pop("profile")))
+        gait = Gait(
+            float(front.stroke[row]),
+            float(front.frequency[row]),
+            1,
+            3.4e-3,
+            profile=profile,
+            **fields,
+        )
+        again = evaluate_gait(gait)
+        assert again.grooves_per_cycle == pytest.approx(front.grooves[row], abs=1e-3)
+        assert again.power == pytest.approx(front.power[row], rel=1e-9)
+
+
+def test_at_a_corner_neither_less_reach_nor_more_pretension_keeps_the_grooves():
+    task, hair = MarginTask(), 1e-6
+    columns = Columns(np.array([0.15]), np.array([0.0]), np.array([6]), np.array([1.0]))
+    found, gains = corners(task, ShapeBounds(), columns, np.array([[0.65, 0.1]]), FINE)
+    assert gains.all()
+    assert found.count.tolist() == [6]
+    tighter = found.shape.copy()
+    tighter["pretension"] += hair
+    assert task.points(found.stroke - hair, found.frequency, found.shape).count[0] < 6
+    assert task.points(found.stroke - hair, found.frequency, tighter).count[0] < 6
+    looser = found.shape.copy()
+    looser["pretension"] -= hair
+    assert task.points(found.stroke + hair, found.frequency, looser).count[0] == 6
+
+
+def test_limits_hold_for_every_gait_of_the_front():
+    limits = ActuatorLimits(cable_speed=0.05, cable_force=60.0, electrical_power=5.0)
+    task = MarginTask(limits=limits)
+    front = exact_front(ShapedTask(task, ShapeBounds()), COARSE, Zoom(5, 4)).front
+    peak = peaks(front.stroke, front.frequency, 1, PAPER, limits, front.shape)
+    assert len(front) > 3
+    assert np.all(peak_rate(front.shape) * front.stroke * front.frequency <= 0.05 * (1.0 + 1e-9))
+    assert np.all(peak.force <= 60.0)
+    assert np.all(peak.power <= 5.0)
+    within = random_gaits(task, 5_000, 2)
+    assert largest_excess(front, within) < 5e-3
+
+
+def test_bounds_of_the_shape_that_allow_only_the_paper_give_the_papers_front():
+    shapes = ShapeBounds((0.0, 0.0), (0.5, 0.5), (0.25, 0.25))
+    task = MarginTask(margin=3.4e-3, bounds=Bounds(frequency_low=0.1, frequency_high=0.2))
+    exact = exact_front(ShapedTask(task, shapes), COARSE, Zoom(5, 4))
+    cosine = front_of(exact.front.take(exact.front.shape["profile"] == Profile.COSINE))
+    assert not np.any(exact.front.shape["pretension"])
+    paper = coarse_front(task).front
+    assert cosine.power[0] == pytest.approx(paper.power[0], rel=1e-6)
+
+
+def test_a_holding_power_makes_pretension_dearer():
+    task = MarginTask(holding_power=0.05)
+    front = exact_front(ShapedTask(task, ShapeBounds()), COARSE, Zoom(5, 4)).front
+    free = shaped_front(0.0).front
+    pull = peaks(free.stroke, free.frequency, 1, PAPER, shape=free.shape).mean_force
+    assert np.all(pull > 0.0)
+    assert front.power.min() > free.power.min()
+    again = MarginTask().points(front.stroke, front.frequency, front.shape)
+    assert np.all(front.power > again.power)
+
+
+def test_the_rate_of_the_waveform_is_that_of_the_command():
+    rng = np.random.default_rng(3)
+    phases = (np.arange(4000) + 0.5) / 4000
+    for profile in Profile:
+        gait = Gait(
+            0.05, 1.0, contraction_share=rng.uniform(0.2, 0.8), profile=profile, ramp_share=0.3
+        )
+        fields = {name: getattr(gait, name) for name in SHAPE_ROW.names}
+        shape = shapes_of(1, **fields)
+        steps = -np.diff(gait.command(np.append(phases - 0.5 / 4000, 1.0 - 1e-12))) * 4000
+        pulls = np.maximum(steps, 0.0)
+        assert pull_rate(shape, phases)[0] * 0.05 == pytest.approx(pulls, abs=2e-3)
+        assert peak_rate(shape)[0] * 0.05 == pytest.approx(gait.peak_speed)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"pretension": (0.02, 0.01)},
+        {"contraction_share": (0.0, 0.5)},
+        {"ramp_share": (0.05, 0.5)},
+        {"ramp_share": (0.1, 0.6)},
+    ],
+)
+def test_bounds_that_no_gait_has_are_rejected(wrong):
+    with pytest.raises(OptimizerError, match=next(iter(wrong))):
+        ShapeBounds(**wrong)
+
+
+def test_a_reverse_gait_of_equal_modules_costs_the_same():
+    task = MarginTask(direction=-1, bounds=Bounds(frequency_low=0.15, frequency_high=0.15))
+    reverse = exact_front(ShapedTask(task, ShapeBounds()), COARSE, Zoom(5, 4)).front
+    forward = exact_front(
+        ShapedTask(dataclasses.replace(task, direction=1), ShapeBounds()), COARSE, Zoom(5, 4)
+    ).front
+    assert reverse.power == pytest.approx(forward.power, rel=1e-6)
