@@ -440,7 +440,10 @@ def test_no_goal_that_was_received_before_a_stop_is_played_after_it(driver, comm
     results = [probe.result(handle.get_result_async(), "result") for handle in accepted]
     assert all(result.status == ABORTED for result in results)
     # the state is another topic than the results: it may come after them
-    probe.wait_for(lambda: commander.states[-1].message == "the service stop was called", "state after the stop")
+    probe.wait_for(
+        lambda: commander.states[-1].message == "the service stop was called",
+        "state after the stop",
+    )
     assert {state.run for state in commander.states} == {0, 1}
     # what is sent after it is played
     assert commander.result(commander.send(cycles=1)).status == SUCCEEDED

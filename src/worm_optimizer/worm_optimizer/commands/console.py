@@ -72,50 +72,59 @@ def _console(options: argparse.Namespace) -> int:
             "the console needs NiceGUI: pip install -r requirements-console.txt, or use ./worm console"
         )
     from worm_optimizer.console.access import Access
-    from worm_optimizer.console.control import Control
-    from worm_optimizer.console.hub import Hub, new_words
+    from worm_optimizer.console.bag_library import BagLibrary
+    from worm_optimizer.console.console_state import ConsoleState, new_notices
+    from worm_optimizer.console.control import ConsoleControl
     from worm_optimizer.console.robot_worker import Notice, RobotWorker
     from worm_optimizer.console.server import serve
-    from worm_optimizer.console.shelf import Shelf
 
     parameters = load_parameters(options.parameters)
     file = str(Path(options.parameters).resolve()) if options.parameters else ""
     secret = _secret(options)
     _refuse_taken_port(options.listen, options.port)
     say = ProgressLog("console")
-    words = new_words()
+    notices = new_notices()
 
-    def tell(word: Notice) -> None:
-        words.append(word)
-        say(word.text)
+    def notify(notice: Notice) -> None:
+        notices.append(notice)
+        say(notice.text)
 
     namespace = "/" + options.namespace.strip("/")
     name = f"console_{os.getpid()}"
     worker = RobotWorker(
         _robot_opener(options, namespace, name, say),
         lambda check: operator(namespace, check, f"{name}_stop"),
-        tell,
+        notify,
     )
-    control = Control(time.monotonic)
-    hub = Hub(worker, control, Shelf(options.bags), parameters, file, words)
-    address = f"http://{_named(options.listen)}:{options.port}/"
+    host = f"{socket.gethostname()}:{options.port}"
+    control = ConsoleControl(host, time.monotonic, worker.request_control)
+    library = BagLibrary(options.bags)
+    state = ConsoleState(worker, control, library, parameters, file, notices)
+    address = f"http://{_address(options.listen)}:{options.port}/"
     token = f"?token={secret}" if secret and not options.password_file else ""
     say(f"{address}{token} (Ctrl-C ends it)")
     with counted_interrupts() as interrupts:
         try:
             access = Access(secret, time.monotonic)
-            serve(hub, access, options.listen, options.port, interrupts)
+            serve(state, access, options.listen, options.port, interrupts)
         finally:
             if worker.busy:
-                say("what goes on comes to its end; Ctrl-C once more holds the robot at once")
-            worker.close(impatient=lambda: interrupts() > 1)
+                say("waiting for the end of the run; another Ctrl-C holds the robot immediately")
+            worker.close(hold_now=lambda: interrupts() > 1)
     return FAILED if worker.failure else 0
 
 
 def _robot_opener(
     options: argparse.Namespace, namespace: str, name: str, note: Say
 ) -> Callable[[Say, Check], AbstractContextManager[OperatorNode]]:
-    """Opens the operator of a graph that runs, or of one that is brought up first; ``note`` tells the terminal."""
+    """Return a function that opens the operator of a running graph, or starts a graph first.
+
+    Args:
+        options: command line.
+        namespace: the robot's namespace.
+        name: name of the node.
+        note: prints a line in the terminal.
+    """
     robot = robot_of(options, "virtual" if options.virtual else "robot")
     system = robot.file.system(robot.mode, namespace.strip("/"), **robot.settings)
 
@@ -126,7 +135,7 @@ def _robot_opener(
             note(f"the logs of all nodes go to {logs}")
             with session(system, logs, say, RESTARTS, check) as running:
                 running.node.configure()
-                say("ready")
+                say("all nodes run")
                 yield running.node
         else:
             with operator(namespace, check, name) as node:
@@ -136,7 +145,7 @@ def _robot_opener(
 
 
 def _secret(options: argparse.Namespace) -> str:
-    """What one signs in with; nothing where only this computer reaches the pages. Raises `InputError`."""
+    """Return the token or password; empty if only this computer reaches the pages. Raises `InputError`."""
     from worm_optimizer.console.access import is_local
 
     if options.password_file is None:
@@ -147,20 +156,20 @@ def _secret(options: argparse.Namespace) -> str:
         raise InputError(f"--password-file {options.password_file}: {error}") from None
     if not password or len(password[0]) < 8:
         raise InputError(
-            f"--password-file {options.password_file}: its first line is to have 8 characters or more"
+            f"--password-file {options.password_file}: its first line must have 8 characters or more"
         )
     return str(password[0])
 
 
-def _named(host: str) -> str:
-    """A host as it stands in an address; this computer's name where it listens everywhere."""
+def _address(host: str) -> str:
+    """Return the host part of the address for other devices; the IP address if the server listens everywhere."""
     if host in ("0.0.0.0", "::"):
-        return socket.gethostname()
+        return _own_address()
     return f"[{host}]" if ":" in host else host
 
 
 def _refuse_taken_port(host: str, port: int) -> None:
-    """Raises `InputError` where nobody could listen."""
+    """Raise `InputError` if the address or the port is not available."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         with socket.socket(family, socket.SOCK_STREAM) as tried:
@@ -168,3 +177,17 @@ def _refuse_taken_port(host: str, port: int) -> None:
             tried.bind((host, port))
     except (OSError, OverflowError) as error:
         raise InputError(f"--listen {host} --port {port}: {error}") from None
+
+
+def _own_address() -> str:
+    """Return the IPv4 address of this computer in its network; its name if it has none.
+
+    Connecting a datagram socket sends nothing; it selects the interface towards the address, which is one for
+    documentation (RFC 5737).
+    """
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect(("192.0.2.1", 9))
+            return str(probe.getsockname()[0])
+    except OSError:
+        return socket.gethostname()

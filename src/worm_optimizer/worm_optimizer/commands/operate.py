@@ -8,10 +8,11 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from worm_model.commands.command_line import (
@@ -31,9 +32,15 @@ from worm_optimizer.nodes.operator_node import OperatorNode, UnreachableError, o
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog
 from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.recorded_run import new_bag, recorded
-from worm_optimizer.orders import Order, RobotState, RunProgress, RunResult
+from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
+from worm_optimizer.snapshot import Snapshot
 
 _TOLD_S = 2.0  # between two lines of progress
+#: fields of the driver's state that `operate state` returns
+_STATE = (
+    *("holding", "homed", "emergency_stop", "cycle", "cycles"),
+    *("stroke", "frequency", "direction", "message"),
+)
 
 Action = Callable[[OperatorNode, argparse.Namespace], int]
 
@@ -65,7 +72,7 @@ def _parser() -> Parser:
         added.add_json()
         return added
 
-    add("state", _state, "What is heard of the robot; exit status 1 where there is no driver.")
+    add("state", _state, "Print the state of the robot; exit status 1 without a driver.")
     add(
         "home",
         _asking(OperatorNode.home),
@@ -156,15 +163,32 @@ def _done(options: argparse.Namespace, message: str) -> int:
 
 
 def _state(node: OperatorNode, options: argparse.Namespace) -> int:
-    state = node.state()
-    print_result(options, asdict(state), _state_words(state))
+    lifecycle, now = node.lifecycle_state(), node.current_snapshot()
+    content = _state_content(lifecycle, now)
+    print_result(options, content, _state_text(content))
     return 0
 
 
-def _state_words(state: RobotState) -> str:
+def _state_content(lifecycle: str, now: Snapshot) -> dict[str, Any]:
+    """Return the fields of the output; NaN, an empty text or 0 for what was not received."""
+    assert now.driver is not None
+    return {
+        "lifecycle": lifecycle,
+        **{name: getattr(now.driver, name) for name in _STATE},
+        "state": now.driver.state.name,
+        "power": now.power,
+        "rear_position": now.robot.rear_position,
+        "health": "" if now.residuals is None else now.residuals.health.name.lower(),
+        "initial_length": 0.0 if now.twin is None else now.twin.initial_length,
+    }
+
+
+def _state_text(content: Mapping[str, Any]) -> str:
+    state = SimpleNamespace(**content)
+    activity = "stopped, holding" if state.holding else state.state.lower()
     rows = [
         ("driver", state.lifecycle),
-        ("state", state.state.lower() + (f": {state.message}" if state.message else "")),
+        ("state", activity + (f": {state.message}" if state.message else "")),
         ("homed", "yes" if state.homed else "no"),
         ("emergency stop", "ON: nothing starts" if state.emergency_stop else "off"),
     ]
@@ -224,16 +248,17 @@ def _own_gait(options: argparse.Namespace) -> Gait | None:
     return gait_of(options)
 
 
-def _ends(options: argparse.Namespace, gait: Gait) -> Order:
+def _ends(options: argparse.Namespace, gait: Gait) -> GaitCommand:
     """A gait with the ends that are asked for, five cycles without any. Raises `InputError`."""
     default = 0 if options.grooves or options.distance else CYCLES
-    return Order(gait, options.cycles or default, options.grooves, options.distance)
+    return GaitCommand(gait, options.cycles or default, options.grooves, options.distance)
 
 
 def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Gait:
     """A gait of the optimizer's front, for the groove phase at which the robot rests where the twin knows it."""
     request = request_of_options(options)
-    length = node.state().initial_length
+    twin = node.current_snapshot().twin
+    length = 0.0 if twin is None else twin.initial_length
     try:
         answer = node.request_gait(request, options.direction, length)
     except UnreachableError as error:
@@ -243,7 +268,7 @@ def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog
     return answer.gait
 
 
-def _attended(node: OperatorNode, order: Order, say: ProgressLog) -> RunResult:
+def _attended(node: OperatorNode, order: GaitCommand, say: ProgressLog) -> RunResult:
     """A run to its end; Ctrl-C stops it at the next point of rest, another one at once."""
     with counted_interrupts() as interrupts:
         run = node.begin(order)
