@@ -4,7 +4,7 @@
 from worm_driver.control.heartbeat import Owner
 
 #: time without a request after which a client loses control, s
-LEASE = 3.0
+LEASE = 5.0
 
 
 class ControlLease:

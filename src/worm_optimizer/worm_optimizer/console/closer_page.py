@@ -27,6 +27,7 @@ _CHARTS: tuple[tuple[str, float, dict[str, str]], ...] = (
 _HEIGHT, _GAP = 190, 70  # px, of a chart and between charts
 _DASHES = ("solid", "dashed")  # lines of the first and of the second run
 _SLIDER_STEP_S = 0.02
+_REDRAW_S = 0.05  # shortest time between two pictures
 
 
 class CloserLook:
@@ -42,9 +43,16 @@ class CloserLook:
             self._pictures.append(ui.html("", sanitize=False).classes("w-full scene"))
         with ui.row().classes("items-center w-full no-wrap gap-4"):
             self._time = ui.label().classes("line").style("min-width: 7rem")
-            ui.slider(
-                min=first, max=last, step=_SLIDER_STEP_S, value=0.0, on_change=self._on_slider
-            ).props('aria-label="Time since the onset, s"')
+            # The browser's own slider: screen readers and all keys operate it.
+            slider = ui.element("input").classes("w-full")
+            slider.props(f"type=range min={first:.2f} max={last:.2f} step={_SLIDER_STEP_S} value=0")
+            slider.props('aria-label="Time since the onset, s"')
+            slider.on(
+                "input",
+                self._on_slider,
+                throttle=_REDRAW_S,
+                js_handler="(event) => emit(event.target.value)",
+            )
         ui.label(
             "Drag in a chart to move it, turn the wheel to zoom; point at a line to read its values. "
             f"Time counts from the onset; one value every {1e3 * _step_s(runs):.0f} ms."
@@ -54,8 +62,8 @@ class CloserLook:
         self._chart.style(f"height: {len(_CHARTS) * (_HEIGHT + _GAP) + 60}px")
         self._show(0.0)
 
-    def _on_slider(self, event: events.ValueChangeEventArguments) -> None:
-        self._show(float(event.value))
+    def _on_slider(self, event: events.GenericEventArguments) -> None:
+        self._show(float(event.args))
 
     def _show(self, time_s: float) -> None:
         self._time.set_text(f"{time_s:.2f} s")

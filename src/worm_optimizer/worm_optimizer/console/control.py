@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from worm_optimizer.snapshot import Control, Wish
 
-SILENCE_S = 3.0  # time without a message of a page after which the page loses control
+SILENCE_S = 5.0  # time without a message of a page after which the page loses control
 _SEPARATOR = " page "  # between the names of console and page in that of a client
 
 Send = Callable[[str, Wish], None]

@@ -22,7 +22,6 @@ SOURCES: Mapping[str, str] = {  # topic and the name of its source
     "tracker": "tracker",
     "twin/state": "twin",
 }
-_WITH_TORQUE = {"body_length/commanded"}  # topics that the driver publishes only with torque
 HISTORY_S = 60.0
 SAMPLE_S = 0.2  # period of the history, s
 MOVING = (Activity.RESTING, Activity.RUNNING, Activity.STOPPING)
@@ -35,15 +34,13 @@ def is_live(snapshot: Snapshot, topic: str, now: float) -> bool:
 
 
 def missing_sources(snapshot: Snapshot, now: float) -> list[str]:
-    """Return the sources that should publish in the driver's present state and do not; empty without a driver."""
+    """Return the sources that do not publish although the driver is active; empty if it is not."""
     driver = snapshot.driver
-    if driver is None:
+    if driver is None or driver.state is Activity.INACTIVE:
         return []
     texts = []
     for topic, name in SOURCES.items():
         received_s = snapshot.received.get(topic)
-        if topic in _WITH_TORQUE and driver.state is Activity.INACTIVE:
-            continue
         if received_s is None:
             texts.append(f"{name}: no message yet")
         elif now - received_s > STALE_S:

@@ -45,9 +45,8 @@ def test_missing_sources_are_named_with_their_silence():
     assert missing_sources(silent, NOW) == ["power: no message yet", "tracker: silent for 7 s"]
 
 
-def test_an_inactive_driver_publishes_no_command_and_an_absent_one_is_the_only_message():
-    without_command = {**RECEIVED, "body_length/commanded": NOW - 99.0}
-    inactive = replace(snapshot(Activity.INACTIVE), received=without_command)
+def test_no_source_is_missing_unless_the_driver_is_active():
+    inactive = replace(snapshot(Activity.INACTIVE), received={})
     assert missing_sources(inactive, NOW) == []
     assert missing_sources(Snapshot(), NOW) == []
     assert state_text(Snapshot()) == "no driver"
