@@ -23,7 +23,7 @@ PARTS = {
     "action": ("", "→ ", "feedback "),
 }  # between the lines ---
 DECLARATION = re.compile(
-    r"^(?P<type>\S+)\s+(?P<name>\w+)\s*(?:=\s*(?P<value>\S+))?\s*(?:#\s*(?P<comment>.*))?$"
+    r"^(?P<type>\S+)\s+(?P<name>\w+)(?:\s*=\s*(?P<value>\S+)|\s+(?P<default>[^\s#=]+))?\s*(?:#\s*(?P<comment>.*))?$"
 )
 
 
@@ -57,6 +57,7 @@ def _definition(path: Path, prefixes: tuple[str, ...]) -> str:
             if found is None:
                 raise ValueError(f"{path}: cannot be read: {line}")
             value = f" = {found['value']}" if found["value"] else ""
+            value += f", default {found['default']}" if found["default"] else ""
             meaning = _plain(found["comment"] or "")
             rows.append(f"| {prefix}`{found['name']}`{value} | {found['type']} | {meaning} |")
     return _plain(" ".join(remarks)) + "\n\n" + "\n".join(rows)

@@ -101,9 +101,9 @@ print(json.dumps({
 
 def test_a_parameter_is_a_row_of_the_table(copy):
     """Every step from the parameter file to draws and plant has it; the equations are the author's to write."""
-    row = '    front_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D2")\n'
+    row = '    front_load: float = _row(0.0, "N", -1e3, 1e3, "Q2")\n'
     more = "".join(
-        f'    {key}_pull: float = _row(0.0, "N", -1e3, 1e3, "Q{n}")\n'
+        f'    {key}_pull: float = _row(0.0, "N", -1e3, 1e3, "R{n}")\n'
         for n, key in enumerate(("rear", "front"), 1)
     )
     copy.edit("worm_msgs/worm_msgs/robot_parameters.py", row, row + more)
@@ -144,7 +144,7 @@ from worm_optimizer.robustness.prediction import predict
 from worm_optimizer.search.task import MarginTask
 from worm_model.parameters import ParameterFile
 
-gait = Gait(0.07, 0.2, contraction_share=0.4)
+gait = Gait(0.07, 0.2, ripple_share=0.4)
 run = simulated_run(gait, PAPER, 2, 50.0).as_recorded()
 with new_bag(Path("new")) as writer:
     write_run(writer, run, "/worm")
@@ -156,54 +156,54 @@ with open_bag(Path(OLD)) as bag:
     data = next(iter(bag.messages([channel.name]))).data
 state_type = topic_of(channel.name, channel.type_name)
 converted = Converter(channel, state_type)(data)
-share = np.frombuffer(converted, "<f8", 1, converted.index(np.float64(0.5).tobytes()))[0]
+share = np.frombuffer(converted, "<f8", 1, converted.index(np.float64(0.375).tobytes()))[0]
 rows = rows_of_run(again, 10**9)
-Path("gaits.csv").write_text("stroke_m,frequency_Hz,contraction_share\\n0.07,0.2,0.4\\n")
+Path("gaits.csv").write_text("stroke_m,frequency_Hz,ripple_share\\n0.07,0.2,0.4\\n")
 overrides, table = evaluate_table(read_gaits("gaits.csv"), PAPER)
 write_table(Path("out.csv"), table, overrides, PAPER)
 some = np.array([0.07]), np.array([0.2]), np.array([0.0])
 prediction = predict(MarginTask(), ParameterFile(), *some, 2, 1)[0]
-options = _parser().parse_args(["--stroke", "0.07", "--frequency", "0.2", "--contraction-share", "0.4"])
+options = _parser().parse_args(["--stroke", "0.07", "--frequency", "0.2", "--ripple-share", "0.4"])
 print(json.dumps({
     "bag": last_played_gait(again.gait_state).gait == gait,
-    "old": sorted({float(v) for v in old.gait_state.contraction_share}),
+    "old": sorted({float(v) for v in old.gait_state.ripple_share}),
     "converted": float(share),
     "twin": word_of(rows[rows["kind"] == Kind.GAIT][1]).gait == gait,
-    "memory": "contraction_share" in (MEMORY.names or ()),
-    "table": float(table.gait["contraction_share"][0]),
+    "memory": "ripple_share" in (MEMORY.names or ()),
+    "table": float(table.gait["ripple_share"][0]),
     "header": Path("out.csv").read_text().splitlines()[0].split(","),
-    "prediction": prediction.gait.contraction_share,
+    "prediction": prediction.gait.ripple_share,
     "expected": expect(gait, ParameterFile()).robust.gait == gait,
     "options": gait_of(options) == gait,
     "driver": [row.name for row in dataclasses.fields(DriverGait)],
-    "rebuilt": dataclasses.replace(gait, margin=0.001).contraction_share,
+    "rebuilt": dataclasses.replace(gait, margin=0.001).ripple_share,
 }))
 """
 
 
 def test_a_field_of_the_gait_is_a_field_of_its_three_declarations(copy):
     """The message and the two dataclasses, then every step has it; the waveform is the author's to write."""
-    field = '    margin: float = _row("m", "robustness margin", 0.0)\n'
-    more = '    contraction_share: float = _row("1", "share of a cycle", 0.5)\n'
+    field = '    ramp_share: float = _row("1", "share of a half in which a trapezoid accelerates", 0.25)\n'
+    more = '    ripple_share: float = _row("1", "share of a cycle", 0.375)\n'
     copy.edit("worm_model/worm_model/gait.py", field, field + more)
     copy.edit(
         "worm_driver/worm_driver/gait/gait_limits.py",
-        "    margin: float = 0.0\n",
-        "    margin: float = 0.0\n    contraction_share: float = 0.5\n",
+        "    ramp_share: float = 0.25\n",
+        "    ramp_share: float = 0.25\n    ripple_share: float = 0.375\n",
     )
     message = copy.folder / "worm_msgs/msg/Gait.msg"
     message.write_text(
-        message.read_text(encoding="utf-8") + "float64 contraction_share\n", encoding="utf-8"
+        message.read_text(encoding="utf-8") + "float64 ripple_share\n", encoding="utf-8"
     )
     shutil.copytree(ROOT / "bags" / "forward", copy.folder / "forward")
     seen = copy.run(GAIT.replace("OLD", "'forward'"))
     assert all(seen[step] for step in ("bag", "twin", "memory", "expected", "options"))
-    assert seen["old"] == [0.5]
-    assert seen["converted"] == 0.5
+    assert seen["old"] == [0.375]
+    assert seen["converted"] == 0.375
     assert seen["table"] == seen["rebuilt"] == 0.4
-    assert "contraction_share" in seen["header"]
-    assert seen["prediction"] == 0.5
-    assert "contraction_share" in seen["driver"]
+    assert "ripple_share" in seen["header"]
+    assert seen["prediction"] == 0.375
+    assert "ripple_share" in seen["driver"]
 
 
 SERVO = """

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sinusoidal gait (eq:problem_formulation_gait)."""
+"""Gaits: the paper's sinusoid (eq:problem_formulation_gait) and waveforms with further parameters."""
 
 from __future__ import annotations
 
 import dataclasses
+import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,6 +22,9 @@ FREQUENCY_RANGE = (0.08, 0.4)  # Hz
 MAX_STROKE = 1.0  # m; beyond it a stroke is taken for a wrong unit
 MAX_FREQUENCY = 20.0  # Hz
 MAX_MARGIN = 0.1  # m
+MAX_PRETENSION = 1.0  # m
+CONTRACTION_SHARE_RANGE = (0.01, 0.99)
+RAMP_SHARE_RANGE = (0.1, 0.5)
 
 
 class GaitError(InputError):
@@ -32,13 +36,44 @@ def _row(unit: str, meaning: str, default: Any = dataclasses.MISSING) -> Any:
     return field(default=default, metadata={"unit": unit, "meaning": meaning})
 
 
+class Profile(enum.IntEnum):
+    """Shape of a half cycle: a half wave of a cosine, or a trapezoidal velocity profile.
+
+    The number stands in messages and arrays, the name (``str(profile)``) in JSON, CSV, YAML and on command lines.
+    `Profile` of either returns the member and raises `GaitError` for anything else.
+    """
+
+    COSINE = 0
+    TRAPEZOID = 1
+
+    @classmethod
+    def _missing_(cls, value: object) -> Profile:
+        names = {str(profile): profile for profile in cls}
+        if isinstance(value, str) and value in names:
+            return names[value]
+        raise GaitError(f"profile: {value!r} is neither {' nor '.join(names)}")
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
 @dataclass(frozen=True)
 class Gait:
-    """A contraction stroke S at a frequency f, u_cmd(t) = −S/2 (1 − cos 2πft).
+    """A periodic command of the cable that contracts the body and extends it again.
 
-    ``stroke`` in m, ``frequency`` in Hz, ``direction`` FORWARD (+x) or REVERSE (fins flipped),
+    With the phase p in [0, 1) of a cycle, the command swings between −o and −(o + S):
+
+        u_cmd = −o − S·g(p/s)                        for p < s
+        u_cmd = −o − S·(1 − g((p − s)/(1 − s)))      for p ≥ s
+
+    ``profile`` selects g. COSINE is g(q) = (1 − cos πq)/2. TRAPEZOID is the position of a trapezoidal velocity profile
+    that accelerates during the ``ramp_share`` r of each half and decelerates as long. The defaults are the paper's
+    gait, u_cmd(t) = −S/2 (1 − cos 2πft).
+
+    ``stroke`` S in m, ``frequency`` in Hz, ``direction`` FORWARD (+x) or REVERSE (fins flipped),
     ``margin`` the robustness margin δ_m in m by which the switching threshold is enlarged
-    (eq:A1_switch_robust); 0 is the nominal prediction.
+    (eq:A1_switch_robust); 0 is the nominal prediction. ``pretension`` o in m: the cable never returns below it.
+    ``contraction_share`` s: part of a cycle in which the body contracts.
 
     The fields are those of the message worm_msgs/msg/Gait. Tables, messages, bags and the kernel take them from here by
     name; a further one needs a default that means what gaits without it were.
@@ -50,32 +85,77 @@ class Gait:
     frequency: float = _row("Hz", "frequency")
     direction: int = _row("1", "1 forward, -1 reverse", FORWARD)
     margin: float = _row("m", "robustness margin", 0.0)
+    pretension: float = _row("m", "pretension of the cable", 0.0)
+    contraction_share: float = _row("1", "share of a cycle that contracts", 0.5)
+    profile: Profile = _row("1", "shape of each half of a cycle", Profile.COSINE)  # noqa: RUF009 - frozen
+    ramp_share: float = _row("1", "share of a half in which a trapezoid accelerates", 0.25)
 
     def __post_init__(self) -> None:
         _check("stroke", self.stroke, "m", 0.0, MAX_STROKE)
         _check("frequency", self.frequency, "Hz", 0.0, MAX_FREQUENCY)
-        if not 0.0 <= self.margin <= MAX_MARGIN:
-            raise GaitError(f"margin: {self.margin} m is not between 0 and {MAX_MARGIN} m")
+        _check_within("margin", self.margin, "m", 0.0, MAX_MARGIN)
+        _check_within("pretension", self.pretension, "m", 0.0, MAX_PRETENSION)
+        _check_within("contraction_share", self.contraction_share, "", *CONTRACTION_SHARE_RANGE)
+        _check_within("ramp_share", self.ramp_share, "", *RAMP_SHARE_RANGE)
         if self.direction not in (FORWARD, REVERSE):
             raise GaitError(
                 f"direction: {self.direction} is neither {FORWARD} (forward) nor {REVERSE} (reverse)"
             )
+        object.__setattr__(self, "profile", Profile(self.profile))
 
     @property
     def period(self) -> float:
         """Duration of a cycle, s."""
         return 1.0 / self.frequency
 
+    @property
+    def reach(self) -> float:
+        """Largest contraction o + S that is commanded, m."""
+        return self.pretension + self.stroke
+
+    @property
+    def peak_speed(self) -> float:
+        """Largest speed of the cable in m/s, that of the faster half."""
+        cosine = self.profile is Profile.COSINE
+        peak = 0.5 * math.pi if cosine else 1.0 / (1.0 - self.ramp_share)
+        faster = min(self.contraction_share, 1.0 - self.contraction_share)
+        return peak * self.stroke * self.frequency / faster
+
     def command(self, time: Any) -> Any:
         """Return the commanded length change u_cmd in m (≤ 0) at ``time`` s after the onset, a number or an array."""
         import numpy as np  # here, as the commands' --help imports this module and needs no array
 
-        return -0.5 * self.stroke * (1.0 - np.cos(2.0 * math.pi * self.frequency * time))
+        phase, share = np.mod(self.frequency * time, 1.0), self.contraction_share
+        extending = phase >= share
+        part = np.where(extending, (phase - share) / (1.0 - share), phase / share)
+        progress = self._progress(part)
+        return -self.pretension - self.stroke * np.where(extending, 1.0 - progress, progress)
+
+    def _progress(self, part: Any) -> Any:
+        """Return g, the share of the stroke after a part of a half cycle, both within 0 and 1."""
+        import numpy as np
+
+        if self.profile is Profile.COSINE:
+            return 0.5 * (1.0 - np.cos(math.pi * part))
+        ramp, speed = self.ramp_share, 1.0 / (1.0 - self.ramp_share)
+        steady = speed * (part - 0.5 * ramp)
+        return np.select(
+            [part < ramp, part > 1.0 - ramp],
+            [0.5 * speed / ramp * part**2, 1.0 - 0.5 * speed / ramp * (1.0 - part) ** 2],
+            steady,
+        )
 
 
 def _check(name: str, value: float, unit: str, low: float, high: float) -> None:
     if not (math.isfinite(value) and low < value <= high):
         raise GaitError(f"{name}: {value} {unit} is not above {low:g} and at most {high:g} {unit}")
+
+
+def _check_within(name: str, value: float, unit: str, low: float, high: float) -> None:
+    if not low <= value <= high:
+        raise GaitError(
+            f"{name}: {value} {unit} is not between {low:g} and {high:g} {unit}".rstrip()
+        )
 
 
 GAIT_UNITS: Mapping[str, str] = {row.name: row.metadata["unit"] for row in dataclasses.fields(Gait)}
@@ -106,9 +186,9 @@ def gait_of(source: Any) -> Gait:
     return Gait(**{name: GAIT_TYPES[name](source[name]) for name in GAIT_UNITS if name in source})
 
 
-def check_body(stroke: float, length: float) -> None:
-    """Raise `GaitError` unless a stroke in m is shorter than the body, of ``length`` m at rest."""
-    if stroke >= length:
+def check_body(reach: float, length: float) -> None:
+    """Raise `GaitError` unless a contraction o + S in m is shorter than the body, of ``length`` m at rest."""
+    if reach >= length:
         raise GaitError(
-            f"stroke: {stroke:g} m; the body is {length:g} m long. Use a stroke below {length:g} m"
+            f"stroke: {reach:g} m with the pretension; the body is {length:g} m long. Use less than {length:g} m"
         )

@@ -108,7 +108,7 @@ class PowerSamples:
 _GaitColumns: Any = make_dataclass(
     "_GaitColumns",
     [
-        (name, Any, field(default_factory=_stamps if GAIT_TYPES[name] is int else _array))
+        (name, Any, field(default_factory=_stamps if issubclass(GAIT_TYPES[name], int) else _array))
         for name in GAIT_UNITS
     ],
     frozen=True,

@@ -57,6 +57,8 @@ class RobotParameters:
     power_factor: float = _row(3.22, "1", 1e-2, 1e3, "α_P", power_only=True)
     rear_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D1")
     front_dry_friction: float = _row(0.0, "N", 0.0, 1e3, "D2")
+    rear_load: float = _row(0.0, "N", -1e3, 1e3, "Q1")  # positive towards -x
+    front_load: float = _row(0.0, "N", -1e3, 1e3, "Q2")
 
 
 def rows_of(table: type[RobotParameters]) -> list[Field[float]]:

@@ -2,7 +2,7 @@
 """A gait as the driver plays it (paper, eq:problem_formulation_gait), and what the robot can bear."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from worm_driver.errors import LimitError
 
@@ -18,6 +18,10 @@ class Gait:
     frequency: float
     direction: int = FORWARD
     margin: float = 0.0
+    pretension: float = 0.0
+    contraction_share: float = 0.5
+    profile: int = 0
+    ramp_share: float = 0.25
 
     def length_change(self, time: float) -> float:
         """u_cmd (m, never positive) at a time (s) after the onset."""
@@ -71,6 +75,11 @@ class GaitLimits:
             if not low <= value <= high:
                 raise LimitError(
                     f"{name} {value:g} {unit} is outside {low:g} to {high:g} {unit} ({limit})"
+                )
+        for row in fields(Gait)[-4:]:  # the waveform
+            if getattr(gait, row.name) != row.default:
+                raise LimitError(
+                    f"{row.name} {getattr(gait, row.name)} cannot be played: this driver plays {row.default}"
                 )
         if gait.direction not in (FORWARD, REVERSE):
             raise LimitError(f"direction must be 1 (forward) or -1 (reverse), not {gait.direction}")

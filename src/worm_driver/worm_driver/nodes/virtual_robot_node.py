@@ -23,7 +23,11 @@ from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.camera_images import DEFAULT_FILE as CAMERA_FILE
 from worm_driver.virtual_robot.camera_images import load_camera_settings
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.virtual_settings import SettingsError, load_settings
+from worm_driver.virtual_robot.virtual_settings import (
+    SettingsError,
+    check_conditions,
+    load_settings,
+)
 from worm_driver.virtual_robot.wire.endpoints import DirectoryError, Endpoints
 from worm_driver.virtual_robot.wire.faults import (
     KINDS,
@@ -42,6 +46,12 @@ _CLOCK_PERIOD = 0.05  # s of the robot's time between two messages on clock
 _VIRTUAL = "virtual"  # stands for the installed file of the camera
 # Python hands the interpreter over after 5 ms by default, too late for an answer on the bus.
 _SWITCH_INTERVAL = 0.0002  # s
+# Conditions of the parameter file that options replace: name, option, unit, meaning.
+_CONDITIONS = (
+    ("slope_deg", "--slope", "DEG", "slope of the pipe, uphill positive"),
+    ("tether_n", "--tether", "N", "pull of the tether on the rear module"),
+    ("tether_n_per_m", "--tether-per-metre", "N_PER_M", "growth of this pull with the distance"),
+)
 _SIGNAL_LATENCY = 0.1  # s, after which a signal is noticed at the latest
 _CAMERA_PATIENCE = 2.0  # s that an image may take, while the robot's time waits for it
 _QUIET = 0.5  # s without an instruction, after which nobody works with the robot any more
@@ -151,6 +161,14 @@ def _parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
         "--parameters", type=Path, metavar="FILE", help="default: the installed one"
     )
     parser.add_argument("--seed", type=int, metavar="N", help="default: the parameter file's")
+    for name, option, unit, text in _CONDITIONS:
+        parser.add_argument(
+            option,
+            dest=name,
+            type=float,
+            metavar=unit,
+            help=f"{text}; default: the parameter file's",
+        )
     parser.add_argument(
         "--camera",
         nargs="?",
@@ -196,6 +214,10 @@ def _make_robot(arguments: argparse.Namespace) -> VirtualRobot:
     settings = load_settings(arguments.parameters)
     if arguments.seed is not None:
         settings = settings.with_seed(arguments.seed)
+    stated = {name: getattr(arguments, name) for name, *_ in _CONDITIONS}
+    stated = {name: value for name, value in stated.items() if value is not None}
+    settings = replace(settings, conditions=replace(settings.conditions, **stated))
+    check_conditions(settings.conditions)
     if arguments.camera is not None:  # whose images have noise of their own
         load_camera_settings(arguments.camera)
         settings = replace(settings, tracker=replace(settings.tracker, noise=0.0))

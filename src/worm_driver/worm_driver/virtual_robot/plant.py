@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plant of the virtual robot: fixed-step integration of the two-mass model with additional effects.
+"""Plant of the virtual robot: fixed-step integration of the two-mass model with loads and additional effects.
 
 The model follows the paper (eq:x1_ddot_full to eq:power_model) with its own parameters. Additional effects are dry
 friction of both modules, fins whose threshold and stiffness differ from groove to groove, and optionally a compliant
 cable. With a compliant cable, its force drives the two masses and the load changes the length; in the paper's model
-the length depends on the command alone. SI units; forward is +x; contraction is negative.
+the length depends on the command alone. The weight of the modules in a sloping pipe and the pull of a tether load the
+robot along the pipe. SI units; forward is +x; contraction is negative; a positive load acts towards -x.
 
 The state contains the centre of mass, y = x1 + M2/(M1+M2)*(L - L0): adding eq:x1_ddot_full and
 eq:x2_ddot_full leaves no second derivative of the length in its equation of motion.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from random import Random
 from typing import NamedTuple
 
@@ -23,6 +24,12 @@ LOOSE = 0  # the fins are between their two angles: neither bar touches the wall
 
 _GROOVES = 512  # number of different grooves; the pattern repeats after them
 _SLOW = 1e-3  # m/s; dry friction is regularised below this speed, so that the robot can rest
+_STANDARD_GRAVITY = 9.80665  # m/s^2
+# A robot that is still faster, or has moved further, after a time under its load slides.
+_SETTLING = 600.0  # s
+_SETTLING_STEP = 0.01  # s; the fin forces, which are explicit, are stable up to about 50 ms
+_SETTLED = 1e-7  # m/s
+_HELD = 2  # grooves
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,30 @@ class PlantEffects:
     slack_engagement: float
     slack_release: float
     cable_stiffness: float = 0.0
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Conditions in the pipe that load the robot.
+
+    Attributes:
+        slope_deg: slope of the pipe, degrees; positive if +x leads uphill.
+        tether_n: pull of the tether on the rear module towards -x where the robot starts, N.
+        tether_n_per_m: increase of this pull with the distance from the start along +x, N/m.
+    """
+
+    slope_deg: float = 0.0
+    tether_n: float = 0.0
+    tether_n_per_m: float = 0.0
+
+    def loads(self, parameters: RobotParameters, rear_position: float) -> tuple[float, float]:
+        """Return the loads of the rear and the front module (N), with the rear one at a position (m).
+
+        A tether does not push, and behind the start none is paid out.
+        """
+        along = _STANDARD_GRAVITY * math.sin(math.radians(self.slope_deg))
+        tether = max(self.tether_n + self.tether_n_per_m * max(rear_position, 0.0), 0.0)
+        return parameters.rear_mass * along + tether, parameters.front_mass * along
 
 
 class Grooves(NamedTuple):
@@ -100,13 +131,33 @@ class Plant:
     rear_grooves: Grooves
     front_grooves: Grooves
     step_s: float
+    conditions: Conditions = field(default_factory=Conditions)
 
-    def at_rest(self) -> PlantState:
-        """Return the initial state: x1 = 0, both anchors in the grooves nearest to their fins."""
+    def at_rest(self, laws: tuple[int, int] = (FORWARD, FORWARD)) -> PlantState:
+        """Return the initial state: x1 = 0, both anchors in the grooves nearest to their fins.
+
+        Under a load it is the equilibrium that the robot reaches from there. A robot that the fins do not hold starts
+        at x1 = 0 and slides.
+
+        Args:
+            laws: directions in which the rear and the front fins slide (FORWARD, REVERSE or LOOSE).
+        """
         p = self.parameters
         front = round(p.initial_length / p.pitch)
         force = p.bellows_stiffness * (p.unstressed_length - p.initial_length)
-        return PlantState(0.0, 0.0, 0.0, 0.0, 0, front, False, 0.0, force, 0.0)
+        start = PlantState(0.0, 0.0, 0.0, 0.0, 0, front, False, 0.0, force, 0.0)
+        if self._loads(0.0) == (0.0, 0.0):
+            return start
+        state, plant = start, replace(self, step_s=_SETTLING_STEP)
+        for _ in range(round(_SETTLING / _SETTLING_STEP)):
+            state = plant.step(state, 0.0, laws)
+            if abs(state.centre_velocity) + abs(state.length_rate) <= _SETTLED:
+                return state._replace(
+                    length_rate=0.0, centre_velocity=0.0, cable_rest=0.0, mechanical_power=0.0
+                )
+            if abs(state.centre) > _HELD * p.pitch:
+                break
+        return start
 
     def put_back(self, state: PlantState) -> PlantState:
         """Return the state after the robot was put back to its start, with straight fins and unchanged length."""
@@ -142,6 +193,8 @@ class Plant:
         x1, x2 = self.positions(state)
         rear_groove, rear_force = self._fin(x1, state.rear_groove, laws[0], self.rear_grooves)
         front_groove, front_force = self._fin(x2, state.front_groove, laws[1], self.front_grooves)
+        rear_load, front_load = self._loads(x1)
+        rear_force, front_force = rear_force + rear_load, front_force + front_load
         velocity, drag1 = self._push(state, length_rate, rear_force + front_force)
         share = p.front_mass / (p.rear_mass + p.front_mass)
         v1 = velocity - share * length_rate
@@ -181,6 +234,8 @@ class Plant:
         x1, x2 = self.positions(state)
         rear_groove, rear_force = self._fin(x1, state.rear_groove, laws[0], self.rear_grooves)
         front_groove, front_force = self._fin(x2, state.front_groove, laws[1], self.front_grooves)
+        rear_load, front_load = self._loads(x1)
+        rear_force, front_force = rear_force + rear_load, front_force + front_load
         share = p.front_mass / (p.rear_mass + p.front_mass)
         v1 = state.centre_velocity - share * state.length_rate
         v2 = v1 + state.length_rate
@@ -215,6 +270,10 @@ class Plant:
             max(-force * rate, 0.0),
         )
 
+    def _loads(self, x1: float) -> tuple[float, float]:
+        """Return the loads of the rear and the front module (N) with the rear one at x1 (m)."""
+        return self.conditions.loads(self.parameters, x1)
+
     def _drags(self, v1: float, v2: float) -> tuple[float, float]:
         """Return viscous and dry friction of the rear and the front module divided by velocity, N·s/m."""
         p = self.parameters
@@ -237,10 +296,10 @@ class Plant:
         new = goal + (length_change - goal) * math.exp(-self.step_s / p.time_constant)
         return new, (goal - new) / p.time_constant
 
-    def _push(
-        self, state: PlantState, length_rate: float, fin_forces: float
-    ) -> tuple[float, float]:
+    def _push(self, state: PlantState, length_rate: float, forces: float) -> tuple[float, float]:
         """Return the velocity of the centre of mass one step later and the drag of the rear module (N*s/m).
+
+        forces: sum of the fin forces and loads, N, positive towards -x.
 
         Viscous and dry friction are integrated implicitly, which is stable for any step.
         """
@@ -250,7 +309,7 @@ class Plant:
         v1 = state.centre_velocity - share * length_rate
         v2 = v1 + length_rate
         drag1, drag2 = self._drags(v1, v2)
-        pull = (drag1 * share - drag2 * (1.0 - share)) * length_rate - fin_forces
+        pull = (drag1 * share - drag2 * (1.0 - share)) * length_rate - forces
         inertia = mass / self.step_s
         velocity = (inertia * state.centre_velocity + pull) / (inertia + drag1 + drag2)
         return velocity, drag1

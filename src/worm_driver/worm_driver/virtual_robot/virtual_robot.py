@@ -52,7 +52,6 @@ class VirtualRobot:
         self.settings = settings
         self.board = FaultBoard() if board is None else board
         self.plant = _make_plant(settings)
-        self.state = self.plant.at_rest()
         self._cable = [
             (item, self._make_servo(item, EXTENDED_POSITION_MODE)) for item in settings.cable_servos
         ]
@@ -74,6 +73,7 @@ class VirtualRobot:
         self._next_supervision = 0.0
         self.bus_voltage = settings.supply.voltage
         self._set_laws()
+        self.state = self.plant.at_rest(self.laws)
 
     def _random(self, purpose: str) -> Random:
         return Random(f"{self.settings.seed} {self.settings.recording} {purpose}")
@@ -189,9 +189,22 @@ class VirtualRobot:
             for servo in self.servos:
                 servo.supervise(_SUPERVISION)
         self._disturb_sensor(time)
+        self._load(time)
         if self.board.take(faults.PUT_BACK, time):
             self.state = self.plant.put_back(self.state)
         self.board.forget_past(time)
+
+    def _load(self, time: float) -> None:
+        steeper = self.board.active(faults.SLOPE, time)
+        pulled = self.board.active(faults.TETHER, time)
+        normal = self.settings.conditions
+        conditions = replace(
+            normal,
+            slope_deg=normal.slope_deg + (0.0 if steeper is None else steeper.value),
+            tether_n=normal.tether_n + (0.0 if pulled is None else pulled.value),
+        )
+        if conditions != self.plant.conditions:
+            self.plant = replace(self.plant, conditions=conditions)
 
     def _surround(self, servo: Servo, time: float) -> None:
         board, around, servo_id = self.board, servo.surroundings, servo.servo_id
@@ -229,7 +242,7 @@ def body_of(settings: RobotSettings) -> RobotParameters:
 def _make_plant(settings: RobotSettings) -> Plant:
     seed, body = settings.seed, body_of(settings)
     rear, front = (make_grooves(body, settings.effects, 2 * seed + i) for i in range(2))
-    return Plant(body, settings.effects, rear, front, settings.step)
+    return Plant(body, settings.effects, rear, front, settings.step, settings.conditions)
 
 
 def _eeprom(servo_id: int, line: LineSettings, mode: int) -> dict[str, int]:

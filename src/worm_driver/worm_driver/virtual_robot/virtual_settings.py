@@ -2,8 +2,8 @@
 """Settings file of the virtual robot: one frozen dataclass per section, validated."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
 from random import Random
@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_type_hints
 
 import yaml
 
-from worm_driver.virtual_robot.plant import PlantEffects
+from worm_driver.virtual_robot.plant import Conditions, PlantEffects
 from worm_driver.virtual_robot.servo.control_table import BAUD_RATES, MODELS, ServoModel
 from worm_driver.virtual_robot.wire.packet import HIGHEST_ID
 from worm_msgs.robot_parameters import ROWS, RobotParameters
@@ -21,6 +21,7 @@ DEFAULT_FILE = Path(str(files("worm_driver").joinpath("config/virtual_robot.yaml
 # Parameters that a ruler or a scale measures are not perturbed by the seed.
 _MEASURED = ("rear_mass", "front_mass", "unstressed_length", "initial_length", "pitch")
 _SUFFIXES = ("_N_per_m", "_s", "_m", "_N", "_rad", "_ohm", "_V", "_W", "_Hz")
+_STRONGEST = 1000.0  # N and N/m; a tether beyond it is taken for a wrong unit
 
 T = TypeVar("T")
 
@@ -106,6 +107,7 @@ class RobotSettings:
     supply: SupplySettings
     power_sensor: SensorSettings
     tracker: TrackerSettings
+    conditions: Conditions = field(default_factory=Conditions)
     parameter_spread: float = 0.0
     recording: int = 0
 
@@ -147,6 +149,7 @@ def _robot(content: Any) -> RobotSettings:
     sections: dict[str, Any] = {
         "body": RobotParameters,
         "effects": PlantEffects,
+        "conditions": Conditions,
         "line": LineSettings,
         "supply": SupplySettings,
         "power_sensor": SensorSettings,
@@ -172,7 +175,7 @@ def _servos(kind: type[T], content: Any, place: str) -> tuple[T, ...]:
 
 
 def _section(kind: type[T], content: Any, place: str) -> T:
-    values = _names(content, place)
+    values = _names(content, place, {row.name for row in fields(kind)})  # type: ignore[arg-type]
     if "model" in values:
         if values["model"] not in MODELS:
             raise SettingsError(f"{place}: no model {values['model']!r} ({', '.join(MODELS)})")
@@ -180,11 +183,14 @@ def _section(kind: type[T], content: Any, place: str) -> T:
     return _build(kind, values, place)
 
 
-def _names(content: Any, place: str) -> dict[str, Any]:
-    """Return a mapping without the unit suffixes of its names."""
+def _names(content: Any, place: str, known: Collection[str] = ()) -> dict[str, Any]:
+    """Return a mapping without the unit suffixes of its names, except for known names that have one."""
     if not isinstance(content, Mapping):
         raise SettingsError(f"{place} must be a mapping of names to values")
-    return {_without_unit(str(name)): value for name, value in content.items()}
+    return {
+        name if name in known else _without_unit(str(name)): value
+        for name, value in content.items()
+    }
 
 
 def _without_unit(name: str) -> str:
@@ -208,7 +214,8 @@ def _build(kind: type[T], values: dict[str, Any], place: str) -> T:
 
 def _is_needed(field: Field[Any]) -> bool:
     """Return whether a file must have a value: all without a default, and of the body what the paper's robot has."""
-    return field.default is MISSING or (field.name in ROWS and bool(field.default))
+    required = field.default is MISSING and field.default_factory is MISSING
+    return required or (field.name in ROWS and bool(field.default))
 
 
 def _checked(value: Any, kind: Any, place: str) -> Any:
@@ -232,6 +239,7 @@ def _check(robot: RobotSettings) -> None:
             raise SettingsError(
                 f"body: {key} is {value:g} {row['unit']}; use {row['low']:g} to {row['high']:g} {row['unit']}"
             )
+    check_conditions(robot.conditions)
     if not 0 < robot.step <= 0.001:
         raise SettingsError("step_s must be above 0 and at most 0.001")
     if robot.line.baud_rate not in BAUD_RATES:
@@ -241,6 +249,18 @@ def _check(robot: RobotSettings) -> None:
     if {servo.module for servo in robot.fin_servos} != {"rear", "front"}:
         raise SettingsError("fin_servos: each needs module rear or front, and both modules a servo")
     _check_shared_line([*robot.cable_servos, *robot.fin_servos], robot.supply.voltage)
+
+
+def check_conditions(conditions: Conditions) -> None:
+    """Raise SettingsError unless the conditions are admissible."""
+    if not abs(conditions.slope_deg) <= 90.0:
+        raise SettingsError(
+            f"conditions: slope_deg is {conditions.slope_deg:g}; use -90 (downhill) to 90"
+        )
+    for name in ("tether_n", "tether_n_per_m"):
+        value = getattr(conditions, name)
+        if not 0.0 <= value <= _STRONGEST:
+            raise SettingsError(f"conditions: {name} is {value:g}; use 0 to {_STRONGEST:g}")
 
 
 def _check_shared_line(

@@ -22,6 +22,7 @@ from worm_model.gait import (
     GAIT_MEANINGS,
     GAIT_UNITS,
     REVERSE,
+    Profile,
 )
 
 __all__ = [
@@ -60,6 +61,9 @@ class Parser(argparse.ArgumentParser):
             if name == "direction":
                 self.add_direction()
                 continue
+            if name == "profile":
+                self.add_profile()
+                continue
             needed = required and name not in GAIT_DEFAULTS
             meaning = GAIT_MEANINGS[name] + (f" in {unit}" if unit != "1" else "")
             metavar = unit.upper() if unit != "1" else "X"
@@ -74,6 +78,15 @@ class Parser(argparse.ArgumentParser):
             default=FORWARD,
             choices=(FORWARD, REVERSE),
             help=f"{FORWARD}: forward (default), {REVERSE}: reverse",
+        )
+
+    def add_profile(self) -> None:
+        """Add --profile."""
+        self.add_argument(
+            "--profile",
+            default=str(Profile.COSINE),
+            choices=[str(profile) for profile in Profile],
+            help=f"{GAIT_MEANINGS['profile']} (default: {Profile.COSINE})",
         )
 
     def add_figure(self) -> None:
@@ -219,11 +232,13 @@ def print_json(content: Any) -> None:
 
 
 def finite(content: Any) -> Any:
-    """A result as JSON can have it: what is not a finite number becomes None."""
+    """Return a result as JSON has it: NaN and infinity become None, a profile its name."""
     if isinstance(content, dict):
         return {key: finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
         return [finite(value) for value in content]
+    if isinstance(content, Profile):
+        return str(content)
     if hasattr(content, "item") and getattr(content, "ndim", 0) == 0:
         content = content.item()  # a numpy scalar
     if hasattr(content, "tolist"):

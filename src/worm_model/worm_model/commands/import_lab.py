@@ -59,7 +59,7 @@ def _gait(lab: LabRun, settings: LabSettings) -> dict[str, str]:
     gait = lab.gait
     assert gait is not None
     onset = settings.epoch + round(lab.transmission.onset * 1e9)
-    return {key: repr(value) for key, value in asdict(gait).items()} | {"onset_ns": str(onset)}
+    return {key: str(value) for key, value in asdict(gait).items()} | {"onset_ns": str(onset)}
 
 
 def _parser() -> Parser:

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from worm_model.gait import GAIT_DEFAULTS, Gait, GaitError, check_body
+from worm_model.gait import GAIT_DEFAULTS, Gait, GaitError, Profile, check_body
 from worm_model.parameters import KEYS, PAPER, ParameterError, Parameters
 from worm_model.simulation.kernel import whole_run as run
 from worm_model.simulation.kernel.mode import nearest_groove
 from worm_model.simulation.kernel.work import cable_power
-from worm_model.simulation.rows import GAIT_ROW, Rows, parameter_rows
+from worm_model.simulation.rows import GAIT_ROW, Rows, check_simulated, parameter_rows
 from worm_model.simulation.simulator import (
     AVERAGED,
     CYCLES,
@@ -57,6 +57,8 @@ def _gait_rows(fields: Mapping[str, ArrayLike], shape: tuple[int, ...]) -> Rows:
         raise ValueError(f"gaits: every {', '.join(GAIT_ROW.names or ())} must be finite")
     if np.any(np.abs(rows["direction"]) != 1.0):
         raise GaitError("direction: every direction must be 1 (forward) or -1 (reverse)")
+    if not np.all(np.isin(rows["profile"], list(Profile))):
+        raise GaitError(f"profile: every profile must be one of {', '.join(map(str, Profile))}")
     for extreme in (np.min, np.max):  # the limits of a gait bound each column on its own
         Gait(**{name: extreme(rows[name]).item() for name in GAIT_ROW.names or ()})
     return rows
@@ -78,12 +80,12 @@ def _parameter_rows(
     return rows
 
 
-def check_bodies(stroke: ArrayLike, initial_length: ArrayLike) -> None:
-    """Raise `GaitError` if a stroke (m) is not shorter than its body, of ``initial_length`` (m); they broadcast."""
-    strokes, lengths = np.broadcast_arrays(*np.atleast_1d(stroke, initial_length))
-    if strokes.size:
-        worst = np.unravel_index(np.argmax(strokes - lengths), strokes.shape)
-        check_body(float(strokes[worst]), float(lengths[worst]))
+def check_bodies(reach: ArrayLike, initial_length: ArrayLike) -> None:
+    """Raise `GaitError` unless o + S (m) is below the length of the body (m); they broadcast."""
+    reaches, lengths = np.broadcast_arrays(*np.atleast_1d(reach, initial_length))
+    if reaches.size:
+        worst = np.unravel_index(np.argmax(reaches - lengths), reaches.shape)
+        check_body(float(reaches[worst]), float(lengths[worst]))
 
 
 def _check_rows(rows: Rows) -> None:
@@ -124,8 +126,9 @@ def evaluate_gaits(
     shape = np.broadcast_shapes(*map(np.shape, [*columns.values(), *overrides.values()]))
     rows = _gait_rows(columns, shape)
     parameters_of_rows = _parameter_rows(parameters, overrides, shape)
+    check_simulated(rows, parameters_of_rows)
     if "initial_length" not in overrides:
-        check_bodies(rows["stroke"], parameters.initial_length)
+        check_bodies(rows["stroke"] + rows["pretension"], parameters.initial_length)
     results = np.empty((len(rows), run.RESULT_COLUMNS))
     _evaluate_rows(rows, parameters_of_rows, cycles, averaged, results, progress)
     return _table(rows, parameters_of_rows, results, shape)
@@ -196,6 +199,7 @@ def sample_cycle(
     columns = _columns({**GAIT_DEFAULTS, **gaits, **further})
     rows = _gait_rows(columns, np.broadcast_shapes((1,), *map(np.shape, columns.values())))
     shares, row = np.asarray(phases, dtype=float), parameter_rows(parameters)[0]
+    check_simulated(rows, parameter_rows(parameters))
     force, length_rate = np.empty((2, len(rows), shares.size))
 
     def work(part: slice) -> None:

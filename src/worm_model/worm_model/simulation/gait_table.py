@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.errors import InputError
-from worm_model.gait import GAIT_COLUMNS, GAIT_DEFAULTS
+from worm_model.gait import GAIT_COLUMNS, GAIT_DEFAULTS, GaitError, Profile
 from worm_model.parameters import KEYS, Parameters
 from worm_model.simulation.batch import GaitTable, check_bodies, evaluate_gaits
 
@@ -65,6 +65,12 @@ def _check_header(path: str | Path, header: list[str]) -> None:
 
 
 def _number(path: str | Path, line: int, name: str, text: str | None) -> float:
+    if name == "profile":
+        by_name: Any = Profile
+        try:
+            return float(by_name((text or "").strip()))
+        except GaitError as error:
+            raise InputError(f"{path}, line {line}, column {name}: {error}") from None
     try:
         value = float(text or "")
     except ValueError:
@@ -81,7 +87,8 @@ def evaluate_table(
     overrides = {key: columns[key] for key in KEYS if key in columns}
     if "L0_m" in columns:
         overrides["initial_length"] = columns["L0_m"]
-    check_bodies(columns["stroke_m"], overrides.get("initial_length", parameters.initial_length))
+    reach = columns["stroke_m"] + columns.get("pretension_m", 0.0)
+    check_bodies(reach, overrides.get("initial_length", parameters.initial_length))
     gaits: dict[str, Any] = {
         name: columns[column] for name, column in GAIT_COLUMNS.items() if column in columns
     }
@@ -94,10 +101,11 @@ def write_table(path: Path, table: GaitTable, overrides: Columns, parameters: Pa
     rows = table.speed.size
     length = np.broadcast_to(overrides.get("initial_length", parameters.initial_length), (rows,))
     further = {key: values for key, values in overrides.items() if key != "initial_length"}
-    gaits = {
+    gaits: dict[str, tuple[Any, str]] = {
         GAIT_COLUMNS[name]: (values, ".0f" if name == "direction" else ".6f")
         for name, values in table.gait.items()
     }
+    gaits["profile"] = ([str(Profile(value)) for value in table.gait["profile"]], "")
     columns = {
         **{name: gaits.pop(name) for name in (*REQUIRED, "margin_m")},
         "L0_m": (length, ".6f"),

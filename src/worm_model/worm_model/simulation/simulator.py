@@ -77,7 +77,7 @@ def evaluate_gait(
     Raises `GaitError` for a stroke that the body cannot make, ValueError for an impossible number of cycles and
     `SimulationError` on chatter.
     """
-    check_body(gait.stroke, parameters.initial_length)
+    check_body(gait.reach, parameters.initial_length)
     check_cycles(cycles, averaged)
     result = np.empty(run.RESULT_COLUMNS)
     run.evaluate(gait_rows(gait)[0], parameter_rows(parameters)[0], cycles, averaged, result)
@@ -257,7 +257,7 @@ def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -
 
     Raises `GaitError` for a stroke that the body cannot make and ValueError for an impossible number of cycles.
     """
-    check_body(gait.stroke, parameters.initial_length)
+    check_body(gait.reach, parameters.initial_length)
     check_cycles(cycles, cycles)
     return Trajectory(gait, parameters, cycles)
 

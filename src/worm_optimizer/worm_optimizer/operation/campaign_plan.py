@@ -74,4 +74,7 @@ def is_promised(plan: Plan, folder: Path) -> bool:
 
 
 def _promises(plan: Plan) -> str:
-    return json.dumps({name: asdict(gait) for name, gait in plan.gaits.items()}, indent=2)
+    gaits = {
+        name: asdict(gait) | {"profile": str(gait.profile)} for name, gait in plan.gaits.items()
+    }
+    return json.dumps(gaits, indent=2)

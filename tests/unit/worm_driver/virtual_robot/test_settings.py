@@ -4,6 +4,7 @@
 import pytest
 import yaml
 
+from worm_driver.virtual_robot.plant import Conditions
 from worm_driver.virtual_robot.virtual_settings import DEFAULT_FILE, SettingsError, load_settings
 
 
@@ -44,6 +45,10 @@ def test_its_truth_is_not_the_papers_table(settings):
         (lambda c: c["fin_servos"].pop(), "both modules"),
         (lambda c: c.update(fin_servos=[]), "at least one servo"),
         (lambda c: c.update(tracker=3), "tracker must be a mapping"),
+        (lambda c: c["conditions"].update(slope_deg=91), "slope_deg is 91"),
+        (lambda c: c["conditions"].update(tether_n=-1), "tether_n is -1"),
+        (lambda c: c["conditions"].update(tether_n_per_m=1e4), "tether_n_per_m is 10000"),
+        (lambda c: c["conditions"].update(flow=1), "unknown name 'flow'"),
     ],
 )
 def test_what_is_refused(tmp_path, change, words):
@@ -61,3 +66,11 @@ def test_a_missing_file_and_one_that_is_no_yaml(tmp_path):
     path.write_text("a: [1\n")
     with pytest.raises(SettingsError, match="no YAML"):
         load_settings(path)
+
+
+def test_conditions_in_the_file_load_the_robot(tmp_path):
+    stated = {"slope_deg": 20, "tether_n": 2, "tether_n_per_m": 0.5}
+    loaded = load_settings(write(tmp_path, lambda c: c.update(conditions=stated)))
+    assert loaded.conditions == Conditions(20.0, 2.0, 0.5)
+    free = load_settings(write(tmp_path, lambda c: c.pop("conditions")))
+    assert free.conditions == Conditions() == load_settings().conditions

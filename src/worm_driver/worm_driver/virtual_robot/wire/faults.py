@@ -19,6 +19,9 @@ WRONG_POSITION: Final = "wrong_position"
 # What happens to the whole robot at once.
 PUT_BACK: Final = "put_back"
 OCCLUDED: Final = "occluded"
+# Changes of the plant's conditions: each lasts `duration`.
+SLOPE: Final = "slope"
+TETHER: Final = "tether"
 # Faults of servos, of the serial port and of the power sensor: each lasts `duration`.
 VANISHED: Final = "vanished"
 STALLED: Final = "stalled"
@@ -61,6 +64,8 @@ KINDS: dict[str, FaultKind] = {
     ),
     PUT_BACK: FaultKind("somebody puts the robot back to its first place, fins straight", count=1),
     OCCLUDED: FaultKind("both markers are hidden from the camera", duration=1.0),
+    SLOPE: FaultKind("the pipe is value degrees steeper uphill", duration=10.0, value=10.0),
+    TETHER: FaultKind("the tether pulls value newtons more towards -x", duration=10.0, value=2.0),
     VANISHED: FaultKind("a servo loses its supply, and boots when it has it again", duration=1.0),
     STALLED: FaultKind("a servo's shaft is blocked, which overloads it in the end", duration=1.0),
     OVERLOAD: FaultKind("a servo reports overload until it is rebooted", duration=0.1),

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Conditions in the pipe (slope, tether, flow) and the loads on the modules that follow from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from worm_model.errors import InputError
+from worm_model.parameters import STANDARD_GRAVITY, Parameters
+
+WATER_DENSITY = 998.2  # kg/m³ at 20 °C
+
+
+class ConditionsError(InputError):
+    """A condition is not admissible; the message says which and why."""
+
+
+def _row(unit: str, low: float, high: float, meaning: str) -> float:
+    """Return a field with default 0, its admissible range and its meaning as metadata."""
+    metadata = {"unit": unit, "low": low, "high": high, "meaning": meaning}
+    return dataclasses.field(default=0.0, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Slope, tether and flow of a pipe. All forces count positive towards −x, against a forward gait.
+
+    The tether hangs on the rear module. Its force is ``tether_N`` plus ``tether_N_per_m`` for each metre of
+    ``distance_m``, the length of tether that already lies in the pipe. The growth during a run is neglected.
+
+    The water flows towards −x with ``flow_m_per_s``. ``drag_area_m2`` is C_d·A of each module. Drag is linearised about
+    the resting robot, see `under`.
+
+    Raises `ConditionsError` if a value is not finite or not in its range, or has no effect without another one.
+    """
+
+    slope_deg: float = _row("°", -90.0, 90.0, "slope of the pipe, uphill towards +x")
+    tether_N: float = _row("N", -1e3, 1e3, "force of the tether on the rear module")  # noqa: N815
+    tether_N_per_m: float = _row("N/m", 0.0, 1e3, "further force for each metre of tether")  # noqa: N815
+    distance_m: float = _row("m", 0.0, 1e4, "length of tether in the pipe")
+    flow_m_per_s: float = _row("m/s", -10.0, 10.0, "velocity of the water, positive towards -x")
+    drag_area_m2: float = _row("m²", 0.0, 1.0, "drag coefficient times area of each module")
+
+    def __post_init__(self) -> None:
+        for row in dataclasses.fields(self):
+            value, unit = getattr(self, row.name), row.metadata["unit"]
+            low, high = row.metadata["low"], row.metadata["high"]
+            if not low <= value <= high:
+                raise ConditionsError(
+                    f"{row.name}: {value} {unit} is not between {low:g} and {high:g} {unit}"
+                )
+        for one, other in (("tether_N_per_m", "distance_m"), ("flow_m_per_s", "drag_area_m2")):
+            given, missing = (one, other) if getattr(self, one) else (other, one)
+            if getattr(self, given) and not getattr(self, missing):
+                raise ConditionsError(
+                    f"{given}: {getattr(self, given):g} has no effect without {missing}; give both"
+                )
+
+    @property
+    def tether(self) -> float:
+        """Force of the tether at ``distance_m``, N."""
+        return self.tether_N + self.tether_N_per_m * self.distance_m
+
+
+LEVEL = Conditions()
+CONDITION_ROWS: Mapping[str, Mapping[str, Any]] = {
+    row.name: row.metadata for row in dataclasses.fields(Conditions)
+}
+
+
+def under(conditions: Conditions, parameters: Parameters) -> Parameters:
+    """Return the parameters of a robot under conditions; level ground without tether and flow returns its own.
+
+    The loads grow by the weight of each module along the pipe, the tether and the drag of the resting modules. Drag of
+    a module that moves with x′ is ρ/2·C_dA·(U + x′)·|U + x′|. Its derivative at x′ = 0, ρ·C_dA·|U|, is added to the
+    viscous friction. The neglected part is ρ/2·C_dA·x′². Buoyancy is neglected, too.
+
+    Raises `ParameterError` if a sum is outside the range of its parameter.
+    """
+    weight = STANDARD_GRAVITY * math.sin(math.radians(conditions.slope_deg))
+    drag = WATER_DENSITY * conditions.drag_area_m2 * abs(conditions.flow_m_per_s)
+    resting = 0.5 * drag * conditions.flow_m_per_s
+    return parameters.replace(
+        rear_load=parameters.rear_load
+        + parameters.rear_mass * weight
+        + conditions.tether
+        + resting,
+        front_load=parameters.front_load + parameters.front_mass * weight + resting,
+        viscous_friction=parameters.viscous_friction + drag,
+    )

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plant under loads along the pipe: equilibrium, sliding, climbing, energy, and changes during a run."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from worm_driver.virtual_robot.plant import (
+    FORWARD,
+    LOOSE,
+    REVERSE,
+    Conditions,
+    Plant,
+    PlantEffects,
+    make_grooves,
+)
+from worm_driver.virtual_robot.virtual_robot import VirtualRobot
+from worm_driver.virtual_robot.wire.faults import FaultBoard, make_fault
+from worm_msgs.robot_parameters import RobotParameters
+
+PAPER = RobotParameters()
+NO_EFFECTS = PlantEffects(0.0, 0.0, 0.0, math.inf)
+COMPLIANT = replace(NO_EFFECTS, cable_stiffness=6400.0)
+GRAVITY = 9.80665
+WEIGHT = (PAPER.rear_mass + PAPER.front_mass) * GRAVITY
+#: anchors below the fins, so that both deflect equally
+EVEN = replace(PAPER, initial_length=17 * PAPER.pitch)
+
+
+def plant_of(conditions, parameters=PAPER, effects=NO_EFFECTS):
+    grooves = (make_grooves(parameters, effects, seed) for seed in (1, 2))
+    return Plant(parameters, effects, *grooves, 1e-3, conditions)
+
+
+def rest(plant, state, duration, laws=(FORWARD, FORWARD)):
+    for _ in range(round(duration / plant.step_s)):
+        state = plant.step(state, 0.0, laws)
+    return state
+
+
+def play(plant, stroke, frequency, cycles=5, law=FORWARD):
+    """Return the states of a gait from rest at each step, the initial one first."""
+    states = [plant.at_rest((law, law))]
+    for index in range(round(cycles / frequency / plant.step_s)):
+        phase = 2 * math.pi * frequency * (index + 1) * plant.step_s
+        command = min(-0.5 * stroke * (1 - math.cos(phase)), -1e-9)
+        states.append(plant.step(states[-1], command, (law, law)))
+    return states
+
+
+def grooves_per_cycle(plant, states, cycles=5, last=3):
+    first = (len(states) - 1) * (cycles - last) // cycles
+    gained = plant.positions(states[-1])[0] - plant.positions(states[first])[0]
+    return gained / plant.parameters.pitch / last
+
+
+def test_without_a_load_it_starts_where_it_stands():
+    plant = plant_of(Conditions())
+    state = plant.at_rest()
+    assert plant.positions(state) == (0.0, PAPER.initial_length)
+    assert plant.positions(rest(plant, state, 1.0)) == plant.positions(state)
+
+
+@settings(max_examples=25, deadline=None)
+@given(slope=st.floats(-80.0, 80.0), tether=st.floats(0.0, 20.0))
+def test_it_starts_in_the_equilibrium(slope, tether):
+    """Both fins deflect equally, and carry weight and tether together."""
+    plant = plant_of(Conditions(slope, tether), EVEN)
+    load = WEIGHT * math.sin(math.radians(slope)) + tether
+    assume(abs(load) > 0.1)  # a smaller one takes minutes through the clearance
+    state = plant.at_rest()
+    stiffness = PAPER.engaged_stiffness if load > 0.0 else PAPER.disengaged_stiffness
+    expected = -math.copysign(PAPER.clearance / 2 + abs(load) / 2 / stiffness, load)
+    assert plant.positions(state)[0] == pytest.approx(expected, abs=2e-7)
+    assert plant.positions(state) == pytest.approx(
+        plant.positions(rest(plant, state, 2.0)), abs=2e-7
+    )
+    assert (state.rear_groove, state.front_groove) == (0, 17)
+
+
+@pytest.mark.parametrize("effects", [NO_EFFECTS, COMPLIANT])
+def test_the_cable_carries_the_difference_between_front_fin_and_front_load(effects):
+    conditions = Conditions(30.0, 2.0)
+    plant = plant_of(conditions, EVEN, effects)
+    state = plant.at_rest()
+    (x1, x2), (rear, front) = plant.positions(state), conditions.loads(EVEN, 0.0)
+    carried = [
+        -EVEN.engaged_stiffness * (deflection + EVEN.clearance / 2)
+        for deflection in (x1, x2 - 17 * EVEN.pitch)
+    ]
+    assert sum(carried) == pytest.approx(rear + front, rel=1e-4)
+    bellows = EVEN.bellows_stiffness * (EVEN.unstressed_length - (x2 - x1))
+    assert state.cable_force == pytest.approx(bellows + carried[1] - front, rel=1e-3)
+
+
+def test_a_load_that_the_fins_do_not_hold_lets_it_slide():
+    plant = plant_of(Conditions(tether_n=100.0))
+    state = plant.at_rest()
+    assert plant.positions(state)[0] == 0.0
+    assert plant.positions(rest(plant, state, 2.0))[0] < -10 * PAPER.pitch
+
+
+def test_loose_fins_slide_at_the_speed_of_the_friction():
+    plant = plant_of(Conditions(30.0))
+    before = rest(plant, plant.at_rest((LOOSE, LOOSE)), 1.0, (LOOSE, LOOSE))
+    after = rest(plant, before, 1.0, (LOOSE, LOOSE))
+    speed = plant.positions(after)[0] - plant.positions(before)[0]
+    assert speed == pytest.approx(-0.5 * WEIGHT / (2 * PAPER.viscous_friction), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("slope", "margin", "grooves"),
+    [(0, 0.0, 2), (60, 0.0, 2), (90, 0.0, 0), (15, 0.0025, 0), (30, 0.001, 2), (30, 0.002, 0)],
+)
+def test_where_the_papers_cruise_gait_climbs(slope, margin, grooves):
+    """Grooves from an independent integration of the paper's model."""
+    threshold = PAPER.switching_threshold + margin
+    plant = plant_of(Conditions(slope), replace(PAPER, switching_threshold=threshold))
+    found = grooves_per_cycle(plant, play(plant, 0.0754, 0.147))
+    assert found == pytest.approx(grooves, abs=2e-3)
+
+
+def test_the_reverse_gait_uphill_is_the_mirror_image():
+    up, down = plant_of(Conditions(25.0), EVEN), plant_of(Conditions(-25.0), EVEN)
+    forward, reverse = play(up, 0.08, 0.2, 2), play(down, 0.08, 0.2, 2, REVERSE)
+    for ahead, back in zip(forward[::100], reverse[::100], strict=True):
+        (x1, x2), (y1, y2) = up.positions(ahead), down.positions(back)
+        assert y1 == pytest.approx(EVEN.initial_length - x2, abs=1e-6)
+        assert y2 == pytest.approx(EVEN.initial_length - x1, abs=1e-6)
+
+
+@pytest.mark.parametrize("effects", [NO_EFFECTS, COMPLIANT])
+def test_the_cable_pays_for_the_climb(effects):
+    """Work of the cable, minus what bellows and weight store, is at least the loss by friction."""
+    conditions = Conditions(20.0, 2.0, 3.0)
+    plant = plant_of(conditions, effects=effects)
+    states = play(plant, 0.08, 0.15, 3)
+    work = lost = stored = 0.0
+    for before, after in itertools.pairwise(states):
+        (x1, x2), (y1, y2) = plant.positions(before), plant.positions(after)
+        rear, front = conditions.loads(PAPER, x1)
+        stored += rear * (y1 - x1) + front * (y2 - x2)
+        lost += PAPER.viscous_friction * ((y1 - x1) ** 2 + (y2 - x2) ** 2) / plant.step_s
+        lost += PAPER.bellows_damping * after.length_rate**2 * plant.step_s
+        work -= after.cable_force * after.length_rate * plant.step_s
+    preload = PAPER.unstressed_length - PAPER.initial_length
+    ends = (preload - states[-1].length_change, preload - states[0].length_change)
+    stored += 0.5 * PAPER.bellows_stiffness * (ends[0] ** 2 - ends[1] ** 2)
+    assert grooves_per_cycle(plant, states, 3, 1) == pytest.approx(2, abs=0.02)
+    assert work - stored > lost > 0.5 * (work - stored)
+
+
+def test_a_tether_grows_with_the_distance_and_never_pushes():
+    conditions = Conditions(0.0, 1.0, 2.0)
+    assert conditions.loads(PAPER, 0.5) == (2.0, 0.0)
+    assert conditions.loads(PAPER, -0.5) == (1.0, 0.0)
+    assert Conditions(0.0, -1.0).loads(PAPER, 0.0) == (0.0, 0.0)
+
+
+def test_a_fault_changes_the_load_for_its_time(settings):
+    board = FaultBoard(
+        [
+            make_fault("slope", start=1.0, duration=2.0, value=30.0),
+            make_fault("tether", start=2.0, duration=2.0, value=5.0),
+        ]
+    )
+    robot = VirtualRobot(settings, board)
+    found = []
+    for time in (0.5, 1.5, 2.5, 3.5, 4.5):
+        robot.advance(time)
+        found.append((robot.plant.conditions.slope_deg, robot.plant.conditions.tether_n))
+    assert found == [(0.0, 0.0), (30.0, 0.0), (30.0, 5.0), (0.0, 5.0), (0.0, 0.0)]
+    assert robot.plant.positions(robot.state)[0] < -robot.plant.parameters.clearance / 4
