@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: the console, which shows the robot in a browser and has it do what `operate` does."""
+"""Command line: the console, which shows and operates the robot in a browser."""
 
 from __future__ import annotations
 
@@ -33,33 +33,35 @@ def main() -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="console",
-        description="The robot in a browser: live view, gaits, recordings. Serves a node graph that runs "
-        "(./worm start), or brings one up with --virtual. Only this computer reaches the page, unless --listen says "
-        "otherwise.",
+        description="Show and operate the robot in a browser: live view, gaits, recordings. Connects to a running "
+        "node graph (./worm start), or starts one with --virtual. Only this computer reaches the page unless --listen "
+        "is given.",
     )
     parser.add_argument(
-        "--virtual", action="store_true", help="bring a virtual robot's whole graph up, too"
+        "--virtual", action="store_true", help="start the node graph of a virtual robot"
     )
-    parser.add_argument("--namespace", default="worm", help="of the robot (default: worm)")
+    parser.add_argument(
+        "--namespace", default="worm", help="namespace of the robot (default: worm)"
+    )
     parser.add_argument(
         "--listen",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="of this computer on a network, 0.0.0.0 for all; a token is then needed, and printed",
+        help="address of this computer in a network, 0.0.0.0 for all; access then needs the printed token",
     )
     parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}")
     parser.add_argument(
         "--password-file",
         type=Path,
         metavar="FILE",
-        help="whose first line one signs in with, instead of a token",
+        help="file whose first line is the password, instead of a token",
     )
     parser.add_argument(
         "--bags",
         type=Path,
         default=Path("bags"),
         metavar="FOLDER",
-        help="of the recordings (default: bags)",
+        help="folder of the recordings (default: bags)",
     )
     add_robot(parser)
     parser.add_parameters()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: what a person does with a robot whose node graph runs; the same that ros2 would do."""
+"""Command line: operate a robot whose node graph runs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from worm_optimizer.operation.recorded_run import new_bag, recorded
 from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 from worm_optimizer.snapshot import Snapshot
 
-_TOLD_S = 2.0  # between two lines of progress
+_PROGRESS_S = 2.0  # time between two lines of progress
 #: fields of the driver's state that `operate state` returns
 _STATE = (
     *("holding", "homed", "emergency_stop", "cycle", "cycles"),
@@ -53,8 +53,8 @@ def main() -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="operate",
-        description="What a person does with a robot whose node graph runs (./worm start, or ros2 launch): the same "
-        "services, actions and topics that ros2 would use.",
+        description="Operate a robot whose node graph runs (./worm start, or ros2 launch), with its public services, "
+        "actions and topics.",
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
 
@@ -67,7 +67,7 @@ def _parser() -> Parser:
             type=number,
             default=10.0,
             metavar="S",
-            help="for a driver to be heard (default: 10)",
+            help="timeout for the driver (default: 10)",
         )
         added.add_json()
         return added
@@ -75,29 +75,29 @@ def _parser() -> Parser:
     add("state", _state, "Print the state of the robot; exit status 1 without a driver.")
     add(
         "home",
-        _asking(OperatorNode.home),
-        "Take the present length of the cable as the initial one; torque is off.",
+        _simple(OperatorNode.home),
+        "Define the present length of the cable as the initial one; torque must be off.",
     )
-    add("activate", _asking(OperatorNode.activate), "Turn the torque on, where the cable is.")
+    add("activate", _simple(OperatorNode.activate), "Turn the torque on without motion.")
     add(
         "deactivate",
-        _asking(OperatorNode.deactivate),
+        _simple(OperatorNode.deactivate),
         "Bring the robot to rest and turn its torque off.",
     )
     add(
         "stop",
-        _asking(OperatorNode.stop),
-        "Hold the cable where it is, at once; the torque stays on.",
+        _simple(OperatorNode.stop),
+        "Hold the cable where it is, immediately; the torque stays on.",
     )
     add(
         "reboot",
-        _asking(OperatorNode.reboot),
-        "Restart the servos that report a hardware error; torque is off.",
+        _simple(OperatorNode.reboot),
+        "Restart the servos that report a hardware error; torque must be off.",
     )
     switch = add(
         "emergency_stop",
         _emergency_stop,
-        "on: hold at once, and reject every start, also of a driver that is started again; off: reset it, which "
+        "on: hold immediately and reject every start, also after a restart of the driver; off: reset it, which "
         "the driver rejects while the last message of any publisher of the topic is true.",
     )
     switch.add_argument("switch", choices=("on", "off"))
@@ -106,8 +106,8 @@ def _parser() -> Parser:
         add(
             "run",
             _run,
-            "Run a gait of one's own (--stroke, --frequency) or one of the optimizer's front, the most economical by "
-            "default. Ctrl-C stops it at the next point of rest, another Ctrl-C holds at once.",
+            "Run a given gait (--stroke, --frequency) or one of the optimizer's front, by default the one with the "
+            "lowest cost of transport. Ctrl-C stops it at the next point of rest, another Ctrl-C holds immediately.",
         )
     )
     return parser
@@ -118,18 +118,18 @@ def _add_fault(parser: Parser) -> None:
         "name", help="as `worm_driver virtual_robot --help` lists them; clear ends all"
     )
     parser.add_argument("--target", type=int, default=0, help="id of the servo; default: any")
-    parser.add_argument("--count", type=int, default=0, help="packets that it strikes")
+    parser.add_argument("--count", type=int, default=0, help="number of affected packets")
     parser.add_number("--delay", "S", "s from now", 0.0)
-    parser.add_number("--duration", "S", "s; 0: the fault's own", 0.0)
-    parser.add_number("--value", "X", "as the fault takes it; 0: its own", 0.0)
+    parser.add_number("--duration", "S", "s; 0: the default of the fault", 0.0)
+    parser.add_number("--value", "X", "value of the fault; 0: its default", 0.0)
 
 
 def _add_run(parser: Parser) -> None:
     parser.add_gait()
     add_objective(parser)
-    ends = parser.add_argument_group("its end: the first that is reached")
+    ends = parser.add_argument_group("end of the run: the first that is reached")
     ends.add_argument(
-        "--cycles", type=int, default=0, metavar="N", help=f"default {CYCLES} where no end is given"
+        "--cycles", type=int, default=0, metavar="N", help=f"default {CYCLES} if no end is given"
     )
     ends.add_argument("--grooves", type=int, default=0, metavar="N", help="needs a tracker")
     ends.add_argument(
@@ -147,7 +147,7 @@ def _operate(options: argparse.Namespace) -> int:
         raise InputError(f"--timeout {options.timeout:g}: give a positive time in s")
     action: Action = options.action
     if action is _run:
-        _ends(options, _own_gait(options) or Gait(0.05, 0.1))  # refused before anybody is asked
+        _ends(options, _own_gait(options) or Gait(0.05, 0.1))  # rejected before any request
     try:
         with operator(namespace, name=f"operate_{os.getpid()}") as node:
             node.wait_for_driver(options.timeout)
@@ -203,9 +203,9 @@ def _state_text(content: Mapping[str, Any]) -> str:
     return "\n".join(f"{name:<15} {value}" for name, value in rows)
 
 
-def _asking(ask: Callable[[OperatorNode], str]) -> Action:
-    """An action that takes nothing but the word."""
-    return lambda node, options: _done(options, ask(node))
+def _simple(call: Callable[[OperatorNode], str]) -> Action:
+    """Return an action without arguments."""
+    return lambda node, options: _done(options, call(node))
 
 
 def _emergency_stop(node: OperatorNode, options: argparse.Namespace) -> int:
@@ -229,33 +229,33 @@ def _run(node: OperatorNode, options: argparse.Namespace) -> int:
     with recorder:
         result = _attended(node, order, say)
     content = {**asdict(result), "bag": None if bag is None else str(bag)}
-    print_result(options, content, _result_words(result, bag))
+    print_result(options, content, _result_text(result, bag))
     if not result.success:
         print(f"operate: {result.message}", file=sys.stderr)  # noqa: T201
     return 0 if result.success else FAILED
 
 
 def _own_gait(options: argparse.Namespace) -> Gait | None:
-    """The gait that is given in numbers, None where one is to be requested. Raises `InputError`."""
+    """Return the gait of the options; None if one must be requested. Raises `InputError`."""
     if options.stroke is None and options.frequency is None:
         return None
     if options.stroke is None or options.frequency is None:
         raise InputError("a gait has a stroke and a frequency: give --stroke and --frequency")
     if (options.objective, options.speed, options.power) != (None, None, None):
         raise InputError(
-            "--stroke and --frequency make the gait: leave --objective, --speed, --power out"
+            "--stroke and --frequency define the gait: omit --objective, --speed and --power"
         )
     return gait_of(options)
 
 
 def _ends(options: argparse.Namespace, gait: Gait) -> GaitCommand:
-    """A gait with the ends that are asked for, five cycles without any. Raises `InputError`."""
+    """Return a gait with the ends of the options; without any, with CYCLES cycles. Raises `InputError`."""
     default = 0 if options.grooves or options.distance else CYCLES
     return GaitCommand(gait, options.cycles or default, options.grooves, options.distance)
 
 
 def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Gait:
-    """A gait of the optimizer's front, for the groove phase at which the robot rests where the twin knows it."""
+    """Request a gait of the optimizer's front, for the groove phase at rest if the twin has estimated it."""
     request = request_of_options(options)
     twin = node.current_snapshot().twin
     length = 0.0 if twin is None else twin.initial_length
@@ -269,13 +269,13 @@ def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog
 
 
 def _attended(node: OperatorNode, order: GaitCommand, say: ProgressLog) -> RunResult:
-    """A run to its end; Ctrl-C stops it at the next point of rest, another one at once."""
+    """Run a gait to its end; Ctrl-C stops it at the next point of rest, another one immediately."""
     with counted_interrupts() as interrupts:
         run = node.begin(order)
         try:
             if not node.follow(run, _progress(say), lambda: interrupts() > 0):
                 run.cancel()
-                say("stopping at the next point of rest; Ctrl-C again holds at once")
+                say("stopping at the next point of rest; Ctrl-C again holds immediately")
             if not node.follow(run, _progress(say), lambda: interrupts() > 1):
                 say(node.stop())
             node.follow(run, _progress(say))
@@ -289,14 +289,14 @@ def _progress(say: ProgressLog) -> Callable[[RunProgress], None]:
 
     def progress(now: RunProgress) -> None:
         nonlocal last, cycle
-        if now.cycle != cycle or time.monotonic() > last + _TOLD_S:
+        if now.cycle != cycle or time.monotonic() > last + _PROGRESS_S:
             last, cycle = time.monotonic(), now.cycle
             say(str(now))
 
     return progress
 
 
-def _result_words(result: RunResult, bag: Path | None) -> str:
+def _result_text(result: RunResult, bag: Path | None) -> str:
     if not result.cycles_completed:
         return result.message
     rows: list[tuple[str, Any]] = [
