@@ -180,7 +180,8 @@ class ActPage:
                 node, command, folder, parameter_file, state.cancellation, state.worker.report
             )
 
-        state.control.begin_run()
+        if not (self._why_not() or state.worker.hindrance):
+            state.control.begin_run()
         self._submit("starting the recorder", run)
 
     # --- what is shown -----------------------------------------------------------------------
