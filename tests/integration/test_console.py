@@ -74,7 +74,7 @@ class Console:
             *command,
             *words,
         ]  # else NiceGUI tests itself
-        self.process = processes.start("console", command)
+        self.process = processes.start(f"console_{port}", command)
         self.process.wait_for_line(re.escape(self.address), TIMEOUT_S)
 
     def open(self, page: "sync_api.Page") -> None:
@@ -232,7 +232,7 @@ def test_two_runs_are_compared(page: "sync_api.Page", processes: Processes, tmp_
     expect(pictures).to_have_count(2)
     before = pictures.first.get_attribute("aria-label")
     slider = page.get_by_role("slider", name="Time since the onset, s")
-    slider.press("End")
+    slider.press("PageUp")
     expect(pictures.first).not_to_have_attribute("aria-label", before)
 
 
