@@ -12,7 +12,7 @@ from benchmarks.report import Row, wall_time
 from worm_model.analysis.replay_metrics import report_replay
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
-from worm_model.bags.run_reader import read_run
+from worm_model.bags.run_reader import RunReader, read_run
 from worm_model.bags.run_writer import write_run
 from worm_model.bags.worm_topics import TWIN_INPUTS
 from worm_model.commands.replay import write_replay
@@ -21,7 +21,7 @@ from worm_model.parameters import PAPER
 from worm_model.run import GaitStates, LengthSamples, PowerSamples, Run, TrackerSamples
 from worm_model.simulation import warm_up
 from worm_model.simulation.simulator import simulate
-from worm_model.twin.offline_replay import replay_run
+from worm_model.twin.offline_replay import OfflineReplay, replay_run
 
 TITLE = "times real time of reading a bag and replaying it into the twin"
 
@@ -56,9 +56,8 @@ def _measure(cycles: int) -> list[Row]:
         def publish() -> None:
             with open_bag(path) as bag:
                 output = Path(folder, f"output_{len(list(Path(folder).iterdir()))}")
-                write_replay(
-                    bag, output, replay_run(read_run(bag, names=TWIN_INPUTS), PAPER), "/worm"
-                )
+                reader = RunReader(bag, "", TWIN_INPUTS)
+                write_replay(bag, output, OfflineReplay(reader.parts, PAPER), "/worm")
 
         name = f"a bag of {duration:.0f} s"
         calls = (

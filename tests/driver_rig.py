@@ -290,10 +290,16 @@ class Rig:
         self.robot.activate(self.clock.now)
 
     def start(
-        self, stroke: float = 0.07, frequency: float = 0.4, cycles: int = 5, direction: int = 1
+        self,
+        stroke: float = 0.07,
+        frequency: float = 0.4,
+        cycles: int = 5,
+        direction: int = 1,
+        **waveform: float,
     ):
         """Begins a run."""
-        return self.robot.start(self.clock.now, Gait(stroke, frequency, direction), cycles)
+        gait = Gait(stroke, frequency, direction, **waveform)
+        return self.robot.start(self.clock.now, gait, cycles)
 
     def run_into_motion(self) -> None:
         """A gait at its full speed."""

@@ -35,6 +35,20 @@ def recorded_session(cycles: tuple[int, int] = (4, 5)) -> tuple[Run, Run]:
     )
 
 
+def joined_session() -> Run:
+    """The same as one recording of both gaits."""
+    first, second = recorded_session()
+    series = {}
+    for field in dataclasses.fields(Run):
+        parts = getattr(first, field.name), getattr(second, field.name)
+        if field.name in ("commanded", "measured", "tracker", "power", "gait_state"):
+            columns = zip(*(vars(part).items() for part in parts), strict=True)
+            series[field.name] = type(parts[0])(
+                **{name: np.concatenate([a, b]) for (name, a), (_, b) in columns}
+            )
+    return Run(origin=first.origin, **series)
+
+
 def _positions(command: np.ndarray) -> np.ndarray:
     """x1 and x2 (n, 2) m of a robot with the paper's parameters and alike grooves."""
     names = (field.name for field in dataclasses.fields(RobotParameters))

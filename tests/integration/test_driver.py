@@ -93,8 +93,16 @@ class Commander:
     def lifecycle_state(self) -> int:
         return self.probe.call(GetState, "driver/get_state", GetState.Request()).current_state.id
 
-    def send(self, stroke=0.03, frequency=0.4, cycles=1, direction=Gait.FORWARD, feedback=None):
-        gait = Gait(stroke=stroke, frequency=frequency, direction=direction)
+    def send(
+        self,
+        stroke=0.03,
+        frequency=0.4,
+        cycles=1,
+        direction=Gait.FORWARD,
+        feedback=None,
+        **waveform,
+    ):
+        gait = Gait(stroke=stroke, frequency=frequency, direction=direction, **waveform)
         goal = RunGait.Goal(gait=gait, cycles=cycles)
         return self.probe.send_goal(RunGait, "run_gait", goal, feedback)
 
@@ -236,6 +244,13 @@ def test_goals_that_cannot_be_played_are_rejected_with_the_reason(driver, comman
         (0.5, 0.2, "limits.max_stroke_m"),
     ):
         assert words in probe.rejection(commander.send(stroke, frequency))
+    for name, value in (
+        ("pretension", -0.01),
+        ("contraction_share", math.nan),
+        ("profile", 7),
+        ("ramp_share", 0.0),
+    ):
+        assert name in probe.rejection(commander.send(**{name: value}))
     first = commander.send(cycles=1)
     assert "running already" in probe.rejection(commander.send(cycles=1))
     assert commander.result(first).status == SUCCEEDED
@@ -282,6 +297,42 @@ def test_stop_holds_at_once_and_the_next_gait_returns_to_rest_first(driver, comm
     probe.wait_for(lambda: lengths[-1].length_change == 0.0, "rest")
 
 
+SHAPED = {
+    "pretension": 0.012,
+    "contraction_share": 0.6,
+    "profile": Gait.TRAPEZOID,
+    "ramp_share": 0.2,
+}
+
+
+def test_a_shaped_gait_is_stopped_and_then_played_to_its_end(driver, commander, probe):
+    commanded = probe.collect(BodyLength, "body_length/commanded")
+    commander.activate()
+    probe.wait_for(lambda: commanded, "first command")
+    stopped = commander.send(stroke=0.05, cycles=5, **SHAPED)
+    running = commander.wait_for_state(GaitState.RUNNING, "shaped gait")
+    played = {name: getattr(running.gait, name) for name in SHAPED}
+    assert played == pytest.approx(SHAPED)
+    onset = running.onset.sec + running.onset.nanosec * 1e-9
+    probe.wait_for(lambda: commanded[-1].length_change < -0.03, "contraction")
+    assert commander.trigger("stop").success
+    assert commander.result(stopped).status == ABORTED
+    probe.wait_for(lambda: stamp(commanded[-1]) > onset + 1.0, "commands of a second")
+    tensioned = [m.length_change for m in commanded if onset - 0.8 <= stamp(m) < onset]
+    assert set(tensioned) == {-0.012}
+
+    begin = len(commanded)
+    goal = commander.send(stroke=0.05, cycles=1, **SHAPED)
+    answer = commander.result(goal)
+    assert answer.status == SUCCEEDED
+    assert answer.result.cycles_completed == 1
+    assert math.isfinite(answer.result.idle_power)
+    probe.wait_for(lambda: commanded[-1].length_change == 0.0, "return to rest")
+    changes = [m.length_change for m in commanded[begin:]]
+    assert min(changes) == pytest.approx(-0.062, abs=2e-4)
+    commander.wait_for_state(GaitState.IDLE, "rest")
+
+
 def test_stop_is_served_while_a_deactivation_returns_to_rest(
     processes, directory, commander, probe
 ):
@@ -312,6 +363,31 @@ def test_stop_is_served_while_a_deactivation_returns_to_rest(
     assert not probe.result(changed, "answer to the deactivation").success
     assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
     assert "stop was called" in commander.states[-1].message
+
+
+def test_a_fault_while_a_deactivation_returns_to_rest_leaves_the_torque_on(
+    processes, directory, commander, probe
+):
+    given = parameters(directory, return_speed_m_per_s=0.005)
+    processes.start_node("worm_driver", "driver_node", **given)
+    cable = run_into_a_gait(commander, probe)
+    client = probe.node.create_client(ChangeState, "driver/change_state")
+    probe.meet("driver/change_state")
+    deactivate = Transition(id=Transition.TRANSITION_DEACTIVATE)
+    changed = client.call_async(ChangeState.Request(transition=deactivate))
+    probe.wait_for(
+        lambda: commander.states[-1].message == "the driver is deactivated", "way back to rest"
+    )
+    commander.inject(name="no_answer", target=11, duration=3600.0)
+    assert not probe.result(changed, "answer to the deactivation").success
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_ACTIVE
+    commander.wait_for_state(GaitState.FAULT, "fault")
+    commander.inject(name="clear")
+    cable.clear()
+    probe.wait_for(lambda: len(cable) > 50, "half a second")
+    assert max(message.length_change for message in cable) < -0.005
+    assert commander.change(Transition.TRANSITION_DEACTIVATE)  # in FAULT: a person wants it so
+    assert commander.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
 
 
 # --- every way out ------------------------------------------------------------------------------------

@@ -7,7 +7,8 @@ are SI units, float64 of shape (n,) unless said otherwise. A topic that was not 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, make_dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from datetime import datetime, timezone
 from typing import Any
 
@@ -60,6 +61,25 @@ def seconds(stamp: Stamps, origin: int) -> Array:
 def utc_of(stamp: int) -> str:
     """A stamp (ns since the epoch) as a date in UTC to the second, ISO 8601."""
     return datetime.fromtimestamp(stamp * 1e-9, timezone.utc).isoformat(timespec="seconds")
+
+
+def concatenated(kind: type[Any], parts: Sequence[Any]) -> Any:
+    """Return samples of one of this module's classes as one series; parts without samples are skipped.
+
+    Raises:
+        ValueError: The joints of `JointSamples` differ between the parts.
+    """
+    parts = [part for part in parts if len(part.stamp)]
+    columns: dict[str, Any] = {}
+    for name in (each.name for each in fields(kind)) if parts else ():
+        values = [getattr(part, name) for part in parts]
+        if isinstance(values[0], np.ndarray):
+            columns[name] = np.concatenate(values)
+        elif any(value != values[0] for value in values):
+            raise ValueError(f"{name} changes")
+        else:
+            columns[name] = values[0]
+    return kind(**columns)
 
 
 def _stamps() -> Stamps:

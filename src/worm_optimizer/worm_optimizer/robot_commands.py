@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from worm_model.errors import InputError
-from worm_model.gait import Gait
+from worm_model.gait import Gait, Profile
 
 MOST_CYCLES = 1000  # of one run; the driver has the same limit
 
@@ -49,11 +49,17 @@ class GaitCommand:
             (self.grooves, f"{self.grooves} grooves"),
             (self.distance, f"{1e3 * self.distance:g} mm"),
         )
-        return (
-            f"stroke {1e3 * gait.stroke:.1f} mm, frequency {gait.frequency:.3f} Hz, "
-            f"{'forward' if gait.direction > 0 else 'reverse'}, "
-            f"{' or '.join(words for wanted, words in ends if wanted)}"
+        trapezoid = gait.profile is Profile.TRAPEZOID
+        parts = (
+            (True, f"stroke {1e3 * gait.stroke:.1f} mm"),
+            (True, f"frequency {gait.frequency:.3f} Hz"),
+            (gait.pretension, f"pretension {1e3 * gait.pretension:.1f} mm"),
+            (gait.contraction_share != 0.5, f"contraction share {gait.contraction_share:g}"),
+            (trapezoid, f"trapezoid with ramp share {gait.ramp_share:g}"),
+            (True, "forward" if gait.direction > 0 else "reverse"),
+            (True, " or ".join(words for wanted, words in ends if wanted)),
         )
+        return ", ".join(words for shown, words in parts if shown)
 
 
 @dataclass(frozen=True)

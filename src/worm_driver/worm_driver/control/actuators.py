@@ -20,6 +20,8 @@ _FIN_TOLERANCE = 40
 _FIN_STILL = 0.1
 #: Contraction below which a robot without torque does not noticeably spring back, m.
 _SPRINGS_BACK = 2e-3
+#: Ratio of the effort of a blocked cable servo to the effort that counts as a fault, at least. Gaits need less.
+_STRAIN = 0.85
 #: Slack beyond the range of the stroke within which the robot may still be activated and held, m.
 PAYOUT_TOLERANCE = 0.01
 
@@ -258,11 +260,14 @@ class Actuators:
         self._goals.send(goals)
 
     def hold(self) -> None:
-        """Keep the last goals of the cable servos, and keep the fins at their last plausible positions."""
-        for servo in self.cables:
+        """Keep the last goals of all servos."""
+        for servo in self.servos:
             goal = self._goals.last_sent(servo.number)
             if goal is not None:
                 self._held[servo.number] = goal
+
+    def stop_fins(self) -> None:
+        """Keep the fins at their last plausible positions, in the middle of a flip."""
         for servo in self.fins:
             position = self.track.last(servo.number)
             if position is not None:
@@ -282,12 +287,13 @@ class Actuators:
         changes = [s.length_change(at) for s, at in zip(self.settings.spools, ticks, strict=False)]
         return math.fsum(changes) / len(changes)
 
-    def pulls(self, states: tuple[ServoState, ...]) -> bool:
-        """Return True if a cable servo pulls with at least half of the effort that counts as a fault."""
+    def strains(self, states: tuple[ServoState, ...], error: float) -> bool:
+        """Return True if a cable servo works nearly at its limit to change the length by an error (m; NaN: False)."""
         limits = self.settings.limits
         return any(
-            abs(state.effort) >= servos.fault_level(servo, limits) / 2
-            for servo, state in zip(self.cables, states, strict=False)
+            -spool.sign * state.effort * error > 0.0
+            and abs(state.effort) >= _STRAIN * servos.fault_level(servo, limits)
+            for spool, servo, state in zip(self.settings.spools, self.cables, states, strict=False)
         )
 
     def fins_set(self, states: tuple[ServoState, ...], direction: int) -> bool:

@@ -76,6 +76,12 @@ class Robot:
         self.player = PlayerState(message=self.actuators.left_on)
         self._reader = StateReader(bus, self.actuators.servos, self.actuators.track)
         self._watch = FaultWatch(self.actuators, self._reader, clock, load)
+        self._forget_states()
+        self._releases_fault = False  # the last release was requested in FAULT
+        self._fins_set_for = 0  # the direction for which the fins have been set; 0: none
+
+    def _forget_states(self) -> None:
+        """Drop states from before the servos were set up, as the robot may have moved since."""
         self._states: tuple[ServoState, ...] = (SILENT,) * len(self.actuators.servos)
 
     @property
@@ -124,7 +130,7 @@ class Robot:
         After an error the torque is off again.
 
         Raises:
-            LimitError: An emergency stop or another driver forbids a start.
+            LimitError: The driver shuts down, or an emergency stop or another driver forbids a start.
             HomingError: The length of the cable is unknown or out of its range.
             BusError: A servo does not answer.
             ConfigurationError: A servo is not fit to be enabled.
@@ -147,10 +153,13 @@ class Robot:
         run = self.player.run
         self.player = PlayerState(since=now, length_change=held, run=run)
         self._watch.begin()
+        self._forget_states()
         self.actuators.unreleased, self.actuators.left_on = [], ""
         self.active = True
 
     def _refuse_start(self) -> None:
+        if self.closing:
+            raise LimitError("the driver shuts down: start it again first")
         reason = self._why_not_start()
         if reason:
             raise LimitError(reason)
@@ -180,8 +189,6 @@ class Robot:
         """
         if not self.active:
             raise LimitError("the torque is off: activate the driver first")
-        if self.closing:
-            raise LimitError("the driver shuts down: start it again first")
         self._refuse_start()
         self.limits.check(gait, cycles)
         self.player = gait_player.start(self.player, now, gait, cycles)
@@ -224,30 +231,37 @@ class Robot:
         self._adopt(gait_player.fault(self.player, now, self._here(), reason))
 
     def _adopt(self, player: PlayerState) -> None:
-        """Store a new state of the player. If it begins to hold, keep the present positions of the servos."""
+        """Store a new state of the player. If it begins to hold, keep the goals of the servos, but stop a flip."""
         if player.phase in _HOLDS and self.player.phase is not player.phase:
             self.actuators.hold()
+            if self.player.direction not in (0, self._fins_set_for):
+                self.actuators.stop_fins()
         self.player = player
 
     def begin_release(self, now: float, reason: str) -> None:
         """Begin the return to rest. ``released`` is True once the torque may be switched off.
 
-        After a fault no return to rest can be trusted, and the torque may be switched off immediately.
+        In FAULT no return to rest can be trusted, and the torque may be switched off immediately.
         """
-        if self.active and self.player.phase is not Phase.FAULT:
+        self._releases_fault = self.player.phase is Phase.FAULT
+        if self.active and not self._releases_fault:
             self.player = gait_player.return_to_rest(self.player, now, reason)
 
     @property
     def released(self) -> bool:
-        """True if no motion is left that requires torque."""
-        return (
-            not self.active or self.player.phase is Phase.FAULT or gait_player.at_rest(self.player)
-        )
+        """True if the torque may be switched off.
+
+        The robot is at rest, or in FAULT. If it would spring back, `begin_release` must have been called in FAULT.
+        """
+        if not self.active or gait_player.at_rest(self.player):
+            return True
+        permitted = self._releases_fault or not self.actuators.springs_back
+        return self.player.phase is Phase.FAULT and permitted
 
     @property
     def holding(self) -> bool:
-        """True if a stop holds the cable at its position, with the torque on."""
-        return self.active and self.player.phase is Phase.HOLDING
+        """True if a stop or a FAULT ended a motion, and the torque is on."""
+        return self.active and self.player.phase in _HOLDS
 
     def close(self, now: float, reason: str) -> None:
         """Begin the end of the driver: return to rest, or hold while nothing may start, as in an emergency stop."""
@@ -313,14 +327,18 @@ class Robot:
             return
         if late and gait_player.moving(self.player):
             self.fail(now, late)
-        before = self.player.phase
+        before = self.player
         samples = self._valid_power_samples()
-        fins_set = self.actuators.fins_set(self._states, self.player.direction)
+        fins_set = self.actuators.fins_set(self._states, before.direction)
+        if fins_set:
+            self._fins_set_for = before.direction
         observation = Observation(fins_set, samples - self._idle_from, self._tracker_ready())
         settings = replace(self.settings.player, longest_step=self.settings.period)
         self._adopt(gait_player.step(self.player, now, observation, settings))
-        if self.player.phase is Phase.RESTING and before is not Phase.RESTING:
+        if self.player.phase is Phase.RESTING and before.phase is not Phase.RESTING:
             self._idle_from = samples
+        if self.player.direction not in (0, before.direction):
+            self._fins_set_for = 0
 
     def _send_goals(self) -> None:
         self.actuators.send(self.player.length_change, self.player.direction)
@@ -339,11 +357,11 @@ class Robot:
 
         It is the measured one if that is supported, else the last command.
 
-        A measurement is supported if it lies within the cable's lag of the command, or if a cable servo pulls. A
-        missing or implausible sample is not supported.
+        A measurement is supported if it lies within the cable's lag of the command, or if a blocked cable explains it:
+        a cable servo strains towards the command. A missing or implausible sample is not supported.
         """
         commanded = self.player.length_change
         cable = self.actuators.length_change(self._states)
         lags = abs(cable - commanded) <= _LAG * self.settings.max_cable_speed
-        supported = lags or (math.isfinite(cable) and self.actuators.pulls(self._states))
+        supported = lags or self.actuators.strains(self._states, commanded - cable)
         return cable if supported else commanded

@@ -2,17 +2,39 @@
 """A gait as the driver plays it (paper, eq:problem_formulation_gait), and what the robot can bear."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from worm_driver.errors import LimitError
 
 FORWARD = 1
 REVERSE = -1
 
+_CONTRACTION_SHARES = (0.01, 0.99)
+_RAMP_SHARES = (0.1, 0.5)
+_ROUNDING = 1e-9  # m; 0.01 m + 0.08 m are 0.09 m
+
+
+#: Values of `Gait.profile`, those of the message worm_msgs/msg/Gait.
+COSINE = 0
+TRAPEZOID = 1
+
 
 @dataclass(frozen=True)
 class Gait:
-    """A sinusoidal gait; SI. Nothing is checked here, as limits belong to a robot: see GaitLimits."""
+    """A gait as the driver plays it, SI; limits belong to a robot, see `GaitLimits`.
+
+    The fields are those of worm_msgs/msg/Gait. The defaults are the paper's sinusoid.
+
+    Attributes:
+        stroke: S, m.
+        frequency: of the cycles, Hz.
+        direction: FORWARD or REVERSE.
+        margin: robustness margin with which the gait was designed, m; it does not change the motion.
+        pretension: o, m. The cable never returns below it.
+        contraction_share: part of a cycle in which the body contracts.
+        profile: COSINE or TRAPEZOID, shape of both halves of a cycle.
+        ramp_share: part of a half in which a TRAPEZOID accelerates, and in which it decelerates.
+    """
 
     stroke: float
     frequency: float
@@ -20,17 +42,49 @@ class Gait:
     margin: float = 0.0
     pretension: float = 0.0
     contraction_share: float = 0.5
-    profile: int = 0
+    profile: int = COSINE
     ramp_share: float = 0.25
 
     def length_change(self, time: float) -> float:
-        """u_cmd (m, never positive) at a time (s) after the onset."""
-        return -self.stroke / 2 * (1.0 - math.cos(2 * math.pi * self.frequency * time))
+        """Return u_cmd (m, never positive) at a time (s) after the onset."""
+        phase = self.frequency * time % 1.0
+        if phase < self.contraction_share:
+            contracted = self._progress(phase / self.contraction_share)
+        else:
+            contracted = 1.0 - self._progress(self.extended_share(phase))
+        return self.point_of_rest - self.stroke * contracted
+
+    def extended_share(self, phase: float) -> float:
+        """Return the elapsed part of the extension at a phase (0 to 1) of a cycle; negative before it begins."""
+        return (phase - self.contraction_share) / (1.0 - self.contraction_share)
+
+    def _progress(self, part: float) -> float:
+        """Return g, the share of the stroke after a part (0 to 1) of a half cycle."""
+        if self.profile == COSINE:
+            return 0.5 * (1.0 - math.cos(math.pi * part))
+        ramp = self.ramp_share
+        if part < ramp:
+            return 0.5 * part**2 / (ramp * (1.0 - ramp))
+        if part > 1.0 - ramp:
+            return 1.0 - 0.5 * (1.0 - part) ** 2 / (ramp * (1.0 - ramp))
+        return (part - 0.5 * ramp) / (1.0 - ramp)
+
+    @property
+    def point_of_rest(self) -> float:
+        """Length change at which every cycle begins and ends, −o, m."""
+        return 0.0 - self.pretension  # not -0.0
+
+    @property
+    def reach(self) -> float:
+        """Largest contraction o + S, m."""
+        return self.pretension + self.stroke
 
     @property
     def peak_speed(self) -> float:
-        """Largest speed of the cable, m/s."""
-        return math.pi * self.frequency * self.stroke
+        """Largest speed of the cable, that of the faster half, m/s."""
+        slope = math.pi / 2 if self.profile == COSINE else 1.0 / (1.0 - self.ramp_share)
+        faster = min(self.contraction_share, 1.0 - self.contraction_share)
+        return slope * self.stroke * self.frequency / faster
 
 
 @dataclass(frozen=True)
@@ -38,7 +92,7 @@ class GaitLimits:
     """What may be asked of a robot; SI.
 
     Attributes:
-        max_stroke: m.
+        max_stroke: largest contraction, of stroke and pretension together, m.
         max_frequency: Hz.
         max_cable_speed: m/s, already the least of the parameter and of the servos' velocity limits.
         max_cycles: of one run.
@@ -64,9 +118,12 @@ class GaitLimits:
     def check(self, gait: Gait, cycles: int) -> None:
         """Raises LimitError, which says what is wrong and what would be right."""
         ranges = (
-            ("stroke", self.min_stroke, self.max_stroke, "m", "limits.max_stroke_m"),
-            ("frequency", self.min_frequency, self.max_frequency, "Hz", "limits.max_frequency_hz"),
-            ("margin", 0.0, self.max_stroke, "m", "limits.max_stroke_m"),
+            ("stroke", self.min_stroke, self.max_stroke, " m", "limits.max_stroke_m"),
+            ("frequency", self.min_frequency, self.max_frequency, " Hz", "limits.max_frequency_hz"),
+            ("margin", 0.0, self.max_stroke, " m", "limits.max_stroke_m"),
+            ("pretension", 0.0, self.max_stroke, " m", "limits.max_stroke_m"),
+            ("contraction_share", *_CONTRACTION_SHARES, "", "worm_msgs/msg/Gait"),
+            ("ramp_share", *_RAMP_SHARES, "", "worm_msgs/msg/Gait"),
         )
         for name, low, high, unit, limit in ranges:
             value = getattr(gait, name)
@@ -74,13 +131,15 @@ class GaitLimits:
                 raise LimitError(f"the gait's {name} is {value}, not a number that can be played")
             if not low <= value <= high:
                 raise LimitError(
-                    f"{name} {value:g} {unit} is outside {low:g} to {high:g} {unit} ({limit})"
+                    f"{name} {value:g}{unit} is outside {low:g} to {high:g}{unit} ({limit})"
                 )
-        for row in fields(Gait)[-4:]:  # the waveform
-            if getattr(gait, row.name) != row.default:
-                raise LimitError(
-                    f"{row.name} {getattr(gait, row.name)} cannot be played: this driver plays {row.default}"
-                )
+        if gait.reach > self.max_stroke + _ROUNDING:
+            raise LimitError(
+                f"pretension {gait.pretension:g} m and stroke {gait.stroke:g} m contract the body by {gait.reach:g} m, "
+                f"the limit is {self.max_stroke:g} m (limits.max_stroke_m)"
+            )
+        if gait.profile not in (COSINE, TRAPEZOID):
+            raise LimitError(f"profile must be 0 (cosine) or 1 (trapezoid), not {gait.profile}")
         if gait.direction not in (FORWARD, REVERSE):
             raise LimitError(f"direction must be 1 (forward) or -1 (reverse), not {gait.direction}")
         if not 1 <= cycles <= self.max_cycles:
@@ -91,8 +150,8 @@ class GaitLimits:
                 f"{self.max_duration:.0f} s: ask for {math.floor(self.max_duration * gait.frequency)} cycles"
             )
         if gait.peak_speed > self.max_cable_speed:
+            highest = gait.stroke * gait.frequency * self.max_cable_speed / gait.peak_speed
             raise LimitError(
                 f"the cable would reach {gait.peak_speed:.4f} m/s, the robot's limit is "
-                f"{self.max_cable_speed:.4f} m/s: stroke times frequency at most "
-                f"{self.max_cable_speed / math.pi:.4f} m/s"
+                f"{self.max_cable_speed:.4f} m/s: stroke times frequency at most {highest:.4f} m/s with this waveform"
             )

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the cable and the fins are to do at a time: a pure state machine.
 
-A run goes RETURNING (only if the cable is not at rest) -> FLIPPING (only if the fins are not set) -> RESTING (idle
-power is sampled) -> RUNNING -> IDLE. Cancelling goes through STOPPING to the next point of rest, delta L = 0, where
-every cycle begins and ends. stop and fault hold the cable where it is. Times are monotonic, in s.
+A run goes RETURNING (only if the cable is not at rest) -> FLIPPING (the fins are set, the robot settles) -> RESTING
+(idle power is sampled) -> RUNNING -> IDLE. A gait with pretension tensions the cable once the fins are set, and returns
+to delta L = 0 after its end: FLIPPING -> TENSIONING -> FLIPPING, and RUNNING -> RETURNING -> IDLE. Cancelling goes
+through STOPPING to the next point of rest, where every cycle begins and ends: delta L = 0, or the pretension. stop and
+fault hold the cable where it is. Times are monotonic, in s.
 """
 
 import enum
@@ -23,6 +25,7 @@ class Phase(enum.Enum):
     IDLE = "idle"
     RETURNING = "returning to rest"
     FLIPPING = "setting the fins"
+    TENSIONING = "tensioning the cable"
     RESTING = "resting"
     RUNNING = "running"
     STOPPING = "stopping at the next point of rest"
@@ -83,7 +86,7 @@ class PlayerState:
         phase: what it is at.
         since: s, when the phase began.
         length_change: m, what the cable is asked for now.
-        ramp_from: m, where a return to rest began.
+        ramp_from: m, where a return to rest or the tensioning began.
         direction: where the fins are set to; 0 before the first run and after a hold, which stops them where they are.
         stepped: s, when the last step was.
         still_since: s, when the cable and the fins were last asked to move, or seen off their place.
@@ -132,8 +135,8 @@ class PlayerSettings:
         rest_samples: idle power samples that the rest waits for.
         rest_timeout: s, longest rest: then the gait starts without an idle power, or a tracker.
         flip_timeout: s, longest time for the fins.
-        return_speed: m/s, peak cable speed on the way back to rest.
-        longest_step: s, by which one step goes on with a return to rest at most: after a late one the cable does not
+        return_speed: m/s, peak cable speed on the way back to rest, and to the pretension.
+        longest_step: s, by which one step goes on with such a motion at most: after a late one the cable does not
             catch up, as that would be faster than return_speed.
     """
 
@@ -162,7 +165,7 @@ def start(state: PlayerState, now: float, gait: Gait, cycles: int) -> PlayerStat
         )
     number = 1 if state.run is None else state.run.number + 1
     state = replace(state, run=Run(number, gait, cycles, cycles), message="")
-    return _enter(state, Phase.RETURNING, now)
+    return state if state.phase is Phase.RETURNING else _enter(state, Phase.RETURNING, now)
 
 
 def finish(state: PlayerState, now: float) -> PlayerState:
@@ -184,7 +187,7 @@ def cancel(state: PlayerState, now: float, reason: str) -> PlayerState:
     run = replace(run, reason=reason)
     if state.phase is Phase.RETURNING or run.onset is not None:
         return replace(state, phase=Phase.STOPPING, run=run)
-    return _end(replace(state, run=run), now, Ending.CANCELLED, Phase.IDLE)
+    return _come_to_rest(replace(state, run=run), now, Ending.CANCELLED)
 
 
 def stop(state: PlayerState, now: float, length_change: float, reason: str) -> PlayerState:
@@ -215,7 +218,7 @@ def at_rest(state: PlayerState) -> bool:
 
 def moving(state: PlayerState) -> bool:
     """Whether the cable is asked to move."""
-    return state.phase in (Phase.RUNNING, Phase.STOPPING, Phase.RETURNING)
+    return state.phase in (Phase.RUNNING, Phase.STOPPING, Phase.RETURNING, Phase.TENSIONING)
 
 
 def step(
@@ -233,18 +236,18 @@ def step(
 
 
 def _delayed(state: PlayerState, now: float, settings: PlayerSettings) -> PlayerState:
-    """The state whose return to rest began later by what this step is late."""
-    is_return = state.phase is Phase.RETURNING or (
+    """The state whose ramp began later by what this step is late."""
+    is_ramp = state.phase in (Phase.RETURNING, Phase.TENSIONING) or (
         state.phase is Phase.STOPPING and state.run is not None and state.run.onset is None
     )
     late = now - max(state.stepped, state.since) - settings.longest_step
-    return replace(state, since=state.since + late) if is_return and late > 0.0 else state
+    return replace(state, since=state.since + late) if is_ramp and late > 0.0 else state
 
 
 def _returning(
     state: PlayerState, now: float, observation: Observation, settings: PlayerSettings
 ) -> PlayerState:
-    state = _ramp(state, now, settings)
+    state = _ramp(state, now, 0.0, settings)
     if state.length_change != 0.0:
         return state
     if state.active_run is None:
@@ -252,13 +255,23 @@ def _returning(
     return _flipping(_enter(state, Phase.FLIPPING, now), now, observation, settings)
 
 
-def _ramp(state: PlayerState, now: float, settings: PlayerSettings) -> PlayerState:
-    """A half cosine from where the return began to rest: no jump of speed, a bounded peak."""
-    duration = math.pi / 2 * abs(state.ramp_from) / settings.return_speed
+def _tensioning(
+    state: PlayerState, now: float, _: Observation, settings: PlayerSettings
+) -> PlayerState:
+    assert state.run is not None
+    target = state.run.gait.point_of_rest
+    state = _ramp(state, now, target, settings)
+    return state if state.length_change != target else _enter(state, Phase.FLIPPING, now)
+
+
+def _ramp(state: PlayerState, now: float, target: float, settings: PlayerSettings) -> PlayerState:
+    """A half cosine from where the ramp began to a target (m): no jump of speed, a bounded peak."""
+    way = state.ramp_from - target
+    duration = math.pi / 2 * abs(way) / settings.return_speed
     elapsed = now - state.since
-    if abs(state.ramp_from) <= REST_TOLERANCE or elapsed >= duration:
-        return replace(state, length_change=0.0)
-    value = state.ramp_from / 2 * (1.0 + math.cos(math.pi * elapsed / duration))
+    if abs(way) <= REST_TOLERANCE or elapsed >= duration:
+        return replace(state, length_change=target)
+    value = target + way / 2 * (1.0 + math.cos(math.pi * elapsed / duration))
     return replace(state, length_change=value)
 
 
@@ -269,6 +282,8 @@ def _flipping(
     assert run is not None
     if state.direction != run.gait.direction:
         return replace(state, direction=run.gait.direction, since=now)
+    if observation.fins_set and state.length_change != run.gait.point_of_rest:
+        return _enter(state, Phase.TENSIONING, now)
     if observation.fins_set and now - state.still_since >= settings.settle_time:
         return _enter(replace(state, run=replace(run, rest_start=now)), Phase.RESTING, now)
     if not observation.fins_set and now - state.since > settings.flip_timeout:
@@ -297,18 +312,19 @@ def _running(
     run = state.run
     assert run is not None
     if run.onset is None:  # cancelled on the way back to rest
-        state = _ramp(state, now, settings)
+        state = _ramp(state, now, 0.0, settings)
         return state if state.length_change else _end(state, now, Ending.CANCELLED, Phase.IDLE)
     end = run.onset + run.stop_cycle / run.gait.frequency
     if now >= end:
         ending = Ending.CANCELLED if state.phase is Phase.STOPPING else Ending.COMPLETED
-        return _end(replace(state, length_change=0.0), end, ending, Phase.IDLE)
+        return _come_to_rest(replace(state, length_change=run.gait.point_of_rest), end, ending)
     return replace(state, length_change=run.gait.length_change(now - run.onset))
 
 
 _STEPS = {
     Phase.RETURNING: _returning,
     Phase.FLIPPING: _flipping,
+    Phase.TENSIONING: _tensioning,
     Phase.RESTING: _resting,
     Phase.RUNNING: _running,
     Phase.STOPPING: _running,
@@ -327,6 +343,12 @@ def _end(
         run = replace(run, end=now, ending=ending, reason=reason or run.reason)
         state = replace(state, run=run)
     return replace(state, phase=phase, since=now)
+
+
+def _come_to_rest(state: PlayerState, now: float, ending: Ending) -> PlayerState:
+    """End a run, and pay a pretension out."""
+    state = _end(state, now, ending, Phase.IDLE)
+    return _enter(state, Phase.RETURNING, now) if state.length_change else state
 
 
 def _hold(

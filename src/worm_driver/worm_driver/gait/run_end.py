@@ -9,8 +9,8 @@ from worm_driver.gait.gait_limits import Gait, GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord, distance
 from worm_driver.gait.gait_player import Run
 
-#: part of a cycle from where x1 is where the cycle leaves it, but for what the fins spring back
-_LATE = 0.9
+#: part of a cycle's extension after which x1 is where the cycle leaves it, except for the spring-back of the fins
+_LATE = 0.8
 #: part of a groove that may lack: beside whole grooves, x1 moves by what the fins bend, which is no groove
 _NEARLY = 0.25
 #: cycles after which a robot that has not gained a groove in them gains none
@@ -64,7 +64,8 @@ def is_late(run: Run, record: RunRecord) -> bool:
     """Whether the tracker's last word is of the end of a cycle."""
     if run.onset is None or not record.positions or record.positions[-1][0] < run.onset:
         return False
-    return (record.positions[-1][0] - run.onset) * run.gait.frequency % 1.0 >= _LATE
+    phase = (record.positions[-1][0] - run.onset) * run.gait.frequency % 1.0
+    return run.gait.extended_share(phase) >= _LATE
 
 
 def is_in_vain(run: Run, record: RunRecord, pitch: float) -> bool:

@@ -23,6 +23,7 @@ _STATE = {
     Phase.IDLE: GaitState.IDLE,
     Phase.RETURNING: GaitState.RESTING,
     Phase.FLIPPING: GaitState.RESTING,
+    Phase.TENSIONING: GaitState.RESTING,
     Phase.RESTING: GaitState.RESTING,
     Phase.RUNNING: GaitState.RUNNING,
     Phase.STOPPING: GaitState.STOPPING,

@@ -303,7 +303,7 @@ class DriverNode(LifecycleNode):
         while not self._do(lambda hardware, _: hardware.robot.released) and hardware.clock() < end:
             if self._do(lambda hardware, _: hardware.robot.holding):
                 raise StoppedError(
-                    "a stop came on the way to rest: the robot holds, with its torque on; "
+                    "a stop or a FAULT came on the way to rest: the robot holds, with its torque on; "
                     "deactivate it again to let go"
                 )
             self._publish()

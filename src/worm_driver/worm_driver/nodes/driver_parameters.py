@@ -79,7 +79,13 @@ _ROWS = (
     _Row("fin_servos.forward_angle_rad", [2.356, 2.356], "Servo angles for forward gaits."),
     _Row("fin_servos.reverse_angle_rad", [3.927, 3.927], "Servo angles for reverse gaits."),
     _Row("fin_servos.speed_rad_per_s", DriverSettings.fin_speed, "Speed of a flip.", 0.1, 6.0),
-    _Row("limits.max_stroke_m", DriverSettings.max_stroke, "Largest stroke.", 1e-3, 1.0),
+    _Row(
+        "limits.max_stroke_m",
+        DriverSettings.max_stroke,
+        "Largest stroke plus pretension.",
+        1e-3,
+        1.0,
+    ),
     _Row("limits.max_frequency_hz", DriverSettings.max_frequency, "Highest frequency.", 0.01, 5.0),
     _Row(
         "limits.max_cable_speed_m_per_s",

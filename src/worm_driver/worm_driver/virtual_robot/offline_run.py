@@ -73,9 +73,11 @@ def run_offline(
 ) -> Run:
     """Simulate a run: a rest (s), then a command for a duration (s).
 
+    In the first half of the rest the cable moves to where the command begins, as for a gait with pretension.
+
     Args:
         settings: the robot, with its seed.
-        command: commanded length change (m) over the time (s) since the onset; 0 at time 0, contraction negative.
+        command: commanded length change (m) over the time (s) since the onset; contraction negative.
         duration: duration of the command, s.
         rest: rest before the onset, s.
         direction: plant.FORWARD or plant.REVERSE.
@@ -91,13 +93,18 @@ def run_offline(
     for index in range(steps + 1):
         time = index * _PERIOD
         robot.advance(time)
-        change = command(time - rest) if time > rest else 0.0
+        change = command(time - rest) if time > rest else _tensioned(time, rest) * command(0.0)
         for item, servo, home in zip(settings.cable_servos, robot.servos, homes, strict=False):
             ticks = round(-item.sign * change / item.spool_radius * PULSES_PER_RADIAN)
             servo.write(_GOAL_POSITION.address, _GOAL_POSITION.encode(home + ticks))
         goals.append((time, *_cable_ticks(robot.servos[0], homes[0])))
         power += _power_sample(robot, time)
     return _collect(rest, goals, power, robot.take_samples(math.inf), robot)
+
+
+def _tensioned(time: float, rest: float) -> float:
+    """Return the share of a gait's tension at a time (s) of the rest (s): a half cosine over the first half."""
+    return 0.5 * (1.0 - math.cos(math.pi * min(time / (0.5 * rest), 1.0))) if rest else 1.0
 
 
 def _with_fins_set(settings: RobotSettings, direction: int) -> RobotSettings:

@@ -272,7 +272,8 @@ class Plant:
 
     def _loads(self, x1: float) -> tuple[float, float]:
         """Return the loads of the rear and the front module (N) with the rear one at x1 (m)."""
-        return self.conditions.loads(self.parameters, x1)
+        rear, front = self.conditions.loads(self.parameters, x1)
+        return rear + self.parameters.rear_load, front + self.parameters.front_load
 
     def _drags(self, v1: float, v2: float) -> tuple[float, float]:
         """Return viscous and dry friction of the rear and the front module divided by velocity, N·s/m."""

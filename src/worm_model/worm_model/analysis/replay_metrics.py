@@ -4,24 +4,30 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from worm_model.analysis.run_metrics import (
-    END_TOLERANCE_NS,
-    PlayedGait,
-    played_gaits,
-    root_mean_square,
-)
-from worm_model.arrays import Array
-from worm_model.run import RUNNING, SAME_ONSET_NS, STOPPING, Run
+from worm_model.analysis.run_metrics import END_TOLERANCE_NS, PlayedGait, played_gaits
+from worm_model.arrays import Array, Stamps
+from worm_model.run import RUNNING, SAME_ONSET_NS, STOPPING, GaitStates, Run
 from worm_model.simulation.quadrature import accumulated
 from worm_model.twin.offline_replay import Replay, Series
+from worm_model.twin.recorded_samples import RecordedSamples
 from worm_model.twin.records import Event, Health
+from worm_model.twin.samples import Kind, Rows
+from worm_model.twin.twin import NOTHING, ClosedCycle, Output
+from worm_model.twin.twin_settings import DEFAULTS
 
 RESUMED_AFTER_NS = 500_000_000  # of a cycle's end, within which a live twin has stored its memory
+SETTLED_NS = 2_000_000_000  # after a cycle's end, when all its samples have been processed
+NEAR_NS = 1_000_000_000  # around a stamp, in which positions determine that at the stamp
+_FOREVER = int(np.iinfo(np.int64).max)
+_RESIDUALS = ("rear_position", "length", "power")
 
 
 @dataclass(frozen=True)
@@ -91,161 +97,290 @@ class ReplayReport:
 
 
 def report_replay(run: Run, replay: Replay, pitch: float) -> ReplayReport:
-    """Judge a replay; `pitch` of the grooves in m."""
-    played = played_gaits(run.gait_state)
-    ends = [*(p.onset for p in played[1:]), np.iinfo(np.int64).max][: len(played)]
-    runs = tuple(
-        _run_report(run, replay, pitch, p, end) for p, end in zip(played, ends, strict=True)
-    )
-    start = played[-1].onset if played else run.origin
-    end = run_end(run, played[-1]) if played else _last(run)
-    return ReplayReport(
-        residuals=_residuals(replay.residuals, start, end + 1),
-        energy_error=_energy_error(run, replay, start),
-        cycles=runs[-1].cycles if runs else (),
-        runs=runs,
-    )
+    """Return the report on a replay; ``pitch`` of the grooves in m."""
+    samples = RecordedSamples(lambda: (run,), round(DEFAULTS.jump_back_s * 1e9))
+    reporter = ReplayReporter(samples, pitch, replay.resumed_ns)
+    rows = np.concatenate([NOTHING, *samples.rows()])
+    states: Any = replay.states
+    residuals: Any = replay.residuals
+    lengths: Any = replay.lengths
+    reporter.add(rows, Output(states, residuals, lengths, replay.notices, {}, replay.cycles))
+    return reporter.report(replay.unusable)
 
 
-def _first(run: Run) -> int:
-    """Stamp (ns) of the first sample of an instrument."""
-    series = (run.commanded, run.measured, run.tracker, run.power)
-    return int(min((s.stamp.min() for s in series if len(s.stamp)), default=run.origin))
+@dataclass
+class _CycleData:
+    """A cycle of a run: its span in ns, and its figures as soon as they are computed."""
+
+    start: int
+    end: int
+    grooves: float = math.nan
+    measured_grooves: float = math.nan
+    residuals: Residuals | None = None
 
 
-def _last(run: Run) -> int:
-    lasts = [s.stamp[-1] for s in (run.commanded, run.measured, run.tracker) if len(s.stamp)]
-    return int(max(lasts, default=run.origin))
+@dataclass
+class _RunData:
+    """A run: onset, end, and onset of the next run in ns, its cycles, the number of the first one, the worst health."""
+
+    played: PlayedGait
+    end: int
+    until: int
+    first_cycle: int
+    cycles: list[_CycleData]
+    health: int = 0
+
+
+class ReplayReporter:
+    """Report on a replay, which is added part by part; in memory are only the samples of the current cycle.
+
+    Args:
+        samples: the recording.
+        pitch: pitch of the grooves, m.
+        resumed_ns: stamp of the stored memory from which the replay resumes, 0 without one.
+
+    Attributes:
+        events: events of the twin.
+    """
+
+    def __init__(self, samples: RecordedSamples, pitch: float, resumed_ns: int = 0) -> None:
+        self._samples, self._pitch, self._resumed_ns = samples, pitch, resumed_ns
+        self.events: list[Event] = []
+        self._closed: dict[int, list[ClosedCycle]] = {}
+        last = samples.origin if samples.last_ns is None else samples.last_ns
+        played = played_gaits(samples.gait_state)
+        untils = [*(p.onset for p in played[1:]), _FOREVER][: len(played)]
+        self._runs = [
+            self._run(p, _end_of_run(samples.gait_state, last, p), until)
+            for p, until in zip(played, untils, strict=True)
+        ]
+        cycles = (cycle for run in self._runs for cycle in run.cycles)
+        self._open = deque(sorted(cycles, key=lambda cycle: (cycle.end, cycle.start)))
+        self._starts = np.array([c.start for c in self._open], np.int64)
+        self._starts = np.minimum.accumulate(self._starts[::-1])[::-1]
+        self._span = (played[-1].onset, self._runs[-1].end) if played else (samples.origin, last)
+        self._total = _ResidualSums()
+        self._energy = _Energy(self._span[0])
+        self._states: Series = {}
+        self._residuals: Series = {}
+        self._positions: Series = {}
+
+    def add(self, rows: Rows, output: Output) -> None:
+        """Add some samples and what the twin put out meanwhile."""
+        self.events += output.events
+        for closed in output.cycles:
+            self._closed.setdefault(closed.number, []).append(closed)
+        residuals = output.residuals
+        stamp, health = residuals["stamp_ns"], residuals["health"]
+        for run in self._runs if len(stamp) else ():
+            if run.played.onset <= stamp.max() and stamp.min() <= run.end:
+                inside = (stamp >= run.played.onset) & (stamp <= run.end)
+                run.health = max(run.health, int(health[inside].max(initial=0)))
+        self._total.add(residuals, self._span[0], self._span[1] + 1)
+        power = rows[rows["kind"] == Kind.POWER]
+        self._energy.add(power["stamp"], power["a"], stamp, residuals["energy"])
+        position = rows[(rows["kind"] == Kind.POSITION) & np.isfinite(rows["a"])]
+        self._states = _appended(self._states, output.states, ("stamp_ns", "rear_groove"))
+        self._residuals = _appended(self._residuals, residuals, ("stamp_ns", *_RESIDUALS))
+        self._positions = _appended(self._positions, position, ("stamp", "a"))
+        if (
+            not self._samples.clock_went_back
+        ):  # otherwise later samples may belong to earlier cycles
+            self._close(int(self._states["stamp_ns"].max(initial=0)) - SETTLED_NS)
+
+    def report(self, unusable: Mapping[int, str]) -> ReplayReport:
+        """Return the report on all that has been added.
+
+        Args:
+            unusable: reasons why runs cannot be judged, see `Replay.unusable`.
+        """
+        self._close(_FOREVER)
+        runs = tuple(self._run_report(run, unusable) for run in self._runs)
+        return ReplayReport(
+            residuals=self._total.residuals(),
+            energy_error=self._energy.error(),
+            cycles=runs[-1].cycles if runs else (),
+            runs=runs,
+        )
+
+    def _run(self, played: PlayedGait, end: int, until: int) -> _RunData:
+        onset, period = played.onset, 1e9 * played.gait.period
+        count = max(math.ceil((end - onset) / period - 1e-6), 0)
+        recorded = min(max(math.floor((self._first - onset) / period), 0), count)
+        borders = [onset + round(k * period) for k in range(recorded, count + 1)]
+        cycles = [_CycleData(*span) for span in pairwise(borders)]
+        return _RunData(played, end, until, recorded + 1, cycles)
+
+    @property
+    def _first(self) -> int:
+        """Stamp (ns) of the first sample of an instrument."""
+        first = self._samples.first_ns
+        return self._samples.origin if first is None else first
+
+    def _close(self, until: int) -> None:
+        """Compute the figures of the cycles that end before a stamp (ns), and release their samples."""
+        count = 0
+        while self._open and self._open[0].end < until:
+            cycle, count = self._open.popleft(), count + 1
+            displacement = self._position_at(cycle.end) - self._position_at(cycle.start)
+            cycle.measured_grooves = displacement / self._pitch
+            cycle.grooves = self._groove_at(cycle.end) - self._groove_at(
+                cycle.start, self._resumed_ns
+            )
+            sums = _ResidualSums()
+            sums.add(self._residuals, cycle.start, cycle.end)
+            cycle.residuals = sums.residuals()
+        self._starts = self._starts[count:]
+        since = (int(self._starts[0]) if len(self._starts) else _FOREVER) - NEAR_NS
+        self._states = _since(self._states, "stamp_ns", since)
+        self._residuals = _since(self._residuals, "stamp_ns", since)
+        self._positions = _since(self._positions, "stamp", since)
+
+    def _position_at(self, when: int) -> float:
+        """Return the tracker's x1 (m) at a stamp, linear between samples; NaN if none is within 0.1 s."""
+        stamp = self._positions["stamp"]
+        near = np.abs(stamp - when) <= NEAR_NS
+        stamp, values = stamp[near], self._positions["a"][near]
+        if not len(stamp) or np.min(np.abs(stamp - when)) > 10**8:
+            return math.nan
+        return float(np.interp(0.0, (stamp - when) * 1e-9, values))
+
+    def _groove_at(self, when: int, resumed: int = 0) -> float:
+        """Return the twin's rear groove in the first state since a stamp, when a missed groove is known.
+
+        Just before the stamp at which a stored memory was ``resumed``, the first state after that counts, because
+        earlier ones count from another groove. NaN without any state.
+        """
+        if 0 <= resumed - when <= RESUMED_AFTER_NS:
+            when = resumed + 1
+        rows = len(self._states["stamp_ns"])
+        row = min(int(np.searchsorted(self._states["stamp_ns"], when)), rows - 1)
+        return float(self._states["rear_groove"][row]) if rows else math.nan
+
+    def _run_report(self, run: _RunData, unusable: Mapping[int, str]) -> RunReport:
+        origin, onset = self._samples.origin, run.played.onset
+        reason = unusable.get(run.played.run or onset, "")
+        return RunReport(
+            played=run.played,
+            onset=(onset - origin) * 1e-9,
+            cycles=tuple(
+                self._cycle_report(run, number, cycle)
+                for number, cycle in enumerate(run.cycles, run.first_cycle)
+            ),
+            events=tuple(
+                ((event.stamp_ns - origin) * 1e-9, event)
+                for event in self.events
+                if event.code and onset <= event.stamp_ns < run.until
+            ),
+            health=Health.UNKNOWN if reason else Health(run.health),
+            not_judged=reason,
+        )
+
+    def _cycle_report(self, run: _RunData, number: int, cycle: _CycleData) -> CycleReport:
+        cut_off = ""
+        if cycle.start < self._first:
+            cut_off = "the recording begins in it"
+        elif cycle.end > run.end:
+            cut_off = "it was not played, or not recorded, to its end"
+        reasons = (
+            closed.not_judged
+            for closed in self._closed.get(number, ())
+            if abs(closed.onset_ns - run.played.onset) <= SAME_ONSET_NS
+        )
+        assert cycle.residuals is not None
+        return CycleReport(
+            number=number,
+            start=(cycle.start - self._samples.origin) * 1e-9,
+            grooves=cycle.grooves,
+            measured_grooves=cycle.measured_grooves,
+            residuals=cycle.residuals,
+            complete=not cut_off,
+            not_judged=cut_off or next(reasons, ""),
+        )
+
+
+class _ResidualSums:
+    """Sums over residuals: of the finite values, their squares, and their number, for each channel."""
+
+    def __init__(self) -> None:
+        self._sums = np.zeros((3, len(_RESIDUALS)))
+
+    def add(self, series: Any, start: int, end: int) -> None:
+        """Add the residuals with stamps from ``start`` (ns) to before ``end``; ``series`` has columns by name."""
+        inside = (series["stamp_ns"] >= start) & (series["stamp_ns"] < end)
+        for channel, name in enumerate(_RESIDUALS):
+            values = series[name][inside]
+            values = values[np.isfinite(values)]
+            self._sums[:, channel] += values.sum(), np.square(values).sum(), values.size
+
+    def residuals(self) -> Residuals:
+        """Return means and root mean squares."""
+        total, square, count = np.where(self._sums[2] > 0, self._sums, math.nan)
+        columns = zip((total / count).tolist(), np.sqrt(square / count).tolist(), strict=True)
+        return Residuals(*(value for column in columns for value in column))
+
+
+class _Energy:
+    """Energy error at the last residual of the energy; the measured energy (J) is integrated by trapezoids.
+
+    Args:
+        start: stamp at which the integral begins, ns. The first sample of the power counts from there on.
+    """
+
+    def __init__(self, start: int) -> None:
+        self._stamp, self._power = np.array([start]), np.zeros(1)
+        self._is_measured = False
+        self._measured = 0.0
+        self._residual = math.nan
+
+    def add(self, stamp: Stamps, power: Array, known_at: Stamps, residual: Array) -> None:
+        """Add power (W) at stamps (ns), and residuals of the energy (J, NaN: unknown) at other stamps (ns)."""
+        inside = np.isfinite(power) & (stamp > self._stamp[0])
+        if not self._is_measured and inside.any():
+            self._power[:] = power[inside][0]
+            self._is_measured = True
+        self._stamp = np.append(self._stamp, stamp[inside])
+        self._power = np.append(self._power, power[inside])
+        known = np.flatnonzero(np.isfinite(residual))
+        if not len(known):
+            return
+        self._residual = float(residual[known[-1]])
+        done = np.flatnonzero(self._stamp <= known_at[known[-1]])
+        if len(done):
+            time = (self._stamp[done] - self._stamp[0]) * 1e-9
+            self._measured += float(accumulated(time, self._power[done])[-1])
+            self._stamp, self._power = self._stamp[done[-1] :], self._power[done[-1] :]
+
+    def error(self) -> float:
+        """Return the residual over the measured energy; NaN without either."""
+        return self._residual / self._measured if self._measured else math.nan
+
+
+def _appended(series: Series, more: Any, names: tuple[str, ...]) -> Series:
+    """Return some columns with further rows, as copies."""
+    return {n: np.append(series[n], more[n]) if series else more[n].copy() for n in names}
+
+
+def _since(series: Series, stamps: str, since: int) -> Series:
+    """Return the rows from a stamp (ns) on, and at least the last one."""
+    if not series or not len(series[stamps]) or series[stamps][0] >= since:
+        return series
+    kept = series[stamps] >= since
+    kept[-1] = True
+    return {name: column[kept] for name, column in series.items()}
 
 
 def run_end(run: Run, played: PlayedGait) -> int:
-    """Stamp (ns) at which a run was over, as far as it was recorded: its last cycle asked for, or an earlier stop."""
-    states, last = run.gait_state, _last(run)
-    asked = played.cycle_window(1, played.cycles).end if played.cycles else last
+    """Return the stamp (ns) at which a run was over, as far as it was recorded: its last cycle, or an earlier stop."""
+    lasts = [s.stamp[-1] for s in (run.commanded, run.measured, run.tracker) if len(s.stamp)]
+    return _end_of_run(run.gait_state, int(max(lasts, default=run.origin)), played)
+
+
+def _end_of_run(states: GaitStates, last: int, played: PlayedGait) -> int:
+    """Return the end of a run (ns); ``last`` is the last stamp of the recording."""
+    requested = played.cycle_window(1, played.cycles).end if played.cycles else last
     over = states.stamp[(states.stamp > played.onset) & ~np.isin(states.state, (RUNNING, STOPPING))]
     stopped = int(over.min(initial=last))
-    if stopped + END_TOLERANCE_NS >= asked:  # told a little before or after it
-        return min(asked, last)
+    if stopped + END_TOLERANCE_NS >= requested:  # two clocks determine both
+        return min(requested, last)
     return min(max(stopped, played.onset), last)
-
-
-def _run_report(
-    run: Run, replay: Replay, pitch: float, played: PlayedGait, until: int
-) -> RunReport:
-    """A run; ``until`` (ns) is when the next one begins."""
-    onset, end, period = played.onset, run_end(run, played), 1e9 * played.gait.period
-    count = max(math.ceil((end - onset) / period - 1e-6), 0)
-    recorded = min(max(math.floor((_first(run) - onset) / period), 0), count)
-    borders = [onset + round(k * period) for k in range(count + 1)]
-    unusable = replay.unusable.get(played.run or onset, "")
-    stamp = replay.residuals["stamp_ns"]
-    inside = (stamp >= onset) & (stamp <= end)
-    health = replay.residuals["health"][inside]
-    events = tuple(
-        ((event.stamp_ns - run.origin) * 1e-9, event)
-        for event in replay.notices
-        if event.code and onset <= event.stamp_ns < until
-    )
-    return RunReport(
-        played=played,
-        onset=(onset - run.origin) * 1e-9,
-        cycles=tuple(
-            _cycle(run, replay, (onset, number), (borders[number - 1], borders[number]), pitch, end)
-            for number in range(recorded + 1, count + 1)
-        ),
-        events=events,
-        health=Health.UNKNOWN if unusable else Health(int(health.max(initial=0))),
-        not_judged=unusable,
-    )
-
-
-def _residuals(series: Series, start: int, end: int) -> Residuals:
-    inside = (series["stamp_ns"] >= start) & (series["stamp_ns"] < end)
-    values = (series[name][inside] for name in ("rear_position", "length", "power"))
-    return Residuals(*(judge(v) for v in values for judge in (_mean, root_mean_square)))
-
-
-def _mean(values: Array) -> float:
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if finite.size else math.nan
-
-
-def _energy_error(run: Run, replay: Replay, start: int) -> float:
-    """The twin's own energy residual at the last power sample, over the energy measured until then."""
-    series = replay.residuals
-    known = np.flatnonzero(np.isfinite(series["energy"]))
-    if not len(known):
-        return math.nan
-    last = known[-1]
-    measured = _energy(run, start, int(series["stamp_ns"][last]))
-    return float(series["energy"][last]) / measured if measured else math.nan
-
-
-def _energy(run: Run, start: int, end: int) -> float:
-    """Measured energy (J) between two stamps by trapezoids, the first sample counting from the start on."""
-    power = run.power.valid_power
-    inside = np.isfinite(power) & (run.power.stamp > start) & (run.power.stamp <= end)
-    power, stamp = power[inside], run.power.stamp[inside]
-    if not len(power):
-        return math.nan
-    time = np.concatenate([[0.0], (stamp - start) * 1e-9])
-    values = np.concatenate([power[:1], power])
-    return float(accumulated(time, values)[-1])
-
-
-def _cycle(
-    run: Run,
-    replay: Replay,
-    identity: tuple[int, int],
-    span: tuple[int, int],
-    pitch: float,
-    end: int,
-) -> CycleReport:
-    """A cycle by the onset of its run (ns) and its number, over a span in ns; the run ends at ``end``."""
-    first, last = span
-    cut_off = ""
-    if first < _first(run):
-        cut_off = "the recording begins in it"
-    elif last > end:
-        cut_off = "it was not played, or not recorded, to its end"
-    said = (c.not_judged for c in replay.cycles if _is_close((c.onset_ns, c.number), identity))
-    states = replay.states
-    displacement = _at(run.tracker.stamp, run.tracker.rear_position, last) - _at(
-        run.tracker.stamp, run.tracker.rear_position, first
-    )
-    return CycleReport(
-        number=identity[1],
-        start=(first - run.origin) * 1e-9,
-        grooves=_grooves_at(states, last) - _grooves_at(states, first, replay.resumed_ns),
-        measured_grooves=displacement / pitch,
-        residuals=_residuals(replay.residuals, first, last),
-        complete=not cut_off,
-        not_judged=cut_off or next(said, ""),
-    )
-
-
-def _is_close(closed: tuple[int, int], identity: tuple[int, int]) -> bool:
-    """Whether (onset in ns, number) is that of a cycle: a driver says the onset once a cycle, through two clocks."""
-    return closed[1] == identity[1] and abs(closed[0] - identity[0]) <= SAME_ONSET_NS
-
-
-def _at(stamp: NDArray[np.int64], values: Array, when: int) -> float:
-    """A signal at a stamp: linear between its samples, NaN where there are none within 0.1 s."""
-    known = np.isfinite(values)
-    stamp, values = stamp[known], values[known]
-    if not len(stamp) or np.min(np.abs(stamp - when)) > 10**8:
-        return math.nan
-    return float(np.interp(0.0, (stamp - when) * 1e-9, values))
-
-
-def _grooves_at(states: Series, when: int, resumed: int = 0) -> float:
-    """Rear groove of the twin at a stamp, of the first state from then on: a groove that was missed is known by then.
-
-    Just before the stamp at which a stored memory was ``resumed``, of the first state after that: others count from
-    another groove. NaN without any state.
-    """
-    if 0 <= resumed - when <= RESUMED_AFTER_NS:
-        when = resumed + 1
-    rows = len(states["stamp_ns"])
-    row = min(int(np.searchsorted(states["stamp_ns"], when)), rows - 1)
-    return float(states["rear_groove"][row]) if rows else math.nan

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings cut into the runs of single gaits, and put together again."""
+"""Recordings cut into the runs of single gaits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Any
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 from worm_model.run import RESTING, GaitStates, Run
 
 _REST_NS = 3_000_000_000  # before a gait whose rest was not announced
-_JOINTS = "joint_states"
 _SERIES = tuple(field.name for field in fields(Run) if field.name != "origin")
 
 
@@ -48,26 +46,6 @@ def last_stamp(run: Run) -> int:
     """The greatest stamp (ns since the epoch) of a run, its origin if it has no samples."""
     stamps = [getattr(run, name).stamp for name in _SERIES]
     return int(max((stamp.max() for stamp in stamps if stamp.size), default=run.origin))
-
-
-def joined(runs: Sequence[Run]) -> Run:
-    """Runs by rising time as one, without joint states; where two overlap, the samples of the first count."""
-    if len(runs) == 1:
-        return runs[0]
-    whole = {}
-    for name in _SERIES:
-        if name == _JOINTS:
-            continue
-        kept, last = [], np.iinfo(np.int64).min
-        for series in (getattr(run, name) for run in runs):
-            kept.append(_rows(series, series.stamp > last))
-            last = max(last, int(series.stamp.max(initial=last)))
-        columns = {
-            field.name: np.concatenate([getattr(part, field.name) for part in kept])
-            for field in fields(kept[0])
-        }
-        whole[name] = type(kept[0])(**columns)
-    return Run(origin=runs[0].origin, **whole)
 
 
 def _rest_before(states: GaitStates, previous: int, onset: int) -> int:

@@ -14,6 +14,7 @@ from worm_model.errors import InputError, printable
 
 METADATA_FILE = "metadata.yaml"
 STORAGE = (".mcap", ".db3")
+COMPRESSED = ".zstd"
 _COPY = re.compile(r"(?P<source>.+)_recovered(?:_(?P<number>\d+))?")
 
 
@@ -28,6 +29,11 @@ def check_readable(path: Path) -> None:
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         kind = "a named pipe" if stat.S_ISFIFO(mode) else "a device or a socket"
         raise BagError(f"{path} is {kind}; give the folder or the file of a bag")
+
+
+def is_storage(name: str) -> bool:
+    """Return True if a file's name is that of a file of a bag, which rosbag2 may have compressed."""
+    return name.removesuffix(COMPRESSED).endswith(STORAGE)
 
 
 def recovered_path(bag: Path, number: int = 1) -> Path:
@@ -66,8 +72,8 @@ def _walked(folder: Path) -> list[Path]:
     bags: list[Path] = []
     for place, inner, names in os.walk(folder):
         path = Path(place)
-        files = [f for name in names if name.endswith(STORAGE) and (f := path / name).is_file()]
-        split = re.compile(rf"{re.escape(printable(path.resolve().name))}_\d+\.\w+")
+        files = [f for name in names if is_storage(name) and (f := path / name).is_file()]
+        split = re.compile(rf"{re.escape(printable(path.resolve().name))}_\d+\.\w+(\.zstd)?")
         if METADATA_FILE in names or (files and all(split.fullmatch(f.name) for f in files)):
             bags.append(path)
             inner.clear()

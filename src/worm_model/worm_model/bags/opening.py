@@ -12,13 +12,12 @@ from worm_model.bags.bag import Bag, Notify
 from worm_model.bags.bag_errors import BagError, ExistsError, UnwritableError
 from worm_model.bags.finding import (
     METADATA_FILE,
-    STORAGE,
     check_readable,
+    is_storage,
     recovered_path,
 )
 from worm_model.bags.formats.bag_metadata import custom_data, read_metadata
 from worm_model.bags.formats.message_types import PACKAGE
-from worm_model.bags.formats.rosbags_bag import RosbagsBag
 from worm_model.bags.formats.stored_bag import StoredBag, StoredFile
 from worm_model.bags.recovery.recovery import (
     LOSS,
@@ -69,10 +68,8 @@ def open_bag(path: Path, notify: Notify = _log.warning, definitions: Path | None
 
 def _open(path: Path, notify: Notify) -> Bag:
     bag = _open_as_it_is(path, notify)
-    for record in bag.records:
-        if record.name == RECOVERY_RECORD and bag.path == path:  # otherwise reported in _instead
-            values = dict(record.values)
-            notify(f"{path} was recovered from {values.get(SOURCE)}: {values.get(LOSS)}")
+    if bag.path == path and (recovery := bag.metadata.get(RECOVERY_RECORD)):
+        notify(f"{path} was recovered from {recovery.get(SOURCE)}: {recovery.get(LOSS)}")
     return bag
 
 
@@ -84,15 +81,13 @@ def _open_as_it_is(path: Path, notify: Notify) -> Bag:
         return _open_without_metadata(path, notify)
     content = read_metadata(path)
     files = _named_files(path, content)
-    if content.get("compression_mode"):
-        return _compared(RosbagsBag(path, notify), files)
     if is_unfinished(content):
         return _recovered(path, notify)
     return _compared(_open_stored(path, files, notify), files)
 
 
 def _open_without_metadata(path: Path, notify: Notify) -> Bag:
-    if any(entry.suffix in STORAGE for entry in path.iterdir()):
+    if any(is_storage(entry.name) for entry in path.iterdir()):
         return _recovered(path, notify)
     content = ", ".join(sorted(entry.name for entry in path.iterdir())) or "nothing"
     raise BagError(
@@ -126,9 +121,13 @@ def _named_files(path: Path, content: dict[str, Any]) -> list[Path]:
 
 def _compared(bag: Bag, files: Sequence[Path]) -> Bag:
     """Return the bag; report files and messages that differ from its metadata.yaml."""
-    beside = sorted({file.name for file in bag.path.glob("*.mcap")} - {file.name for file in files})
-    if beside and files[0].parent == bag.path:  # not for a recovered bag
-        bag.notify(f"{bag.path}: {', '.join(beside)} not read: {METADATA_FILE} names no such file")
+    unlisted = sorted(
+        {file.name for file in bag.path.glob("*.mcap")} - {file.name for file in files}
+    )
+    if unlisted and files[0].parent == bag.path:  # not for a recovered bag
+        bag.notify(
+            f"{bag.path}: {', '.join(unlisted)} not read: {METADATA_FILE} names no such file"
+        )
     counts = {topic.name: topic.count for topic in bag.topics.values()}
     for topic, missing in undeclared(bag.path, counts).items():
         bag.notify(
@@ -172,9 +171,11 @@ def _recovered(path: Path, notify: Notify) -> Bag:
 
 def _instead(path: Path, target: Path, notify: Notify, outcome: str) -> Bag:
     """Return the recovered copy of a bag; report it and its stored loss in one line."""
-    lines: list[str] = []
-    bag = _open(target, lines.append)
-    notify("; ".join([f"{path} was not closed, or is damaged: {outcome} ({target})", *lines]))
+    lines = [f"{path} was not closed, or is damaged: {outcome} ({target})"]
+    bag = _open_as_it_is(target, lines.append)
+    if recovery := bag.metadata.get(RECOVERY_RECORD):
+        lines.append(recovery.get(LOSS, ""))
+    notify("; ".join(lines))
     bag.notify = notify
     return bag
 

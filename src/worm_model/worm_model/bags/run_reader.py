@@ -18,9 +18,12 @@ from worm_model.bags.formats.cdr import ColumnBuilder, Columns
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.worm_topics import SERIES, TYPES, find_topic, path_of
 from worm_model.gait import GAIT_DEFAULTS
-from worm_model.run import Run
+from worm_model.run import GaitStates, Run, Stamps, concatenated
 
 RUN_TOPICS = tuple(SERIES)
+MOST_KEPT = (
+    250_000  # messages of a bag that are decoded once, then stay in memory: a quarter of an hour
+)
 
 
 def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -> Run:
@@ -34,36 +37,103 @@ def read_run(bag: Bag, namespace: str = "", names: Sequence[str] = RUN_TOPICS) -
     Raises:
         BagError: The bag has several robots, none of the topics, or data that cannot be decoded.
     """
-    topic_of = {name: find_topic(bag.topics.values(), name, namespace) for name in names}
-    topics = {name: topic for name, topic in topic_of.items() if topic is not None}
-    if not topics:
-        raise _none_of_the_worms(bag, f" under {namespace}" if namespace else "")
-    _tell_odd_topics(bag, topic_of, namespace)
-    columns = {
-        name: _samples(bag, name, columns)
-        for name, columns in read_columns(bag, list(topics.values())).items()
-    }
-    samples = {name: columns[topic.name] for name, topic in topics.items()}
-    stamps = []
-    for name, topic in topics.items():
-        with _located(bag, topic):
-            stamps.append(_stamp(samples[name]))
-    for topic, stamp in zip(topics.values(), stamps, strict=True):
-        if backwards := np.count_nonzero(np.diff(stamp) < 0):
-            bag.notify(
-                f"{bag.path}: stamps of {topic.name} go back {backwards} times: runs that were merged, "
-                "several publishers, or a clock that was set"
-            )
+    parts = list(RunReader(bag, namespace, names).parts())
     series = {}
-    for name, (attribute, kind) in SERIES.items():
-        with _located(bag, topics.get(name)):
-            series[attribute] = _series(kind, samples.get(name))
-    if series["gait_state"].mixed:
-        raise BagError(
-            f"{bag.path}: runs of gaits overlap, as where recordings were merged or two drivers published at once: "
-            "give the recordings one by one, or name the robot with --namespace"
-        )
-    return Run(origin=int(min((s.min() for s in stamps if len(s)), default=0)), **series)
+    for attribute, kind in SERIES.values():
+        try:
+            series[attribute] = concatenated(kind, [getattr(part, attribute) for part in parts])
+        except ValueError:
+            raise BagError(
+                f"{bag.path}: the joints of joint_states change within the bag"
+            ) from None
+    return Run(origin=min((part.origin for part in parts if part.origin), default=0), **series)
+
+
+class RunReader:
+    """Reader of the worm's samples in a bag, part by part, so that memory does not grow with the bag.
+
+    Args:
+        bag, namespace, names: see `read_run`.
+
+    Raises:
+        BagError: The bag has several robots, or none of the topics.
+    """
+
+    def __init__(self, bag: Bag, namespace: str, names: Sequence[str]) -> None:
+        self._bag = bag
+        topic_of = {name: find_topic(bag.topics.values(), name, namespace) for name in names}
+        self._topics = {name: topic for name, topic in topic_of.items() if topic is not None}
+        if not self._topics:
+            raise _none_of_the_worms(bag, f" under {namespace}" if namespace else "")
+        _report_odd_topics(bag, topic_of, namespace)
+        self._kept: list[Run] | None = None
+        self._is_read = False
+
+    def parts(self) -> Iterator[Run]:
+        """Yield the samples in the order of reception, in parts of about a megabyte of the bag.
+
+        The first complete iteration reports repeated messages, infinite numbers and stamps that go back. Further
+        iterations read the bag again, unless it has at most MOST_KEPT messages.
+
+        Raises:
+            BagError: Data cannot be decoded, or runs of gaits overlap.
+        """
+        if self._kept is not None:
+            yield from self._kept
+            return
+        kept: list[Run] | None = []
+        if sum(topic.count for topic in self._topics.values()) > MOST_KEPT or self._is_read:
+            kept = None
+        filters = {name: _Filter() for name in self._topics}
+        states: list[GaitStates] = []
+        for part in self._read(filters):
+            states.append(part.gait_state)
+            if kept is not None:
+                kept.append(part)
+            yield part
+        if not self._is_read:
+            self._report(filters)
+        if concatenated(GaitStates, states).mixed:
+            raise BagError(
+                f"{self._bag.path}: runs of gaits overlap, as where recordings were merged or two drivers published at "
+                "once: give the recordings one by one, or name the robot with --namespace"
+            )
+        self._kept, self._is_read = kept, True
+
+    def _read(self, filters: Mapping[str, _Filter]) -> Iterator[Run]:
+        names = {topic.name: name for name, topic in self._topics.items()}
+        for block in self._bag.blocks(names):
+            columns = {}
+            for topic, messages in block.by_topic():
+                builder, name = ColumnBuilder(), names[topic]
+                builder.add(messages)
+                columns[name] = filters[name].filter(builder.columns())
+            series, stamps = {}, []
+            for name, (attribute, kind) in SERIES.items():
+                with _located(self._bag, self._topics.get(name)):
+                    series[attribute] = _series(kind, columns.get(name))
+                    stamps.append(series[attribute].stamp)
+                    if name in filters:
+                        filters[name].count_backwards(stamps[-1])
+            origin = min((int(stamp.min()) for stamp in stamps if len(stamp)), default=0)
+            yield Run(origin=origin, **series)
+
+    def _report(self, filters: Mapping[str, _Filter]) -> None:
+        for name, counts in filters.items():
+            topic = self._topics[name].name
+            for count, text in (
+                (counts.repeated, "{} messages of {} are repeated; each counts once"),
+                (
+                    counts.infinite,
+                    "{} messages of {} contain an infinite number and are excluded",
+                ),
+                (
+                    counts.backwards,
+                    "{} stamps of {} go back: merged runs, several publishers, or a clock that was set",
+                ),
+            ):
+                if count:
+                    self._bag.notify(f"{self._bag.path}: {text.format(count, topic)}")
 
 
 @contextmanager
@@ -75,7 +145,7 @@ def _located(bag: Bag, topic: Topic | None) -> Iterator[None]:
         raise BagError(f"{bag.path}: {topic.name if topic else 'a topic'}: {error}") from None
 
 
-def _tell_odd_topics(bag: Bag, topics: Mapping[str, Topic | None], namespace: str) -> None:
+def _report_odd_topics(bag: Bag, topics: Mapping[str, Topic | None], namespace: str) -> None:
     """Report topics with a worm's name but another type, and topics under several namespaces."""
     for name, topic in topics.items():
         ending = f"{namespace.rstrip('/')}/{name}"
@@ -122,40 +192,61 @@ def read_columns(bag: Bag, topics: Sequence[Topic]) -> dict[str, Columns]:
     return {name: builder.columns() for name, builder in builders.items()}
 
 
-def _samples(bag: Bag, name: str, columns: Columns) -> Columns:
-    """Return the columns without repeated messages and without those with an infinite number; report both.
+class _Filter:
+    """Filter of one topic's messages: excludes repeated ones and those with an infinite number, and counts both.
 
     Messages repeat their predecessor in a recording that was merged with itself.
+
+    Attributes:
+        repeated, infinite: number of messages that were excluded.
+        backwards: number of stamps that are smaller than the previous one.
     """
-    numbers = {path: v for path, v in columns.numbers.items() if v.dtype != object}
-    if not numbers:
-        return columns
-    size = len(next(iter(numbers.values())))
-    again, infinite = np.arange(size) > 0, np.zeros(size, bool)
-    for values in numbers.values():
-        rows = values.reshape(size, -1)
-        same = (rows[1:] == rows[:-1]) | ((rows[1:] != rows[1:]) & (rows[:-1] != rows[:-1]))
-        again[1:] &= same.all(axis=1)
-        infinite |= np.isinf(rows).any(axis=1)
-    if again.any():
-        bag.notify(
-            f"{bag.path}: {np.count_nonzero(again)} messages of {name} are there twice; each counts once"
+
+    def __init__(self) -> None:
+        self.repeated = self.infinite = self.backwards = 0
+        self._last: dict[str, NDArray[Any]] = {}
+        self._last_stamp: Stamps = np.empty(0, np.int64)
+
+    def filter(self, columns: Columns) -> Columns:
+        """Return the columns of the next messages without the excluded ones."""
+        rows = {
+            path: values.reshape(len(values), -1)
+            for path, values in columns.numbers.items()
+            if values.dtype != object
+        }
+        if not rows:
+            return columns
+        size = len(next(iter(rows.values())))
+        last, self._last = self._last, {path: values[-1:] for path, values in rows.items()}
+        comparable = {p: v.shape[1] for p, v in last.items()} == {
+            p: v.shape[1] for p, v in rows.items()
+        }
+        repeated, infinite = np.full(size, True), np.full(size, False)
+        for path, values in rows.items():
+            before = np.concatenate([last[path] if comparable else values[:1], values[:-1]])
+            same = (values == before) | ((values != values) & (before != before))
+            repeated &= same.all(axis=1)
+            infinite |= np.isinf(values).any(axis=1)
+        repeated[0] &= comparable
+        infinite &= ~repeated
+        self.repeated += np.count_nonzero(repeated)
+        self.infinite += np.count_nonzero(infinite)
+        kept = np.flatnonzero(~(repeated | infinite))
+        if len(kept) == size:
+            return columns
+        return Columns(
+            {path: values[kept] for path, values in columns.numbers.items()},
+            {path: [texts[row] for row in kept] for path, texts in columns.texts.items()},
         )
-    infinite &= ~again
-    if infinite.any():
-        bag.notify(
-            f"{bag.path}: {np.count_nonzero(infinite)} messages of {name} hold an infinite number; they are left out"
-        )
-    kept = np.flatnonzero(~(again | infinite))
-    if len(kept) == size:
-        return columns
-    return Columns(
-        {path: values[kept] for path, values in columns.numbers.items()},
-        {path: [texts[row] for row in kept] for path, texts in columns.texts.items()},
-    )
+
+    def count_backwards(self, stamp: Stamps) -> None:
+        """Count the stamps of the next messages that are smaller than the previous one."""
+        self.backwards += np.count_nonzero(np.diff(stamp, prepend=self._last_stamp) < 0)
+        self._last_stamp = np.append(self._last_stamp, stamp)[-1:]
 
 
-def _stamp(columns: Columns, path: str = "header.stamp") -> NDArray[np.int64]:
+def stamps_of(columns: Columns, path: str = "header.stamp") -> NDArray[np.int64]:
+    """Return the stamps of messages, ns since the epoch. Raises BagError if they have no such field."""
     if not columns.numbers:
         return np.empty(0, np.int64)
     whole = _numbers(columns, f"{path}.sec", np.int64)
@@ -214,8 +305,8 @@ def _joint_names(columns: Columns) -> tuple[str, ...]:
 #: fields that messages of older recordings lack, with their defaults; run 0 means no run number
 _ABSENT: Mapping[str, Any] = {**GAIT_DEFAULTS, "run": 0}
 _READERS: Mapping[str, Callable[[Columns], Any]] = {
-    "stamp": _stamp,
-    "onset": partial(_stamp, path="onset"),
+    "stamp": stamps_of,
+    "onset": partial(stamps_of, path="onset"),
     "names": _joint_names,
     "content": lambda columns: np.array(columns.texts["content"], object),
 }

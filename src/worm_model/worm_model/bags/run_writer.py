@@ -68,8 +68,12 @@ def stamped_messages(
     ]
 
 
-def write_beside(
-    bag: Bag, output: Path, topics: Sequence[str], messages: Sequence[Iterable[Message]]
+def write_extended(
+    bag: Bag,
+    output: Path,
+    topics: Sequence[str],
+    messages: Iterable[Message],
+    additional: Iterable[Topic] = (),
 ) -> None:
     """Write a bag with messages of another bag and additional ones; the same input gives the same bytes.
 
@@ -77,7 +81,8 @@ def write_beside(
         bag: source of the existing messages.
         output: the new bag.
         topics: names of the topics of ``bag`` to include.
-        messages: messages of each additional topic in order of log time; at equal times they follow those of ``bag``.
+        messages: further messages in order of log time; at equal times they follow those of ``bag``.
+        additional: topics of the further messages.
 
     Raises:
         BagError: The output exists, or a topic has no definition.
@@ -85,10 +90,10 @@ def write_beside(
     kept = [with_definition(channel) for channel in bag.channels if channel.name in topics]
     with new_bag(output) as writer:
         writer.copy_records(bag)
-        for topic in kept:
+        for topic in (*kept, *additional):
             writer.add_topic(topic)
         own = map(defined_message, bag.messages(topics))
-        writer.write_all(heapq.merge(own, *messages, key=attrgetter("log_time")))
+        writer.write_all(heapq.merge(own, messages, key=attrgetter("log_time")))
 
 
 def _columns(samples: Any) -> dict[str, Any]:

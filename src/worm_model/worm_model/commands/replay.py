@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: a bag through the twin, offline, as fast as it goes."""
+"""Command line: run of the twin over a bag, faster than real time."""
 
 from __future__ import annotations
 
 import argparse
 import math
 import time
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from itertools import islice
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +19,19 @@ import numpy as np
 from worm_model.analysis.replay_metrics import (
     CycleReport,
     ReplayReport,
+    ReplayReporter,
     RunReport,
-    report_replay,
 )
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.formats.message_block import Message
+from worm_model.bags.formats.cdr import ColumnBuilder
+from worm_model.bags.formats.message_block import Message, Topic, messages_of
 from worm_model.bags.formats.message_types import parse_ahead, topic_of
 from worm_model.bags.opening import open_bag
-from worm_model.bags.run_reader import namespace_of, read_run
-from worm_model.bags.run_writer import stamped_messages, write_beside
+from worm_model.bags.run_reader import RunReader, namespace_of, stamps_of
+from worm_model.bags.run_writer import stamped_messages, write_extended
 from worm_model.bags.worm_topics import (
     REPLAY_INPUTS,
-    SERIES,
     TWIN_INPUTS,
     TWIN_TOPICS,
     TYPES,
@@ -42,113 +45,127 @@ from worm_model.commands.command_line import (
     notifier,
     print_result,
 )
-from worm_model.parameters import Parameters, load_parameters
-from worm_model.run import Run, Stamps
+from worm_model.parameters import load_parameters
+from worm_model.run import Stamps
 from worm_model.simulation import warm_up
-from worm_model.twin.offline_replay import Replay, Series, replay_run
-from worm_model.twin.records import NANOSECONDS, RESIDUAL_FIELDS, Event, LengthSource
-from worm_model.twin.samples import Kind
+from worm_model.twin.offline_replay import OfflineReplay
+from worm_model.twin.records import (
+    NANOSECONDS,
+    RESIDUAL_FIELDS,
+    Event,
+    LengthSource,
+)
+from worm_model.twin.twin import Output, residual_messages
 
+INSTRUMENTS = TWIN_INPUTS[1:]  # without gait_state, which may have been published long before
+DRIVES = ("body_length/commanded", "body_length/measured")
+DISORDER_NS = 10 * NANOSECONDS  # by which an event may be older than the states before it
 LONGEST_DELAY_NS = NANOSECONDS  # of a message on its way to the recorder
 _notify = notifier("replay")
 
 
-def write_replay(bag: Bag, output: Path, replay: Replay, namespace: str, shift_ns: int = 0) -> None:
-    """Write a bag with the original's messages and the twin's beside them; the same replay gives the same bytes.
+def write_replay(bag: Bag, output: Path, replay: OfflineReplay, namespace: str) -> None:
+    """Write a bag with the original messages and the twin's; the same replay gives the same bytes.
 
-    What a live twin had published into the original bag is left out: the twin's topics are this replay's.
-    ``shift_ns`` is by how much the bag's log time is ahead of its stamps: the twin's lie where the originals do.
+    The twin's topics in the original bag are replaced. The twin's messages get log times like the original ones: their
+    stamp, plus the offset between log time and stamps in the original bag.
 
     Raises:
-        BagError: the output exists or cannot be written.
+        BagError: The output exists or cannot be written.
     """
     live = {find_topic(bag.topics.values(), name, namespace) for name in TWIN_TOPICS}
     kept = [topic.name for topic in bag.topics.values() if topic not in live]
-    messages = [_messages(name, replay, namespace, shift_ns) for name in TWIN_TOPICS]
-    write_beside(bag, output, kept, messages)
+    topics = {
+        name: topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
+        for name in TWIN_TOPICS
+    }
+    shift_ns = clock_offset(bag, namespace)
+    messages = _in_order(
+        [m for name in TWIN_TOPICS for m in _messages(name, topics[name], part, shift_ns)]
+        for _, part in replay.steps()
+    )
+    write_extended(bag, output, kept, messages, topics.values())
 
 
-def received(bag: Bag, namespace: str, run: Run) -> dict[int, Stamps]:
-    """When the samples of a run were received (ns), by their kind; without kinds of which it left messages out."""
-    topics = [find_topic(bag.topics.values(), name, namespace) for name in TWIN_INPUTS]
-    names = {topic.name: Kind(k) for k, topic in enumerate(topics) if topic is not None}
-    stamps: dict[int, list[Stamps]] = {kind: [] for kind in names.values()}
-    for block in bag.blocks(names):
-        for name, messages in block.by_topic():
-            stamps[names[name]].append(messages.log_time.astype(np.int64))
-    times = {kind: np.concatenate(parts) for kind, parts in stamps.items() if parts}
-    samples = _by_kind(run)
-    return {kind: t for kind, t in times.items() if len(t) == len(samples[kind].stamp)}
+def clock_offset(bag: Bag, namespace: str) -> int:
+    """Return by how much log time is ahead of the instruments' stamps at the beginning of a bag, ns.
+
+    Less than a second is delay, and gives 0.
+    """
+    topics = [find_topic(bag.topics.values(), name, namespace) for name in INSTRUMENTS]
+    names = [topic.name for topic in topics if topic is not None]
+    for message in islice(bag.messages(names), 1):
+        columns = ColumnBuilder()
+        columns.add(messages_of([message]))
+        shift = message.log_time - int(stamps_of(columns.columns())[0])
+        return shift if abs(shift) > LONGEST_DELAY_NS else 0
+    return 0
 
 
-def shift_of(run: Run, times: Mapping[int, Stamps]) -> int:
-    """By how much log time is ahead of the stamps, ns; 0 for less than a second, which is delay."""
-    samples = _by_kind(run)
-    ahead = [times[kind] - samples[kind].stamp for kind in times if kind != Kind.GAIT]
-    shift = int(np.median(np.concatenate(ahead))) if ahead else 0
-    return shift if abs(shift) > LONGEST_DELAY_NS else 0
+def _in_order(batches: Iterable[list[Message]]) -> Iterator[Message]:
+    """Yield messages in order of log time; those of a batch are at most DISORDER_NS older than those before."""
+    waiting: list[Message] = []
+    for batch in batches:
+        waiting = sorted([*waiting, *batch], key=attrgetter("log_time"))
+        newest = waiting[-1].log_time if waiting else 0
+        ready = bisect_left(waiting, newest - DISORDER_NS, key=attrgetter("log_time"))
+        yield from waiting[:ready]
+        del waiting[:ready]
+    yield from waiting
 
 
-def _by_kind(run: Run) -> dict[int, Any]:
-    """The run's samples of the twin's inputs."""
-    return dict(zip(Kind, (getattr(run, SERIES[name][0]) for name in TWIN_INPUTS), strict=True))
-
-
-def _messages(name: str, replay: Replay, namespace: str, shift_ns: int) -> list[Message]:
-    """Messages of one of the twin's topics; their stamp, shifted, is taken for the time of reception."""
-    topic = topic_of(f"{namespace}/{name}", TYPES[name], offered_qos(name))
-    stamp, numbers, texts = twin_columns(name, replay)
-    messages = stamped_messages(topic, stamp, numbers, texts)
-    if not shift_ns:
-        return messages
+def _messages(name: str, topic: Topic, output: Output, shift_ns: int) -> list[Message]:
+    """Return the messages of one of the twin's topics; their log time is their stamp plus ``shift_ns``."""
+    stamp, numbers, texts = twin_columns(name, output)
     return [
         m._replace(log_time=m.log_time + shift_ns, publish_time=m.publish_time + shift_ns)
-        for m in messages
+        for m in stamped_messages(topic, stamp, numbers, texts)
     ]
 
 
 def twin_columns(
-    name: str, replay: Replay
+    name: str, output: Output
 ) -> tuple[Stamps, dict[str, Any], dict[str, Sequence[str]]]:
-    """(stamps in ns, numbers, texts) of the messages of one of the twin's topics, a column per field."""
+    """Return stamps (ns), numbers and texts of the messages of one of the twin's topics, one column per field."""
     if name == "twin/events":
-        notices = replay.notices
+        events = output.events
         numbers: dict[str, Any] = {
-            key: np.array([getattr(notice, key) for notice in notices], kind)
+            key: np.array([getattr(event, key) for event in events], kind)
             for key, kind in (("run", np.int64), ("cycle", np.int64), ("probability", float))
         }
         texts: dict[str, Sequence[str]] = {
-            "code": [n.code for n in notices],
-            "message": [n.text for n in notices],
+            "code": [event.code for event in events],
+            "message": [event.text for event in events],
         }
-        return np.array([n.stamp_ns for n in notices], np.int64), numbers, texts
-    series: Series = {
-        "twin/state": replay.states,
-        "twin/residuals": replay.residuals,
-        "body_length/estimated": replay.lengths,
+        return np.array([event.stamp_ns for event in events], np.int64), numbers, texts
+    series: np.ndarray = {
+        "twin/state": output.states,
+        "twin/residuals": output.residuals,
+        "body_length/estimated": output.lengths,
     }[name]
-    kept = RESIDUAL_FIELDS if name == "twin/residuals" else list(series)[1:]  # but for the stamp
-    numbers = {key: series[key] for key in kept}
+    fields = series.dtype.names or ()
+    kept = RESIDUAL_FIELDS if name == "twin/residuals" else fields[1:]  # without the stamp
+    numbers = {key: np.ascontiguousarray(series[key]) for key in kept}
     if name == "body_length/estimated":
         numbers["source"] = LengthSource.ESTIMATED
     return (
-        series["stamp_ns"],
+        np.ascontiguousarray(series["stamp_ns"]),
         numbers,
-        {"message": replay.messages} if name == "twin/residuals" else {},
+        {"message": residual_messages(output)} if name == "twin/residuals" else {},
     )
 
 
 def report_json(
-    report: ReplayReport, replay: Replay, duration: float, elapsed: float
+    report: ReplayReport, dropped: Mapping[str, int], duration: float, elapsed: float
 ) -> dict[str, Any]:
-    """The report as the machine-readable output has it."""
+    """Return the report in machine-readable form; ``dropped`` samples by reason."""
     return {
         **asdict(report.residuals),
         "energy_error": report.energy_error,
         "cycles": [_cycle_json(cycle) for cycle in report.cycles],
         "runs": [_run_json(run) for run in report.runs],
         "events": [_event_json(*event) for run in report.runs for event in run.events],
-        "dropped": replay.dropped or {},
+        "dropped": dropped,
         "duration": duration,
         "real_time_factor": duration / elapsed,
     }
@@ -280,43 +297,38 @@ def _parser() -> Parser:
 def _replay(options: argparse.Namespace) -> None:
     parameters = load_parameters(options.parameters)
     output = new_file(options.output) if options.output else None
-    warm_up.main()  # neither compiling nor parsing definitions is replaying
+    warm_up.main()  # so that the time below includes neither compilation nor parsing of definitions
     parse_ahead(TYPES[name] for name in (*REPLAY_INPUTS, *TWIN_TOPICS))
     begin = time.perf_counter()
     with open_bag(options.bag, _notify, options.definitions) as bag:
-        run = read_run(bag, options.namespace, REPLAY_INPUTS)
-        _check_drive(run, bag)
-        followed = _follow(run, parameters, bag, output, options.namespace)
+        reader = RunReader(bag, options.namespace, REPLAY_INPUTS)
+        _check_drive(bag, options.namespace)
+        replay = OfflineReplay(reader.parts, parameters)
+        reporter = replay.feed(
+            lambda: ReplayReporter(replay.samples, parameters.pitch, replay.resumed_ns)
+        )
+        report = reporter.report(replay.unusable)
+        for event in reporter.events:
+            _notify(event.text)
+        if output is not None:
+            write_replay(bag, output, replay, options.namespace or namespace_of(bag))
         duration = (bag.end - bag.start) * 1e-9
-    report = report_replay(run, followed, parameters.pitch)
     elapsed = time.perf_counter() - begin
     print_result(
         options,
-        report_json(report, followed, duration, elapsed),
-        describe(report, followed.dropped or {}, duration, elapsed),
+        report_json(report, replay.dropped, duration, elapsed),
+        describe(report, replay.dropped, duration, elapsed),
     )
 
 
-def _check_drive(run: Run, bag: Bag) -> None:
-    """Raises `BagError` where nothing tells of the body's length, which drives the twin."""
-    if not (len(run.commanded.stamp) or len(run.measured.stamp)):
+def _check_drive(bag: Bag, namespace: str) -> None:
+    """Raise BagError if a bag contains no length of the body, which drives the twin."""
+    topics = [find_topic(bag.topics.values(), name, namespace) for name in DRIVES]
+    if not any(topic is not None and topic.count for topic in topics):
         raise BagError(
             f"{bag.path}: the twin cannot follow it: it has no body_length/commanded and no body_length/measured; "
             "record them, with gait_state"
         )
-
-
-def _follow(
-    run: Run, parameters: Parameters, bag: Bag, output: Path | None, namespace: str
-) -> Replay:
-    times = received(bag, namespace, run)
-    replay = replay_run(run, parameters)
-    for notice in replay.notices:
-        _notify(notice.text)
-    if output is not None:
-        where = namespace or namespace_of(bag)
-        write_replay(bag, output, replay, where, shift_of(run, times))
-    return replay
 
 
 main = executable(_parser, _replay)

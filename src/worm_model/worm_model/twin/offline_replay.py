@@ -8,22 +8,22 @@ start. A gait during which the clock was set is not judged.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from worm_model.parameters import Parameters
 from worm_model.run import SAME_ONSET_NS, GaitStates, Run
-from worm_model.twin.records import Event, Health, residual_message
-from worm_model.twin.samples import Rows, rows_of_run
-from worm_model.twin.stored_memory import StoredMemory, memory_to_resume, read_memory
-from worm_model.twin.twin import CLOCK_SET, ClosedCycle, Output, Twin, TwinState
+from worm_model.twin.recorded_samples import RecordedSamples
+from worm_model.twin.records import Event
+from worm_model.twin.samples import Rows
+from worm_model.twin.start_estimate import Start
+from worm_model.twin.stored_memory import StoredMemory, look_back_ns, memory_to_resume
+from worm_model.twin.twin import CLOCK_SET, NOTHING, ClosedCycle, Output, Twin, TwinState
 
-IMPOSSIBLE_SPEED = 1.0  # m/s; no gait moves the cable faster than 0.12 m/s
 IMPOSSIBLE_STEPS = 3  # number of impossible steps of the command that proves overlapping times
 
 Series = dict[str, NDArray[Any]]
@@ -38,7 +38,6 @@ class Replay:
         residuals: columns of ResidualRecord (TwinResiduals) without `messages`, with sizes and levels of the channels.
         lengths: `stamp_ns`, `length`, `length_change` (BodyLength, ESTIMATED).
         notices: events of the twin (TwinEvent).
-        warnings: texts to which residuals refer by number.
         dropped: number of samples that were dropped, by reason.
         cycles: cycles that ended, each with the reason if it was not judged.
         unusable: reasons why runs cannot be judged, by run number (by onset in ns for runs without one).
@@ -49,61 +48,136 @@ class Replay:
     residuals: Series
     lengths: Series
     notices: tuple[Event, ...] = ()
-    warnings: dict[int, str] | None = None
     dropped: dict[str, int] | None = None
     cycles: tuple[ClosedCycle, ...] = ()
     unusable: Mapping[int, str] = field(default_factory=dict)
     resumed_ns: int = 0
 
-    @cached_property
-    def messages(self) -> tuple[str, ...]:
-        """Messages of the residuals."""
-        series = self.residuals
-        texts = [""] * len(series["stamp_ns"])
-        for row in np.flatnonzero(series["health"] > Health.HEALTHY).tolist():
-            line = {name: column[row] for name, column in series.items()}
-            texts[row] = residual_message(line, self.warnings or {})
-        return tuple(texts)
+
+class Consumer(Protocol):
+    """Reader of a replay, part by part."""
+
+    def add(self, rows: Rows, output: Output) -> None:
+        """Process some samples and what the twin put out meanwhile."""
+
+
+Result = TypeVar("Result", bound=Consumer)
+
+
+class OfflineReplay:
+    """Run of the twin over a recording, part by part, as often as required.
+
+    Args:
+        parts: returns the recording in parts, in the order of reception.
+        parameters: parameters of the robot.
+
+    Attributes:
+        samples: the recording.
+        resumed_ns: stamp of the stored memory from which the replay resumes, 0 without one.
+        unusable: reasons why runs cannot be judged, by run number (by onset in ns for runs without one).
+        dropped: number of samples that were dropped, by reason.
+    """
+
+    def __init__(self, parts: Callable[[], Iterable[Run]], parameters: Parameters) -> None:
+        self._twin = twin = Twin(parameters)
+        jump_back_ns = round(twin.settings.jump_back_s * 1e9)
+        self.samples = RecordedSamples(parts, jump_back_ns, lambda memory: memory.holds_for(twin))
+        states = self.samples.gait_state
+        onsets = [int(states.onset[of].min()) for of in states.rows_of_runs()]
+        self._memory = memory_to_resume(self.samples.memories, self.samples.first_ns, onsets)
+        self._starts: dict[int, Start] = {}
+        self.resumed_ns = 0 if self._memory is None else self._memory.stamp_ns
+        self.unusable: Mapping[int, str] = {}
+        self.dropped: dict[str, int] = {}
+
+    def feed(self, begin: Callable[[], Result]) -> Result:
+        """Return a consumer to which the whole replay has been added.
+
+        If the twin estimates the start of a gait at the end of its first cycle, the recording is followed again from
+        that start, with another consumer from ``begin``.
+        """
+        is_settled = self._memory is not None or bool(self._starts)
+        consumer = begin()
+        for rows, output in self.steps():
+            consumer.add(rows, output)
+        return consumer if is_settled or not self._starts else self.feed(begin)
+
+    def steps(self) -> Iterator[tuple[Rows, Output]]:
+        """Yield the samples in parts, each with what the twin puts out for it."""
+        twin, unusable = self._twin, unusable_runs(self.samples)
+        state = TwinState(twin.start().memory, unusable=unusable, starts=dict(self._starts))
+        if self._memory is not None:
+            before = yield from self._steps_before(self._memory, state)
+            resumed = self._memory.resume(twin, before)
+            resumed.unusable |= state.unusable
+            state = resumed
+        for rows in self.samples.rows():
+            new = rows if self._memory is None else rows[self._memory.is_new(rows)]
+            yield new, twin.advance(state, new)
+        yield NOTHING, twin.advance(state, NOTHING, to_the_end=True)
+        self._starts = self._starts or state.starts
+        self.unusable = state.unusable
+        self.dropped = {name: n for name, n in state.counts.items() if n and name != "taken"}
+
+    def _steps_before(
+        self, memory: StoredMemory, state: TwinState
+    ) -> Generator[tuple[Rows, Output], None, Rows]:
+        """Yield the steps up to a stored memory, and return the last samples before it."""
+        last = NOTHING
+        if self.samples.first_ns is None or self.samples.first_ns > memory.stamp_ns:
+            return last
+        for rows in self.samples.rows(memory.until_ns):
+            old = rows[~memory.is_new(rows)]
+            last = np.concatenate([last, old])
+            last = last[last["stamp"] >= memory.stamp_ns - look_back_ns(self._twin)]
+            yield old, _apart(self._twin.advance(state, old))
+        yield NOTHING, _apart(self._twin.advance(state, NOTHING, to_the_end=True))
+        return last
 
 
 def replay_run(run: Run, parameters: Parameters) -> Replay:
     """Return the result of the twin for a recording."""
-    twin = Twin(parameters)
-    rows = rows_of_run(run, round(twin.settings.jump_back_s * 1e9))
-    unusable = unusable_runs(run)
-    memory = _memory(run, twin, rows)
-    outputs, state = _follow(twin, rows, memory, TwinState(twin.start().memory, unusable=unusable))
-    if state.starts and memory is None:
-        begun = TwinState(twin.start().memory, unusable=unusable_runs(run), starts=state.starts)
-        outputs, state = _follow(twin, rows, memory, begun)
+    replay = OfflineReplay(lambda: (run,), parameters)
+    outputs = replay.feed(_Outputs).outputs
     return Replay(
         states=_columns([output.states for output in outputs]),
         residuals=_columns([output.residuals for output in outputs]),
         lengths=_columns([output.lengths for output in outputs]),
         notices=tuple(event for output in outputs for event in output.events),
-        warnings={number: text for output in outputs for number, text in output.warnings.items()},
-        dropped={name: n for name, n in state.counts.items() if n and name != "taken"},
+        dropped=replay.dropped,
         cycles=tuple(cycle for output in outputs for cycle in output.cycles),
-        unusable=state.unusable,
-        resumed_ns=memory.stamp_ns if memory is not None else 0,
+        unusable=replay.unusable,
+        resumed_ns=replay.resumed_ns,
     )
 
 
-def unusable_runs(run: Run) -> dict[int, str]:
+class _Outputs:
+    """Consumer that stores all outputs."""
+
+    def __init__(self) -> None:
+        self.outputs: list[Output] = []
+
+    def add(self, rows: Rows, output: Output) -> None:  # noqa: ARG002 - a consumer's signature
+        self.outputs.append(output)
+
+
+def unusable_runs(samples: RecordedSamples) -> dict[int, str]:
     """Return the runs during which the clock was set, with the reason why they cannot be judged.
 
     Keys are run numbers, or onsets in ns for runs without a number. If log times and stamps were both set back, the
     order of a bag's messages shows nothing. But the driver then reports another onset of the same run. Where two time
     spans overlap, the command alternates between two values.
     """
-    states, found = run.gait_state, {}
+    states, found = samples.gait_state, {}
     for rows in states.rows_of_runs():
         onsets = states.onset[rows]
         number, first = int(states.run[rows[0]]), int(onsets.min())
         moved = float(onsets[-1] - onsets[0]) * 1e-9
+        steps = samples.impossible_steps
+        inside = (steps[:, 0] >= first) & (steps[:, 1] <= _end_of(states, rows))
         if number and np.ptp(onsets) > SAME_ONSET_NS:
             found[number] = CLOCK_SET.format(f" by {moved:+.1f} s" if moved else "")
-        elif _jumps_to_and_fro(run, first, _end_of(states, rows)):
+        elif np.count_nonzero(inside) >= IMPOSSIBLE_STEPS:
             found[number or first] = CLOCK_SET.format("")
     return found
 
@@ -111,41 +185,6 @@ def unusable_runs(run: Run) -> dict[int, str]:
 def _end_of(states: GaitStates, rows: NDArray[np.int64]) -> int:
     later = states.stamp[(states.stamp > states.stamp[rows[-1]]) & ~states.played]
     return int(later.min(initial=np.iinfo(np.int64).max))
-
-
-def _jumps_to_and_fro(run: Run, first: int, last: int) -> bool:
-    stamp, change = run.commanded.stamp, run.commanded.length_change
-    inside = np.flatnonzero((stamp >= first) & (stamp <= last))
-    inside = inside[np.argsort(stamp[inside], kind="stable")]
-    step, duration = np.abs(np.diff(change[inside])), np.diff(stamp[inside]) * 1e-9
-    return int(np.sum(step > IMPOSSIBLE_SPEED * duration + 1e-3)) >= IMPOSSIBLE_STEPS
-
-
-def _memory(run: Run, twin: Twin, rows: Rows) -> StoredMemory | None:
-    """Return the stored memory from which to follow a recording; None if there is none for this twin."""
-    stored = zip(run.memory.stamp.tolist(), run.memory.content.tolist(), strict=True)
-    memories = [memory for stamp, text in stored if (memory := read_memory(stamp, text))]
-    memories = [memory for memory in memories if memory.holds_for(twin)]
-    states = run.gait_state
-    onsets = [int(states.onset[of].min()) for of in states.rows_of_runs()]
-    return memory_to_resume(sorted(memories, key=lambda m: m.stamp_ns), rows, onsets)
-
-
-def _follow(
-    twin: Twin, rows: Rows, memory: StoredMemory | None, state: TwinState
-) -> tuple[list[Output], TwinState]:
-    """Return the outputs in order, and the final state of the twin."""
-    if memory is None:
-        return [twin.advance(state, rows, to_the_end=True)], state
-    new = memory.is_new(rows)
-    earlier = rows[~new]
-    outputs = []
-    if np.any(earlier["kind"] != 0):
-        outputs = [_apart(twin.advance(state, earlier, to_the_end=True))]
-    resumed = memory.resume(twin, earlier)
-    resumed.unusable |= state.unusable
-    resumed.starts = state.starts
-    return [*outputs, twin.advance(resumed, rows[new], to_the_end=True)], resumed
 
 
 def _apart(output: Output) -> Output:

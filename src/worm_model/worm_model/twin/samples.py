@@ -53,18 +53,25 @@ def sample_rows(kind: Kind, stamp: NDArray[np.int64], *values: NDArray[Any]) -> 
     return rows
 
 
-def rows_of_run(run: Run, jump_back_ns: int) -> Rows:
-    """Return all samples of a recording for the twin, ordered by stamp, so that none is late.
+def series_of(run: Run) -> dict[Kind, Any]:
+    """Return the series of a recording that the twin reads, by kind."""
+    return dict(
+        zip(
+            Kind,
+            (run.gait_state, run.commanded, run.measured, run.tracker, run.power),
+            strict=True,
+        )
+    )
 
-    If a topic goes back by more than ``jump_back_ns``, the clock has jumped. All samples after the jump then follow all
-    samples before it.
-    """
+
+def topic_rows(run: Run) -> dict[Kind, Rows]:
+    """Return the rows of each kind, in the order of reception."""
     states = run.gait_state
     gaits = sample_rows(Kind.GAIT, states.stamp, *(getattr(states, name) for name in GAIT_VALUES))
     gaits["onset"], gaits["state"], gaits["run"] = states.onset, states.state, states.run
     gaits["cycle"] = states.cycle
     tracker, power = run.tracker, run.power
-    topics = {
+    return {
         Kind.GAIT: gaits,
         Kind.COMMAND: sample_rows(Kind.COMMAND, run.commanded.stamp, run.commanded.length_change),
         Kind.LENGTH: sample_rows(Kind.LENGTH, run.measured.stamp, run.measured.length),
@@ -73,18 +80,3 @@ def rows_of_run(run: Run, jump_back_ns: int) -> Rows:
         ),
         Kind.POWER: sample_rows(Kind.POWER, power.stamp, power.valid_power),
     }
-    topics = {kind: topic for kind, topic in topics.items() if len(topic)}
-    if not topics:
-        return np.zeros(0, SAMPLE)
-    jumps = [_jumps(topic["stamp"], jump_back_ns) for topic in topics.values()]
-    rows = np.concatenate(list(topics.values()))
-    return rows[np.lexsort((rows["stamp"], np.concatenate(jumps)))]
-
-
-def _jumps(stamp: NDArray[np.int64], jump_back_ns: int) -> NDArray[np.int64]:
-    """Return for each sample of a topic how many backward jumps of the clock precede it."""
-    newest = np.maximum.accumulate(stamp)
-    back = np.diff(stamp) < -jump_back_ns
-    # A single late sample is followed by the newest again; after a jump the next ones stay behind.
-    stays = np.append(stamp[2:] < newest[:-2] - jump_back_ns, True)[: len(back)]
-    return np.cumsum(np.append(False, back & stays)[: len(stamp)])

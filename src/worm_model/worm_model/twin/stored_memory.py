@@ -92,6 +92,11 @@ class StoredMemory:
         record = self.content["record"]
         return not record["start_ns"] or bool(record["end_ns"])
 
+    @property
+    def until_ns(self) -> int:
+        """Largest stamp of a sample that this memory includes."""
+        return max(self.stamp_ns, int(self.content["gait_heard_ns"]))
+
     def holds_for(self, twin: Twin) -> bool:
         """Return True if the twin has the parameters and settings with which this memory was stored."""
         return bool(self.content["holds_for"] == digest(twin))
@@ -111,7 +116,7 @@ class StoredMemory:
         m["newest"][:] = self.stamp_ns
         m["newest"][Kind.GAIT] = self.content["gait_heard_ns"]
         stored = np.array([tuple(row) for row in self.content["lengths"]], SAMPLE)
-        recent = before["stamp"] >= self.stamp_ns - _look_back_ns(twin)
+        recent = before["stamp"] >= self.stamp_ns - look_back_ns(twin)
         recent &= ~_is_stored(twin, before, self.stamp_ns) & (before["kind"] != Kind.GAIT)
         past = before[recent].copy()
         past["c"][past["kind"] == Kind.LENGTH] = np.nan
@@ -140,18 +145,21 @@ def read_memory(stamp_ns: int, text: str) -> StoredMemory | None:
 
 
 def memory_to_resume(
-    memories: Sequence[StoredMemory], rows: SampleRows, onsets: Sequence[int]
+    memories: Sequence[StoredMemory], first: int | None, onsets: Sequence[int]
 ) -> StoredMemory | None:
     """Return the memory from which to follow a recording, or None if no memory is usable.
 
-    It is the first memory after the recording's first sample, because no samples are missing in between. If a gait
+    It is the first memory after the instruments' first sample, because no samples are missing in between. If a gait
     begins before that memory, the last memory before the recording is used instead, provided that the robot was at
     rest.
+
+    Args:
+        memories: usable memories, in the order of their stamps.
+        first: stamp of the instruments' first sample in ns, None without one.
+        onsets: onsets of the gaits in ns.
     """
-    instruments = rows[rows["kind"] != Kind.GAIT]["stamp"]
-    if not instruments.size:
+    if first is None:
         return None
-    first = int(instruments.min())
     later = [memory for memory in memories if memory.stamp_ns >= first]
     earlier = [memory for memory in memories if memory.stamp_ns < first]
     begins = min((onset for onset in onsets if onset >= first), default=None)
@@ -171,7 +179,8 @@ def _is_stored(twin: Twin, rows: SampleRows, stamp_ns: int) -> np.ndarray:
     return found
 
 
-def _look_back_ns(twin: Twin) -> int:
+def look_back_ns(twin: Twin) -> int:
+    """Return how long the twin remembers samples, ns."""
     return round((twin.settings.rest_s + twin.settings.smoothing_s + 1.0) * NANOSECONDS)
 
 

@@ -41,7 +41,7 @@ from worm_model.twin.core.memory import (
     new_rows,
 )
 from worm_model.twin.diagnosis import CycleSeen, Finding, History, explains, judge_cycle, off_at_end
-from worm_model.twin.records import Activity, Event, Severity
+from worm_model.twin.records import Activity, Event, Health, Severity, residual_message
 from worm_model.twin.run_start import PLAYING, Word, begin_run, is_new_run, word_of
 from worm_model.twin.samples import SAMPLE
 from worm_model.twin.samples import Rows as SampleRows
@@ -138,6 +138,14 @@ class Output:
     events: tuple[Event, ...]
     warnings: dict[int, str]
     cycles: tuple[ClosedCycle, ...] = ()
+
+
+def residual_messages(output: Output) -> list[str]:
+    """Return the messages of the residuals (n,), empty while the robot is healthy."""
+    texts = [""] * len(output.residuals)
+    for row in np.flatnonzero(output.residuals["health"] > Health.HEALTHY).tolist():
+        texts[row] = residual_message(output.residuals[row], output.warnings)
+    return texts
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,8 @@ from worm_model.commands.command_line import (
     run_command,
 )
 from worm_model.gait import (
+    GAIT_DEFAULTS,
+    WAVEFORM,
     Gait,
     gait_of,
 )
@@ -238,6 +240,10 @@ def _run(node: OperatorNode, options: argparse.Namespace) -> int:
 def _own_gait(options: argparse.Namespace) -> Gait | None:
     """Return the gait of the options; None if one must be requested. Raises `InputError`."""
     if options.stroke is None and options.frequency is None:
+        for name in WAVEFORM:
+            if name in GAIT_DEFAULTS and str(getattr(options, name)) != str(GAIT_DEFAULTS[name]):
+                option = f"--{name.replace('_', '-')}"
+                raise InputError(f"{option} needs a gait in numbers: give --stroke and --frequency")
         return None
     if options.stroke is None or options.frequency is None:
         raise InputError("a gait has a stroke and a frequency: give --stroke and --frequency")

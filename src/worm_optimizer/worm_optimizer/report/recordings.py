@@ -9,9 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from worm_model.analysis.run_parts import joined, last_stamp, parts_of
+from worm_model.analysis.run_parts import last_stamp, parts_of
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.finding import METADATA_FILE
@@ -28,10 +26,6 @@ from worm_optimizer.report.recorded_gait import RecordedGait, recorded_gait
 _MANIFEST = "worm_run"
 _PAPER = "the paper's values"
 _CHUNK = 1 << 20
-# If the next recording starts within this time and the robot is at the same position, it was not moved in between.
-_LONGEST_BREAK_NS = 60_000_000_000
-_UNMOVED = 3e-3  # m
-_AT_REST = 10  # number of tracker samples from which a position at rest is computed
 
 
 def bags_of(path: Path) -> list[Path]:
@@ -93,9 +87,7 @@ def read_recorded_gaits(
 ) -> list[RecordedGait]:
     """Read bags, replay their gaits with the twin, and predict each gait.
 
-    The gaits are in the order of the bags. The state of the twin is continued from one recording to the next if the
-    robot was not moved in between. This matters because a gait leaves the fins bent, and the next one begins from
-    there.
+    The gaits are in the order of the bags.
 
     Args:
         paths: bags.
@@ -115,13 +107,8 @@ def read_recorded_gaits(
             for path in paths
         ]
         _check_one_form(recordings)
-        gaits = {}
-        for group in _unbroken(recordings):
-            run = joined([recording.run for recording in group])
-            whole = replay_run(run, group[0].parameters[0].parameters)
-            for recording in group:
-                gaits[id(recording)] = list(_gaits_of(recording, whole, notify))
-    return _named_apart([gait for recording in recordings for gait in gaits[id(recording)]])
+        gaits = [gait for recording in recordings for gait in _gaits_of(recording, notify)]
+    return _named_apart(gaits)
 
 
 def _recording(bag: Bag, path: Path, parameters: str) -> _Recording:
@@ -140,33 +127,8 @@ def _check_one_form(recordings: Sequence[_Recording]) -> None:
         )
 
 
-def _unbroken(recordings: Sequence[_Recording]) -> list[list[_Recording]]:
-    """Return groups of recordings that continue each other, in the order of their start."""
-    groups: list[list[_Recording]] = []
-    for recording in sorted(recordings, key=lambda each: each.run.origin):
-        if groups and _goes_on(groups[-1][-1], recording):
-            groups[-1].append(recording)
-        else:
-            groups.append([recording])
-    return groups
-
-
-def _goes_on(before: _Recording, after: _Recording) -> bool:
-    """Return True if the robot was not moved between two recordings."""
-    if before.parameters[0] != after.parameters[0]:
-        return False
-    last, first = before.run.tracker.rear_position, after.run.tracker.rear_position
-    last, first = last[np.isfinite(last)][-_AT_REST:], first[np.isfinite(first)][:_AT_REST]
-    if not (last.size and first.size):
-        return False
-    pause = after.run.origin - last_stamp(before.run)
-    unmoved = abs(np.median(first) - np.median(last)) < _UNMOVED
-    return before.run.origin < after.run.origin and pause < _LONGEST_BREAK_NS and bool(unmoved)
-
-
-def _gaits_of(
-    recording: _Recording, whole: Replay, notify: Callable[[str], None]
-) -> Iterator[RecordedGait]:
+def _gaits_of(recording: _Recording, notify: Callable[[str], None]) -> Iterator[RecordedGait]:
+    whole = replay_run(recording.run, recording.parameters[0].parameters)
     parts = parts_of(recording.run)
     if len(parts) > 1:
         notify(f"{recording.bag.path} holds {len(parts)} gaits, each is reported")

@@ -169,6 +169,27 @@ def test_samples_that_drift_become_a_fault_and_move_nothing(ticks_per_cycle):
     check_goals(rig)
 
 
+@pytest.mark.parametrize("seconds", [0.2, 0.6, 0.8], ids=["slow", "pulling", "at the turn"])
+@pytest.mark.parametrize("ticks_per_cycle", [-100, -30, 30, 100])
+def test_samples_that_drift_during_a_gait_do_not_move_the_hold(ticks_per_cycle, seconds):
+    """A gait pulls with more than half of the limit: that alone does not support a measurement."""
+    rig = Rig()
+    rig.activate()
+    rig.start()
+    rig.run(5.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    rig.run(seconds)
+    for step in range(100):
+        rig.virtual.board.clear()
+        rig.inject("wrong_position", target=CABLE, value=step * ticks_per_cycle, duration=1e6)
+        if rig.run(GIVEN.period).player.phase is Phase.FAULT:
+            break
+    assert rig.robot.player.phase is Phase.FAULT
+    since = len(rig.positions)
+    rig.run(0.5)
+    assert moved(rig, since) < 0.006
+    check_goals(rig)
+
+
 # --- ids ------------------------------------------------------------------------------------------
 
 
@@ -304,6 +325,18 @@ def test_a_wrong_position_of_one_of_two_cable_servos_stops_both(servo, jump):
     assert all(goal.distance <= REACH for goal in rig.goals)
 
 
+def test_a_stop_right_after_an_activation_holds_where_the_servo_was_enabled():
+    """The body still springs back: what was measured before the activation is no place to hold."""
+    rig = running()
+    rig.robot.release()
+    rig.run(0.02)
+    rig.robot.activate(rig.clock.now)
+    enabled_at = rig.robot.player.length_change
+    assert rig.snapshots[-1].cable - enabled_at < -0.002
+    rig.robot.stop(rig.clock.now, "stop")
+    assert rig.robot.player.length_change == enabled_at
+
+
 # --- fins -----------------------------------------------------------------------------------------
 
 
@@ -343,6 +376,22 @@ def test_after_a_stop_during_a_flip_the_next_gait_sets_the_fins_at_rest():
     rig.run(6.0, until=lambda s: s.player.phase is Phase.RUNNING)
     for servo in rig.virtual.servos[1:]:
         assert servo.shaft_angle == pytest.approx(3.927, abs=0.07)
+
+
+@pytest.mark.parametrize("ticks_per_cycle", [-60, 3, 60])
+def test_a_fin_that_stands_keeps_its_goal_at_a_stop_whatever_its_samples_are(ticks_per_cycle):
+    rig = Rig()
+    rig.activate()
+    rig.start(0.05, 0.3)
+    rig.run(6.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    here = fin_positions(rig)
+    for step in range(25):
+        rig.virtual.board.clear()
+        rig.inject("wrong_position", target=FIN, value=step * ticks_per_cycle, duration=1e6)
+        rig.run(GIVEN.period)
+    rig.robot.stop(rig.clock.now, "stop")
+    rig.run(1.0)
+    assert fin_positions(rig) == pytest.approx(here, abs=40)
 
 
 @pytest.mark.parametrize("jump", [-600, 600])

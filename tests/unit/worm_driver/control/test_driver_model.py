@@ -24,7 +24,7 @@ from hypothesis.stateful import (
 
 from worm_driver.errors import DriverError
 from worm_driver.gait import gait_player
-from worm_driver.gait.gait_limits import Gait
+from worm_driver.gait.gait_limits import COSINE, TRAPEZOID, Gait
 from worm_driver.gait.gait_player import Phase as GaitPhase
 from worm_driver.gait.gait_player import PlayerSettings
 from worm_driver.virtual_robot.wire.faults import make_fault
@@ -50,7 +50,9 @@ REACH = QUICK.limits.following_error + 2 * QUICK.period * QUICK.max_cable_speed
 SPRINGS_BACK = 2.5e-3
 #: m, by which a wrong sample may be off and not be noticed: see docs/safety.md
 OFF = 0.006
-MAY_MOVE = (GaitPhase.RUNNING, GaitPhase.STOPPING, GaitPhase.RETURNING)
+#: s, in which every return to rest ends; with less a person does not wait for it
+PATIENT = 8.0
+MAY_MOVE = (GaitPhase.RUNNING, GaitPhase.STOPPING, GaitPhase.RETURNING, GaitPhase.TENSIONING)
 
 FAULTS = st.one_of(
     st.tuples(
@@ -93,13 +95,28 @@ FAULTS = st.one_of(
         st.sampled_from(["i2c_nack", "ina219_overflow", "ina219_reset"]), st.just({"count": 3})
     ),
 )
-GAITS = st.builds(Gait, st.floats(0.01, 0.06), st.floats(0.2, 0.4), st.sampled_from([1, -1]))
+PAPERS = st.builds(Gait, st.floats(0.01, 0.06), st.floats(0.2, 0.4), st.sampled_from([1, -1]))
+SHAPED = st.builds(
+    Gait,
+    st.floats(0.01, 0.06),
+    st.floats(0.2, 0.4),
+    st.sampled_from([1, -1]),
+    pretension=st.sampled_from([0.0, 5e-5, 0.004, 0.015, 0.03]),
+    contraction_share=st.sampled_from([0.3, 0.5, 0.65]),
+    profile=st.sampled_from([COSINE, TRAPEZOID]),
+    ramp_share=st.sampled_from([0.1, 0.3, 0.5]),
+)
+GAITS = st.one_of(PAPERS, SHAPED)
 ODD_GAITS = st.builds(
     Gait,
     st.sampled_from([0.03, math.nan, 0.0, 1e-300, 1.0]),
     st.sampled_from([math.inf, -0.2, 1e-300]),
     st.sampled_from([1, 0]),
     st.sampled_from([0.0, math.inf, 1e300]),
+    st.sampled_from([0.0, math.nan, -0.01, 0.08]),
+    st.sampled_from([0.5, 0.0, 1.0, math.nan]),
+    st.sampled_from([COSINE, 2]),
+    st.sampled_from([0.25, 0.0, math.nan]),
 )
 
 
@@ -182,7 +199,7 @@ class Life(RuleBasedStateMachine):
         """The process is asked to end, in any state; a stop may come at any moment of it, or a second Ctrl-C."""
         robot, stopped = self.rig.robot, False
         self.rig.loop.leave("the driver ends")
-        end = self.clock.now + 8.0
+        end = self.clock.now + PATIENT
         passed = 0
         while not self.rig.ended and self.clock.now < end:
             if passed == stop_after:
@@ -206,11 +223,17 @@ class Life(RuleBasedStateMachine):
         self.restart(0.0)
 
     @precondition(lambda self: self.alive and self.rig.robot.active)
-    @rule(patience=st.sampled_from([0.0, 0.1, 3.0]), again=st.booleans())
+    @rule(patience=st.sampled_from([0.0, 0.1, PATIENT]), again=st.booleans())
     def deactivate(self, patience: float, again: bool) -> None:
         self.bring_to_rest(patience)
-        if again and self.alive:
+        if again and self.alive and not self.rig.robot.active:
             self.activate()
+
+    @precondition(lambda self: self.alive and self.rig.robot.active)
+    @rule(fault=FAULTS, delay=st.floats(0.0, 0.5))
+    def deactivate_with_a_fault_on_the_way(self, fault: tuple[str, dict], delay: float) -> None:
+        self.inject(fault, delay)
+        self.bring_to_rest(PATIENT)
 
     @precondition(lambda self: self.alive and self.rig.robot.player.phase is GaitPhase.FAULT)
     @rule()
@@ -228,11 +251,15 @@ class Life(RuleBasedStateMachine):
 
     def bring_to_rest(self, patience: float) -> None:
         robot = self.rig.robot
+        in_fault = robot.player.phase is GaitPhase.FAULT
         robot.begin_release(self.clock.now, "deactivated")
         end = self.clock.now + patience
         while not robot.released and self.clock.now < end:
             self.time_passes(1)
-        self.person = True  # deactivated in FAULT, or not waited for
+        if patience >= PATIENT and not robot.released:
+            assert robot.holding  # deactivate fails
+            return
+        self.person = in_fault or patience < PATIENT  # deactivated in FAULT, or not waited for
         problems = robot.release()
         self.check_release()
         assert not robot.active
@@ -258,10 +285,7 @@ class Life(RuleBasedStateMachine):
     @precondition(lambda self: self.alive)
     @rule(fault=FAULTS, delay=st.floats(0.0, 0.05))
     def fault(self, fault: tuple[str, dict], delay: float) -> None:
-        name, arguments = fault
-        self.rig.advance(self.clock.now)
-        self.virtual.board.add(make_fault(name, **arguments).delayed(self.clock.now + delay))
-        self.troubled_until = self.clock.now + delay + arguments.get("duration", 0.4) + 1.0
+        self.inject(fault, delay)
         self.time_passes(10)
 
     @precondition(lambda self: self.alive)
@@ -275,6 +299,12 @@ class Life(RuleBasedStateMachine):
         self.restart(away)
         if self.alive:
             self.activate()
+
+    def inject(self, fault: tuple[str, dict], delay: float) -> None:
+        name, arguments = fault
+        self.rig.advance(self.clock.now)
+        self.virtual.board.add(make_fault(name, **arguments).delayed(self.clock.now + delay))
+        self.troubled_until = self.clock.now + delay + arguments.get("duration", 0.4) + 1.0
 
     # --- how ---------------------------------------------------------------------------------------
 

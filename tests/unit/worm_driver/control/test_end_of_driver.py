@@ -116,6 +116,41 @@ def test_a_fault_while_it_shuts_down_leaves_the_torque_on():
     assert rig.cable.memory["torque_enable"] == 1
 
 
+def test_a_fault_on_the_way_to_rest_of_a_deactivation_releases_no_torque():
+    """Only a deactivation that is requested in FAULT may let a contracted robot spring back."""
+    rig = Rig()
+    rig.run_into_motion()
+    rig.robot.begin_release(rig.clock.now, "deactivated")
+    rig.run(0.2)
+    rig.inject("no_answer", target=11, duration=1e6)
+    rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
+    assert contraction(rig) > 0.01
+    assert (rig.robot.released, rig.robot.holding) == (False, True)
+    rig.robot.begin_release(rig.clock.now, "deactivated again")
+    assert rig.robot.released
+
+
+def test_a_deactivation_of_a_robot_that_would_not_spring_back_needs_no_second_one():
+    rig = Rig()
+    rig.activate()
+    rig.robot.begin_release(rig.clock.now, "deactivated")
+    rig.inject("no_answer", duration=1e6)
+    rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
+    assert rig.robot.released
+
+
+def test_no_torque_is_switched_on_while_it_shuts_down():
+    rig = Rig()
+    rig.run(0.1)
+    rig.loop.leave("the driver ends")
+    activation = rig.loop.submit(lambda now: rig.robot.activate(now))
+    rig.run(rig.settings.period)
+    with pytest.raises(LimitError, match="shuts down"):
+        activation.result(0)
+    assert rig.ended
+    assert [servo.memory["torque_enable"] for servo in rig.virtual.servos] == [0, 0, 0]
+
+
 def test_no_gait_begins_while_it_shuts_down():
     rig = closing(0.2)
     with pytest.raises(LimitError, match="shuts down"):

@@ -665,3 +665,91 @@ def test_two_cable_servos_with_opposite_signs_pull_together():
     furthest = min(rig.snapshots, key=lambda s: s.cable if s.active else 0.0)
     assert furthest.cable == pytest.approx(-0.03, abs=2e-3)
     assert furthest.servos[0].ticks == pytest.approx(-furthest.servos[1].ticks, abs=30)
+
+
+# --- gaits with pretension, share and profile -------------------------------------------------------
+
+SHAPED = {"pretension": 0.012, "contraction_share": 0.6, "profile": 1, "ramp_share": 0.2}
+
+
+def goals_of_cable(rig: Rig) -> list[float]:
+    """Return the goals (m) that were written to the cable servo."""
+    spool = rig.settings.spools[0]
+    return [spool.length_change(goal.ticks) for goal in rig.goals if goal.servo == CABLE]
+
+
+def test_a_shaped_gait_is_played_between_pretension_and_reach_and_ends_released():
+    rig = Rig()
+    rig.activate()
+    rig.goals.clear()
+    rig.start(0.06, 0.4, 2, **SHAPED)
+    rig.run(10.0, until=lambda s: s.player.phase is Phase.RESTING)
+    assert rig.snapshots[-1].cable == pytest.approx(-0.012, abs=5e-4)
+    tensioned = len(rig.snapshots)
+    rig.run(20.0, until=lambda s: s.player.run.ending is not None)
+    run = rig.robot.player.run
+    assert run.ending is Ending.COMPLETED
+    assert rig.snapshots[-1].commanded == -0.012
+    rig.run(5.0, until=lambda s: s.player.phase is Phase.IDLE)
+    rig.run(0.3)
+    assert rig.snapshots[-1].cable == pytest.approx(0.0, abs=5e-4)
+    goals = goals_of_cable(rig)
+    assert min(goals) == pytest.approx(-0.072, abs=1e-4)
+    assert max(goals) == pytest.approx(0.0, abs=1e-4)
+    played = [
+        (s.command_time - run.onset, s.commanded)
+        for s in rig.snapshots
+        if run.onset <= s.command_time < run.end
+    ]
+    assert len(played) >= 490
+    assert [change for _, change in played] == pytest.approx(
+        [run.gait.length_change(time) for time, _ in played], abs=1e-12
+    )
+    speeds = [
+        abs(after.commanded - before.commanded) / rig.settings.period
+        for before, after in itertools.pairwise(rig.snapshots)
+        if before.active
+    ]
+    slow = rig.settings.player.return_speed
+    assert 0.9 * slow < max(speeds[: tensioned - 1]) <= 1.01 * slow
+    assert max(speeds) <= 1.01 * run.gait.peak_speed
+
+
+@pytest.mark.parametrize("phase", [Phase.TENSIONING, Phase.RESTING, Phase.RUNNING, Phase.RETURNING])
+def test_a_stop_holds_in_every_phase_of_a_shaped_gait(phase):
+    rig = Rig()
+    rig.activate()
+    rig.start(0.06, 0.4, 1, **SHAPED)
+    rig.run(20.0, until=lambda s: s.player.phase is phase and s.player.length_change < -0.004)
+    rig.robot.stop(rig.clock.now, "asked to")
+    assert rig.robot.player.phase is Phase.HOLDING
+    rig.run(0.2)
+    held = rig.cable.motor.position
+    rig.run(0.5)
+    assert rig.cable.motor.position == pytest.approx(held, abs=2)
+    assert rig.robot.player.active_run is None
+
+
+def test_deactivation_at_the_pretension_pays_it_out_before_the_torque_goes():
+    rig = Rig()
+    rig.activate()
+    rig.start(0.06, 0.4, 1, **SHAPED)
+    rig.run(10.0, until=lambda s: s.player.phase is Phase.RESTING)
+    rig.robot.begin_release(rig.clock.now, "over")
+    assert not rig.robot.released
+    rig.run(5.0, until=lambda s: s.player.phase is Phase.IDLE)
+    assert rig.robot.released
+    assert rig.robot.release() == []
+    assert rig.snapshots[-1].cable == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_lower_limit_ends_a_gait_whose_pretension_and_stroke_exceed_it():
+    rig = Rig()
+    rig.activate()
+    rig.start(0.06, 0.4, 5, **SHAPED)
+    rig.run(10.0, until=lambda s: s.player.phase is Phase.RUNNING)
+    assert "run 1 ends" in rig.robot.take(rig.clock.now, replace(rig.settings, max_stroke=0.07))
+    rig.run(10.0, until=lambda s: s.player.phase is Phase.IDLE)
+    assert rig.robot.player.run.ending is Ending.CANCELLED
+    with pytest.raises(LimitError, match="contract the body by"):
+        rig.start(0.06, 0.4, 5, **SHAPED)

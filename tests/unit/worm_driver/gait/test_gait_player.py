@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from worm_driver.errors import LimitError
 from worm_driver.gait import gait_player
-from worm_driver.gait.gait_limits import Gait
+from worm_driver.gait.gait_limits import COSINE, TRAPEZOID, Gait
 from worm_driver.gait.gait_player import Ending, Observation, Phase, PlayerSettings, PlayerState
 
 SETTINGS = PlayerSettings()
@@ -68,22 +68,112 @@ def test_a_rest_without_samples_ends_all_the_same():
     assert play(state, 0.0, 4.0, seen=none)[-1][1].phase is Phase.RUNNING
 
 
-@settings(max_examples=30)
-@given(st.floats(0.02, 0.09), st.floats(0.1, 0.4), st.integers(1, 4))
-def test_a_run_ends_at_rest_after_its_cycles_and_never_jumps(stroke, frequency, cycles):
-    gait = Gait(stroke, frequency)
-    now, state = running(gait, cycles)
-    onset = state.run.onset
-    states = play(state, now, cycles / frequency + 0.1)
+SHAPED = Gait(0.06, 0.4, pretension=0.012, contraction_share=0.6, profile=TRAPEZOID, ramp_share=0.2)
+GAITS = st.builds(
+    Gait,
+    st.floats(0.02, 0.07),
+    st.floats(0.1, 0.4),
+    pretension=st.one_of(st.just(0.0), st.floats(0.0, 0.02)),
+    contraction_share=st.floats(0.2, 0.8),
+    profile=st.sampled_from([COSINE, TRAPEZOID]),
+    ramp_share=st.floats(0.1, 0.5),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(GAITS, st.integers(1, 4))
+def test_a_run_ends_at_rest_after_its_cycles_and_never_jumps(gait, cycles):
+    state = gait_player.start(PlayerState(), 0.0, gait, cycles)
+    states = play(state, 0.0, 60.0, until=lambda s: s.phase is Phase.IDLE)
     final = states[-1][1]
-    assert final.phase is Phase.IDLE
     assert final.length_change == 0.0
     assert final.run.ending is Ending.COMPLETED
-    assert final.run.cycles_completed(now + 1e3) == cycles
-    assert final.run.end == pytest.approx(onset + cycles / frequency)
+    assert final.run.cycles_completed(1e3) == cycles
+    assert final.run.end == pytest.approx(final.run.onset + cycles / gait.frequency)
     lengths = [0.0, *(s.length_change for _, s in states)]
-    steps = [abs(b - a) for a, b in itertools.pairwise(lengths)]
-    assert max(steps) <= gait.peak_speed * DT * 1.01
+    phases = [Phase.RETURNING, *(s.phase for _, s in states)]
+    for (before, after), phase in zip(itertools.pairwise(lengths), phases, strict=False):
+        speed = gait.peak_speed if phase is Phase.RUNNING else SETTINGS.return_speed
+        assert abs(after - before) <= speed * DT * 1.01 + gait_player.REST_TOLERANCE
+    resting = {s.length_change for _, s in states if s.phase is Phase.RESTING}
+    assert resting == {-gait.pretension}
+
+
+def test_the_cable_is_tensioned_once_the_fins_are_set_and_rests_before_the_gait():
+    state = gait_player.start(PlayerState(), 0.0, SHAPED, 1)
+    moving = Observation(fins_set=False, idle_samples=0)
+    waiting = play(state, 0.0, 1.0, seen=moving)
+    assert {s.length_change for _, s in waiting} == {0.0}
+    now, state = waiting[-1]
+    states = play(state, now, 10.0, until=lambda s: s.phase is Phase.RUNNING)
+    order = [phase for phase, _ in itertools.groupby(s.phase for _, s in states)]
+    tensioned = [Phase.TENSIONING, Phase.FLIPPING, Phase.RESTING, Phase.RUNNING]
+    assert order == tensioned
+    reached = next(t for t, s in states if s.length_change == -SHAPED.pretension)
+    assert states[-1][1].run.rest_start >= reached + SETTINGS.settle_time - DT
+    assert states[-1][1].run.onset - states[-1][1].run.rest_start >= SETTINGS.rest_duration - DT
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0.0, 12.0), st.sampled_from(["cancel", "release", "stop", "fault"]))
+def test_at_any_time_of_a_shaped_gait_it_comes_to_rest_or_holds(when, deed):
+    state = gait_player.start(PlayerState(), 0.0, SHAPED, 2)
+    states = play(state, 0.0, when) or [(0.0, state)]
+    now, state = states[-1]
+    here, ended = state.length_change, state.run.ending
+    if deed == "cancel":
+        state = gait_player.cancel(state, now, "cancelled")
+    elif deed == "release":
+        state = gait_player.return_to_rest(state, now, "deactivated")
+    elif deed == "stop":
+        state = gait_player.stop(state, now, here, "asked to")
+    else:
+        state = gait_player.fault(state, now, here, "a servo is gone")
+    after = play(state, now, 10.0)
+    lengths = [here, *(s.length_change for _, s in after)]
+    if deed in ("cancel", "release"):
+        assert after[-1][1].phase is Phase.IDLE
+        assert lengths[-1] == 0.0
+        assert after[-1][1].run.ending is not None
+        fastest = SHAPED.peak_speed if deed == "cancel" else SETTINGS.return_speed
+        steps = [abs(after - before) for before, after in itertools.pairwise(lengths)]
+        assert max(steps) <= max(fastest * DT * 1.01, gait_player.REST_TOLERANCE)
+    else:
+        assert set(lengths) == {here}
+    expected = {"cancel": Ending.CANCELLED, "fault": Ending.FAILED}.get(deed, Ending.STOPPED)
+    assert after[-1][1].run.ending is (expected if ended is None else ended)
+
+
+def test_a_cancelled_shaped_gait_plays_its_cycle_to_the_end():
+    now, state = running(SHAPED, 5)
+    onset = state.run.onset
+    now, state = play(state, now, 3.0)[-1]
+    state = gait_player.cancel(state, now, "cancelled")
+    states = play(state, now, 10.0, until=lambda s: s.phase is Phase.IDLE)
+    assert states[-1][1].run.end == pytest.approx(onset + 2 / SHAPED.frequency)
+    returning = [s for _, s in states if s.phase is Phase.RETURNING]
+    assert returning[0].run.ending is Ending.CANCELLED
+    assert returning[0].length_change == -SHAPED.pretension
+
+
+def test_a_run_may_begin_while_the_cable_still_returns_from_the_one_before():
+    now, state = running(SHAPED, 1)
+    now, state = play(state, now, 10.0, until=lambda s: s.phase is Phase.RETURNING)[-1]
+    now, state = play(state, now, 0.1)[-1]
+    assert -SHAPED.pretension < state.length_change < 0.0
+    once = play(state, now, 5.0, until=lambda s: s.length_change == 0.0)
+    state = gait_player.start(state, now, Gait(0.07, 0.4), 1)
+    again = play(state, now, 5.0, until=lambda s: s.length_change == 0.0)
+    assert [s.length_change for _, s in again] == [s.length_change for _, s in once]
+    assert again[-1][1].run.number == 2
+
+
+def test_a_late_step_does_not_make_the_tensioning_faster():
+    state = gait_player.start(PlayerState(), 0.0, SHAPED, 1)
+    now, state = play(state, 0.0, 5.0, until=lambda s: s.phase is Phase.TENSIONING)[-1]
+    now, state = play(state, now, 0.1)[-1]
+    late = gait_player.step(state, now + 0.06, READY, SETTINGS)
+    assert abs(late.length_change - state.length_change) <= SETTINGS.return_speed * DT * 1.01
 
 
 @given(st.floats(0.05, 11.0))

@@ -35,6 +35,14 @@ def test_it_is_reached_at_the_end_of_the_cycle_that_gains_the_last_groove(end):
     assert not end.is_reached(RUN, seen(3.4), PITCH), "in the middle of a cycle nothing is judged"
 
 
+@pytest.mark.parametrize(("share", "begins"), [(0.5, 0.9), (0.2, 0.84), (0.8, 0.96)])
+def test_the_end_of_a_cycle_is_that_of_its_extension(share, begins):
+    run = Run(1, Gait(0.07, 0.2, contraction_share=share), 9, 9, onset=ONSET)
+    for phase in (0.1, share, begins - 0.01, begins + 0.01, 0.999):
+        record = RunRecord(positions=[(ONSET + (1.0 + phase) / 0.2, 0.0)])
+        assert is_late(run, record) == (phase > begins)
+
+
 def test_what_the_fins_bend_is_no_groove():
     """The displacement of the first cycle is 0.73 of a pitch where no groove was gained."""
     record = seen(0.99, per_cycle=0.73 * PITCH - 0.004)

@@ -161,6 +161,14 @@ def test_a_tether_grows_with_the_distance_and_never_pushes():
     assert Conditions(0.0, -1.0).loads(PAPER, 0.0) == (0.0, 0.0)
 
 
+def test_loads_of_the_body_act_as_those_of_the_conditions():
+    stated = replace(PAPER, rear_load=3.0 + 0.5 * PAPER.rear_mass * GRAVITY)
+    stated = replace(stated, front_load=0.5 * PAPER.front_mass * GRAVITY)
+    body, pipe = plant_of(Conditions(), stated), plant_of(Conditions(30.0, 3.0))
+    for one, other in zip(play(body, 0.08, 0.2, 1), play(pipe, 0.08, 0.2, 1), strict=True):
+        assert body.positions(one) == pytest.approx(pipe.positions(other), abs=1e-9)
+
+
 def test_a_fault_changes_the_load_for_its_time(settings):
     board = FaultBoard(
         [

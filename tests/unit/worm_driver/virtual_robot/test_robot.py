@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from worm_driver.gait.gait_limits import TRAPEZOID, Gait
 from worm_driver.virtual_robot.offline_run import run_offline, sinusoid
-from worm_driver.virtual_robot.plant import FORWARD, REVERSE
+from worm_driver.virtual_robot.plant import FORWARD, REVERSE, Conditions
 from worm_driver.virtual_robot.servo.control_table import XL330_M288
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
@@ -46,6 +47,35 @@ def test_robust_gaits_gain_the_predicted_grooves(settings, seed, stroke, frequen
         settings.with_seed(seed), sinusoid(stroke, frequency), 5 / frequency, rest=0.5
     )
     assert grooves_per_cycle(run, frequency) == pytest.approx(grooves, abs=0.1)
+
+
+def test_a_shaped_gait_rests_at_its_pretension_and_walks(settings):
+    gait = Gait(0.07, 0.147, 1, 0.0, 0.01, 0.62, TRAPEZOID, 0.15)
+    run = run_offline(settings, gait.length_change, 5 / gait.frequency, rest=3.0)
+    metres = 2 * math.pi / 4096 * settings.cable_servos[0].spool_radius
+    resting = (run.servo_time > 2.0) & (run.servo_time <= 3.0)
+    assert run.goal_ticks[resting] * metres == pytest.approx(0.01, abs=metres)
+    assert run.goal_ticks.max() * metres == pytest.approx(gait.reach, abs=2 * metres)
+    assert grooves_per_cycle(run, gait.frequency) == pytest.approx(2, abs=0.1)
+
+
+def test_a_slope_and_a_tether_cost_power_and_no_speed_with_a_margin(settings):
+    gait = Gait(0.0754, 0.147)
+    uphill = replace(settings, conditions=Conditions(20.0, 2.0))
+    level, loaded = (
+        run_offline(robot, gait.length_change, 5 / gait.frequency) for robot in (settings, uphill)
+    )
+    assert grooves_per_cycle(loaded, gait.frequency) == pytest.approx(2, abs=0.1)
+    first, last = level.onset + 2 / gait.frequency, level.onset + 5 / gait.frequency
+    power = [
+        np.mean((run.bus_voltage * run.current)[(run.power_time > first) & (run.power_time < last)])
+        for run in (level, loaded)
+    ]
+    # the load's work: weight and tether over two grooves a cycle, at the power factor
+    mass = level.truth.rear_mass + level.truth.front_mass
+    force = mass * 9.80665 * math.sin(math.radians(20.0)) + 2.0
+    work = level.truth.power_factor * force * 2 * level.truth.pitch * gait.frequency
+    assert power[1] - power[0] == pytest.approx(work, rel=0.3)
 
 
 def test_fins_turned_around_walk_backward(settings):

@@ -7,9 +7,8 @@ import sys
 import numpy as np
 import pytest
 from recorded_run import GAIT, REST_S, simulated_run
-from recorded_session import recorded_session
+from recorded_session import joined_session
 
-from worm_model.analysis.run_parts import joined
 from worm_model.analysis.run_table import run_table
 from worm_model.errors import InputError
 from worm_model.run import Run, TrackerSamples
@@ -42,7 +41,7 @@ def test_time_and_cycle_count_from_the_onset():
 
 
 def test_each_gait_of_a_recording_has_a_time_of_its_own():
-    run = joined(recorded_session())
+    run = joined_session()
     columns = run_table(run).columns
     assert sorted(set(columns["gait"])) == [1, 2]
     for number in (1, 2):

@@ -25,6 +25,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from zstandard import ZstdCompressor, ZstdDecompressor
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
@@ -33,8 +34,9 @@ from worm_model.bags.formats.cdr import encode
 from worm_model.bags.formats.message_block import Topic
 from worm_model.bags.formats.message_types import topic_of
 from worm_model.bags.opening import open_bag
+from worm_model.bags.recovery.recovery import recover
 from worm_model.bags.run_reader import read_run
-from worm_model.bags.run_writer import write_beside
+from worm_model.bags.run_writer import write_extended
 from worm_model.commands import export, health, identify
 
 TYPE = "std_msgs/msg/UInt64"
@@ -141,7 +143,8 @@ def numbers(bag: Bag, topics: list[str] | None = None) -> list[int]:
 
 @pytest.mark.parametrize("version", [8, 9])
 @pytest.mark.parametrize(
-    ("plugin", "mode"), [(StoragePlugin.SQLITE3, NONE), (StoragePlugin.MCAP, FILE)]
+    ("plugin", "mode"),
+    [(StoragePlugin.SQLITE3, NONE), (StoragePlugin.MCAP, FILE), (StoragePlugin.MCAP, NONE)],
 )
 def test_the_quality_of_service_of_a_topic_is_kept(
     tmp_path: Path, plugin: StoragePlugin, mode: CompressionMode, version: int
@@ -185,6 +188,28 @@ def test_bags_of_all_writers_are_read_by_rising_time(tmp_path: Path, writer: str
         assert numbers(bag, []) == []
         assert sum(len(block) for block in bag.blocks()) == COUNT
         assert sum(len(block) for block in bag.blocks(["/b"])) == COUNT // 2
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+@pytest.mark.parametrize("mode", [FILE, MESSAGE])
+@pytest.mark.parametrize("part", ["bag", "file", "bag without metadata"])
+def test_compressed_bags_are_recovered_decompressed(tmp_path: Path, plugin, mode, part: str):
+    path = by_rosbags(tmp_path / "bag", plugin, mode)
+    if part == "file":
+        path = next(file for file in path.iterdir() if file.name != "metadata.yaml")
+    elif part == "bag without metadata":
+        (path / "metadata.yaml").unlink()
+    assert recover(path, tmp_path / "saved").messages == COUNT
+    with open_bag(tmp_path / "saved") as bag:
+        assert numbers(bag) == list(range(COUNT))
+
+
+def test_of_a_damaged_compressed_file_the_beginning_is_saved(tmp_path: Path):
+    path = by_rosbags(tmp_path / "bag", StoragePlugin.MCAP, FILE)
+    packed = next(path.glob("*.zstd"))
+    content = ZstdDecompressor().decompress(packed.read_bytes(), max_output_size=1 << 24)
+    packed.write_bytes(ZstdCompressor().compress(content[: len(content) // 2]))
+    assert 0 < recover(path, tmp_path / "saved").messages < COUNT
 
 
 def test_files_of_a_split_bag_are_one(tmp_path: Path):
@@ -317,7 +342,6 @@ def test_a_topic_that_the_bag_lacks(tmp_path: Path):
 
 
 def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
-    from worm_model.bags.recovery.recovery import recover
 
     path = by_mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
     data = bytearray(path.read_bytes())
@@ -337,7 +361,6 @@ def test_a_spoilt_chunk_is_noticed_and_recovery_leaves_it_out(tmp_path: Path):
 
 def test_recovery_does_not_trust_the_summary_of_a_spoilt_file(tmp_path: Path):
     """What reading advises when it finds damage: recovery walks through the records themselves."""
-    from worm_model.bags.recovery.recovery import recover
 
     path = by_mcap(tmp_path / "a.mcap", compression=CompressionType.NONE)
     data = bytearray(path.read_bytes())
@@ -442,7 +465,7 @@ def test_a_bag_without_definitions_is_read_by_the_installed_ones_which_is_told(t
     told: list[str] = []
     with open_bag(bag, told.append) as opened:
         assert read_run(opened).power.power.tolist() == [2.5]
-        write_beside(opened, tmp_path / "copy", ["/worm/power"], [])
+        write_extended(opened, tmp_path / "copy", ["/worm/power"], [])
     assert any("carry no definition" in line for line in told)
     with open_bag(tmp_path / "copy") as copy:
         assert "float64 bus_voltage" in copy.topics["/worm/power"].definition
@@ -459,7 +482,7 @@ def test_messages_of_another_length_than_the_installed_definition_are_refused(
         with pytest.raises(BagError, match="/worm/power"):
             read_run(opened)
         with pytest.raises(BagError, match="not as long as"):
-            write_beside(opened, tmp_path / "copy", ["/worm/power"], [])
+            write_extended(opened, tmp_path / "copy", ["/worm/power"], [])
     assert not (tmp_path / "copy").exists()
 
 
@@ -495,7 +518,7 @@ def test_a_bag_of_an_older_layout_is_read_by_the_definitions_that_are_given(
     assert export.main() == 1
     assert "--definitions FOLDER" in capsys.readouterr().err
     with open_bag(old_bag, lambda _: None) as bag, pytest.raises(BagError, match="--definitions"):
-        write_beside(bag, tmp_path / "none2", ["/worm/power"], [])
+        write_extended(bag, tmp_path / "none2", ["/worm/power"], [])
 
     arguments = ["--output", str(tmp_path / "tables"), "--definitions", str(old_definitions)]
     arguments += ["--topic", "/worm/power"]
@@ -528,7 +551,7 @@ def test_a_copy_carries_the_definitions_that_were_given(
 ):
     with open_bag(old_bag, lambda _: None, old_definitions) as bag:
         (before,) = bag.messages()
-        write_beside(bag, tmp_path / "copy", ["/worm/power"], [])
+        write_extended(bag, tmp_path / "copy", ["/worm/power"], [])
     told: list[str] = []
     with open_bag(tmp_path / "copy", told.append) as copy:
         assert copy.topics["/worm/power"].definition.startswith(OLD_POWER)
@@ -545,7 +568,7 @@ def test_given_definitions_that_do_not_fit_are_refused(
         with pytest.raises(BagError, match="not as long as"):
             list(bag.messages())
         with pytest.raises(BagError, match="not as long as"):
-            write_beside(bag, tmp_path / "copy", ["/worm/power"], [])
+            write_extended(bag, tmp_path / "copy", ["/worm/power"], [])
     assert not (tmp_path / "copy").exists()
     data = next(iter_messages(old_bag))
     hashed = without_definitions(tmp_path / "hashed", data, "RIHS01_" + 64 * "0")

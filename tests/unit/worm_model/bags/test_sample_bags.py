@@ -16,7 +16,7 @@ from worm_model.bags.run_reader import namespace_of, read_run
 from worm_model.parameters import PAPER
 from worm_model.run import POWER_VALID, RUNNING
 from worm_model.twin.offline_replay import replay_run
-from worm_model.twin.samples import rows_of_run
+from worm_model.twin.recorded_samples import rows_of_run
 from worm_model.twin.twin import Twin
 
 BAGS = Path(__file__).resolve().parents[4] / "bags"

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from textwrap import indent
 from typing import Any
 
 import yaml
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.finding import METADATA_FILE
@@ -158,6 +160,16 @@ def qos_profiles(text: str) -> list[Any]:
     except (yaml.YAMLError, ValueError, RecursionError):
         return []
     return profiles if isinstance(profiles, list) else []
+
+
+def named_qos(text: str) -> str:
+    """Return QoS profiles with names, as in version 9, for the numbers of earlier versions; unchanged if invalid."""
+    if not re.search(r"durability: *\d", text):
+        return text
+    try:
+        return dump_yaml(dump_qos_v9(parse_qos(text)))
+    except Exception:  # noqa: BLE001 - the library also asserts
+        return text
 
 
 def first_qos_profile(topic: Topic) -> dict[str, Any]:

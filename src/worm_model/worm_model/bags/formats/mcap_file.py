@@ -11,6 +11,7 @@ from mcap.records import Attachment
 
 from worm_model.bags.bag import AttachedFile
 from worm_model.bags.bag_errors import BagError
+from worm_model.bags.formats.bag_metadata import named_qos
 from worm_model.bags.formats.contents import Contents, Extent
 from worm_model.bags.formats.mcap_contents import extent_records, salvage, scan
 from worm_model.bags.formats.mcap_records import (
@@ -54,7 +55,10 @@ class McapFile(StoredFile):
                 definition=schema.data.decode(errors="replace") if schema else "",
                 definition_format=schema.encoding if schema else "",
                 encoding=channel.message_encoding,
-                metadata=tuple(channel.metadata.items()),
+                metadata=tuple(
+                    (key, named_qos(text) if key == "offered_qos_profiles" else text)
+                    for key, text in channel.metadata.items()
+                ),
             )
         return topics
 

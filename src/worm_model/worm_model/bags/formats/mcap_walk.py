@@ -7,7 +7,7 @@ A record is plausible if all of these hold:
 - Its body is valid for its kind. A chunk decompresses to its declared size, its checksum is correct, and it consists
   of complete records. The checksum of an attachment is correct. A message belongs to a defined channel. An index of
   messages consists of complete entries. Texts and maps of all others are UTF-8 and end where the record ends.
-- The next record is plausible by the same rules, or there is none. A chunk with a checksum does not need this.
+- The next record is plausible by the same rules, or there is none. A chunk with records does not need this.
 
 Messages outside of chunks are plausible only in a file whose chunks have no checksums, or that has no chunks. In
 other files they could only be the content of a damaged chunk, which nothing could verify.
@@ -180,7 +180,12 @@ class Walk:
     def _chunk_by_content(self, place: int, last: int) -> Part | None:
         """Return an intact chunk with a wrong opcode or declared length; None if there is none."""
         head, first = self._chunk_head(place), place + RECORD.size
-        for end in (first + head.last, last) if head else ():
+        if head is None or not (head.size or head.checksum):
+            return None  # zeros look like an empty chunk
+        ends = {first + head.last, last}
+        if self._data[place] == Opcode.CHUNK and len(ends) == 1:
+            return None  # `_is_whole` has rejected this chunk
+        for end in sorted(ends):
             if end <= self._size and is_intact_chunk(self._data[first:end]):
                 return Part(Opcode.CHUNK, place, end)
         return None
@@ -242,8 +247,10 @@ class Walk:
         part = self._certain(place)
         if part is None:
             return False
-        if part.opcode == Opcode.CHUNK and chunk_head(self._data[place + RECORD.size :]).checksum:
-            return True
+        if part.opcode == Opcode.CHUNK:
+            head = chunk_head(self._data[place + RECORD.size :])
+            if head.checksum or head.size:
+                return True
         if part.opcode == Opcode.DATA_END and part.last < self._size:
             return self._data[part.last] in _SUMMARY
         return part.last == self._size or self._certain(part.last) is not None

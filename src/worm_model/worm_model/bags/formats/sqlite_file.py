@@ -12,10 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
-
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.formats.bag_metadata import dump_yaml
+from worm_model.bags.formats.bag_metadata import named_qos
 from worm_model.bags.formats.contents import Contents, Extent
 from worm_model.bags.formats.message_block import Message, Messages, Topic, messages_of
 from worm_model.bags.formats.stored_bag import LATEST_NS, StoredFile, explained
@@ -87,7 +85,7 @@ class SqliteFile(StoredFile):
         journals = [Path(f"{self.path}{ending}") for ending in _JOURNALS]
         journals = [path for path in journals if path.is_file() and path.stat().st_size]
         if not journals:
-            uri = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
+            uri = f"{Path(self._stream.name).resolve().as_uri()}?mode=ro&immutable=1"
             database = sqlite3.connect(uri, uri=True, check_same_thread=False)
             database.execute("PRAGMA writable_schema = ON")  # otherwise it rejects a truncated file
             return database
@@ -162,7 +160,7 @@ class SqliteFile(StoredFile):
             if row is not None and all(isinstance(text, str) for text in row[1:]):
                 number, name, kind, encoding, qos, digest = row
                 form, text = definitions.get(kind, ("", ""))
-                metadata = (("offered_qos_profiles", _named_qos(qos)), ("topic_type_hash", digest))
+                metadata = (("offered_qos_profiles", named_qos(qos)), ("topic_type_hash", digest))
                 topics[number] = Topic(name, kind, 0, text, form, encoding, metadata)
         return topics
 
@@ -201,11 +199,3 @@ class SalvagedSqliteFile(SqliteFile):
     """Sqlite3 file of which every payload has been read once."""
 
     _probe = "data"
-
-
-def _named_qos(text: str) -> str:
-    """Return the quality of service in the format of version 9; the unchanged text if it is invalid."""
-    try:
-        return dump_yaml(dump_qos_v9(parse_qos(text)))
-    except Exception:  # noqa: BLE001 - the library also asserts
-        return text

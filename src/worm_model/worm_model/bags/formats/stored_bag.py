@@ -14,13 +14,26 @@ from dataclasses import replace
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import BinaryIO, cast
+
+import numpy as np
+import zstandard
+from zstandard import ZstdDecompressor
 
 from worm_model.bags.bag import AttachedFile, Bag, MetadataRecord, Notify
 from worm_model.bags.bag_errors import BagError
-from worm_model.bags.finding import check_readable
+from worm_model.bags.finding import COMPRESSED, check_readable
 from worm_model.bags.formats.contents import Contents, Extent
-from worm_model.bags.formats.mcap_records import DAMAGE
-from worm_model.bags.formats.message_block import Messages, Topic, merge
+from worm_model.bags.formats.mcap_records import DAMAGE, LARGEST_CHUNK
+from worm_model.bags.formats.message_block import (
+    Message,
+    Messages,
+    Topic,
+    cells,
+    merge,
+    messages_of,
+)
 
 LATEST_NS = (1 << 63) - 1  # in the year 2262; later times in ns exceed 64 bits with a sign
 
@@ -59,7 +72,7 @@ class StoredFile(ABC):
         self.path = path
         check_readable(path)
         try:
-            self._stream = path.open("rb")
+            self._stream = _unpacked(path) if path.suffix == COMPRESSED else path.open("rb")
             self._map = mmap.mmap(self._stream.fileno(), 0, access=mmap.ACCESS_READ)
         except ValueError:
             self._stream.close()
@@ -176,7 +189,7 @@ class StoredBag(Bag):
             block for file, run in runs for block in file.blocks((e for _, e in run), topics)
         ):
             count += len(block)
-            yield block
+            yield _decompressed(block)
         expected = sum(channel.count for channel in self.channels if channel.name in topics)
         if count != expected:
             raise BagError(
@@ -192,3 +205,34 @@ def _plausible_end(file: StoredFile, extent: Extent) -> int:
     topics = frozenset(channel.name for channel in file.channels.values())
     times = [block.log_time for _, block in file.blocks([extent], topics)]
     return max((int(t) for part in times for t in part if t <= LATEST_NS), default=extent.start)
+
+
+def _unpacked(path: Path) -> BinaryIO:
+    """Return the content of a file that rosbag2 has compressed, up to the first damage, in a temporary file."""
+    unpacked = cast(BinaryIO, NamedTemporaryFile())  # noqa: SIM115 - the caller closes it
+    with path.open("rb") as packed, suppress(zstandard.ZstdError):
+        ZstdDecompressor().copy_stream(packed, unpacked)
+    unpacked.flush()
+    return unpacked
+
+
+def _decompressed(block: Messages) -> Messages:
+    """Return a block with decompressed messages, which rosbag2 compresses in its compression mode MESSAGE.
+
+    No CDR begins like them.
+    """
+    rows = np.flatnonzero(block.size >= len(zstandard.FRAME_HEADER))
+    beginnings = cells(block.buffer, len(zstandard.FRAME_HEADER))[block.offset[rows]]
+    if not (beginnings.view("<u4") == int.from_bytes(zstandard.FRAME_HEADER, "little")).any():
+        return block
+    return messages_of([m._replace(data=_payload(m)) for m in block])
+
+
+def _payload(message: Message) -> bytes:
+    """Return the decompressed payload of a message; unchanged if it is not compressed, or damaged."""
+    data = message.data
+    if data.startswith(zstandard.FRAME_HEADER) and message.channel.encoding == "cdr":
+        with suppress(zstandard.ZstdError):
+            if zstandard.frame_content_size(data) <= LARGEST_CHUNK:
+                return ZstdDecompressor().decompress(data, max_output_size=LARGEST_CHUNK)
+    return data

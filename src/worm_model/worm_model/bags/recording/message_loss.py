@@ -42,10 +42,10 @@ class LossCounter:
         if sequence - 1 in self._last:  # the usual case
             self._last.remove(sequence - 1)
         else:
-            self._out_of_turn(sequence)
+            self._observe_out_of_sequence(sequence)
         self._last.append(sequence)
 
-    def _out_of_turn(self, sequence: int) -> None:
+    def _observe_out_of_sequence(self, sequence: int) -> None:
         """Process a number out of sequence: a publisher is new or has restarted, or messages were lost."""
         publishers = max(self._publishers(), 1)
         earlier = [last for last in self._last if last < sequence]

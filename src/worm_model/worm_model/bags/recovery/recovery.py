@@ -14,7 +14,7 @@ from typing import Any
 
 from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError, DefinitionError
-from worm_model.bags.finding import STORAGE, check_readable, recovered_path
+from worm_model.bags.finding import COMPRESSED, check_readable, is_storage, recovered_path
 from worm_model.bags.formats.bag_metadata import (
     custom_data,
     declared_counts,
@@ -41,7 +41,7 @@ RECOVERY_RECORD = (
 LOSS = "loss"
 _PIECE = 4 << 20  # bytes
 _LISTED = 3  # number of damaged parts of a file that are described individually
-_NUMBERED = re.compile(r"(?P<stem>.+_)(?P<number>\d+)\.(?:mcap|db3)")
+_NUMBERED = re.compile(r"(?P<stem>.+_)(?P<number>\d+)(?P<ending>\.(?:mcap|db3)(?:\.zstd)?)")
 
 OpenFile = Callable[[Path], StoredFile]
 
@@ -254,8 +254,8 @@ def storage_files(path: Path) -> list[Path]:
     check_readable(path)
     if path.is_file():
         return [path]
-    beside = [entry.name for entry in path.iterdir() if entry.suffix in STORAGE]
-    names = dict.fromkeys([*_named_files(path), *sorted(beside, key=_split_number)])
+    present = [entry.name for entry in path.iterdir() if is_storage(entry.name)]
+    names = dict.fromkeys([*_named_files(path), *sorted(present, key=_split_number)])
     files = [path / name for name in names if (path / name).is_file()]
     if not files:
         raise BagError(f"{path} holds no file *.mcap or *.db3: nothing can be recovered")
@@ -277,16 +277,17 @@ def _absent(path: Path) -> tuple[str, ...]:
     expected = dict.fromkeys(_named_files(path))
     matches = [match for name in there if (match := _NUMBERED.fullmatch(name))]
     for match in matches:
-        ending = Path(match[0]).suffix
         others = (int(m["number"]) for m in matches if m["stem"] == match["stem"])
         if int(match["number"]) == max(others) < 10_000:  # no recorder splits more often
-            expected |= {f"{match['stem']}{n}{ending}": None for n in range(int(match["number"]))}
+            expected |= {
+                f"{match['stem']}{n}{match['ending']}": None for n in range(int(match["number"]))
+            }
     return tuple(sorted(expected.keys() - there.keys(), key=_split_number))
 
 
 def _split_number(name: str) -> tuple[int, str]:
     """Return the sort key of a split bag's files, with bag_2 before bag_10."""
-    number = Path(name).stem.rpartition("_")[2]
+    number = Path(name.removesuffix(COMPRESSED)).stem.rpartition("_")[2]
     return (int(number) if number.isdecimal() else 0), name
 
 
@@ -305,7 +306,7 @@ def _is_sqlite(path: Path) -> bool:
     with path.open("rb") as stream:
         beginning = stream.read(len(SQLITE_MAGIC))
     return beginning == SQLITE_MAGIC or (
-        path.suffix == ".db3" and not beginning.startswith(MCAP_MAGIC)
+        path.name.removesuffix(COMPRESSED).endswith(".db3") and not beginning.startswith(MCAP_MAGIC)
     )
 
 

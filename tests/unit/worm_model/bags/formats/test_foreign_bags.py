@@ -108,7 +108,7 @@ def test_topics_that_are_not_what_they_are_called_are_told(
 
 def test_stamps_that_go_back_are_told(tmp_path: Path, recorded: list[Message]):
     merged = by_mcap(tmp_path / "a.mcap", [*recorded, *(later(m, 1000, -1000) for m in recorded)])
-    assert any(f"stamps of {POWER} go back 1 times" in line for line in told_of(merged))
+    assert any(f"1 stamps of {POWER} go back" in line for line in told_of(merged))
     in_order = by_mcap(tmp_path / "b.mcap", [*recorded, *(later(m, 1000, 1000) for m in recorded)])
     assert told_of(in_order) == []
 
@@ -125,10 +125,8 @@ def test_a_recording_merged_with_itself_counts_once_which_is_told(
             vars(getattr(found, name)).values(), vars(getattr(RUN, name)).values(), strict=True
         ):
             np.testing.assert_array_equal(mine, right)
-    assert (
-        f"{path}: {len(RUN.power.stamp)} messages of {POWER} are there twice; each counts once"
-        in told
-    )
+    repeated = f"{path}: {len(RUN.power.stamp)} messages of {POWER} "
+    assert sum(line.startswith(repeated) for line in told) == 1
     assert len(told) == 5
 
 
@@ -164,7 +162,9 @@ def test_samples_that_are_infinite_are_left_out_which_is_told(tmp_path: Path, va
         found = read_run(bag).power
     np.testing.assert_array_equal(found.power, np.delete(RUN.power.power, 7))
     np.testing.assert_array_equal(found.stamp, np.delete(RUN.power.stamp, 7))
-    assert told == [f"{path}: 1 messages of {POWER} hold an infinite number; they are left out"]
+    (line,) = told
+    assert line.startswith(f"{path}: 1 messages of {POWER} ")
+    assert "infinite" in line
 
 
 def test_runs_that_overlap_are_refused(tmp_path: Path):

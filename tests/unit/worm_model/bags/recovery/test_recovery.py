@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import lz4.frame
 import pytest
 import zstandard
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Schema
@@ -140,8 +140,11 @@ def edit(data: bytes, edits: list[tuple[str, float]]) -> bytes:
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(edits=EDITS)
+@example(
+    edits=[("cut", 0.1875), ("cut", 0.21875), ("flip", 0.0)]
+)  # header damaged, cut after a chunk
 def test_it_saves_what_the_stream_reader_returns_and_every_intact_chunk(layout: str, edits):
     data = file_of(layout)
     damaged = edit(data, edits)
@@ -560,3 +563,11 @@ def test_a_span_without_messages_is_not_trimmed(tmp_path: Path, monkeypatch, cap
     assert bags.main() == 2
     assert "8.000 s" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_zeros_at_the_end_are_one_damaged_part():
+    """A power cut leaves them; 57 zeros look like an empty chunk."""
+    data = file_of("rosbag2 zstd")
+    zeros = data[: next(chunks(data))[1]] + bytes(1 << 20)
+    parts = list(Walk(zeros, len(MAGIC), set(), is_intact_chunk))
+    assert [part.opcode for part in parts] == [Opcode.HEADER, Opcode.CHUNK, DAMAGED]

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples of a recording, read part by part, in the order in which a replay processes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from worm_model.arrays import Stamps
+from worm_model.run import GaitStates, LengthSamples, Run, concatenated
+from worm_model.twin.samples import SAMPLE, Kind, Rows, series_of, topic_rows
+from worm_model.twin.stored_memory import StoredMemory, read_memory
+
+IMPOSSIBLE_SPEED = 1.0  # m/s; no gait moves the cable faster than 0.12 m/s
+_FOREVER = int(np.iinfo(np.int64).max)
+_Place = tuple[
+    int, int
+]  # number of backward jumps of the clock before a sample, and its stamp in ns
+
+
+def rows_of_run(run: Run, jump_back_ns: int) -> Rows:
+    """Return all samples of a run for the twin, in the order of `RecordedSamples.rows`."""
+    samples = RecordedSamples(lambda: iter((run,)), jump_back_ns)
+    return np.concatenate([np.zeros(0, SAMPLE), *samples.rows()])
+
+
+class RecordedSamples:
+    """Samples of a recording, ordered by stamp, so that none is late.
+
+    If a topic goes back by more than ``jump_back_ns``, the clock has jumped. All samples after the jump then follow all
+    samples before it. The parts are read once by the constructor and once by each call of `rows`. In memory are one
+    part, and the samples that a later part may precede.
+
+    Args:
+        parts: returns the recording in parts, in the order of reception.
+        jump_back_ns: see above.
+        is_usable: returns True for a stored memory from which the replay may resume.
+
+    Attributes:
+        origin: smallest stamp, ns; 0 without samples.
+        first_ns, last_ns: smallest stamp of an instrument, and the last one; None without samples.
+        gait_state: all states of the driver.
+        memories: the usable stored memories before `first_ns`, and the first one after it, by stamp.
+        impossible_steps: stamps (n, 2) before and after steps of the command that no gait makes, by stamp.
+        clock_went_back: True if the clock has jumped back.
+    """
+
+    def __init__(
+        self,
+        parts: Callable[[], Iterable[Run]],
+        jump_back_ns: int,
+        is_usable: Callable[[StoredMemory], bool] = lambda _: False,
+    ) -> None:
+        self._parts = parts
+        self._stretches: list[list[tuple[Kind, int, int]]] = []
+        self.memories: list[StoredMemory] = []
+        self.first_ns: int | None = None
+        jumps = {kind: _Jumps(jump_back_ns) for kind in Kind}
+        origins, states = [], []
+        last_ns: dict[Kind, int] = {}
+        steps = [np.zeros((0, 2), np.int64)]
+        command, is_ordered = LengthSamples(), True
+        for part in parts():
+            origins += [part.origin] if part.origin else []
+            states.append(part.gait_state)
+            self._stretches.append([])
+            for kind, series in series_of(part).items():
+                if len(series.stamp):
+                    found = jumps[kind].add(series.stamp)
+                    self._stretches[-1] += [(kind, *stretch) for stretch in found]
+                    if kind != Kind.GAIT:
+                        first = int(series.stamp.min())
+                        self.first_ns = (
+                            first if self.first_ns is None else min(first, self.first_ns)
+                        )
+                    if kind in (Kind.COMMAND, Kind.LENGTH, Kind.POSITION):
+                        last_ns[kind] = int(series.stamp[-1])
+            command = concatenated(LengthSamples, [_last_of(command), part.commanded])
+            is_ordered &= not (np.diff(command.stamp) < 0).any()
+            steps.append(_impossible_steps(command))
+            self._add_memories(part, is_usable)
+        self.origin = min(origins, default=0)
+        self.last_ns = max(last_ns.values(), default=None)
+        self.gait_state: GaitStates = concatenated(GaitStates, states)
+        self._jumps = {kind: found.finish() for kind, found in jumps.items()}
+        self.clock_went_back = any(len(found) for found in self._jumps.values())
+        if not is_ordered:
+            command = concatenated(LengthSamples, [part.commanded for part in parts()])
+            steps = [_impossible_steps(command)]
+        self.impossible_steps: NDArray[np.int64] = np.concatenate(steps)
+
+    def rows(self, until_ns: int = _FOREVER) -> Iterator[Rows]:
+        """Yield all samples in order; stop early after the last one with a stamp up to ``until_ns``."""
+        counts = dict.fromkeys(Kind, 0)
+        waiting, jumps = np.zeros(0, SAMPLE), np.zeros(0, np.int64)
+        places = self._smallest_places()
+        for part, (number, stamp) in zip(self._parts(), places, strict=True):
+            for kind, rows in topic_rows(part).items():
+                index = np.arange(counts[kind], counts[kind] + len(rows))
+                counts[kind] += len(rows)
+                waiting = np.concatenate([waiting, rows])
+                jumps = np.append(jumps, np.searchsorted(self._jumps[kind], index, side="right"))
+            order = np.lexsort((waiting["kind"], waiting["stamp"], jumps))
+            waiting, jumps = waiting[order], jumps[order]
+            ready = (jumps < number) | ((jumps == number) & (waiting["stamp"] < stamp))
+            yield waiting[ready]
+            waiting, jumps = waiting[~ready], jumps[~ready]
+            if stamp > until_ns and not self.clock_went_back:
+                return
+
+    def _smallest_places(self) -> list[_Place]:
+        """Return for each part the smallest place of all samples of the parts after it."""
+        smallest, places = (_FOREVER, 0), []
+        for stretches in reversed(self._stretches):
+            places.append(smallest)
+            for kind, index, stamp in stretches:
+                number = int(np.searchsorted(self._jumps[kind], index, side="right"))
+                smallest = min(smallest, (number, stamp))
+        return places[::-1]
+
+    def _add_memories(self, part: Run, is_usable: Callable[[StoredMemory], bool]) -> None:
+        stored = zip(part.memory.stamp.tolist(), part.memory.content.tolist(), strict=True)
+        first = _FOREVER if self.first_ns is None else self.first_ns
+        for stamp, text in stored:
+            last = self.memories[-1].stamp_ns if self.memories else 0
+            if stamp <= last or last < first:
+                memory = read_memory(stamp, text)
+                if memory is not None and is_usable(memory):
+                    self.memories.append(memory)
+                    self.memories.sort(key=lambda each: each.stamp_ns)
+        after = [memory for memory in self.memories if memory.stamp_ns >= first]
+        self.memories = [m for m in self.memories if m.stamp_ns < first] + after[:1]
+
+
+class _Jumps:
+    """Backward jumps of the clock in the stamps of a topic, which are added part by part."""
+
+    def __init__(self, jump_back_ns: int) -> None:
+        self._jump_back_ns = jump_back_ns
+        self._count = 0
+        self._newest = 0  # largest stamp before the tail
+        self._tail: Stamps = np.zeros(0, np.int64)  # the last two stamps
+        self._found: list[int] = []
+
+    def add(self, stamp: Stamps) -> list[tuple[int, int]]:
+        """Add stamps; return index and smallest stamp of each stretch that no step back divides."""
+        stamps = np.concatenate([self._tail, stamp])
+        first = self._count - len(self._tail)
+        newest = np.maximum.accumulate(np.append(self._newest, stamps))[1:]
+        back = np.flatnonzero(np.diff(stamps) < -self._jump_back_ns)
+        # A single late sample is followed by the newest again; after a jump the next ones stay behind.
+        decided = back[back + 2 < len(stamps)]
+        stays = stamps[decided + 2] < newest[decided] - self._jump_back_ns
+        self._found += (first + decided[stays] + 1).tolist()
+        borders = back + 1 - len(self._tail)
+        borders = np.append(0, borders[borders > 0])
+        self._count += len(stamp)
+        self._newest = int(newest[-3]) if len(newest) > 2 else 0
+        self._tail = stamps[-2:]
+        smallest = np.minimum.reduceat(stamp, borders)
+        return list(
+            zip((self._count - len(stamp) + borders).tolist(), smallest.tolist(), strict=True)
+        )
+
+    def finish(self) -> NDArray[np.int64]:
+        """Return the indices of the first samples after the jumps."""
+        last = self._tail
+        if len(last) == 2 and last[1] - last[0] < -self._jump_back_ns:
+            self._found.append(self._count - 1)
+        return np.array(self._found, np.int64)
+
+
+def _last_of(samples: LengthSamples) -> LengthSamples:
+    return LengthSamples(samples.stamp[-1:], samples.length[-1:], samples.length_change[-1:])
+
+
+def _impossible_steps(commanded: LengthSamples) -> NDArray[np.int64]:
+    """Return the stamps (n, 2) before and after each impossible step of the command."""
+    order = np.argsort(commanded.stamp, kind="stable")
+    stamp, change = commanded.stamp[order], commanded.length_change[order]
+    step, duration = np.abs(np.diff(change)), np.diff(stamp) * 1e-9
+    rows = np.flatnonzero(step > IMPOSSIBLE_SPEED * duration + 1e-3)
+    return np.stack([stamp[rows], stamp[rows + 1]], axis=1)
