@@ -15,9 +15,10 @@ from distributed import Client
 
 from benchmarks.report import Row
 from worm_optimizer.study.engine import connected, spread
-from worm_optimizer.study.plan import Study, parse_study
+from worm_optimizer.study.plan import Array, Study
 from worm_optimizer.study.point import compute_block
-from worm_optimizer.study.store import held
+from worm_optimizer.study.store import locked_store
+from worm_optimizer.study.study_file import parse_study
 
 TITLE = "overhead of blocks against the batch simulator alone, points, workers"
 _POINTS, _BLOCK = 16, 4
@@ -43,20 +44,28 @@ def timed(work: Callable[[], object]) -> float:
 
 def through(client: Client, study: Study) -> float:
     """Seconds from the first block handed out to the last one on disk."""
-    points = study.points()
-    with tempfile.TemporaryDirectory() as folder, held(Path(folder) / "study.zarr", study) as store:
-        pieces = ((study, points[block]) for block in study.blocks)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        locked_store(Path(folder) / "study.zarr", study) as store,
+    ):
+        blocks = store.blocks()
+        pieces = ((study, rows_of(store.points[block])) for block in blocks)
 
         def work() -> None:
             for place, results in spread(client, compute_block, pieces, print):
-                store.write(study.blocks[place], results)
+                store.write(blocks[place], results)
 
         return timed(work)
 
 
+def rows_of(points: Array) -> Array:
+    """Points as rows."""
+    return points.reshape(-1, points.shape[-1])
+
+
 def alone(study: Study) -> float:
     """Seconds of the same computations in this process, without workers or disk, on all of its cores."""
-    return timed(lambda: compute_block(study, study.points()))
+    return timed(lambda: compute_block(study, rows_of(study.points())))
 
 
 def run() -> list[Row]:
@@ -66,19 +75,23 @@ def run() -> list[Row]:
     alone(warm)
     seconds = {}
     for workers in (1, 2):
-        with connected("", workers) as client:
+        with connected("", workers, print) as client:
             through(client, warm)  # imports and compiled kernels
             seconds[workers] = through(client, short), through(client, long)
     here = alone(long)
-    math.ceil(_POINTS / _BLOCK)
     cores = os.cpu_count()
     what = f"{_POINTS} fronts in {math.ceil(_POINTS / _BLOCK)} blocks"
     return [
         Row(
             "the batch simulator alone", f"{here:.2f} s", "", f"{what}, one process, {cores} cores"
         ),
-        Row("one worker", f"{seconds[1][1]:.2f} s", "", f"{what}, to the last byte on disk"),
-        Row("two workers", f"{seconds[2][1]:.2f} s", "", "the same"),
+        Row(
+            "one worker",
+            f"{_POINTS / seconds[1][1]:.2f} points/s",
+            "",
+            f"{what}, {seconds[1][1]:.2f} s to the last byte on disk",
+        ),
+        Row("two workers", f"{_POINTS / seconds[2][1]:.2f} points/s", "", "the same"),
         Row(
             "two workers over the simulator alone",
             f"{seconds[2][1] / here:.2f}",

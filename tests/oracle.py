@@ -13,9 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
@@ -68,19 +70,42 @@ class Oracle:
     ) -> None:
         self.gait, self.p = gait, parameters
         self.options = {"method": method, "rtol": rtol, "atol": atol}
-        self.omega = 2.0 * math.pi * gait.frequency
         self.threshold = parameters.switching_threshold + gait.margin
         self.half = 0.5 * parameters.clearance
         self.dry = parameters.rear_dry_friction, parameters.front_dry_friction
         self.mass = parameters.rear_mass + parameters.front_mass
+        self.load = parameters.rear_load + parameters.front_load
 
     def command(self, time: float, clipped: bool) -> tuple[float, float]:
         """(u_eff, its derivative)."""
         if clipped:
             return -self.p.slack, 0.0
-        phase = self.omega * time
-        half_stroke = 0.5 * self.gait.stroke
-        return -half_stroke * (1.0 - math.cos(phase)), -half_stroke * self.omega * math.sin(phase)
+        return self.unclipped(time)
+
+    def unclipped(self, time: float) -> tuple[float, float]:
+        """(u_cmd, its derivative)."""
+        gait = self.gait
+        phase, share = time * gait.frequency % 1.0, gait.contraction_share
+        if phase < share:
+            drawn, rate = self.drawn(phase / share)
+            duration = share / gait.frequency
+        else:
+            drawn, rate = self.drawn((1.0 - phase) / (1.0 - share))  # played backwards
+            duration = -(1.0 - share) / gait.frequency
+        return -gait.pretension - gait.stroke * drawn, -gait.stroke * rate / duration
+
+    def drawn(self, part: float) -> tuple[float, float]:
+        """(g, its derivative) after a part of a half."""
+        if self.gait.profile.name == "COSINE":
+            return 0.5 - 0.5 * math.cos(math.pi * part), 0.5 * math.pi * math.sin(math.pi * part)
+        ramp = self.gait.ramp_share
+        top = 1.0 / (1.0 - ramp)
+        speed = top * min(1.0, part / ramp, (1.0 - part) / ramp)
+        if part < ramp:
+            return 0.5 * part * speed, speed
+        if part <= 1.0 - ramp:
+            return 0.5 * ramp * top + (part - ramp) * top, speed
+        return 1.0 - 0.5 * (1.0 - part) * speed, speed
 
     def fin_force(self, displacement: float, region: int) -> float:
         if region == 0:
@@ -104,6 +129,7 @@ class Oracle:
             - front
             - self.p.viscous_friction * rate
             - self.p.front_mass * acceleration
+            - self.load
         )
         sliding = [dry * side for dry, side in zip(self.dry, d.slides, strict=True)]
         a1 = (load - sliding[0] - sliding[1]) / self.mass
@@ -121,9 +147,12 @@ class Oracle:
             - self.p.bellows_damping * rate
             + self.p.viscous_friction * v1
             + rear
+            + self.p.rear_load
             + (sliding[0] if d.slides[0] or self.dry[0] == 0.0 else holds[0])
         )
         billed = -force * rate if d.force_sign * d.rate_sign < 0.0 else 0.0
+        if self.p.one_sided_cable and d.force_sign < 0.0:
+            billed = 0.0
         self._last = force, rate
         return [v1, a1, rate, billed]
 
@@ -240,28 +269,60 @@ class Oracle:
         return replace(d, anchors=tuple(anchors), regions=tuple(regions)), switched
 
     def segments(self, cycles: int) -> list[tuple[float, float, bool]]:
-        """(start, end, clipped) in time order; the first clipped part of each cycle starts it."""
-        period = 1.0 / self.gait.frequency
-        if self.gait.stroke <= self.p.slack:
-            return [(k * period, (k + 1) * period, True) for k in range(cycles)]
-        opening = math.acos(1.0 - 2.0 * self.p.slack / self.gait.stroke) / self.omega
-        parts = []
-        for k in range(cycles):
-            start = k * period
-            parts.append((start, start + opening, True))
-            parts.append((start + opening, start + period - opening, False))
-            parts.append((start + period - opening, start + period, True))
-        return parts
+        """(start, end, clipped) in time order, between the times at which the waveform changes its form."""
+        period, share, ramp = (
+            1.0 / self.gait.frequency,
+            self.gait.contraction_share,
+            self.gait.ramp_share,
+        )
+        knots = {0.0, share * period, period}
+        if self.gait.profile.name == "TRAPEZOID":
+            knots |= {period * share * part for part in (ramp, 1.0 - ramp)}
+            knots |= {period * (share + (1.0 - share) * part) for part in (ramp, 1.0 - ramp)}
+
+        def beyond(time: float) -> float:
+            return -self.p.slack - self.unclipped(time)[0]
+
+        if beyond(share * period) > 0.0 > beyond(0.0):
+            knots |= {brentq(beyond, 0.0, share * period, xtol=1e-15)}
+            knots |= {brentq(beyond, share * period, period * (1.0 - 1e-15), xtol=1e-15)}
+        return [
+            (k * period + start, k * period + end, beyond(0.5 * (start + end)) < 0.0)
+            for k in range(cycles)
+            for start, end in pairwise(sorted(knots))
+        ]
+
+    def start(self) -> tuple[np.ndarray, _Discrete]:
+        """At rest; under a load where the fins balance it, fins beyond their threshold a groove on."""
+        pitch, tense = self.p.pitch, self.gait.pretension > 0.0
+        change = -self.p.gain * max(self.gait.pretension, self.p.slack) if tense else 0.0
+        length = self.p.initial_length + change
+        anchors = [0.0, pitch * math.ceil(self.p.initial_length / pitch - 0.5 - 1e-12)]
+
+        def pushed(x1: float) -> float:
+            deflections = x1 - anchors[0], x1 + length - anchors[1]
+            fins = sum(self.fin_force(x, _region(x, self.half)) for x in deflections)
+            return fins + self.load
+
+        for _ in range(30):
+            x1 = 0.0 if self.load == 0.0 else brentq(pushed, -10.0, 10.0, xtol=1e-16)
+            deflections = x1 - anchors[0], x1 + length - anchors[1]
+            over = [fin for fin in (0, 1) if abs(deflections[fin]) > self.threshold]
+            if not over:
+                break
+            anchors[over[0]] += math.copysign(pitch, deflections[over[0]])
+        else:
+            raise ValueError("the fins do not hold the load")
+        regions = tuple(_region(x, self.half) for x in deflections)
+        slides = 0 if self.dry[0] else 1, 0 if self.dry[1] and tense else -1
+        # without pretension, ΔL starts with a rate at once
+        return np.array([x1, 0.0, change, 0.0]), _Discrete(tuple(anchors), regions, slides)
 
     def run(self, cycles: int = 5, samples: np.ndarray | None = None) -> OracleRun:
         """Integrates the cycles from the start; ``samples`` are times at which the state is kept."""
         out = OracleRun()
         period = 1.0 / self.gait.frequency
-        groove = math.ceil(self.p.initial_length / self.p.pitch - 0.5 - 1e-12)
-        phase = self.p.initial_length - groove * self.p.pitch
-        start = _Discrete((0.0, groove * self.p.pitch), (0, _region(phase, self.half)))
-        d = replace(start, slides=(0 if self.dry[0] else 1, -1))  # ΔL starts with a rate at once
-        state = np.zeros(4)
+        state, d = self.start()
         for start, end, clipped in self.segments(cycles):
             if abs(start / period - round(start / period)) < 1e-9:
                 out.boundaries.append((state[0], state[3]))

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
-from worm_model.gait import FORWARD, REVERSE, Gait
+from worm_model.gait import FORWARD, REVERSE, Gait, Profile
 from worm_model.parameters import PAPER, Parameters
 
 KINDS = ("paper", "perturbed", "heavy", "light damping", "double root", "resonant", "wide")
@@ -55,6 +57,30 @@ def random_case(seed: int) -> tuple[str, Gait, Parameters]:
         changes["switching_threshold"] = PAPER.pitch * rng.uniform(0.6, 1.6)
         changes["clearance"] = rng.choice([0.0, rng.uniform(0.0, 0.9) * PAPER.pitch])
     return kind, gait, PAPER.replace(**{key: float(value) for key, value in changes.items()})
+
+
+def random_loaded_case(seed: int) -> tuple[str, Gait, Parameters]:
+    """The same with loads and waveforms; every third with dry friction, every other one with a one-sided cable."""
+    kind, gait, parameters = (random_dry_case if seed % 3 == 0 else random_case)(seed)
+    rng = np.random.default_rng([seed, 2])
+    gait = dataclasses.replace(
+        gait,
+        stroke=rng.uniform(0.02, 0.08),
+        pretension=float(rng.choice([0.0, rng.uniform(0.0, 0.03)])),
+        contraction_share=float(rng.choice([0.5, rng.uniform(0.2, 0.85)])),
+        profile=Profile(int(rng.integers(0, 2))),
+        ramp_share=float(rng.choice([0.1, 0.5, rng.uniform(0.1, 0.5)])),
+    )
+    rear, front = rng.uniform(-2.0, 6.0, 2)
+    return (
+        kind,
+        gait,
+        parameters.replace(
+            rear_load=float(rng.choice([0.0, rear])),
+            front_load=float(rng.choice([0.0, front])),
+            one_sided_cable=bool(seed % 2),
+        ),
+    )
 
 
 def random_dry_case(seed: int) -> tuple[str, Gait, Parameters]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from worm_model.run import (
     TrackerSamples,
 )
 from worm_model.twin.records import Activity, Event, residual_message
-from worm_model.twin.samples import SAMPLE, Kind
+from worm_model.twin.samples import SAMPLE, VALUES, Kind
 from worm_model.twin.twin import Twin, TwinState
 
 
@@ -71,9 +71,8 @@ class GaitSample:
     cycle: int = 0
 
     def row(self) -> tuple:
-        gait = (0.0, 0.0, 0.0, 0.0)
-        if self.gait is not None:
-            gait = (self.gait.stroke, self.gait.frequency, self.gait.direction, self.gait.margin)
+        none = (0.0,) * len(VALUES)
+        gait = none if self.gait is None else astuple(self.gait)
         told = (self.onset_ns, self.activity, self.run, self.cycle, self.stamp_ns)
         return (self.stamp_ns, Kind.GAIT, *told, *gait)
 
@@ -82,7 +81,7 @@ Sample = CommandedLength | MeasuredLength | TrackerSample | PowerSample | GaitSa
 
 
 def _row(stamp: int, kind: Kind, a: float, b: float = 0.0) -> tuple:
-    return (stamp, kind, 0, 0, 0, 0, stamp, a, b, 0.0, 0.0)
+    return (stamp, kind, 0, 0, 0, 0, stamp, a, b, *(0.0,) * (len(VALUES) - 2))
 
 
 def rows_of(samples: Sequence[Sample]) -> np.ndarray:

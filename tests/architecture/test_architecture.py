@@ -69,7 +69,11 @@ CONFINED = {
     "nicegui": ["worm_optimizer/console/*page*.py", "worm_optimizer/console/server.py"],
     "fastapi": ["worm_optimizer/console/pages.py"],
     "starlette": ["worm_optimizer/console/pages.py", "worm_optimizer/console/entrance.py"],
-    "xarray": ["worm_optimizer/study/store.py", "worm_optimizer/study/summary.py"],
+    "xarray": [
+        "worm_optimizer/study/results.py",
+        "worm_optimizer/study/store.py",
+        "worm_optimizer/study/summary.py",
+    ],
     "zarr": ["worm_optimizer/study/store.py"],
     "numcodecs": ["worm_optimizer/study/store.py"],
     "launch": [],

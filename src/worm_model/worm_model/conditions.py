@@ -19,9 +19,9 @@ class ConditionsError(InputError):
     """A condition is not admissible; the message says which and why."""
 
 
-def _row(unit: str, low: float, high: float, meaning: str) -> float:
-    """Return a field with default 0, its admissible range and its meaning as metadata."""
-    metadata = {"unit": unit, "low": low, "high": high, "meaning": meaning}
+def _row(option: str, unit: str, low: float, high: float, meaning: str) -> float:
+    """Return a field with default 0; its option on command lines, range and meaning are metadata."""
+    metadata = {"option": option, "unit": unit, "low": low, "high": high, "meaning": meaning}
     return dataclasses.field(default=0.0, metadata=metadata)
 
 
@@ -38,12 +38,18 @@ class Conditions:
     Raises `ConditionsError` if a value is not finite or not in its range, or has no effect without another one.
     """
 
-    slope_deg: float = _row("°", -90.0, 90.0, "slope of the pipe, uphill towards +x")
-    tether_N: float = _row("N", -1e3, 1e3, "force of the tether on the rear module")  # noqa: N815
-    tether_N_per_m: float = _row("N/m", 0.0, 1e3, "further force for each metre of tether")  # noqa: N815
-    distance_m: float = _row("m", 0.0, 1e4, "length of tether in the pipe")
-    flow_m_per_s: float = _row("m/s", -10.0, 10.0, "velocity of the water, positive towards -x")
-    drag_area_m2: float = _row("m²", 0.0, 1.0, "drag coefficient times area of each module")
+    slope_deg: float = _row("--slope", "deg", -90.0, 90.0, "slope of the pipe, uphill towards +x")
+    tether_N: float = _row("--tether", "N", -1e3, 1e3, "force of the tether on the rear module")  # noqa: N815
+    tether_N_per_m: float = _row(  # noqa: N815
+        "--tether-per-metre", "N/m", 0.0, 1e3, "further force for each metre of tether"
+    )
+    distance_m: float = _row("--distance", "m", 0.0, 1e4, "length of tether in the pipe")
+    flow_m_per_s: float = _row(
+        "--flow", "m/s", -10.0, 10.0, "velocity of the water, positive towards -x"
+    )
+    drag_area_m2: float = _row(
+        "--drag-area", "m2", 0.0, 1.0, "drag coefficient times area of each module"
+    )
 
     def __post_init__(self) -> None:
         for row in dataclasses.fields(self):
@@ -70,6 +76,11 @@ LEVEL = Conditions()
 CONDITION_ROWS: Mapping[str, Mapping[str, Any]] = {
     row.name: row.metadata for row in dataclasses.fields(Conditions)
 }
+
+
+def conditions_of(source: Any) -> Conditions:
+    """Return the conditions with the fields of parsed options or another object, by name; missing ones are 0."""
+    return Conditions(**{name: getattr(source, name, 0.0) for name in CONDITION_ROWS})
 
 
 def under(conditions: Conditions, parameters: Parameters) -> Parameters:

@@ -186,6 +186,11 @@ def gait_of(source: Any) -> Gait:
     return Gait(**{name: GAIT_TYPES[name](source[name]) for name in GAIT_UNITS if name in source})
 
 
+def named_values(gait: Gait) -> dict[str, Any]:
+    """Return the fields of a gait or a prediction as JSON and YAML files have them, the profile by its name."""
+    return dataclasses.asdict(gait) | {"profile": str(gait.profile)}
+
+
 def check_body(reach: float, length: float) -> None:
     """Raise `GaitError` unless a contraction o + S in m is shorter than the body, of ``length`` m at rest."""
     if reach >= length:

@@ -99,14 +99,18 @@ class SimulatedRun:
         """As driver, camera and power sensor without errors would tell it, after a rest; its date is made up."""
         length = self.parameters.initial_length
         step = self.time[1] - self.time[0]
-        rest = np.zeros(round(REST_S / step))
+        count = round(REST_S / step)
+
+        def after_rest(values: Array) -> Array:
+            return np.concatenate([np.full(count, values[0]), values])
+
         onset = int(self.stamp[0])
-        early = onset - np.round(1e9 * step * np.arange(rest.size, 0, -1)).astype(np.int64)
+        early = onset - np.round(1e9 * step * np.arange(count, 0, -1)).astype(np.int64)
         stamp = np.concatenate([early, self.stamp])
-        command = np.concatenate([rest, self.command])
-        change = np.concatenate([rest, self.motions.length - length])
-        power = np.concatenate([rest + self.parameters.idle_power, self.motions.power])
-        x1 = np.concatenate([rest, self.motions.x1])
+        command = after_rest(self.command)
+        change = after_rest(self.motions.length - length)
+        power = np.concatenate([np.full(count, self.parameters.idle_power), self.motions.power])
+        x1 = after_rest(self.motions.x1)
         commanded = LengthSamples(stamp, length + command, command)
         body = LengthSamples(stamp, length + change, change)
         current = power / BUS_VOLTAGE

@@ -9,18 +9,19 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from worm_model.bags.finding import bags_below, mark_of, name_below
 from worm_model.errors import InputError
+from worm_model.gait import named_values
 
 Row = dict[str, Any]
 
 CLOSED, OPEN, DAMAGED = "closed", "not closed", "damaged"
 MISSING = "–"
-FIGURES_VERSION = 3  # raise it where a figure is computed otherwise
+FIGURES_VERSION = 4  # raise it where a figure is computed otherwise
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def gait_text(gait: Mapping[str, Any] | None) -> str:
 COLUMNS = (
     Column("start", "start", lambda run: run.start, lambda start: str(start)[:19]),
     Column("duration_s", "s", lambda run: run.duration_s, _number(1.0, 1)),
-    Column("gait", "gait", lambda run: asdict(run.played.gait), gait_text),
+    Column("gait", "gait", lambda run: named_values(run.played.gait), gait_text),
     Column("cycles", "cycles", lambda run: run.cycles, _number(1.0, 0)),
     Column("groove_phase", "φ mm", lambda run: run.groove_phase, _number(1e3, 2)),
     Column("grooves_per_cycle", "grooves", lambda run: run.grooves_per_cycle, _number(1.0, 2)),

@@ -11,10 +11,12 @@ import argparse
 import json
 import math
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
+from worm_model.conditions import CONDITION_ROWS
 from worm_model.errors import InputError, printable
 from worm_model.gait import (
     FORWARD,
@@ -88,6 +90,12 @@ class Parser(argparse.ArgumentParser):
             choices=[str(profile) for profile in Profile],
             help=f"{GAIT_MEANINGS['profile']} (default: {Profile.COSINE})",
         )
+
+    def add_conditions(self) -> None:
+        """Add an option for each field of `Conditions`; `conditions_of` makes the conditions of the parsed options."""
+        for name, row in CONDITION_ROWS.items():
+            metavar = row["unit"].upper().replace("/", "_PER_")
+            self.add_number(row["option"], metavar, row["meaning"], 0.0, dest=name)
 
     def add_figure(self) -> None:
         """Adds --figure; see `figure_file`."""
@@ -249,25 +257,47 @@ def finite(content: Any) -> Any:
 
 
 class ProgressLine:
-    """A progress line on standard error: a bar on a terminal, a line every tenth elsewhere."""
+    """Progress line on standard error with the time left: a bar on a terminal, a line every tenth elsewhere."""
 
     WIDTH = 40
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._title = title
+        self._clock = clock
         self._terminal = sys.stderr.isatty()
         self._shown = -1
+        self._start: tuple[float, float] | None = None  # time in s and fraction of the first call
 
     def __call__(self, fraction: float) -> None:
-        """Shows that a fraction between 0 and 1 is done."""
+        """Show that a fraction between 0 and 1 is done."""
+        if self._start is None:
+            self._start = self._clock(), fraction
         step = int(fraction * (100 if self._terminal else 10))
         if step == self._shown:
             return
         self._shown = step
+        left = self._time_left(fraction)
         if self._terminal:
             bar = "#" * round(fraction * self.WIDTH)
             end = "\n" if fraction >= 1.0 else ""
-            sys.stderr.write(f"\r{self._title} [{bar:<{self.WIDTH}}] {fraction:4.0%}{end}")
+            sys.stderr.write(f"\r{self._title} [{bar:<{self.WIDTH}}] {fraction:4.0%}{left:20}{end}")
         else:
-            sys.stderr.write(f"{self._title}: {fraction:.0%}\n")
+            sys.stderr.write(f"{self._title}: {fraction:.0%}{left}\n")
         sys.stderr.flush()
+
+    def _time_left(self, fraction: float) -> str:
+        """Return the time left at the mean speed since the first call, as text; empty while it is unknown."""
+        assert self._start is not None
+        begin, first = self._start
+        if not first < fraction < 1.0:
+            return ""
+        seconds = (self._clock() - begin) * (1.0 - fraction) / (fraction - first)
+        return f", {duration(seconds)} left"
+
+
+def duration(seconds: float) -> str:
+    """Return a duration as text, such as 2.5 h."""
+    for size, name in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
+        if seconds > 1.5 * size:
+            return f"{seconds / size:.1f} {name}"
+    return f"{seconds:.0f} s"

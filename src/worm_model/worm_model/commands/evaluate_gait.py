@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from worm_model.commands.command_line import (
     InputError,
@@ -15,7 +15,8 @@ from worm_model.commands.command_line import (
     new_file,
     print_result,
 )
-from worm_model.gait import FORWARD, gait_of
+from worm_model.conditions import LEVEL, Conditions, conditions_of, under
+from worm_model.gait import FORWARD, Gait, Profile, gait_of
 from worm_model.parameters import Parameters, load_parameters
 
 if TYPE_CHECKING:
@@ -24,10 +25,11 @@ if TYPE_CHECKING:
 # The simulator is imported where it is used: its compiler takes most of a start, which --help does not need.
 
 
-def gait_json(result: GaitResult) -> dict[str, float]:
-    """A gait as the machine-readable output has it."""
+def gait_json(result: GaitResult, conditions: Conditions) -> dict[str, Any]:
+    """Return a gait under conditions for the machine-readable output."""
     return {
         **asdict(result.gait),
+        "conditions": asdict(conditions),
         "speed": result.speed,
         "power": result.power,
         "cost_of_transport": result.cost_of_transport,
@@ -37,14 +39,28 @@ def gait_json(result: GaitResult) -> dict[str, float]:
     }
 
 
-def describe(result: GaitResult, cycles: int = 5) -> str:
+def _waveform(gait: Gait) -> str:
+    """Return what differs from the paper's waveform, empty for the paper's gait."""
+    parts = []
+    if gait.pretension:
+        parts.append(f"pretension {gait.pretension * 1e3:.2f} mm")
+    if gait.contraction_share != 0.5:
+        parts.append(f"contraction share {gait.contraction_share:.3f}")
+    if gait.profile is Profile.TRAPEZOID:
+        parts.append(f"trapezoid with a ramp share of {gait.ramp_share:.3f}")
+    return "".join(f", {part}" for part in parts)
+
+
+def describe(result: GaitResult, parameters: Parameters, cycles: int = 5) -> str:
     """Return the lines that describe a gait after so many cycles; its speed holds for its groove phase alone."""
     gait = result.gait
     way = "forward" if gait.direction == FORWARD else "reverse"
     return "\n".join(
         [
             f"gait               {gait.stroke * 1e3:.2f} mm at {gait.frequency:.4f} Hz, {way}, "
-            f"margin {gait.margin * 1e3:.2f} mm",
+            f"margin {gait.margin * 1e3:.2f} mm{_waveform(gait)}",
+            f"load               {parameters.rear_load:.3f} N on the rear and {parameters.front_load:.3f} N on the "
+            "front module, positive towards -x",
             f"speed              {result.speed * 1e3:.4f} mm/s at a groove phase of "
             f"{result.groove_phase * 1e3:+.2f} mm",
             f"power              {result.power:.4f} W",
@@ -62,6 +78,7 @@ def _parser() -> Parser:
         "last three averaged.",
     )
     parser.add_gait()
+    parser.add_conditions()
     parser.add_argument("--gaits", metavar="IN.csv", help="evaluate a table of gaits instead")
     parser.add_argument("--output", metavar="OUT.csv", help="where the table's results go")
     parser.add_json()
@@ -72,14 +89,27 @@ def _parser() -> Parser:
 def _evaluate_table(options: argparse.Namespace, parameters: Parameters) -> None:
     if options.output is None:
         raise InputError("--gaits needs --output, the file that the results go to")
+    import numpy as np
+
     from worm_model.simulation.gait_table import evaluate_table, read_gaits, write_table
 
+    if conditions_of(options) != LEVEL:
+        raise InputError(
+            "conditions are for one gait; a table has the columns rear_load and front_load, N"
+        )
     output = new_file(options.output)
     overrides, table = evaluate_table(read_gaits(options.gaits), parameters, ProgressLine("gaits"))
     write_table(output, table, overrides, parameters)
     count = int(table.speed.size)
-    content = {"output": str(output), "gaits": count}
-    print_result(options, content, f"{count} gaits written to {output}")
+    failed = [int(row) + 2 for row in np.flatnonzero(np.isnan(table.speed))]
+    text = f"{count} gaits written to {output}"
+    if failed:
+        lines = ", ".join(map(str, failed[:10])) + (", ..." if len(failed) > 10 else "")
+        text += (
+            f"; {len(failed)} of them have no figures (nan), lines {lines}: the fins do not hold the load at rest, "
+            "or the anchors switch to and fro without end"
+        )
+    print_result(options, {"output": str(output), "gaits": count, "without_speed": failed}, text)
 
 
 def _evaluate(options: argparse.Namespace) -> None:
@@ -92,10 +122,12 @@ def _evaluate(options: argparse.Namespace) -> None:
     if options.stroke is None or options.frequency is None:
         raise InputError("give --stroke and --frequency, or --gaits IN.csv --output OUT.csv")
     gait = gait_of(options)
+    conditions = conditions_of(options)
+    parameters = under(conditions, parameters)
     from worm_model.simulation.simulator import evaluate_gait
 
     result = evaluate_gait(gait, parameters)
-    print_result(options, gait_json(result), describe(result))
+    print_result(options, gait_json(result, conditions), describe(result, parameters))
 
 
 main = executable(_parser, _evaluate)

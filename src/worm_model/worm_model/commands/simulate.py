@@ -18,6 +18,7 @@ from worm_model.commands.command_line import (
     print_result,
 )
 from worm_model.commands.evaluate_gait import describe, gait_json
+from worm_model.conditions import conditions_of, under
 from worm_model.gait import Gait, gait_of
 from worm_model.parameters import load_parameters
 
@@ -42,6 +43,7 @@ def _parser() -> Parser:
         "perfect instruments would make it, after two seconds of rest.",
     )
     parser.add_gait(required=True)
+    parser.add_conditions()
     parser.add_argument(
         "--cycles", type=int, default=CYCLES, metavar="N", help=f"from rest (default: {CYCLES})"
     )
@@ -133,15 +135,20 @@ def _run(options: argparse.Namespace) -> None:
     output = new_file(options.output)
     write = _writer_of(output)
     rate = _checked_rate(options, gait, output)
-    parameters = load_parameters(options.parameters)
+    conditions = conditions_of(options)
+    parameters = under(conditions, load_parameters(options.parameters))
     from worm_model.analysis.simulated_run import simulated_run
     from worm_model.simulation.simulator import AVERAGED, evaluate_gait
 
     run = simulated_run(gait, parameters, options.cycles, rate)
     figures = evaluate_gait(gait, parameters, options.cycles, min(AVERAGED, options.cycles))
     write(run, output)
-    content = {"output": str(output), "samples": int(run.time.size), **gait_json(figures)}
-    text = f"{describe(figures, options.cycles)}\n{run.time.size} samples written to {output}"
+    content = {
+        "output": str(output),
+        "samples": int(run.time.size),
+        **gait_json(figures, conditions),
+    }
+    text = f"{describe(figures, parameters, options.cycles)}\n{run.time.size} samples written to {output}"
     print_result(options, content, text)
 
 

@@ -28,7 +28,7 @@ from worm_model.identification.identification_errors import IdentificationError
 from worm_model.identification.measured_length import MeasuredLength
 from worm_model.identification.observed_run import Recording
 from worm_model.identification.robust import noise_of
-from worm_model.parameters import Parameters
+from worm_model.parameters import ParameterError, Parameters
 from worm_model.simulation.kernel import stepped_dry_friction as dry_friction
 
 RIDGES = 5  # of a traversal
@@ -105,7 +105,10 @@ def traverse_of(recording: Recording, length: MeasuredLength, pitch: float) -> T
 
 
 def worm_of(parameters: Parameters, direction: int) -> dry_friction.Worm:
-    """The parameters as the kernel takes them, without dry friction."""
+    """Return the parameters in the kernel's form, without dry friction; raise `ParameterError` under a load."""
+    for key in ("rear_load", "front_load"):
+        if getattr(parameters, key) != 0.0:
+            raise ParameterError(f"{key}: the fit of the motion does not include loads; use 0 N")
     return dry_friction.Worm(
         direction=float(direction),
         rear_mass=parameters.rear_mass,

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The slack-aware actuation model (eq:slack_clip, eq:first_order_actuation) in closed form.
 
-Between the moments at which the slack clip opens and closes, u_eff is a constant or a sinusoid, so ΔL is
-a constant, a sinusoid and one exponential.
+Within each part of a cycle (`kernel.waveform`), u_eff is a constant, a sinusoid or a parabola, so ΔL is the same and
+one exponential.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -14,15 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from worm_model.gait import Gait
 from worm_model.parameters import Parameters
-from worm_model.simulation.kernel.actuation_law import Actuator, respond_at
+from worm_model.simulation.kernel.actuation_law import Actuator, respond_at, value_at
+from worm_model.simulation.kernel.linear import Coefficients
+from worm_model.simulation.kernel.waveform import answer_to_part, borders_of
+from worm_model.simulation.rows import gait_rows
 
 Array = NDArray[np.float64]
-
-
-def clip_phase(stroke: ArrayLike, slack: float) -> Array:
-    """Phase 2πft in (0, π] at which the command leaves the slack; π if it never does (S ≤ δ_s). Shape of ``stroke``."""
-    ratio = 2.0 * slack / np.asarray(stroke, dtype=float)
-    return np.arccos(np.clip(1.0 - ratio, -1.0, 1.0))
 
 
 def effective_command(command: ArrayLike, slack: float) -> Array:
@@ -62,44 +60,38 @@ def actuator(parameters: Parameters) -> Actuator:
     return Actuator(parameters.gain, parameters.slack, parameters.time_constant)
 
 
-def _steady_sinusoid(gait: Gait, parameters: Parameters) -> tuple[float, float, float]:
-    """(mean, cosine, sine) of the response to the unclipped command, in m, over the phase 2πft."""
-    lag = 2.0 * np.pi * gait.frequency * parameters.time_constant
-    amplitude = 0.5 * parameters.gain * gait.stroke / (1.0 + lag * lag)
-    return -0.5 * parameters.gain * gait.stroke, amplitude, amplitude * lag
-
-
 def length_change_range(gait: Gait, parameters: Parameters) -> tuple[float, float]:
     """Lowest and highest ΔL in m of the gait's periodic steady state (the transient has died out)."""
-    rest = -parameters.gain * parameters.slack
-    if gait.stroke <= parameters.slack:
-        return rest, rest
-    opening = float(clip_phase(gait.stroke, parameters.slack))
-    closing = 2.0 * np.pi - opening
-    mean, cosine, sine = _steady_sinusoid(gait, parameters)
-    rate = 1.0 / (
-        2.0 * np.pi * gait.frequency * parameters.time_constant
-    )  # decay per radian of phase
+    lag = parameters.time_constant
+    end, _ = _cycle(gait, parameters, 0.0)
+    steady = end / -math.expm1(-gait.period / lag)  # a cycle maps ΔL to end + ΔL·e^(−T/τ)
+    _, parts = _cycle(gait, parameters, steady)
 
-    def sinusoid(phase: Array | float) -> Array:
-        return mean + cosine * np.cos(phase) + sine * np.sin(phase)
+    def extreme(sign: float, duration: float, form: Coefficients, omega: float) -> float:
+        def length_change(time: Array) -> Array:
+            smooth = form.one + form.t1 * time + form.t2 * time**2 + form.exp * np.exp(-time / lag)
+            return sign * (
+                smooth + form.cos * np.cos(omega * time) + form.sin * np.sin(omega * time)
+            )
 
-    open_decay = np.exp(-rate * (closing - opening))
-    clip_decay = np.exp(-rate * 2.0 * opening)
-    # Periodicity: ΔL at the opening maps to itself through one open and one clipped interval.
-    unclipped = sinusoid(closing) - sinusoid(opening) * open_decay
-    at_opening = (rest * (1.0 - clip_decay) + unclipped * clip_decay) / (
-        1.0 - open_decay * clip_decay
-    )
-    transient = at_opening - sinusoid(opening)
+        return sign * _least(length_change, 0.0, duration)
 
-    def length_change(phase: Array) -> Array:
-        return sinusoid(phase) + transient * np.exp(-rate * (phase - opening))
+    return min(extreme(1.0, *part) for part in parts), max(extreme(-1.0, *part) for part in parts)
 
-    # Both extremes lie in the open interval: ΔL still rises a little after the opening.
-    lowest = _least(length_change, opening, closing)
-    highest = -_least(lambda phase: -length_change(phase), opening, closing)
-    return lowest, highest
+
+def _cycle(
+    gait: Gait, parameters: Parameters, length_change: float
+) -> tuple[float, list[tuple[float, Coefficients, float]]]:
+    """(ΔL in m at the end of a cycle, (duration in s, ΔL, ω in 1/s) of each part) from ΔL at its start."""
+    row, a = gait_rows(gait)[0], actuator(parameters)
+    parts, start = [], 0.0
+    for part, end in enumerate(borders_of(0.0, row, a)):
+        if end > start:
+            form, omega = answer_to_part(part, 0.0, start, length_change, row, a)
+            parts.append((end - start, form, omega))
+            length_change = value_at(form, end - start, omega, a.time_constant)
+            start = end
+    return length_change, parts
 
 
 def _least(function: Callable[[Array], Array], low: float, high: float) -> float:

@@ -16,7 +16,7 @@ from worm_model.parameters import KEYS, PAPER, ParameterError, Parameters
 from worm_model.simulation.kernel import whole_run as run
 from worm_model.simulation.kernel.mode import nearest_groove
 from worm_model.simulation.kernel.work import cable_power
-from worm_model.simulation.rows import GAIT_ROW, Rows, check_simulated, parameter_rows
+from worm_model.simulation.rows import GAIT_ROW, Rows, parameter_rows
 from worm_model.simulation.simulator import (
     AVERAGED,
     CYCLES,
@@ -33,7 +33,8 @@ CHUNK = 256  # gaits that one thread takes at a time: some milliseconds
 class GaitTable:
     """Figures of many gaits, each field an array of the broadcast shape; see `simulator.GaitResult`.
 
-    ``gait`` maps the fields of `Gait` to such arrays. Figures of a gait without an end (chatter) are NaN.
+    ``gait`` maps the fields of `Gait` to such arrays. Figures of a gait without an end (chatter) and under a load
+    that the fins do not hold at rest are NaN.
     """
 
     gait: Mapping[str, Array]
@@ -126,7 +127,6 @@ def evaluate_gaits(
     shape = np.broadcast_shapes(*map(np.shape, [*columns.values(), *overrides.values()]))
     rows = _gait_rows(columns, shape)
     parameters_of_rows = _parameter_rows(parameters, overrides, shape)
-    check_simulated(rows, parameters_of_rows)
     if "initial_length" not in overrides:
         check_bodies(rows["stroke"] + rows["pretension"], parameters.initial_length)
     results = np.empty((len(rows), run.RESULT_COLUMNS))
@@ -199,7 +199,6 @@ def sample_cycle(
     columns = _columns({**GAIT_DEFAULTS, **gaits, **further})
     rows = _gait_rows(columns, np.broadcast_shapes((1,), *map(np.shape, columns.values())))
     shares, row = np.asarray(phases, dtype=float), parameter_rows(parameters)[0]
-    check_simulated(rows, parameter_rows(parameters))
     force, length_rate = np.empty((2, len(rows), shares.size))
 
     def work(part: slice) -> None:

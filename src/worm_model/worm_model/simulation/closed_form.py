@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import math
 
-from worm_model.gait import Gait
+from worm_model.gait import FORWARD, Gait
 from worm_model.parameters import Parameters
-from worm_model.simulation.actuation import length_change_range
+from worm_model.simulation.actuation import actuator, length_change_range
 from worm_model.simulation.kernel.mode import nearest_groove
+from worm_model.simulation.kernel.waveform import rest_of
+from worm_model.simulation.rows import gait_rows
 
 
 def front_groove(parameters: Parameters) -> int:
@@ -26,32 +28,93 @@ def groove_phase(parameters: Parameters) -> float:
     return parameters.initial_length - front_groove(parameters) * parameters.pitch
 
 
-def switching_travel(parameters: Parameters, margin: float = 0.0) -> float:
-    """C in m: length change from one threshold to the other, the clearance and the yield of the engaged fin in it.
+def switching_travel(
+    parameters: Parameters, margin: float = 0.0, direction: int = FORWARD
+) -> float:
+    """Length change c in m from one threshold to the other.
 
-    c = δ_c + (p_sw + δ_m − δ_c/2)(1 + k_dis/k_eng): the dragged fin must go from the middle to its
-    threshold while the engaged fin, which carries its force, gives way.
+    c = δ_c + (p_sw + δ_m − δ_c/2)(1 + k_dis/k_eng) + Q/k_eng: the dragged fin must go from the middle to its threshold
+    while the engaged fin, which carries its force and the load Q against the direction, gives way. Under a load along
+    the direction that exceeds the force of the dragged fin, the other fin does not engage but is dragged as well.
     """
-    yielding = 1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness
+    half = 0.5 * parameters.clearance
     threshold = parameters.switching_threshold + margin
-    return parameters.clearance + (threshold - 0.5 * parameters.clearance) * yielding
+    held = _load(parameters, direction) + parameters.disengaged_stiffness * (threshold - half)
+    if held >= 0.0:
+        return threshold + half + held / parameters.engaged_stiffness
+    return threshold - half + held / parameters.disengaged_stiffness
+
+
+def _load(parameters: Parameters, direction: int) -> float:
+    """Load of both modules in N, positive against the direction."""
+    return direction * (parameters.rear_load + parameters.front_load)
 
 
 def grooves_per_cycle(gait: Gait, parameters: Parameters) -> int:
-    """Grooves that a cycle gains after the transient, in the slow limit; holds for either direction."""
+    """Grooves that a cycle gains after the transient, in the slow limit, under a load that the engaged fin holds."""
     lowest, highest = length_change_range(gait, parameters)
-    travel = switching_travel(parameters, gait.margin)
+    travel = switching_travel(parameters, gait.margin, gait.direction)
     offset = -groove_phase(parameters) - highest
     first = offset + (math.floor((-travel - offset) / parameters.pitch) + 1) * parameters.pitch
     reach = first + (highest - lowest) - travel
     return max(0, math.floor(reach / parameters.pitch) + 1)
 
 
-def cliff_margin(parameters: Parameters) -> float:
-    """δ_m* in m: the margin beyond which the branch with two grooves a cycle is lost, in the slow limit.
+def largest_load(gait: Gait, parameters: Parameters, grooves: int = 1) -> float:
+    """Load Q1 + Q2 in N against the direction up to which a gait gains ``grooves`` in a cycle, in the slow limit.
 
-    Valid where the bound on the stroke does not cut the branch first; may be negative (no margin to give).
+    The loads of the parameters do not count. NaN if the gait does not gain them without a load. The load is also
+    limited by the engaged fin, which must not reach its threshold before the dragged one:
+    Q < (k_eng − k_dis)·(p_sw + δ_m − δ_c/2).
+    """
+    free = parameters.replace(rear_load=0.0, front_load=0.0)
+    if grooves_per_cycle(gait, free) < grooves:
+        return math.nan
+    lowest, highest = length_change_range(gait, free)
+    travel = switching_travel(free, gait.margin, gait.direction)
+    pitch, offset = parameters.pitch, -groove_phase(parameters) - highest
+    # the travel lies in (−first, pitch − first] for the point ``first`` of the lattice from which a cycle counts
+    firsts = [offset + (math.floor((-travel - offset) / pitch) + 1 - k) * pitch for k in range(50)]
+    swing = highest - lowest - (grooves - 1) * pitch
+    longest = max(
+        (min(pitch - first, first + swing) for first in firsts if first + swing > -first),
+        default=travel,
+    )
+    half = 0.5 * parameters.clearance
+    deflection = parameters.switching_threshold + gait.margin - half
+    held = (parameters.engaged_stiffness - parameters.disengaged_stiffness) * deflection
+    return min((longest - travel) * parameters.engaged_stiffness, held)
+
+
+def largest_static_load(parameters: Parameters, side: int, gait: Gait) -> float:
+    """Load in N that the fins hold at the start of a gait, towards −x (``side`` 1) or +x (−1), as an amount.
+
+    One fin is at its threshold. The other one is there, too, or off it by the phase of the front module between two
+    grooves, or by a pitch less that.
+    """
+    stiff, soft = parameters.engaged_stiffness, parameters.disengaged_stiffness
+    if side != gait.direction:
+        stiff, soft = soft, stiff
+    half, threshold = 0.5 * parameters.clearance, parameters.switching_threshold + gait.margin
+    rest = rest_of(gait_rows(gait)[0], actuator(parameters))
+    phase = (groove_phase(parameters) + rest) % parameters.pitch
+
+    def held(deflection: float) -> float:
+        return stiff * max(deflection - half, 0.0) - soft * max(-deflection - half, 0.0)
+
+    offsets = (phase, parameters.pitch - phase)
+    return held(threshold) + max(held(threshold - offset) for offset in offsets)
+
+
+def cliff_margin(
+    parameters: Parameters, direction: int = FORWARD, pretension: float = 0.0
+) -> float:
+    """Margin δ_m* in m beyond which the branch with two grooves a cycle is lost, in the slow limit.
+
+    Valid where the bound on the stroke does not cut the branch first; may be negative (no margin to give). A load Q
+    against the direction takes Q/(k_eng + k_dis) of it.
     """
     yielding = 1.0 + parameters.disengaged_stiffness / parameters.engaged_stiffness
-    spare = groove_phase(parameters) - parameters.gain * parameters.slack + 2.0 * parameters.pitch
-    return (spare - switching_travel(parameters)) / yielding
+    rest = parameters.gain * max(pretension, parameters.slack)
+    spare = groove_phase(parameters) - rest + 2.0 * parameters.pitch
+    return (spare - switching_travel(parameters, 0.0, direction)) / yielding

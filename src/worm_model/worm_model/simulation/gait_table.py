@@ -109,12 +109,13 @@ def write_table(path: Path, table: GaitTable, overrides: Columns, parameters: Pa
     columns = {
         **{name: gaits.pop(name) for name in (*REQUIRED, "margin_m")},
         "L0_m": (length, ".6f"),
-        **gaits,
+        "direction": gaits.pop("direction"),
         "speed_m_s": (table.speed, ".12e"),
         "power_W": (table.power, ".9e"),
         "grooves_per_cycle": (table.grooves_per_cycle, ".6f"),
         "switches_5_cycles": (table.switches, "d"),
         "groove_phase_m": (table.groove_phase, ".9f"),
+        **gaits,
         **{key: (values, ".9g") for key, values in further.items()},
     }
     with path.open("x", newline="", encoding="utf-8") as file:

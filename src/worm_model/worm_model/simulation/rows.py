@@ -13,8 +13,8 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_model.gait import GAIT_DEFAULTS, Gait, GaitError
-from worm_model.parameters import ParameterError, Parameters
+from worm_model.gait import Gait
+from worm_model.parameters import Parameters
 
 Rows = NDArray[np.void]
 
@@ -30,23 +30,9 @@ _GAIT = attrgetter(*(row.name for row in dataclasses.fields(Gait)))
 
 def parameter_rows(parameters: Parameters) -> Rows:
     """Return the values as the one row of an array (1,) of PARAMETER_ROW."""
-    rows = np.array([_PARAMETERS(parameters)], PARAMETER_ROW)
-    check_simulated(np.zeros(0, GAIT_ROW), rows)
-    return rows
+    return np.array([_PARAMETERS(parameters)], PARAMETER_ROW)
 
 
 def gait_rows(gait: Gait) -> Rows:
     """Return a gait as the one row of an array (1,) of GAIT_ROW."""
-    rows = np.array([_GAIT(gait)], GAIT_ROW)
-    check_simulated(rows, np.zeros(0, PARAMETER_ROW))
-    return rows
-
-
-def check_simulated(gaits: Rows, parameters: Rows) -> None:
-    """Raise `InputError` if a gait or a parameter set (rows) has a value that the kernel does not simulate yet."""
-    for name in ("pretension", "contraction_share", "profile", "ramp_share"):
-        if np.any(gaits[name] != GAIT_DEFAULTS[name]):
-            raise GaitError(f"{name}: only {GAIT_DEFAULTS[name]} can be simulated so far")
-    for name in ("rear_load", "front_load"):
-        if np.any(parameters[name] != 0.0):
-            raise ParameterError(f"{name}: only 0 N can be simulated so far")
+    return np.array([_GAIT(gait)], GAIT_ROW)

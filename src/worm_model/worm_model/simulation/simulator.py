@@ -15,12 +15,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from worm_model.errors import InputError
 from worm_model.gait import FORWARD, Gait, check_body
 from worm_model.parameters import PAPER, STANDARD_GRAVITY, Parameters
-from worm_model.simulation.closed_form import front_groove, groove_phase
+from worm_model.simulation.closed_form import front_groove, groove_phase, largest_static_load
 from worm_model.simulation.kernel import guard, march
 from worm_model.simulation.kernel import whole_run as run
-from worm_model.simulation.kernel.mode import Constants, Motion
+from worm_model.simulation.kernel.mode import Constants, Motion, region_of
 from worm_model.simulation.kernel.work import cable_power
 from worm_model.simulation.rows import gait_rows, parameter_rows
 
@@ -34,6 +35,24 @@ _NO_ROWS = np.empty((0, march.SAMPLE_COLUMNS))
 
 class SimulationError(RuntimeError):
     """The simulator gave up: a fin switches to and fro without end (chatter)."""
+
+
+class LoadError(InputError):
+    """The fins do not hold the load at rest: the robot slides, and no gait has a speed."""
+
+
+def _check(failure: float, subject: object, parameters: Parameters) -> None:
+    """Raise the error of a failure of the kernel, unless it is 0; ``subject`` is the gait of a run from the start."""
+    if failure == run.SLIDES and isinstance(subject, Gait):
+        load = parameters.rear_load + parameters.front_load
+        side = 1 if load > 0.0 else -1
+        held = largest_static_load(parameters, side, subject)
+        raise LoadError(
+            f"rear_load + front_load: {load:.4g} N; the fins hold up to {held:.4g} N at rest, so the robot slides. "
+            "Reduce the load"
+        )
+    if failure:
+        raise SimulationError(f"{subject}: the anchors switch to and fro without end")
 
 
 @dataclass(frozen=True)
@@ -74,15 +93,14 @@ def evaluate_gait(
 ) -> GaitResult:
     """Speed, power and grooves of a gait over the last ``averaged`` of ``cycles`` from the start.
 
-    Raises `GaitError` for a stroke that the body cannot make, ValueError for an impossible number of cycles and
-    `SimulationError` on chatter.
+    Raises `GaitError` for a stroke that the body cannot make, `LoadError` for a load that the fins do not hold,
+    ValueError for an impossible number of cycles and `SimulationError` on chatter.
     """
     check_body(gait.reach, parameters.initial_length)
     check_cycles(cycles, averaged)
     result = np.empty(run.RESULT_COLUMNS)
     run.evaluate(gait_rows(gait)[0], parameter_rows(parameters)[0], cycles, averaged, result)
-    if result[run.RUN_CHATTER]:
-        raise SimulationError(f"{gait}: the anchors switch to and fro without end")
+    _check(result[run.RUN_FAILURE], gait, parameters)
     advance, power = float(result[run.MEAN_ADVANCE]), float(result[run.MEAN_POWER])
     speed = advance * gait.frequency
     return GaitResult(
@@ -200,8 +218,7 @@ class Trajectory:
         totals = np.zeros(march.TOTALS_SIZE)
         gait, parameters = gait_rows(self.gait)[0], parameter_rows(self.parameters)[0]
         run.run_gait(gait, parameters, self.cycles, totals, samples, events)
-        if totals[march.CHATTER]:
-            raise SimulationError(f"{self.gait}: the anchors switch to and fro without end")
+        _check(totals[march.FAILURE], self.gait, self.parameters)
         return totals
 
 
@@ -239,8 +256,7 @@ def play_gait(
         totals,
         samples,
     )
-    if totals[march.CHATTER]:
-        raise SimulationError(f"{gait}: the anchors switch to and fro without end")
+    _check(totals[march.FAILURE], gait, parameters)
     return _motions(samples, parameters)
 
 
@@ -253,7 +269,7 @@ def _motion_of(state: LocomotionState) -> Motion:
 
 
 def simulate(gait: Gait, parameters: Parameters = PAPER, cycles: int = CYCLES) -> Trajectory:
-    """The trajectory of a gait from the start: x1 = 0, v1 = 0, ΔL = 0, anchors on the lattice.
+    """The trajectory of a gait from the start: at rest, anchors on the lattice, see `kernel.start`.
 
     Raises `GaitError` for a stroke that the body cannot make and ValueError for an impossible number of cycles.
     """
@@ -307,8 +323,8 @@ class Locomotion:
             y_rate=0.0,
             rear_groove=0,
             front_groove=groove,
-            rear_region=run.region_of(x1, c.half_clearance),
-            front_region=run.region_of(x2 - groove * c.pitch, c.half_clearance),
+            rear_region=region_of(x1, c.half_clearance),
+            front_region=region_of(x2 - groove * c.pitch, c.half_clearance),
         )
 
     def x1(self, state: LocomotionState) -> float:
@@ -358,8 +374,7 @@ class Locomotion:
         after = run.run_sampled(
             knots, forms, _motion_of(state), self._constants(), totals, samples, _NO_ROWS
         )
-        if totals[march.CHATTER]:
-            raise SimulationError(f"at {state.time:g} s: the anchors switch to and fro without end")
+        _check(totals[march.FAILURE], f"at {state.time:g} s", self.parameters)
         last = knots[-1] - knots[-2] if knots.size > 1 else 0.0
         final = LocomotionState(
             float(knots[-1]),

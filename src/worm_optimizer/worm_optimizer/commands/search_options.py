@@ -9,13 +9,14 @@ from collections.abc import Mapping
 from itertools import groupby
 from typing import Any
 
-from worm_model.commands.command_line import Parser, number
+from worm_model.commands.command_line import InputError, Parser, number
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.search.search_settings import (
     FRONT_SETTINGS,
     SCAN_SETTINGS,
     SETTINGS,
+    Robustness,
     SettingRow,
     Settings,
     settings_of,
@@ -53,7 +54,7 @@ def add_front_options(parser: Parser) -> None:
 
 
 def chosen_settings(options: argparse.Namespace) -> Settings:
-    """The settings that the options make; raises `OptimizerError` if they are not admissible."""
+    """The settings that the options make; raises `InputError` if they are not admissible."""
     values: dict[str, Any] = {}
     for option, rows in _by_option(SETTINGS):
         value = getattr(options, option.replace("-", "_"), None)
@@ -65,7 +66,13 @@ def chosen_settings(options: argparse.Namespace) -> Settings:
                     strict=True,
                 )
             )
-    return settings_of(values)
+    settings = settings_of(values)
+    if settings.margin is not None and settings.robustness is not Robustness.MARGIN:
+        raise InputError(
+            f"--margin {settings.margin:g} m has no effect with --robustness {settings.robustness.value}: "
+            "leave one of them out"
+        )
+    return settings
 
 
 def _add_settings(parser: Parser, chosen: tuple[SettingRow, ...]) -> None:

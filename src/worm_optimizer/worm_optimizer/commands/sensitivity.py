@@ -20,6 +20,7 @@ from worm_model.gait import Gait
 from worm_model.parameters import SYMBOLS, UNITS, load_parameter_file
 from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
 from worm_optimizer.study.sensitivity_figure import sensitivity_figure
+from worm_optimizer.study.sobol import index_text, warnings_of
 
 MOST_SAMPLES = 1 << 16
 
@@ -62,11 +63,19 @@ def sensitivity_json(content: Sensitivity) -> dict[str, Any]:
                 for k, key in enumerate(content.parameters)
             },
         }
-    return {**result, "evaluations": content.evaluations}
+    return {**result, "evaluations": content.evaluations, "warnings": _warnings(content)}
+
+
+def _warnings(content: Sensitivity) -> list[str]:
+    return [
+        text
+        for name, indices in content.indices.items()
+        for text in warnings_of(name, indices, content.parameters)
+    ]
 
 
 def describe(content: Sensitivity) -> str:
-    """The most telling parameters of each figure."""
+    """Return the most important parameters of each quantity as text."""
     shown = {"speed": (1e3, "mm/s"), "power": (1.0, "W"), "cliff_margin": (1e3, "mm")}
     lines = []
     for name, indices in content.indices.items():
@@ -80,11 +89,14 @@ def describe(content: Sensitivity) -> str:
         for k in np.argsort(-indices.total)[:6]:
             key = content.parameters[k]
             below, above = content.reach[key]
+            alone = index_text(indices.first, indices.first_bounds, k)
+            total = index_text(indices.total, indices.total_bounds, k)
             lines.append(
-                f"  {key:22} {SYMBOLS[key]:6} alone {indices.first[k]:6.1%}, with others {indices.total[k]:6.1%}"
-                f"   (95 %: -{below:.3g}, +{above:.3g} {UNITS[key]})"
+                f"  {key:22} {SYMBOLS[key]:6} alone {alone}, with others {total}"
+                f"   (range of the parameter: -{below:.3g}, +{above:.3g} {UNITS[key]})"
             )
-    return "\n".join(lines)
+    lines.append("All bounds are 95 % bounds.")
+    return "\n".join([*lines, *(f"warning: {text}" for text in _warnings(content))])
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -6,27 +6,43 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from worm_model.commands.command_line import (
     BAD_INPUT,
+    DONE,
     FAILED,
     InputError,
     Parser,
     ProgressLine,
+    duration,
     new_file,
     notifier,
     print_result,
     run_command,
 )
-from worm_optimizer.study.plan import Study, load_study
+from worm_optimizer.study.plan import Study
+from worm_optimizer.study.study_file import load_study
 
 try:
     from worm_optimizer.study.engine import LostError
-    from worm_optimizer.study.fleet import read_fleet
+    from worm_optimizer.study.fleet import read_fleet, reopen_fleet
     from worm_optimizer.study.fleet_page import write_fleet_page
+    from worm_optimizer.study.results import check_export, export
+    from worm_optimizer.study.sobol import Indices, index_text, warnings_of
+    from worm_optimizer.study.store import is_of_this_code, stored_study
+    from worm_optimizer.study.study_indices import study_indices
     from worm_optimizer.study.study_page import write_page
-    from worm_optimizer.study.study_run import Counts, Estimate, estimate, run_study
+    from worm_optimizer.study.study_run import (
+        Counts,
+        Workers,
+        estimate,
+        retry_study,
+        run_study,
+        verify_store,
+    )
 except ModuleNotFoundError as error:  # the optional set, which a robot goes without
     notifier("study")(
         f"{error.name} is not installed: start it as ./worm study, or "
@@ -41,8 +57,8 @@ def _parser() -> Parser:
     parser = Parser(
         prog="study",
         description="Computes fronts, gaits, cliffs and success probabilities for many parameter sets, or reads "
-        "many bags, on all cores of this machine or on a Dask cluster. What is finished stays: the same "
-        "command goes on where it was.",
+        "many bags, on all cores of this machine or on a Dask cluster. Finished blocks remain: the same command "
+        "verifies them and continues.",
     )
     add = parser.add_argument
     add(
@@ -50,102 +66,186 @@ def _parser() -> Parser:
     )
     add("--bags", type=Path, metavar="FOLDER", help="read all bags below a folder instead")
     add(
+        "--from",
+        dest="source",
+        type=Path,
+        metavar="STORE",
+        help="the study that a store describes; without --output continue that store",
+    )
+    add("--verify", type=Path, metavar="STORE", help="only compare a store with its checksums")
+    add(
         "--output",
         type=Path,
         metavar="OUT",
-        help="STUDY.zarr, or FLEET.parquet for bags; goes on where it was",
+        help="STUDY.zarr, or FLEET.parquet for bags; an unfinished one is continued",
     )
-    add("--page", metavar="PAGE.html", help="a new page with figures of what is there")
+    add("--page", metavar="PAGE.html", help="write a page with figures of the results")
+    add("--export", metavar="FILE", help="write the results as NetCDF (.nc) or as a table (.csv)")
     add(
         "--scheduler",
         default="",
         metavar="ADDRESS",
         help="of a Dask cluster; default: this machine",
     )
-    add("--workers", type=int, metavar="N", help="on this machine (default: one a core)")
+    add("--workers", type=int, metavar="N", help="on this machine (default: one per core)")
+    add("--retry-failed", action="store_true", help="compute failed points or bags again")
     add(
-        "--dry-run", action="store_true", help="only tell points, gaits and an estimate of the time"
+        "--accept-failures",
+        action="store_true",
+        help="exit status 0 even if all points or some bags fail",
     )
+    add("--dry-run", action="store_true", help="only print points, blocks and an estimated time")
     parser.add_json()
     parser.add_parameters()
     return parser
 
 
-def _study(options: argparse.Namespace) -> None:
-    if (options.study is None) == (options.bags is None):
-        raise InputError("give either STUDY.yaml or --bags FOLDER")
+def _study(options: argparse.Namespace) -> int:
+    sources = options.study, options.bags, options.source, options.verify
+    if sum(source is not None for source in sources) != 1:
+        raise InputError("give one of STUDY.yaml, --bags FOLDER, --from STORE and --verify STORE")
     if options.workers is not None and not (options.workers >= 1 and not options.scheduler):
-        raise InputError("--workers: give at least 1, and not beside --scheduler")
+        raise InputError("--workers: give at least 1, and not together with --scheduler")
+    if options.verify is not None:
+        return _verify(options)
     page = new_file(options.page) if options.page else None
     if options.bags is not None:
-        _fleet(options, page)
-    else:
-        _points(options, page)
+        return _fleet(options, page)
+    return _points(options, page)
 
 
-def _points(options: argparse.Namespace, page: Path | None) -> None:
-    """The study of a YAML file."""
-    study = load_study(options.study, options.parameters)
+def _verify(options: argparse.Namespace) -> int:
+    """Compare a store with its checksums."""
+    counts, damaged = verify_store(options.verify, _say)
+    content = {**dataclasses.asdict(counts), "damaged": damaged, "output": str(options.verify)}
+    text = f"{counts.done} of {counts.points} points in {options.verify}; {damaged} of them are damaged"
+    if damaged:
+        text += f": ./worm study --from {options.verify} computes them again"
+    print_result(options, content, text)
+    return FAILED if damaged else DONE
+
+
+def _points(options: argparse.Namespace, page: Path | None) -> int:
+    """Compute a study."""
+    study, output = _described(options)
+    workers = Workers(options.scheduler, options.workers)
     if options.dry_run:
-        _tell_plan(study, estimate(study, options.scheduler, options.workers), options)
-        return
-    if options.output is None:
+        cost = estimate(study, workers, _say)
+        print_result(
+            options,
+            {"points": study.size, "block_points": study.block_points, **dataclasses.asdict(cost)},
+            f"{study.size} points in {cost.blocks} blocks of up to {study.block_points}: about "
+            f"{duration(cost.seconds)} with {cost.workers} workers as fast as this machine",
+        )
+        return DONE
+    if output is None:
         raise InputError("--output is missing: name the study's output, e.g. STUDY.zarr")
-    where = options.output, options.scheduler, options.workers
-    counts = run_study(study, *where, _say, ProgressLine("study"))
+    file = new_file(options.export) if options.export else None
+    if file is not None:
+        check_export(file)
+    compute = retry_study if options.retry_failed else run_study
+    counts = compute(study, output, workers, _say, ProgressLine("study"))
     if page is not None:
-        write_page(options.output, study, page)
-    _tell(options, counts)
+        write_page(output, study, page)
+    if file is not None:
+        export(output, file)
+    indices = study_indices(output, study)
+    inputs = [axis.name for axis in study.ranges]
+    content = {"indices": _indices_json(indices, inputs)} if indices else {}
+    _print(options, counts, output, content, _indices_text(indices, inputs))
+    return _status(options, counts, tolerated=counts.points - 1)
 
 
-def _fleet(options: argparse.Namespace, page: Path | None) -> None:
-    """All bags of a folder."""
+def _described(options: argparse.Namespace) -> tuple[Study, Path | None]:
+    """Return the study and its output."""
+    if options.source is None:
+        return load_study(options.study, options.parameters), options.output
+    if options.parameters:
+        raise InputError("--parameters: the store contains the parameters; leave the option out")
+    study, output = stored_study(options.source), options.output or options.source
+    if output != options.source and not is_of_this_code(options.source):
+        _say(f"{options.source} was computed by another version of the code, {output} by this one")
+    return study, output
+
+
+def _fleet(options: argparse.Namespace, page: Path | None) -> int:
+    """Read all bags of a folder."""
     if options.output is None or options.output.suffix != ".parquet":
         raise InputError("--output: name the fleet's table, e.g. FLEET.parquet")
-    where = options.output, options.scheduler, options.workers
-    counts = read_fleet(options.bags, options.parameters, *where, _say, ProgressLine("bags"))
+    if options.export or options.dry_run:
+        raise InputError("--export and --dry-run are for studies: leave them out with --bags")
+    where = options.bags, options.parameters, options.output
+    if options.retry_failed:
+        reopen_fleet(*where)
+    workers = Workers(options.scheduler, options.workers)
+    counts = read_fleet(*where, workers, _say, ProgressLine("bags"))
     if page is not None:
         write_fleet_page(options.output, options.parameters, page)
-    _tell(options, counts)
+    _print(options, counts, options.output, {}, [])
+    return _status(options, counts, tolerated=0)
 
 
-def _tell(options: argparse.Namespace, counts: Counts) -> None:
-    content = {**dataclasses.asdict(counts), "output": str(options.output)}
-    what = "bags" if options.bags else "points"
-    text = f"{counts.done} of {counts.points} {what} in {options.output}"
-    if counts.failed:
-        text += f"; {counts.failed} of them failed, their reason says why"
-    print_result(options, content, text)
-
-
-def _tell_plan(study: Study, cost: Estimate, options: argparse.Namespace) -> None:
-    """What a study would take."""
-    sizes = {"blocks": len(study.blocks), "block_points": study.block_points}
-    content = {"points": study.size, "done": 0, "failed": 0, "output": None, **sizes}
-    print_result(
-        options,
-        {**content, **dataclasses.asdict(cost)},
-        f"{study.size} points in {sizes['blocks']} blocks of {study.block_points}: about "
-        f"{cost.gaits:.2g} gaits, {_duration(cost.seconds)} with {cost.workers} workers as fast as this machine",
+def _status(options: argparse.Namespace, counts: Counts, tolerated: int) -> int:
+    """Return the exit status, and report it if more than ``tolerated`` points or bags failed."""
+    if counts.failed <= tolerated or options.accept_failures:
+        return DONE
+    _say(
+        f"{counts.failed} of {counts.points} failed, so the exit status is {FAILED}; "
+        "--accept-failures accepts them"
     )
+    return FAILED
 
 
-def _duration(seconds: float) -> str:
-    for size, name in ((86400.0, "days"), (3600.0, "h"), (60.0, "min")):
-        if seconds > 1.5 * size:
-            return f"{seconds / size:.1f} {name}"
-    return f"{seconds:.0f} s"
+def _print(
+    options: argparse.Namespace,
+    counts: Counts,
+    output: Path,
+    more: dict[str, Any],
+    lines: list[str],
+) -> None:
+    content = {**dataclasses.asdict(counts), "output": str(output), **more}
+    what = "bags" if options.bags else "points"
+    text = f"{counts.done} of {counts.points} {what} in {output}"
+    if counts.failed:
+        text += f"; {counts.failed} of them failed, the reasons are in the column reason"
+    print_result(options, content, "\n".join([text, *lines]))
+
+
+def _indices_json(indices: Mapping[str, Indices], inputs: list[str]) -> dict[str, Any]:
+    return {
+        name: {
+            key: {
+                "first": each.first[k],
+                "first_bounds": each.first_bounds[:, k],
+                "total": each.total[k],
+                "total_bounds": each.total_bounds[:, k],
+            }
+            for k, key in enumerate(inputs)
+        }
+        for name, each in indices.items()
+    }
+
+
+def _indices_text(indices: Mapping[str, Indices], inputs: list[str]) -> list[str]:
+    lines = []
+    for name, each in indices.items():
+        lines.append(f"{name}: Sobol indices with 95 % bounds")
+        for k, key in enumerate(inputs):
+            alone = index_text(each.first, each.first_bounds, k)
+            total = index_text(each.total, each.total_bounds, k)
+            lines.append(f"  {key:22} alone {alone}, with others {total}")
+        lines += [f"  warning: {text}" for text in warnings_of(name, each, inputs)]
+    return lines
 
 
 def main() -> int:
     """Entry point of the executable study."""
 
-    def told(options: argparse.Namespace) -> int | None:
+    def reported(options: argparse.Namespace) -> int:
         try:
-            _study(options)
+            return _study(options)
         except LostError as error:
             _say(str(error))
             return FAILED
-        return None
 
-    return run_command(_parser(), told)
+    return run_command(_parser(), reported)

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from worm_model.gait import named_values
 from worm_model.parameters import ParameterFile
 from worm_optimizer.report.agreement import NOMINAL
 from worm_optimizer.report.optimisation import Optimisation
@@ -74,7 +75,4 @@ def is_promised(plan: Plan, folder: Path) -> bool:
 
 
 def _promises(plan: Plan) -> str:
-    gaits = {
-        name: asdict(gait) | {"profile": str(gait.profile)} for name, gait in plan.gaits.items()
-    }
-    return json.dumps(gaits, indent=2)
+    return json.dumps({name: named_values(gait) for name, gait in plan.gaits.items()}, indent=2)

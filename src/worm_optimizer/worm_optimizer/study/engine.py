@@ -15,19 +15,25 @@ import logging
 import os
 import time
 import uuid
+from asyncio import CancelledError as AsyncioCancelledError
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from typing import Any
 
 from distributed import Client, Future, KilledWorker, LocalCluster, wait
+from distributed.client import ClosedClientError
+from distributed.comm import CommClosedError
 
 from worm_model.errors import InputError
 from worm_optimizer.study.version import identity
 
 _AHEAD = 2  # pieces submitted for each worker: one in work, one waiting
-_LOOK = 1.0  # interval between two updates of the workers, s
+_UPDATE = 1.0  # interval between two updates of the workers, s
 _CONNECT = 10.0  # timeout of the connection, s
+
+# Errors of the client when its scheduler ends during a request.
+_LOSSES = (CancelledError, AsyncioCancelledError, CommClosedError, ClosedClientError, TimeoutError)
 
 Say = Callable[[str], None]
 
@@ -41,39 +47,58 @@ class LostError(RuntimeError):
 
 
 @contextlib.contextmanager
-def connected(scheduler: str, workers: int) -> Iterator[Client]:
+def connected(scheduler: str, workers: int, say: Say) -> Iterator[Client]:
     """Connect to the cluster at ``scheduler``, or to a new one on this machine with ``workers`` workers if it is empty.
 
     Yields:
         The client.
 
     Raises:
-        ClusterError: No scheduler answers at the address.
+        ClusterError: No scheduler answers at the address, or the workers on this machine do not start.
     """
-    for name in ("distributed", "bokeh"):  # this module reports what matters
-        logging.getLogger(name).setLevel(logging.CRITICAL)
-    if not scheduler:
-        with (
-            LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address="127.0.0.1:0",
-                memory_limit=0,
-            ) as cluster,
-            Client(cluster) as client,
-        ):
-            yield client
-        return
+    for name in ("distributed", "distributed.nanny", "distributed.scheduler", "bokeh"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # this module reports what matters
+    if scheduler:
+        say(f"connecting to {scheduler}")
+    else:
+        say(f"starting {workers} {'worker' if workers == 1 else 'workers'} on this machine")
+    with contextlib.ExitStack() as stack:
+        if scheduler:
+            client = _client_of(scheduler)
+        else:
+            client = Client(stack.enter_context(_local_cluster(workers)))
+        stack.enter_context(client)
+        say(f"Dask's dashboard is at {client.dashboard_link}")
+        yield client
+
+
+def _client_of(scheduler: str) -> Client:
     try:
-        client = Client(scheduler, timeout=_CONNECT)
+        return Client(scheduler, timeout=_CONNECT)
     except (OSError, ValueError) as error:
         raise ClusterError(
             f"no Dask scheduler answers at {scheduler} ({' '.join(str(error).split())}): "
             "start one with `dask scheduler`, or leave --scheduler out"
         ) from None
-    with client:
-        yield client
+
+
+def _local_cluster(workers: int) -> LocalCluster:
+    try:
+        return LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address="127.0.0.1:0",
+            memory_limit=0,
+        )
+    except (OSError, RuntimeError) as error:
+        cause: BaseException = error
+        while cause.__cause__ is not None:
+            cause = cause.__cause__
+        raise ClusterError(
+            f"the workers on this machine do not start ({type(cause).__name__}: {' '.join(str(cause).split())}): "
+            "use fewer with --workers, or free memory and processes"
+        ) from None
 
 
 def cores() -> int:
@@ -82,40 +107,43 @@ def cores() -> int:
 
 
 @dataclass
-class _Crew:
+class _WorkerPool:
     """Workers of the cluster. The code version of each worker is requested once."""
 
     client: Client
     say: Say
     mine: str = field(default_factory=identity)
-    able: set[str] = field(default_factory=set)
-    refused: dict[str, str] = field(default_factory=dict)
-    silent: set[str] = field(default_factory=set)  # workers without an answer yet
+    accepted: set[str] = field(default_factory=set)
+    rejected: dict[str, str] = field(default_factory=dict)
+    unanswered: set[str] = field(default_factory=set)  # workers without an answer yet
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Update the lists of workers."""
         present = set(self.client.scheduler_info(n_workers=-1)["workers"])
-        self.able &= present
-        self.refused = {each: why for each, why in self.refused.items() if each in present}
-        new = present - self.able - set(self.refused)
-        self.silent &= new
+        self.accepted &= present
+        self.rejected = {each: why for each, why in self.rejected.items() if each in present}
+        new = present - self.accepted - set(self.rejected)
+        self.unanswered &= new
         if not new:
             return
         answers = self.client.run(identity, workers=sorted(new), on_error="return")
         for address, answer in sorted(answers.items()):
             if answer == self.mine:
-                self.able.add(address)
-            elif isinstance(answer, str | ImportError | AttributeError):
-                self.refused[address] = _refusal(answer, self.mine)
-                self.say(f"worker {address} is refused: {self.refused[address]}")
+                self.accepted.add(address)
+            elif isinstance(answer, OSError):  # the connection failed
+                self.unanswered.add(address)
             else:
-                self.silent.add(address)
-        self.silent -= self.able | set(self.refused)
+                self.rejected[address] = _reason(answer, self.mine)
+                self.say(f"worker {address} is rejected: {self.rejected[address]}")
+        self.unanswered -= self.accepted | set(self.rejected)
 
 
-def _refusal(answer: str | BaseException, mine: str) -> str:
+def _reason(answer: str | BaseException, mine: str) -> str:
     if isinstance(answer, BaseException):
-        return f"it cannot import worm_optimizer.study ({answer}); install worm_model and worm_optimizer there"
+        return (
+            f"it cannot import worm_optimizer.study ({answer}); "
+            "install worm_msgs, worm_model and worm_optimizer there"
+        )
     return f"it has another version (code {answer}, here {mine}); install the same there"
 
 
@@ -124,10 +152,10 @@ class _Dispatcher:
     """Pieces in work, with the workers that may compute them. A piece is stored until its result is available."""
 
     client: Client
-    crew: _Crew
+    pool: _WorkerPool
     function: Callable[..., Any]
     pieces: Iterator[tuple[int, tuple[Any, ...]]]
-    kept: dict[int, tuple[Any, ...]] = field(default_factory=dict)
+    stored: dict[int, tuple[Any, ...]] = field(default_factory=dict)
     out: dict[Future, tuple[int, frozenset[str]]] = field(default_factory=dict)
     attempts: int = 0
     # Unique prefix of the keys, because the scheduler may still know keys of an earlier run.
@@ -135,36 +163,37 @@ class _Dispatcher:
 
     def fill(self) -> None:
         """Submit pieces up to the capacity of the workers, orphaned pieces first."""
-        able = self.crew.able
-        if not able:
+        accepted = self.pool.accepted
+        if not accepted:
             return
-        for future in [future for future, (_, to) in self.out.items() if not to & able]:
+        for future in [future for future, (_, to) in self.out.items() if not to & accepted]:
             future.cancel()
-            self.hand_out(self.out.pop(future)[0])
-        room = max(_AHEAD * len(able) - len(self.out), 0)
+            self.submit(self.out.pop(future)[0])
+        room = max(_AHEAD * len(accepted) - len(self.out), 0)
         for place, piece in itertools.islice(self.pieces, room):
-            self.kept[place] = piece
-            self.hand_out(place)
+            self.stored[place] = piece
+            self.submit(place)
 
-    def hand_out(self, place: int) -> None:
+    def submit(self, place: int) -> None:
         """Submit a piece, possibly again."""
         self.attempts += 1
-        able = sorted(self.crew.able)
+        accepted = sorted(self.pool.accepted)
         key = f"worm-study-{self.name}-{place}-{self.attempts}"
         future = self.client.submit(
-            self.function, *self.kept[place], key=key, workers=able, pure=False
+            self.function, *self.stored[place], key=key, workers=accepted, pure=False
         )
-        self.out[future] = (place, frozenset(able))
+        self.out[future] = (place, frozenset(accepted))
 
     def results(self) -> Iterator[tuple[int, Any]]:
         """Yield place and result of the finished pieces, and submit lost pieces again."""
         for future in _finished(list(self.out)):
             place, _ = self.out.pop(future)
             if future.status in ("cancelled", "lost"):
-                self.hand_out(place)
+                _check_connection(self.client)
+                self.submit(place)
                 continue
             yield place, _result(future)
-            del self.kept[place]
+            del self.stored[place]
 
     def clear(self) -> None:
         """Cancel all pieces in work."""
@@ -183,37 +212,44 @@ def spread(
         ClusterError: Every worker was rejected.
         LostError: The scheduler is lost, or a piece ended every worker that computed it.
     """
-    crew = _Crew(client, say)
-    dispatcher = _Dispatcher(client, crew, function, enumerate(pieces))
-    idle_said = False
+    pool = _WorkerPool(client, say)
+    dispatcher = _Dispatcher(client, pool, function, enumerate(pieces))
+    waiting_reported = False
     try:
         while True:
-            if client.status != "running":
-                raise LostError("the connection to the scheduler is lost")
-            crew.look()
-            if crew.refused and not crew.able:
-                address, why = next(iter(crew.refused.items()))
+            _check_connection(client)
+            pool.update()
+            if pool.rejected and not pool.accepted:
+                address, why = next(iter(pool.rejected.items()))
                 raise ClusterError(f"no worker can be used: worker {address}: {why}")
-            if not crew.able and not idle_said:
-                there = (
-                    f"{len(crew.silent)} have not answered yet" if crew.silent else "none is there"
-                )
-                say(f"waiting for workers, {there} (Ctrl-C ends this; what is finished stays)")
-            idle_said = not crew.able
+            if not pool.accepted and not waiting_reported:
+                number = len(pool.unanswered)
+                state = f"{number} have not answered yet" if number else "none is connected"
+                say(f"waiting for workers, {state} (Ctrl-C ends this; finished blocks remain)")
+            waiting_reported = not pool.accepted
             dispatcher.fill()
-            if crew.able and not dispatcher.kept:
+            if pool.accepted and not dispatcher.stored:
                 return
             yield from dispatcher.results()
+    except _LOSSES as error:
+        raise LostError(
+            f"the connection to the scheduler is lost ({type(error).__name__})"
+        ) from None
     finally:
         dispatcher.clear()
 
 
+def _check_connection(client: Client) -> None:
+    if client.status != "running":
+        raise LostError("the connection to the scheduler is lost")
+
+
 def _finished(futures: list[Future]) -> list[Future]:
-    """Return the finished futures, after waiting for at most `_LOOK` seconds."""
+    """Return the finished futures, after waiting for at most `_UPDATE` seconds."""
     if not futures:
-        time.sleep(_LOOK)  # No worker is connected.
+        time.sleep(_UPDATE)  # No worker is connected.
     with contextlib.suppress(TimeoutError, CancelledError):
-        wait(futures, timeout=_LOOK, return_when="FIRST_COMPLETED")
+        wait(futures, timeout=_UPDATE, return_when="FIRST_COMPLETED")
     return [future for future in futures if future.done()]
 
 
@@ -223,5 +259,5 @@ def _result(future: Future) -> Any:
     except KilledWorker as error:
         raise LostError(
             f"each worker that a piece was given to has died ({error.task}): "
-            "look at the workers' logs; out of memory is the usual cause"
+            "read the workers' logs; out of memory is the usual cause"
         ) from None

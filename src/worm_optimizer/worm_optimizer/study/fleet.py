@@ -13,6 +13,7 @@ import json
 import math
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,8 @@ from worm_model.parameters import load_parameter_file
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.study.engine import LostError, Say, connected, cores, spread
-from worm_optimizer.study.store import check_folder, take
-from worm_optimizer.study.study_run import Counts
+from worm_optimizer.study.store import check_folder, lock
+from worm_optimizer.study.study_run import Counts, Workers
 from worm_optimizer.study.version import identity
 
 READ, FAILED = "read", "failed"
@@ -130,8 +131,7 @@ def read_fleet(
     folder: Path,
     parameters: str,
     output: Path,
-    scheduler: str,
-    workers: int | None,
+    workers: Workers,
     say: Say,
     progress: Callable[[float], None],
 ) -> Counts:
@@ -144,8 +144,7 @@ def read_fleet(
         parameters: parameter file. An empty string selects the parameters in each bag, or the paper's values if it has
             none.
         output: Parquet file.
-        scheduler: address of a Dask scheduler, or an empty string for workers on this machine.
-        workers: number of workers on this machine; None for one per core.
+        workers: workers to use.
         say: function that is called with each message.
         progress: function that is called with the finished share.
 
@@ -153,31 +152,69 @@ def read_fleet(
         InputError: The output holds another fleet, or a worker has no access to a bag.
         LostError: The cluster was lost.
     """
-    load_parameter_file(parameters)  # raises if the file is invalid, before any bag is read
-    bags = list(bags_below(folder))  # reading a bag includes what was recovered from it
-    marks = [_mark(bag, parameters) for bag in bags]
-    whole = hashlib.sha256(" ".join([*marks, identity()]).encode()).hexdigest()[:24]
+    fleet = _fleet(folder, parameters)
     if output.exists():
-        return _known(output, whole)
+        return _known(output, fleet.identity)
     with _parts(output) as parts:
-        todo = [k for k, mark in enumerate(marks) if not (parts / f"{mark}.json").exists()]
-        progress(1.0 - len(todo) / len(bags))
-        names = [name_below(folder, bag) for bag in bags]
+        files = [parts / f"{mark}.json" for mark in fleet.marks]
+        todo = [k for k, file in enumerate(files) if not file.exists()]
+        progress(1.0 - len(todo) / len(files))
         source = str(Path(parameters).resolve()) if parameters else ""
         if todo:
-            with connected(scheduler, min(workers or cores(), len(todo))) as client:
-                pieces = [(str(bags[k].resolve()), names[k], source) for k in todo]
-                files = [parts / f"{marks[k]}.json" for k in todo]
-                _read(client, pieces, files, len(bags), say, progress)
-        rows = [row for mark in marks for row in json.loads((parts / f"{mark}.json").read_text())]
+            number = min(workers.number or cores(), len(todo))
+            with connected(workers.scheduler, number, say) as client:
+                pieces = [(str(fleet.bags[k].resolve()), fleet.names[k], source) for k in todo]
+                _read(client, pieces, [files[k] for k in todo], len(files), say, progress)
+        rows = [row for file in files for row in json.loads(file.read_text())]
         table = pa.Table.from_pylist(rows, SCHEMA).replace_schema_metadata(
-            {_IDENTITY: whole.encode()}
+            {_IDENTITY: fleet.identity.encode()}
         )
         part = parts / "table"
         parquet.write_table(table, part)
         part.rename(output)
         shutil.rmtree(parts)
-    return _known(output, whole)
+    return _known(output, fleet.identity)
+
+
+def reopen_fleet(folder: Path, parameters: str, output: Path) -> None:
+    """Make `read_fleet` read the failed bags again, and only these.
+
+    Raises:
+        InputError: The output holds another fleet.
+    """
+    fleet = _fleet(folder, parameters)
+    if output.exists():
+        _known(output, fleet.identity)
+    with _parts(output) as parts:
+        files = [parts / f"{mark}.json" for mark in fleet.marks]
+        if output.exists():
+            rows = parquet.read_table(output).to_pylist()
+            for name, file in zip(fleet.names, files, strict=True):
+                file.write_text(json.dumps([row for row in rows if row["bag"] == name]))
+            output.unlink()  # its rows are in the files
+        for file in files:
+            if file.exists() and any(
+                row["state"] == FAILED for row in json.loads(file.read_text())
+            ):
+                file.unlink()
+
+
+@dataclass(frozen=True)
+class _Fleet:
+    """Bags with their names in the table, a hash of each (`_mark`), and one of all together."""
+
+    bags: tuple[Path, ...]
+    names: tuple[str, ...]
+    marks: tuple[str, ...]
+    identity: str
+
+
+def _fleet(folder: Path, parameters: str) -> _Fleet:
+    load_parameter_file(parameters)  # raises if the file is invalid, before any bag is read
+    bags = tuple(bags_below(folder))  # reading a bag includes what was recovered from it
+    marks = tuple(_mark(bag, parameters) for bag in bags)
+    whole = hashlib.sha256(" ".join([*marks, identity()]).encode()).hexdigest()[:24]
+    return _Fleet(bags, tuple(name_below(folder, bag) for bag in bags), marks, whole)
 
 
 def _read(
@@ -202,7 +239,7 @@ def _read(
         ) from None
     except (LostError, OSError) as error:
         raise type(error)(
-            f"{error}; {done} of {bags} bags are read: repeat the command to go on"
+            f"{error}; {done} of {bags} bags are read: repeat the command to continue"
         ) from None
 
 
@@ -225,7 +262,7 @@ def _known(output: Path, whole: str) -> Counts:
         table = None
     if table is None or (table.schema.metadata or {}).get(_IDENTITY) != whole.encode():
         raise InputError(
-            f"{output}: exists already and holds other bags, or the same read otherwise; give another name, "
+            f"{output}: exists already and contains other bags, or was read by another version; choose another name, "
             "nothing is overwritten"
         )
     states = dict(zip(table["bag"].to_pylist(), table["state"].to_pylist(), strict=True))
@@ -239,5 +276,5 @@ def _parts(output: Path) -> Iterator[Path]:
     parts = output.with_name(f"{output.name}.part")
     parts.mkdir(exist_ok=True)
     with (parts / ".lock").open("w") as file:
-        take(file, output)
+        lock(file, output)
         yield parts

@@ -6,17 +6,14 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import (
-    dataclass,
-)
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from worm_model.conditions import CONDITION_ROWS, Conditions, under
 from worm_model.errors import InputError
-from worm_model.gait import (
-    FORWARD,
-)
+from worm_model.gait import FORWARD
 from worm_model.parameters import KEYS, ParameterFile, Parameters
 from worm_model.simulation.closed_form import cliff_margin, front_groove, groove_phase
 from worm_model.simulation.simulator import SimulationError, cost_of_transport
@@ -32,14 +29,17 @@ from worm_optimizer.search.exact import (
 )
 from worm_optimizer.search.front import any_phase_task, front_of_task, thinned
 from worm_optimizer.search.gait_request import Objective, at_power, at_speed
+from worm_optimizer.search.pareto import hypervolume
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness
 from worm_optimizer.search.servo_limits import DrivenBy, limits_of, servo_model
 from worm_optimizer.search.task import Bounds, MarginTask, Points
-from worm_optimizer.study.plan import LIMITS, PARAMETER_FILE, Array, Study
+from worm_optimizer.study.plan import PARAMETER_FILE, Array, Study
+from worm_optimizer.study.quantities import LIMITS
 
 FRONT, GAIT, SCAN = "front_gait", "gait", "scan_margin"  # further dimensions
 OPEN, DONE, FAILED = 0, 1, 2  # values of the variable "state"
-REASON_LENGTH = 200  # characters
+# W, of hypervolumes, if not given: above the fastest gait of the paper's robot.
+REFERENCE_POWER = 20.0
 THREE_GAITS = (Objective.MIN_POWER, Objective.CRUISE, Objective.MAX_SPEED)
 REQUESTS = {
     "at_power_W": Objective.MAX_SPEED_AT_POWER,
@@ -90,6 +90,9 @@ def variables(study: Study) -> dict[str, Variable]:
     }
     if "front" in study.compute:
         variables_of["front_size"] = Variable((), "1", "gaits of the whole front")
+        variables_of["hypervolume"] = Variable(
+            (), "m W/s", "area that the whole front dominates, up to the reference power"
+        )
         variables_of |= {
             f"front_{name}": Variable((FRONT,), unit, f"of the front: {words}")
             for name, (unit, words) in _OF_GAIT.items()
@@ -148,17 +151,17 @@ def compute_block(study: Study, points: Array) -> Results:
         name: np.full((len(points), *(sizes[d] for d in variable.dimensions)), np.nan)
         for name, variable in variables(study).items()
     }
-    results["state"] = np.full(len(points), DONE, dtype=np.uint8)
-    results["reason"] = np.full(len(points), "", dtype=f"<U{REASON_LENGTH}")
+    results["state"] = np.full(len(points), DONE, dtype=np.int8)
+    results["reason"] = np.full(len(points), "", dtype=object)
     for row, point in enumerate(points):
         try:
             of_point = compute_point(study, dict(zip(study.varied, point.tolist(), strict=True)))
         except (InputError, SimulationError) as error:
             results["state"][row] = FAILED
-            results["reason"][row] = " ".join(str(error).split())[:REASON_LENGTH]
+            results["reason"][row] = " ".join(str(error).split())
             continue
         for name, value in of_point.items():
-            results[name][row] = value
+            results[name][row] = np.where(np.isnan(value), np.nan, value)  # one NaN, without a sign
     return results
 
 
@@ -200,9 +203,9 @@ def compute_point(study: Study, values: Mapping[str, float]) -> dict[str, Any]:
 
 
 def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
-    """Return the robot of a point: its parameter file with the requested values.
+    """Return the robot of a point: its parameter file with the requested values, under the requested conditions.
 
-    An interval is scaled with its value, so its relative width stays the same.
+    An interval is scaled with its value, so its relative width stays the same. That of a value 0 is shifted.
     """
     content = study.files[int(asked.get(PARAMETER_FILE, 0))][1]
     old = content.parameters
@@ -215,18 +218,26 @@ def content_of(study: Study, asked: Mapping[str, float]) -> ParameterFile:
                 f"groove_phase_m: {phase:g} m is not within half a pitch of {new.pitch:g} m"
             )
         new = new.replace(initial_length=front_groove(old) * new.pitch + phase)
-    ratio = {
-        key: value / old.as_dict()[key] if old.as_dict()[key] else 1.0
-        for key, value in new.as_dict().items()
-    }
+    conditions = {key: asked[key] for key in CONDITION_ROWS if key in asked}
+    new = under(Conditions(**conditions), new)
+    before, after = old.as_dict(), new.as_dict()
+
+    def moved(key: str, end: float) -> float:
+        if before[key]:
+            return after[key] / before[key] * end
+        return after[key] - before[key] + end
+
     return dataclasses.replace(
         content,
         parameters=new,
         intervals={
-            key: (ratio[key] * low, ratio[key] * high)
+            key: (moved(key, low), moved(key, high))
             for key, (low, high) in content.intervals.items()
         },
-        run_to_run={key: ratio[key] * value for key, value in content.run_to_run.items()},
+        run_to_run={
+            key: value * (after[key] / before[key] if before[key] else 1.0)
+            for key, value in content.run_to_run.items()
+        },
     )
 
 
@@ -278,6 +289,8 @@ def _robust(
     results: dict[str, Any] = {}
     if "front" in study.compute:
         results["front_size"] = len(front)
+        corner = asked.get("reference_power_W", REFERENCE_POWER)
+        results["hypervolume"] = hypervolume(front, corner)
         if len(front):
             results |= _kept_front(study, front, content.parameters)
     if not len(front) or not {"gaits", "success"} & set(study.compute):

@@ -2,25 +2,16 @@
 """Sobol indices of speed, power and cliff over the uncertainty of the parameters.
 
 The parameters vary independently. Each is normally distributed within its 95 % interval: that of the parameter file,
-or the stated default (`robustness.uncertainty`). The indices divide the variance of a quantity between the parameters.
-The first-order index of a parameter is the share that would vanish if this parameter alone were known. The total index
-is the share that the parameter contributes to, alone or together with others. Samples (Saltelli) and estimators are
-SciPy's.
+or the stated default (`robustness.uncertainty`).
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
-from dataclasses import (
-    asdict,
-    dataclass,
-    replace,
-)
-from typing import Any
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from scipy.stats import norm, sobol_indices
+from scipy.stats import norm
 
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile
@@ -34,27 +25,10 @@ from worm_optimizer.robustness.uncertainty import (
     values_at,
 )
 from worm_optimizer.search.task import Array
+from worm_optimizer.study.plan import SALTELLI, Sample
+from worm_optimizer.study.sobol import Indices, indices_of
 
 FIGURES = ("speed", "power", "cliff_margin")
-_LEAST_VARIANCE = 1e-24  # a quantity with a variance below this does not vary
-
-
-@dataclass(frozen=True)
-class Indices:
-    """Sobol indices of one quantity; NaN if the quantity does not vary.
-
-    Attributes:
-        first, total: first-order and total indices, shape (parameters,).
-        first_bounds, total_bounds: 95 % bounds, shape (2, parameters).
-        mean, deviation: mean and standard deviation of the quantity, in its unit.
-    """
-
-    first: Array
-    total: Array
-    first_bounds: Array
-    total_bounds: Array
-    mean: float
-    deviation: float
 
 
 @dataclass(frozen=True)
@@ -79,7 +53,7 @@ class Sensitivity:
 def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> Sensitivity:
     """Compute the indices of a gait's nominal speed (m/s) and power (W), and of the cliff margin (m, closed form).
 
-    The number of simulated gaits is ``samples`` times the number of parameters plus three.
+    The number of simulated gaits is ``samples`` times the number of parameters plus two.
 
     Args:
         gait: gait; its margin is not used.
@@ -88,50 +62,14 @@ def sensitivity(gait: Gait, content: ParameterFile, samples: int, seed: int) -> 
         seed: seed of the random numbers.
     """
     reach = _reach(content)
-
-    def figures(deviates: Array) -> Array:
-        return _figures(gait, content, reach, deviates)
-
-    random = np.random.default_rng(seed)
-    at_random = figures(random.standard_normal((len(reach), samples)))
-    with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
-        # The indices of a quantity that does not vary become NaN below.
-        warnings.simplefilter("ignore")
-        result = sobol_indices(
-            func=figures, n=samples, dists=[norm()] * len(reach), random_state=random
-        )
-        bounds = _bootstrap(result, seed)
-    indices = {}
-    for k, name in enumerate(FIGURES):
-        varies = float(np.var(at_random[k])) > _LEAST_VARIANCE
-        unknown = 1.0 if varies else np.nan
-        indices[name] = Indices(
-            unknown * result.first_order[k],
-            unknown * result.total_order[k],
-            unknown * _interval(bounds.first_order, k),
-            unknown * _interval(bounds.total_order, k),
-            float(np.mean(at_random[k])),
-            float(np.std(at_random[k])),
-        )
-    return Sensitivity(gait, tuple(reach), reach, indices, samples * (len(reach) + 3))
-
-
-def _bootstrap(result: Any, seed: int) -> Any:
-    """Return 95 % bounds of the indices.
-
-    SciPy does not accept a generator here and draws from NumPy's global one, whose state is restored.
-    """
-    before = np.random.get_state()  # noqa: NPY002
-    np.random.seed(seed)  # noqa: NPY002
-    try:
-        return result.bootstrap(confidence_level=0.95)
-    finally:
-        np.random.set_state(before)  # noqa: NPY002
-
-
-def _interval(bounds: object, row: int) -> Array:
-    interval = bounds.confidence_interval  # type: ignore[attr-defined]
-    return np.stack([interval.low[row], interval.high[row]])
+    design = Sample(SALTELLI, samples, seed)
+    deviates = norm.ppf(design.draw(len(reach))).T
+    columns = _figures(gait, content, reach, deviates)
+    indices = {
+        name: indices_of(values, len(reach), seed)
+        for name, values in zip(FIGURES, columns, strict=True)
+    }
+    return Sensitivity(gait, tuple(reach), reach, indices, design.size(len(reach)))
 
 
 def _reach(content: ParameterFile) -> dict[str, tuple[float, float]]:

@@ -5,14 +5,16 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import jinja2
 
 from worm_optimizer.study.plan import Study
+from worm_optimizer.study.sobol import Indices, index_text
 from worm_optimizer.study.store import open_result
+from worm_optimizer.study.study_indices import study_indices
 from worm_optimizer.study.study_plots import label, pictures, shown
 from worm_optimizer.study.summary import Summary, summarise
 
@@ -59,15 +61,19 @@ def write_page(output: Path, study: Study, page: Path) -> None:
     Raises:
         FileExistsError: The page exists already.
     """
-    summary = summarise(output, study)
+    summary, indices = summarise(output, study), study_indices(output, study)
     with open_result(output) as data:
-        origin = {key: data.attrs[key] for key in ("study_hash", "parameter_hash", "code")}
+        origin = {key: data.attrs[key] for key in ("study_hash", "code")}
         versions = json.loads(data.attrs["versions"])
     render(
         page,
         title=study.title,
         lead=_lead(summary),
-        tables=[_best_table(summary), *_failed_table(summary)],
+        tables=[
+            _best_table(summary),
+            *_indices_table(indices, [axis.name for axis in study.ranges]),
+            *_failed_table(summary),
+        ],
         images=pictures(summary),
         limits=[*(text for key, text in _COUPLED.items() if key in study.varied), *_ALWAYS],
         sources=[
@@ -122,6 +128,23 @@ def _best_table(summary: Summary) -> Table:
     order = summary.rank.argsort()[: min(_BEST, len(summary.rank) - summary.still)]
     rows = [[f"{shown(column)[row]:.4g}" for column in columns] for row in order]
     return Table(f"The best, by {summary.goal}", [label(column) for column in columns], rows)
+
+
+def _indices_table(indices: Mapping[str, Indices], inputs: Sequence[str]) -> list[Table]:
+    if not indices:
+        return []
+    rows = [
+        [
+            name,
+            key,
+            index_text(each.first, each.first_bounds, k),
+            index_text(each.total, each.total_bounds, k),
+        ]
+        for name, each in indices.items()
+        for k, key in enumerate(inputs)
+    ]
+    heads = ["result", "quantity", "alone", "with others"]
+    return [Table("Sobol indices with 95 % bounds", heads, rows, words=True)]
 
 
 def _failed_table(summary: Summary) -> list[Table]:

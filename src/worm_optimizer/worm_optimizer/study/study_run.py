@@ -1,23 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run of a study: unfinished points are computed block by block and stored."""
+"""Run of a study: unfinished and damaged points are computed block by block and stored."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from distributed import Client
 
-from worm_model.simulation.batch import evaluate_gaits
 from worm_optimizer.study.engine import LostError, Say, connected, cores, spread
 from worm_optimizer.study.plan import Study
 from worm_optimizer.study.point import compute_block
-from worm_optimizer.study.store import Store, held
+from worm_optimizer.study.store import (
+    Audit,
+    Region,
+    Store,
+    block_shape,
+    existing_store,
+    locked_store,
+    regions,
+)
 
-_TIMED_GAITS = 2048  # they take some hundredths of a second
+_TIMED_POINTS = 3
 
 
 @dataclass(frozen=True)
@@ -30,50 +37,55 @@ class Counts:
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """Approximate cost of a study: evaluated ``gaits`` and ``seconds`` on a number of ``workers``."""
+class Workers:
+    """Workers to use: those of the cluster at ``scheduler``, or if empty ``number`` ones of this machine.
 
-    gaits: float
+    None is one worker per core.
+    """
+
+    scheduler: str = ""
+    number: int | None = None
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Approximate cost of a study: number of ``blocks``, and ``seconds`` on a number of ``workers``."""
+
+    blocks: int
     seconds: float
     workers: int
 
 
-def estimate(study: Study, scheduler: str, workers: int | None) -> Estimate:
-    """Estimate the cost of a study from a few gaits that are timed here.
+def estimate(study: Study, workers: Workers, say: Say) -> Estimate:
+    """Estimate the cost of a study from a few points that are computed here.
 
     A worker of a cluster is assumed to be as fast as one core of this machine.
     """
-    row = np.linspace(0.0, 1.0, _TIMED_GAITS)
-    gaits = 0.01 + 0.08 * row, 0.08 + 0.32 * (7.0 * row % 1.0), 0.002
-    evaluate_gaits(*gaits)  # the first call compiles
+    rows = study.points().reshape(study.size, -1)
+    rows = rows[:: max(1, study.size // _TIMED_POINTS)][:_TIMED_POINTS]
+    compute_block(study, rows[:1])  # the first call may compile
     begin = time.process_time()
-    evaluate_gaits(*gaits)
-    each = (time.process_time() - begin) / _TIMED_GAITS
-    many = workers or cores()
-    if scheduler:
-        with connected(scheduler, 0) as client:
+    compute_block(study, rows)
+    each = (time.process_time() - begin) / len(rows)
+    many = workers.number or cores()
+    if workers.scheduler:
+        with connected(workers.scheduler, 0, say) as client:
             many = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-    total = study.size * study.gaits_per_point
-    return Estimate(total, each * total / many, many)
+    blocks = len(regions(study.shape, block_shape(study)))
+    return Estimate(blocks, each * study.size / many, many)
 
 
 def run_study(
-    study: Study,
-    output: Path,
-    scheduler: str,
-    workers: int | None,
-    say: Say,
-    progress: Callable[[float], None],
+    study: Study, output: Path, workers: Workers, say: Say, progress: Callable[[float], None]
 ) -> Counts:
-    """Compute the unfinished points of a study into ``output``.
+    """Compute the unfinished and the damaged points of a study into ``output``.
 
     If the call fails, finished blocks remain, and the same call continues with the others.
 
     Args:
         study: study.
         output: folder of the store.
-        scheduler: address of a Dask scheduler, or an empty string for workers on this machine.
-        workers: number of workers on this machine; None for one per core.
+        workers: workers to use.
         say: function that is called with each message.
         progress: function that is called with the finished share.
 
@@ -83,29 +95,98 @@ def run_study(
         LostError: The cluster was lost.
         OSError: The disk is full.
     """
-    with held(output, study) as store:
-        todo = store.open_blocks()
+    return _run(study, output, workers, say, progress, _open_blocks)
+
+
+def retry_study(
+    study: Study, output: Path, workers: Workers, say: Say, progress: Callable[[float], None]
+) -> Counts:
+    """Compute the blocks with failed points again, in addition to `run_study`."""
+    return _run(study, output, workers, say, progress, _open_and_failed_blocks)
+
+
+def verify_store(path: Path, say: Say) -> tuple[Counts, int]:
+    """Compare all blocks of a store with their checksums, and report the damaged ones.
+
+    Returns:
+        The counts, and the number of damaged points.
+    """
+    with existing_store(path) as store:
+        audit = store.audit()
+        _report(store, audit, say)
+        return Counts(store.study.size, *store.counts()), sum(map(points_of, audit.damaged))
+
+
+def points_of(block: Region) -> int:
+    """Return the number of points of a block."""
+    return math.prod(part.stop - part.start for part in block)
+
+
+def _report(store: Store, audit: Audit, say: Say) -> None:
+    for name in store.repaired:
+        say(f"{store.path / name} was missing or damaged, and is restored")
+    for file in audit.unreadable:
+        say(f"{file} is damaged: it cannot be decoded")
+    if audit.damaged:
+        number = sum(map(points_of, audit.damaged))
+        first = _place(store.study, audit.damaged[0])
+        say(
+            f"{store.path}: values of {number} points are missing or damaged "
+            f"({len(audit.damaged)} blocks, the first at {first})"
+        )
+
+
+def _open_blocks(audit: Audit) -> list[Region]:
+    return [*audit.unfinished, *audit.damaged]
+
+
+def _open_and_failed_blocks(audit: Audit) -> list[Region]:
+    return [*_open_blocks(audit), *audit.failed]
+
+
+def _starts(block: Region) -> tuple[int, ...]:
+    return tuple(part.start for part in block)
+
+
+def _place(study: Study, block: Region) -> str:
+    ends = zip(study.dimensions, block, strict=True)
+    return ", ".join(f"{name} {part.start} to {part.stop - 1}" for name, part in ends)
+
+
+def _run(
+    study: Study,
+    output: Path,
+    workers: Workers,
+    say: Say,
+    progress: Callable[[float], None],
+    choose: Callable[[Audit], list[Region]],
+) -> Counts:
+    with locked_store(output, study) as store:
+        audit = store.audit()
+        _report(store, audit, say)
+        todo = sorted(choose(audit), key=_starts)
+        if audit.damaged:
+            say("the damaged points are computed again")
+            store.reset(audit)
         if todo:
-            with connected(scheduler, workers or cores()) as client:
+            with connected(workers.scheduler, workers.number or cores(), say) as client:
                 _compute(client, store, todo, say, progress)
-        done, failed = store.counts()
-    return Counts(study.size, done, failed)
+        counts = store.counts()
+    return Counts(study.size, *counts)
 
 
 def _compute(
-    client: Client, store: Store, todo: list[slice], say: Say, progress: Callable[[float], None]
+    client: Client, store: Store, todo: list[Region], say: Say, progress: Callable[[float], None]
 ) -> None:
-    points = store.study.points()
-    done = store.study.size - sum(block.stop - block.start for block in todo)
-    progress(done / store.study.size)
-    pieces = ((store.study, points[block]) for block in todo)
+    study, points = store.study, store.points
+    done = study.size - sum(map(points_of, todo))
+    progress(done / study.size)
+    pieces = ((study, points[block].reshape(-1, points.shape[-1])) for block in todo)
     try:
         for place, results in spread(client, compute_block, pieces, say):
             store.write(todo[place], results)
-            done += todo[place].stop - todo[place].start
-            progress(done / store.study.size)
+            done += points_of(todo[place])
+            progress(done / study.size)
     except (LostError, OSError) as error:
-        stays = (
-            f"{done} of {store.study.size} points are in {store.path}: repeat the command to go on"
-        )
+        stays = f"{done} of {study.size} points are in {store.path}: repeat the command to continue"
         raise type(error)(f"{error}; {stays}") from None

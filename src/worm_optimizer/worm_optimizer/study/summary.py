@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from worm_optimizer.study.plan import PARAMETER_FILE, Study
 from worm_optimizer.study.point import DONE, FAILED, OPEN, REQUESTS, gait_names
-from worm_optimizer.study.store import open_result
+from worm_optimizer.study.results import point_table
 
 Array = NDArray[np.float64]
 
@@ -58,17 +58,17 @@ class Summary:
 
 def summarise(path: Path, study: Study) -> Summary:
     """Read the output of a study and return its summary."""
-    with open_result(path) as data:
+    with point_table(path) as data:
         state = data["state"].values
         done = np.flatnonzero(state == DONE)
-        taken = data.isel(point=done).load()
+        computed = data.isel(point=done).load()
         reasons = data["reason"].isel(point=np.flatnonzero(state == FAILED)).values
     varied = tuple(
-        Column(name, taken[name].attrs.get("units", ""), taken[name].values)
+        Column(name, computed[name].attrs.get("units", ""), computed[name].values)
         for name in study.varied
-        if name != PARAMETER_FILE and np.unique(taken[name].values).size > 1
+        if name != PARAMETER_FILE and np.unique(computed[name].values).size > 1
     )
-    figures, goal = _figures(taken, study)
+    figures, goal = figures_of(computed, study)
     key, sign = figures[0].values, (-1.0 if "highest" in goal else 1.0)
     known = np.isfinite(key)
     rank = np.argsort(np.argsort(np.where(known, sign * key, np.inf), kind="stable"))
@@ -96,7 +96,7 @@ def _own(varied: tuple[Column, ...], study: Study) -> int | None:
     return int(rows[0]) if rows.size else None
 
 
-def _figures(data: xarray.Dataset, study: Study) -> tuple[tuple[Column, ...], str]:
+def figures_of(data: xarray.Dataset, study: Study) -> tuple[tuple[Column, ...], str]:
     """Return the columns to show, the decisive one first, and the goal as text."""
 
     def column(name: str, gait: str = "", title: str = "") -> Column:
@@ -106,6 +106,9 @@ def _figures(data: xarray.Dataset, study: Study) -> tuple[tuple[Column, ...], st
 
     prefix = "" if "speed" in data else "any_phase_"
     cliff = [column("cliff_margin" if "cliff_margin" in data else "closed_form_cliff_margin")]
+    front = [column("hypervolume")] if "hypervolume" in data else []
+    if f"{prefix}speed" not in data and front:
+        return (*front, *cliff), "the front with the highest hypervolume"
     if f"{prefix}speed" not in data:
         return (cliff[0],), "the highest margin at the cliff"
     wanted = [key for key in REQUESTS if REQUESTS[key].name.lower() in gait_names(study)]
@@ -115,7 +118,7 @@ def _figures(data: xarray.Dataset, study: Study) -> tuple[tuple[Column, ...], st
         cost = column(
             f"{prefix}cost_of_transport", "max_speed_at_power", f"cost of transport at {watts} W"
         )
-        return (fastest, cost, *cliff), f"the highest speed at {watts} W"
+        return (fastest, cost, *front, *cliff), f"the highest speed at {watts} W"
     cost = column(f"{prefix}cost_of_transport", "cruise", "cost of transport")
     speed = column(f"{prefix}speed", "cruise", "cruising speed")
-    return (cost, speed, *cliff), "the lowest cost of transport of the cruising gait"
+    return (cost, speed, *front, *cliff), "the lowest cost of transport of the cruising gait"

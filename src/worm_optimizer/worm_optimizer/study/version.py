@@ -4,17 +4,20 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import platform
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import worm_model
+from worm_msgs.robot_parameters import RobotParameters
 
 _NUMERIC = ("numpy", "scipy", "numba")  # their versions may change the last digits of results
 # Sources that determine the numbers of a study. Whole folders, so that new files are included.
 _SOURCES: Mapping[Path, tuple[str, ...]] = {
     Path(worm_model.__file__).parent: (
+        "conditions.py",
         "errors.py",
         "gait.py",
         "parameters.py",
@@ -25,7 +28,10 @@ _SOURCES: Mapping[Path, tuple[str, ...]] = {
         "robustness/*.py",
         "study/plan.py",
         "study/point.py",
+        "study/quantities.py",
+        "study/study_file.py",
     ),
+    Path(inspect.getfile(RobotParameters)).parent: ("robot_parameters.py", "servo_models.py"),
 }
 _OTHERS = ("worm_model", "worm_optimizer", "xarray", "zarr", "distributed")
 
@@ -42,9 +48,12 @@ def versions() -> dict[str, str]:
 
 
 def sources() -> list[Path]:
-    """Return the source files that determine the numbers of a study."""
-    files = (folder.glob(pattern) for folder, patterns in _SOURCES.items() for pattern in patterns)
-    return sorted(path for paths in files for path in paths)
+    """Return the source files that determine the numbers of a study, in an order independent of their location."""
+    return [
+        path
+        for folder, patterns in _SOURCES.items()
+        for path in sorted(path for pattern in patterns for path in folder.glob(pattern))
+    ]
 
 
 def identity() -> str:

@@ -9,6 +9,7 @@ import pytest
 
 from worm_model.bags.opening import open_bag
 from worm_model.commands import bag_runs, bag_table, bags
+from worm_model.gait import Gait, named_values
 
 SAMPLES = Path(__file__).resolve().parents[4] / "bags"
 
@@ -35,7 +36,7 @@ def test_the_table_tells_every_run_and_why_a_bag_has_none(run):
     assert status == 0
     assert set(rows) >= {"faults", "forward", "killed", "reverse"}  # and what a person recorded
     forward = rows["forward"]
-    assert forward["gait"] == {"stroke": 0.07, "frequency": 0.25, "direction": 1, "margin": 0.0}
+    assert forward["gait"] == named_values(Gait(0.07, 0.25))
     assert forward["grooves_per_cycle"] == pytest.approx(1.0, abs=0.01)
     assert forward["state"] == "closed"
     assert forward["health"] == "healthy"

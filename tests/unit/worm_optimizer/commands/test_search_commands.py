@@ -159,6 +159,7 @@ def test_an_unreachable_request_is_refused_with_the_nearest(run):
         (["--parameters", "/nowhere.yaml"], "/nowhere.yaml: cannot be read"),
         (["--figure", "/nowhere/front.png"], "its folder /nowhere does not exist"),
         (["--robustness", "luck"], "invalid choice: 'luck'"),
+        (["--robustness", "chance", "--margin", "0.002"], "--margin 0.002 m has no effect"),
         (["--robustness", "chance", "--probability", "2"], "probability: 2.0 is not above 0"),
     ],
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-NEEDS_IT = {"test_engine.py", "test_store.py", "test_study_command.py"}
+NEEDS_IT = {"test_engine.py", "test_results.py", "test_store.py", "test_study_command.py"}
 
 
 class Absent(pytest.Module):

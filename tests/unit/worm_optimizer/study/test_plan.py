@@ -5,10 +5,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 from study_cases import SMALL
 
 from worm_model.parameters import PAPER, ParameterFile, write_parameter_file
-from worm_optimizer.study.plan import StudyError, load_study, parse_study
+from worm_optimizer.search.servo_limits import servo_models
+from worm_optimizer.study.study_file import (
+    StudyError,
+    extends,
+    format_study,
+    identity_of,
+    load_study,
+    parse_study,
+)
 
 HERE = Path()
 
@@ -24,8 +34,13 @@ def test_a_grid_holds_every_combination_once():
     points = study.points()
     assert study.varied == ("parameter_file", "slack", "switching_threshold")
     assert study.size == 6
-    assert points.shape == (6, 3)
-    assert {tuple(row[1:]) for row in points} == {
+    assert study.dimensions == {
+        "slack": (0.004, 0.008, 0.012),
+        "switching_threshold": (0.008, 0.0175),
+    }
+    assert points.shape == (3, 2, 3)
+    assert points[2, 0].tolist() == [0.0, 0.012, 0.008]
+    assert {tuple(row[1:]) for row in points.reshape(6, 3)} == {
         (slack, threshold) for slack in (0.004, 0.008, 0.012) for threshold in (0.008, 0.0175)
     }
 
@@ -40,7 +55,8 @@ def test_samples_fill_their_ranges_and_repeat_with_their_seed(method):
     vary = {"slack": {"range": [0.002, 0.01]}, "gain": {"range": [0.7, 0.9]}, "direction": [1, -1]}
     sample = {"method": method, "points": 50, "seed": 4}
     study = parse_study(changed(vary=vary, sample=sample), HERE)
-    points = study.points()
+    assert study.shape == (2, 50)
+    points = study.points().reshape(100, 4)
     slack, gain = points[:, study.varied.index("slack")], points[:, study.varied.index("gain")]
     assert study.size == 100
     assert slack.min() > 0.002
@@ -50,9 +66,67 @@ def test_samples_fill_their_ranges_and_repeat_with_their_seed(method):
         counts = np.histogram(values, bins=10, range=(low, high))[0]
         assert counts.sum() == 100
         assert counts.min() >= 4
-    assert np.array_equal(points, parse_study(changed(vary=vary, sample=sample), HERE).points())
+    again = parse_study(changed(vary=vary, sample=sample), HERE).points()
+    assert np.array_equal(study.points(), again)
     other = parse_study(changed(vary=vary, sample={**sample, "seed": 5}), HERE)
-    assert not np.array_equal(points, other.points())
+    assert not np.array_equal(study.points(), other.points())
+
+
+RANGES = {"slack": {"range": [0.002, 0.01]}, "gain": {"range": [0.7, 0.9]}}
+
+
+@pytest.mark.parametrize("method", ["sobol", "saltelli"])
+@given(fewer=st.integers(0, 5), more=st.integers(0, 5), seed=st.integers(0, 2**32 - 1))
+def test_a_larger_sample_begins_with_the_smaller_one(method, fewer, more, seed):
+    few, many = (
+        parse_study(
+            changed(vary=RANGES, sample={"method": method, "points": 2**size, "seed": seed}), HERE
+        )
+        for size in (fewer, fewer + more)
+    )
+    assert np.array_equal(many.points()[: few.size], few.points())
+    assert extends(many, few) == (more > 0)
+    assert not extends(few, many)
+
+
+def test_a_saltelli_sample_changes_one_column_at_a_time():
+    sample = {"method": "saltelli", "points": 8}
+    study = parse_study(changed(vary=RANGES, sample=sample), HERE)
+    rows = study.points()[:, 1:].reshape(8, 4, 2)
+    first, second = rows[:, 0], rows[:, 1]
+    assert np.array_equal(rows[:, 2], np.stack([second[:, 0], first[:, 1]], axis=1))
+    assert np.array_equal(rows[:, 3], np.stack([first[:, 0], second[:, 1]], axis=1))
+
+
+def test_a_study_is_repeated_from_its_text_alone(tmp_path):
+    (tmp_path / "driver.yaml").write_text(
+        "driver:\n  ros__parameters:\n    limits.max_stroke_m: 0.08\n    i2c_bus: ''\n"
+    )
+    content = ParameterFile(
+        PAPER.replace(gain=0.85),
+        {"gain": (0.8, 0.9)},
+        {"made_by": "a test"},
+        {("gain", "slack"): 0.5},
+        {"gain": 0.01},
+    )
+    write_parameter_file(tmp_path / "robot.yaml", content)
+    text = changed(
+        vary={**RANGES, "direction": [1, -1]},
+        sample={"points": 5, "seed": 7},
+        fixed={"margin_m": "cliff"},
+        parameters="robot.yaml",
+        hardware={
+            "driver": "driver.yaml",
+            "servo_model": min(servo_models()),
+            "supply_voltage_V": 5.0,
+        },
+        scan={"highest_m": 0.004},
+    )
+    study = parse_study(text, tmp_path)
+    again = parse_study(format_study(study), HERE)
+    assert dataclasses.replace(again, text=study.text) == study
+    assert identity_of(again) == identity_of(study)
+    assert np.array_equal(again.points(), study.points())
 
 
 def test_parameter_files_are_an_axis(tmp_path):
@@ -63,26 +137,22 @@ def test_parameter_files_are_an_axis(tmp_path):
     )
     study = load_study(tmp_path / "study.yaml")
     assert [content.parameters.slack for _, content in study.files] == [0.006, 0.007]
-    assert study.points()[:, 0].tolist() == [0.0, 0.0, 1.0, 1.0]
+    assert study.points()[..., 0].tolist() == [[0.0, 0.0], [1.0, 1.0]]
 
 
-def test_blocks_cover_the_points_once_and_grow_with_the_points():
-    study = dataclasses.replace(parse_study(SMALL, HERE), block_points=4)
-    assert study.blocks == [slice(0, 4), slice(4, 6)]
-    many = parse_study(
-        changed(vary={"slack": {"from": 0.001, "to": 0.01, "count": 10_000}}, block_points=None),
-        HERE,
-    )
-    assert many.block_points > 1
-    assert len(many.blocks) >= 20
+def test_blocks_grow_with_the_points():
+    assert parse_study(changed(block_points=None), HERE).block_points == 1
+    vary = {"slack": {"from": 0.001, "to": 0.01, "count": 10_000}}
+    many = parse_study(changed(vary=vary, block_points=None), HERE)
+    assert 1 < many.block_points <= 500
 
 
 def test_a_title_or_a_comment_changes_nothing_that_counts():
     study = parse_study(SMALL, HERE)
-    assert (
-        parse_study(SMALL.replace("title: small", "title: other"), HERE).identity == study.identity
-    )
-    assert parse_study(SMALL.replace("0.012", "0.011"), HERE).identity != study.identity
+    other = parse_study(SMALL.replace("title: small", "title: other"), HERE)
+    assert identity_of(other) == identity_of(study)
+    different = parse_study(SMALL.replace("0.012", "0.011"), HERE)
+    assert identity_of(different) != identity_of(study)
 
 
 WRONG = {
@@ -90,10 +160,29 @@ WRONG = {
     "vary: no such key as 'one_sided_cable'": {"vary": {"one_sided_cable": [0.0, 1.0]}},
     "vary: slack: 'much' is not a finite number": {"vary": {"slack": ["much"]}},
     "vary: slack: write a list": {"vary": {"slack": {"from": 0.0}}},
-    "vary: slack: a value stands there twice": {"vary": {"slack": [0.001, 0.001]}},
+    "vary: slack: contains a value twice": {"vary": {"slack": [0.001, 0.001]}},
+    "vary: slack: 8 m is outside 0 to 0.1 m": {"vary": {"slack": [0.004, 8.0]}},
+    "vary: slack: to: 8 m is outside 0 to 0.1 m": {
+        "vary": {"slack": {"from": 0.0, "to": 8.0, "count": 3}}
+    },
+    "vary: slack: range: -0.1 m is outside 0 to 0.1 m": {"vary": {"slack": {"range": [-0.1, 0.1]}}},
+    "fixed: margin_m: 3.4 m is outside 0 to 0.1 m": {"fixed": {"margin_m": 3.4}},
+    "fixed: margin_m: -0.001 m is outside 0 to 0.1 m": {"fixed": {"margin_m": -0.001}},
+    "fixed: pitch: 17.3 m is outside 0.001 to 0.2 m": {"fixed": {"pitch": 17.3, "margin_m": 0.0}},
+    "fixed: direction: 0.5 is neither 1 nor -1": {"fixed": {"direction": 0.5, "margin_m": 0.0}},
+    "fixed: max_power_W: 0 W is outside": {"fixed": {"max_power_W": 0.0, "margin_m": 0.0}},
+    "sample: points: 6 is not a power of two": {
+        "vary": RANGES,
+        "sample": {"method": "saltelli", "points": 6},
+    },
+    "sample: saltelli needs ranges only": {
+        "vary": {**RANGES, "pitch": [0.017, 0.018]},
+        "sample": {"method": "saltelli", "points": 4},
+    },
     "vary: slack: range: 0.1 is not below 0.1": {"vary": {"slack": {"range": [0.1, 0.1]}}},
     "sample: a range needs one": {"vary": {"slack": {"range": [0.001, 0.01]}}},
-    "vary: direction: takes a list of 1 and -1": {"vary": {"direction": [2]}},
+    "vary: direction: 2 is neither 1 nor -1": {"vary": {"direction": [2]}},
+    "vary: direction: expected a list of 1 and -1": {"vary": {"direction": {"range": [-1, 1]}}},
     "slack: stands under vary and under fixed": {"fixed": {"slack": 0.01, "margin_m": 0.0}},
     "compute: front needs a margin": {"fixed": None},
     "compute: no such key as 'fronts'; did you mean front": {"compute": ["fronts"]},
@@ -102,7 +191,7 @@ WRONG = {
     "resolution: strokes: 2 is not a whole number from 3": {"resolution": {"strokes": 2}},
     "resolution: no such key as 'tolerance_m'": {"resolution": {"tolerance_m": 0.5}},
     "scan: from 0.0 to -1.0 m": {"scan": {"highest_m": -1.0}},
-    "spool_radius_m: says something only with a servo": {"vary": {"spool_radius_m": [0.02]}},
+    "spool_radius_m: has an effect only with a servo": {"vary": {"spool_radius_m": [0.02]}},
     "groove_phase_m: it sets initial_length": {
         "vary": {"groove_phase_m": [0.0], "initial_length": [0.3]}
     },

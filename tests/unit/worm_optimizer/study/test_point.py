@@ -12,7 +12,6 @@ from worm_model.simulation.closed_form import groove_phase
 from worm_model.simulation.simulator import evaluate_gait
 from worm_optimizer.search.front import front_of_task
 from worm_optimizer.search.task import MarginTask
-from worm_optimizer.study.plan import parse_study
 from worm_optimizer.study.point import (
     DONE,
     FAILED,
@@ -25,8 +24,10 @@ from worm_optimizer.study.point import (
     task_of,
     variables,
 )
+from worm_optimizer.study.study_file import parse_study
 
 STUDY = parse_study(SMALL, Path())
+POINTS = STUDY.points().reshape(STUDY.size, -1)
 
 
 def test_the_gaits_are_those_of_the_front_of_the_point():
@@ -39,6 +40,11 @@ def test_the_gaits_are_those_of_the_front_of_the_point():
     assert found["speed"][2] == front.speed.max()
     assert found["power"][0] == front.power.min()
     assert found["front_size"] == len(front)
+    # The area below the corner (0 m/s, 20 W) that the front dominates, as an integral over the power.
+    steps = np.linspace(0.0, 20.0, 200_001)
+    fastest = np.array([0.0, *np.maximum.accumulate(front.speed[np.argsort(front.power)])])
+    area = fastest[np.searchsorted(np.sort(front.power), steps, side="right")].mean() * 20.0
+    assert found["hypervolume"] == pytest.approx(area, rel=1e-3)
     # and each is what the simulator says of that gait
     for k in range(4):
         gait = Gait(found["stroke"][k], found["frequency"][k], margin=0.002)
@@ -54,7 +60,7 @@ def test_the_gaits_are_those_of_the_front_of_the_point():
 
 
 def test_a_point_that_is_not_admissible_says_why_and_the_others_stay():
-    results = compute_block(STUDY, STUDY.points())
+    results = compute_block(STUDY, POINTS)
     assert results["state"].tolist() == [FAILED, DONE] * 3
     assert "less than half the pitch" in results["reason"][0]
     assert np.isnan(results["speed"][0]).all()
@@ -63,7 +69,7 @@ def test_a_point_that_is_not_admissible_says_why_and_the_others_stay():
 
 def test_results_have_the_shapes_that_are_announced():
     sizes = {name: len(values) for name, values in dimensions(STUDY).items()}
-    results = compute_block(STUDY, STUDY.points()[:1])
+    results = compute_block(STUDY, POINTS[:1])
     announced = {
         name: (1, *(sizes[d] for d in v.dimensions)) for name, v in variables(STUDY).items()
     }
@@ -73,7 +79,7 @@ def test_results_have_the_shapes_that_are_announced():
 
 def test_where_no_gait_moves_there_is_none_and_nothing_fails():
     study = parse_study(SMALL.replace("margin_m: 0.002", "margin_m: 0.09"), Path())
-    results = compute_block(study, study.points()[1:2])
+    results = compute_block(study, POINTS[1:2])
     assert results["state"].tolist() == [DONE]
     assert np.isnan(results["speed"]).all()
     assert results["front_size"] == [0.0]
@@ -95,6 +101,21 @@ def test_an_interval_moves_with_its_value():
     changed = content_of(study, {"gain": 0.43})
     assert changed.intervals["gain"] == pytest.approx((0.40, 0.46))
     assert changed.run_to_run["gain"] == pytest.approx(0.005)
+
+
+def test_slope_and_tether_vary_as_loads():
+    content = ParameterFile(PAPER, {"rear_load": (-1.0, 1.0)})
+    study = dataclasses.replace(STUDY, files=(("robot", content),))
+    robot = content_of(study, {"slope_deg": 30.0, "tether_N": 2.0})
+    weight = 9.80665 * 0.5
+    assert robot.parameters.rear_load == pytest.approx(PAPER.rear_mass * weight + 2.0)
+    assert robot.parameters.front_load == pytest.approx(PAPER.front_mass * weight)
+    assert robot.intervals["rear_load"] == pytest.approx(
+        (robot.parameters.rear_load - 1.0, robot.parameters.rear_load + 1.0)
+    )
+    text = SMALL.replace("switching_threshold: [0.008, 0.0175]", "tether_N: [0.0, 5.0]")
+    varied = parse_study(text, Path())
+    assert varied.varied == ("parameter_file", "slack", "tether_N")
 
 
 def test_a_larger_spool_pulls_faster_and_weaker(tmp_path):

@@ -64,5 +64,9 @@ def test_the_command(monkeypatch, capsys, tmp_path):
     assert status == 0
     assert set(content["power"]["indices"]) == set(content["parameters"])
     assert figure.stat().st_size > 1000
+    assert isinstance(content["warnings"], list)
+    text = run(*gait, "16")[1]
+    assert "-0.0 %" not in text
+    assert text.count(" to ") >= 2  # bounds of each index
     assert run(*gait, "10")[0] == 2
     assert "power of two" in run(*gait, "10")[2]

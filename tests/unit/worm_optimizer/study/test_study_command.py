@@ -9,7 +9,11 @@ import pytest
 from recorded_run import simulated_run, write_bag
 from study_cases import SMALL, contents
 
+from worm_model.parameters import KEYS as KEYS_OF_ROBOT
 from worm_optimizer.commands import study as command
+from worm_optimizer.study.plan import COMPUTABLE, METHODS
+from worm_optimizer.study.quantities import QUANTITIES
+from worm_optimizer.study.study_file import KEYS
 
 ROOT = Path(__file__).resolve().parents[4]
 pytestmark = pytest.mark.timeout(300)
@@ -31,6 +35,7 @@ def test_a_study_on_this_machine_and_its_page(tmp_path, monkeypatch, capsys):
     assert status == 0
     assert json.loads(out) == {"points": 6, "done": 6, "failed": 3, "output": str(output)}
     assert "100%" in err
+    assert "http://127.0.0.1:" in err
     before = contents(output)
     status, out, _ = run(
         monkeypatch, capsys, *words, "--page", str(page)
@@ -49,14 +54,13 @@ def test_a_study_on_this_machine_and_its_page(tmp_path, monkeypatch, capsys):
     assert "exists already" in err
 
 
-def test_a_dry_run_tells_points_gaits_and_time_and_leaves_nothing(tmp_path, monkeypatch, capsys):
+def test_a_dry_run_prints_points_blocks_and_time_and_leaves_nothing(tmp_path, monkeypatch, capsys):
     file = tmp_path / "s.yaml"
     file.write_text(SMALL)
     status, out, _ = run(monkeypatch, capsys, str(file), "--dry-run", "--json")
     told = json.loads(out)
     assert status == 0
-    assert (told["points"], told["blocks"], told["done"]) == (6, 6, 0)
-    assert told["gaits"] > 6 * 35
+    assert (told["points"], told["blocks"]) == (6, 6)
     assert told["seconds"] > 0.0
     assert list(tmp_path.iterdir()) == [file]
 
@@ -64,7 +68,12 @@ def test_a_dry_run_tells_points_gaits_and_time_and_leaves_nothing(tmp_path, monk
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "give either STUDY.yaml or --bags FOLDER"),
+        ((), "give one of STUDY.yaml"),
+        (("s.yaml", "--verify", "s.zarr"), "give one of STUDY.yaml"),
+        (("--verify", "absent.zarr"), "absent.zarr: does not exist"),
+        (("--from", "."), "is no study"),
+        (("--from", ".", "--parameters", "p.yaml"), "leave the option out"),
+        (("s.yaml", "--output", "s.zarr", "--export", "s.xlsx"), "none of .nc, .csv"),
         (("absent.yaml",), "absent.yaml: cannot be read"),
         (("s.yaml",), "--output is missing"),
         (("s.yaml", "--output", "no/s.zarr"), "make it first"),
@@ -91,8 +100,9 @@ def test_a_fleet_is_a_table_with_a_row_for_the_broken_bag(tmp_path, monkeypatch,
     (folder / "broken").mkdir()
     (folder / "broken" / "x.mcap").write_bytes(b"junk")
     words = ("--bags", str(folder), "--output", str(output), "--workers", "1", "--json")
-    status, out, _ = run(monkeypatch, capsys, *words, "--page", str(page))
-    assert status == 0
+    status, out, err = run(monkeypatch, capsys, *words, "--page", str(page))
+    assert status == 1
+    assert "1 of 2 failed" in err
     assert json.loads(out) == {"points": 2, "done": 2, "failed": 1, "output": str(output)}
     rows = {row["bag"]: row for row in parquet.read_table(output).to_pylist()}
     assert rows["broken/x.mcap"]["state"] == "failed"
@@ -100,11 +110,79 @@ def test_a_fleet_is_a_table_with_a_row_for_the_broken_bag(tmp_path, monkeypatch,
     assert rows["good"]["speed_m_s"] == pytest.approx(rows["good"]["expected_speed_m_s"], rel=0.1)
     assert "is not an MCAP file" in page.read_text()
     assert not list(tmp_path.glob("*.part"))
-    assert run(monkeypatch, capsys, *words)[0] == 0  # all is there
+    assert run(monkeypatch, capsys, *words)[0] == 1  # nothing is left to read
+    assert run(monkeypatch, capsys, *words, "--accept-failures")[0] == 0
+    before = output.read_bytes()
+    assert run(monkeypatch, capsys, *words, "--retry-failed", "--accept-failures")[0] == 0
+    assert output.read_bytes() == before
     write_bag(folder / "new", simulated_run(5, 2))
     status, _, err = run(monkeypatch, capsys, *words)
     assert status == 2
     assert "nothing is overwritten" in err
+
+
+def test_verify_retry_and_repeat(tmp_path, monkeypatch, capsys):
+    file, output, copy = tmp_path / "s.yaml", tmp_path / "s.zarr", tmp_path / "copy.zarr"
+    file.write_text(SMALL)
+    command = (str(file), "--output", str(output), "--workers", "1", "--json")
+    assert run(monkeypatch, capsys, *command)[0] == 0
+    before = contents(output)
+    status, out, _ = run(monkeypatch, capsys, "--verify", str(output), "--json")
+    assert status == 0
+    assert json.loads(out)["damaged"] == 0
+    assert run(monkeypatch, capsys, *command, "--retry-failed")[0] == 0
+    assert contents(output) == before
+
+    speed = next(file for file in (output / "speed").iterdir() if file.name[0].isdigit())
+    speed.unlink()
+    status, out, err = run(monkeypatch, capsys, "--verify", str(output), "--json")
+    assert status == 1
+    assert json.loads(out)["damaged"] == 3  # the other three failed, and are NaN
+    assert "values of 3 points are missing or damaged" in err
+    damaged = contents(output)
+    status, _, err = run(monkeypatch, capsys, "--from", str(output), "--workers", "1")
+    assert status == 0
+    assert "computed again" in err
+    assert contents(output) == before != damaged
+
+    speed.write_bytes(b"junk")
+    status, _, err = run(monkeypatch, capsys, *command)
+    assert status == 0
+    assert str(speed) in err
+    assert contents(output) == before
+
+    repeat = ("--from", str(output), "--output", str(copy), "--workers", "1")
+    assert run(monkeypatch, capsys, *repeat)[0] == 0
+    assert contents(copy) == before
+
+
+def test_a_study_that_fails_everywhere_has_status_1(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "s.yaml"
+    file.write_text(SMALL.replace("[0.008, 0.0175]", "[0.008]"))
+    words = (str(file), "--output", str(tmp_path / "s.zarr"), "--workers", "1", "--json")
+    status, out, err = run(monkeypatch, capsys, *words)
+    assert status == 1
+    assert json.loads(out)["failed"] == 3
+    assert "3 of 3 failed" in err
+    assert run(monkeypatch, capsys, *words, "--accept-failures")[0] == 0
+
+
+def test_a_saltelli_study_has_sobol_indices(tmp_path, monkeypatch, capsys):
+    file, page = tmp_path / "s.yaml", tmp_path / "s.html"
+    file.write_text(
+        "vary: {idle_power: {range: [0.5, 1.5]}, rear_mass: {range: [0.4, 0.5]}}\n"
+        "sample: {method: saltelli, points: 4}\n"
+        "fixed: {margin_m: 0.002}\ncompute: [gaits]\n"
+        "resolution: {strokes: 9, frequencies: 5}\n"
+    )
+    words = (str(file), "--output", str(tmp_path / "s.zarr"), "--workers", "1")
+    status, out, _ = run(monkeypatch, capsys, *words, "--json", "--page", str(page))
+    assert status == 0
+    cost = json.loads(out)["indices"]["cost of transport"]
+    assert set(cost) == {"idle_power", "rear_mass"}
+    assert cost["idle_power"]["total"] > cost["rear_mass"]["total"]
+    assert "Sobol indices" in page.read_text()
+    assert "idle_power" in run(monkeypatch, capsys, *words)[1]
 
 
 def test_the_examples_are_studies(monkeypatch, capsys):
@@ -116,10 +194,7 @@ def test_the_examples_are_studies(monkeypatch, capsys):
         assert json.loads(out)["points"] >= 2
 
 
-def test_the_page_of_studies_tells_every_key():
-    from worm_optimizer.study import plan
-
+def test_the_page_of_studies_names_every_key():
     page = (ROOT / "docs/studies.md").read_text()
-    told = set(re.findall(r"`(\w+)`", page))
-    assert {*plan.OTHER_UNITS, *plan.COMPUTABLE, *plan.METHODS} <= told
-    assert set(plan._KEYS) <= told
+    named = set(re.findall(r"`(\w+)`", page))
+    assert {*set(QUANTITIES) - set(KEYS_OF_ROBOT), *COMPUTABLE, *METHODS, *KEYS} <= named

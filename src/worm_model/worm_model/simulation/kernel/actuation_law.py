@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The actuation law: slack clip (eq:slack_clip) and first-order lag (eq:first_order_actuation), exact.
 
-Every user of the law has it from here: the gait's own sinusoid, sampled commands (straight lines between samples),
-fits, the twin and what-if. The effective command min(u_cmd, −δ_s) is a constant, a line or a sinusoid between the
-moments at which the command crosses −δ_s, which are located exactly; in between ΔL has a closed form, that of
-τ·d(ΔL)/dt + ΔL = K·u_eff.
+Every user of the law has it from here: the waveform of a gait, sampled commands (straight lines between samples),
+fits, the twin and what-if. The effective command min(u_cmd, −δ_s) is a constant, a line, a parabola or a sinusoid
+between the moments at which the command crosses −δ_s, which are located exactly; in between ΔL has a closed form, that
+of τ·d(ΔL)/dt + ΔL = K·u_eff.
 """
 
 from __future__ import annotations
@@ -33,26 +33,36 @@ def effective(command: float, a: Actuator) -> float:
 
 
 @inlined
+def answer_to_parabola(
+    length_change: float, target: float, slope: float, bend: float, a: Actuator
+) -> Coefficients:
+    """ΔL (m) from its value on while its target moves with a slope in m/s that grows by ``bend`` in m/s²."""
+    slope -= a.time_constant * bend
+    behind = target - a.time_constant * slope
+    rest = length_change - behind
+    return Coefficients(behind, slope, 0.5 * bend, 0.0, 0.0, 0.0, rest, 0.0, 0.0, 0.0)
+
+
+@inlined
 def answer_to_line(length_change: float, target: float, slope: float, a: Actuator) -> Coefficients:
     """ΔL (m) from its value on while its target moves along a straight line with a slope in m/s.
 
     The answer to a ramp lags it by τ·slope; what is left of that decays.
     """
-    behind = target - a.time_constant * slope
-    return Coefficients(behind, slope, 0.0, 0.0, 0.0, 0.0, length_change - behind, 0.0, 0.0, 0.0)
+    return answer_to_parabola(length_change, target, slope, 0.0, a)
 
 
 @inlined
 def answer_to_sinusoid(
-    length_change: float, stroke: float, omega: float, phase: float, a: Actuator
+    length_change: float, stroke: float, omega: float, phase: float, pretension: float, a: Actuator
 ) -> Coefficients:
-    """ΔL (m) from its value on under u_cmd = −S/2·(1 − cos(phase + ωσ)), beyond the slack."""
+    """ΔL (m) from its value on under u_cmd = −o − S/2·(1 − cos(phase + ωσ)), beyond the slack."""
     lag = omega * a.time_constant
     amplitude = 0.5 * a.gain * stroke / (1.0 + lag * lag)
     # amplitude·(cos(ωt) + lag·sin(ωt)), ωt = phase + ωσ
     cos = amplitude * (math.cos(phase) + lag * math.sin(phase))
     sin = amplitude * (lag * math.cos(phase) - math.sin(phase))
-    mean = -0.5 * a.gain * stroke
+    mean = -a.gain * (pretension + 0.5 * stroke)
     rest = length_change - mean - cos
     return Coefficients(mean, 0.0, 0.0, 0.0, cos, sin, rest, 0.0, 0.0, 0.0)
 
@@ -63,7 +73,8 @@ def value_at(form: Coefficients, time: float, omega: float, time_constant: float
     wave = 0.0
     if omega != 0.0:
         wave = form.cos * math.cos(omega * time) + form.sin * math.sin(omega * time)
-    return form.one + form.t1 * time + wave + form.exp * math.exp(-time / time_constant)
+    line = form.one + (form.t1 + form.t2 * time) * time
+    return line + wave + form.exp * math.exp(-time / time_constant)
 
 
 @inlined

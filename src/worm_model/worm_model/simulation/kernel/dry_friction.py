@@ -108,7 +108,7 @@ def _judge(
     fins = (
         fin_stiffness(motion.rear_region, c) * rear + fin_stiffness(motion.front_region, c) * front
     )
-    load = -fins - c.friction * rate - (c.mass - c.rear_mass) * bend
+    load = -fins - c.load - c.friction * rate - (c.mass - c.rear_mass) * bend
     rear_rests = c.rear_dry > 0.0 and abs(rear_velocity) <= 2.0 * STILL
     front_rests = c.front_dry > 0.0 and abs(front_velocity) <= 2.0 * STILL
     if rear_rests and front_rests:
@@ -143,9 +143,9 @@ def _held(mode: Mode, grip: Grip, motion: Motion, wave: Wave, c: Constants) -> C
     )
     if grip.rear == 0:
         moved = combine(-c.friction, rate, c.rear_mass - c.mass, bend)
-        return shifted(combine(1.0, fins, 1.0, moved), -c.front_dry * grip.front)
+        return shifted(combine(1.0, fins, 1.0, moved), -c.front_dry * grip.front - c.load)
     moved = combine(c.friction, rate, c.rear_mass, bend)
-    return shifted(combine(1.0, fins, 1.0, moved), -c.rear_dry * grip.rear)
+    return shifted(combine(1.0, fins, 1.0, moved), -c.rear_dry * grip.rear - c.load)
 
 
 @compiled

@@ -88,8 +88,9 @@ SAMPLE_COLUMNS = 13
 EVENT_TIME, EVENT_GUARD, EVENT_SWITCHED = range(3)
 EVENT_COLUMNS = 3
 # Entries of the totals
-WORK_DONE, SWITCHES, STEPS, SAMPLED, EVENTS, CHATTER = range(6)
+WORK_DONE, SWITCHES, STEPS, SAMPLED, EVENTS, FAILURE = range(6)
 TOTALS_SIZE = 6
+CHATTERS = 1.0  # in the entry FAILURE: the anchors switch to and fro without end
 
 
 class Segment(NamedTuple):
@@ -195,7 +196,9 @@ def _look_ahead(
         force = read(stage.force, b, s, left, roots, wave, coarse)
         gap = above(force, 0.0) if work.force_side > 0.0 else below(force, 0.0)
         ahead = narrow(ahead, gap, FORCE_SIGN)
-    if wave.omega != 0.0:  # while it only decays, the length rate keeps its sign
+    length_rate = stage.length_rate.position
+    polynomial = length_rate.one != 0.0 or length_rate.t1 != 0.0
+    if wave.omega != 0.0 or (wave.q != 0.0 and polynomial):  # a rate that decays keeps its sign
         rate = read(stage.length_rate, b, s, left, roots, wave, coarse)
         gap = above(rate, 0.0) if work.rate_side > 0.0 else below(rate, 0.0)
         ahead = narrow(ahead, gap, RATE_SIGN)
@@ -402,8 +405,8 @@ def march(
     ``totals`` (TOTALS_SIZE,) accumulates the positive cable work in J (of a gait's length; a sampled
     length has no usable rate), groove switches, steps, and the numbers of rows used of ``samples``
     (n, SAMPLE_COLUMNS; their TIME column, ascending, is given) and of ``events`` (m, EVENT_COLUMNS;
-    what exceeds m is only counted). Returns the motion at the end; the entry CHATTER of the totals
-    becomes 1 if the march gave up.
+    what exceeds m is only counted). Returns the motion at the end; the entry FAILURE of the totals
+    becomes CHATTERS if the march gave up.
     """
     totals[STEPS] = 0.0
     b = basis_at(0.0, 0.0, roots_of(c.mass, c.friction, 0.0), segment.wave, False)
@@ -426,7 +429,7 @@ def march(
             )
             if stop > END:
                 continue
-            totals[CHATTER] = 1.0 if stop == NOTHING else totals[CHATTER]
+            totals[FAILURE] = CHATTERS if stop == NOTHING else totals[FAILURE]
             return motion
         grooves = motion.rear_groove + motion.front_groove
         motion = _crossed(motion, stop, y, y_rate, c)

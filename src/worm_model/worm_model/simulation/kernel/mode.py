@@ -4,7 +4,7 @@
 The state is that of the pseudo-position y = x1 + μ·ΔL with μ = M2 / (M1 + M2), in which the reduced
 dynamics (eq:continuous_model) need no second derivative of the length:
 
-    M·ÿ + 2η·ẏ = (2μ − 1)·η·L̇ − f(x1 − A1) − f(x2 − A2)
+    M·ÿ + 2η·ẏ = (2μ − 1)·η·L̇ − f(x1 − A1) − f(x2 − A2) − Q1 − Q2
 
 The forces of the fins and of the cable (eq:fin_force_piecewise, eq:Fc) are such closed forms too.
 """
@@ -50,6 +50,8 @@ class Constants(NamedTuple):
     unstressed_length: float
     rear_dry: float
     front_dry: float
+    rear_load: float
+    load: float  # of both modules
     one_sided_cable: bool
 
 
@@ -201,7 +203,7 @@ def enter_mode(
     )
     rear_rest = rear_anchor + (motion.rear_region - 1.0) * c.half_clearance
     front_rest = front_anchor + (motion.front_region - 1.0) * c.half_clearance - c.initial_length
-    forcing = shifted(forcing, rear_k * rear_rest + front_k * front_rest + push)
+    forcing = shifted(forcing, rear_k * rear_rest + front_k * front_rest + push - c.load)
     p = _particular(forcing, k, c, wave, resonant, start)
     p_rate = derivative(p, roots, wave)
     # Of the particular response only the part of the segment counts: its resonant part starts from rest.
@@ -221,6 +223,7 @@ def cable_force(mode: Mode, rear_region: int, wave: Wave, c: Constants) -> Coeff
     x1_acceleration = derivative(x1_rate, mode.roots, wave)
     inertial = combine(c.rear_mass, x1_acceleration, c.friction, x1_rate)
     body = combine(-c.bellows_stiffness, mode.length_change, -c.bellows_damping, length_rate)
-    body = shifted(body, c.bellows_stiffness * (c.unstressed_length - c.initial_length))
+    constant = c.bellows_stiffness * (c.unstressed_length - c.initial_length) + c.rear_load
+    body = shifted(body, constant)
     held = combine(1.0, inertial, 1.0, body)
     return combine(1.0, held, 1.0, fin_force(mode.rear, rear_region, c))

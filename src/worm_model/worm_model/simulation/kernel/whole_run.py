@@ -8,16 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from worm_model.simulation.kernel.actuation_law import (
-    Actuator,
-    answer_to_line,
-    answer_to_sinusoid,
-    value_at,
-)
+from worm_model.simulation.kernel.actuation_law import Actuator, value_at
 from worm_model.simulation.kernel.compiled import compiled, entry, inlined, unlocked
 from worm_model.simulation.kernel.linear import Coefficients, Wave
 from worm_model.simulation.kernel.march import (
-    CHATTER,
+    FAILURE,
     FORCE,
     LENGTH_RATE,
     SAMPLE_COLUMNS,
@@ -29,11 +24,15 @@ from worm_model.simulation.kernel.march import (
     Segment,
     march,
 )
-from worm_model.simulation.kernel.mode import Constants, Motion, nearest_groove_of, region_of
+from worm_model.simulation.kernel.mode import Constants, Motion
+from worm_model.simulation.kernel.start import start_of
+from worm_model.simulation.kernel.waveform import PARTS, answer_to_part, borders_of
 
 # Columns of a result row
-MEAN_ADVANCE, MEAN_POWER, LEAST_ADVANCE, RUN_SWITCHES, RUN_CHATTER = range(5)
+MEAN_ADVANCE, MEAN_POWER, LEAST_ADVANCE, RUN_SWITCHES, RUN_FAILURE = range(5)
 RESULT_COLUMNS = 5
+# Failure of a run, in the entry FAILURE of the totals like the march's own CHATTERS
+SLIDES = 2.0  # the fins do not hold the load at rest
 # Columns of a row of how far a run is at the start of a cycle
 REACHED, CABLE_WORK, SWITCHED = range(3)
 BOUNDARY_COLUMNS = 3
@@ -64,17 +63,10 @@ def constants_of(p: Any, direction: float, margin: float) -> Constants:
         unstressed_length=p.unstressed_length,
         rear_dry=p.rear_dry_friction,
         front_dry=p.front_dry_friction,
+        rear_load=p.rear_load,
+        load=p.rear_load + p.front_load,
         one_sided_cable=p.one_sided_cable != 0.0,
     )
-
-
-@compiled
-def start_motion(c: Constants, a: Actuator) -> Motion:
-    """x1 = 0, v1 = 0, A1 = 0, ΔL = 0, the front anchor on the nearest groove; ẏ = v1 + μ·L̇."""
-    length_rate = -a.gain * a.slack / a.time_constant
-    front_groove = int(nearest_groove_of(c.initial_length, c.pitch))
-    phase = c.initial_length - front_groove * c.pitch
-    return Motion(0.0, c.mu * length_rate, 0, front_groove, 1, region_of(phase, c.half_clearance))
 
 
 @inlined
@@ -98,28 +90,18 @@ def play(
 ) -> tuple[float, Motion]:
     """Plays a gait from ``first`` to ``last`` in s since its onset; returns (ΔL in m, the motion) at the end.
 
-    ``g`` is a gait's row, ``length_change`` is ΔL at the start; the arrays are those of `march`. Within a cycle the
-    command leaves the slack at the phase arccos(1 − 2·δ_s/S) and comes back to it as long before the end.
+    ``g`` is a gait's row, ``length_change`` is ΔL at the start; the arrays are those of `march`.
     """
-    stroke, frequency = g.stroke, g.frequency
-    period = 1.0 / frequency
-    opening = 0.5 * period
-    if stroke > a.slack:
-        opening = math.acos(1.0 - 2.0 * a.slack / stroke) / (2.0 * math.pi * frequency)
-    start, cycle = first, math.floor(first * frequency + 1e-9)
-    while start < last and totals[CHATTER] == 0.0:
+    period = 1.0 / g.frequency
+    start, cycle = first, math.floor(first * g.frequency + 1e-9)
+    while start < last and totals[FAILURE] == 0.0:
         begin = cycle * period
-        borders = (begin + opening, begin + period - opening, begin + period)
-        for part in range(3):
+        borders = borders_of(begin, g, a)
+        for part in range(PARTS):
             end = min(borders[part], last)
-            if end <= start or totals[CHATTER] != 0.0:
+            if end <= start or totals[FAILURE] != 0.0:
                 continue
-            omega = 2.0 * math.pi * frequency if part == 1 else 0.0
-            if part == 1:
-                phase = omega * (start - begin)
-                form = answer_to_sinusoid(length_change, stroke, omega, phase, a)
-            else:
-                form = answer_to_line(length_change, -a.gain * a.slack, 0.0, a)
+            form, omega = answer_to_part(part, begin, start, length_change, g, a)
             segment = Segment(start, end - start, form, Wave(c.mass, omega, -1.0 / a.time_constant))
             motion = march(segment, motion, c, totals, samples, events)
             length_change = value_at(form, end - start, omega, a.time_constant)
@@ -139,8 +121,10 @@ def run_gait(
 ) -> None:
     """Runs a gait from the start for a number of cycles; the arrays are those of `march`."""
     c, a = constants_of(p, g.direction, g.margin), actuator_of(p)
-    motion, last = start_motion(c, a), cycles * (1.0 / g.frequency)
-    play(0.0, last, g, 0.0, motion, c, a, totals, samples, events)
+    held, length_change, motion = start_of(g, c, a)
+    if not held:
+        totals[FAILURE] = SLIDES
+    play(0.0, cycles * (1.0 / g.frequency), g, length_change, motion, c, a, totals, samples, events)
 
 
 @inlined
@@ -172,9 +156,13 @@ def run_cycles(
     that is the state in which the cycle before began, every further cycle is that one again, and not run.
     """
     nothing = np.empty((0, SAMPLE_COLUMNS))
-    motion, length_change, steady = start_motion(c, a), 0.0, False
-    before, period = motion, 1.0 / g.frequency
+    held, length_change, motion = start_of(g, c, a)
+    if not held:
+        totals[FAILURE] = SLIDES
+        return
+    steady, before, period = False, motion, 1.0 / g.frequency
     boundaries[0] = 0.0
+    boundaries[0, REACHED] = motion.y - c.mu * length_change
     for cycle in range(boundaries.shape[0] - 1):
         now, then = boundaries[cycle], boundaries[cycle + 1]
         if steady:
@@ -188,7 +176,7 @@ def run_cycles(
         length_change, motion = play(
             first, last, g, length_change, motion, c, a, totals, nothing, nothing
         )
-        if totals[CHATTER] != 0.0:
+        if totals[FAILURE] != 0.0:
             return
         steady = abs(length_change - length_before) <= STEADY and _alike(before, motion, c)
         then[REACHED] = motion.y - c.mu * length_change
@@ -208,7 +196,7 @@ def evaluate(
     """Fills a result row for a gait.
 
     Its entries: mean advance of x1 a cycle in m along the direction, mean power in W, least advance of an
-    averaged cycle in m, switches in the whole run, and whether the run gave up.
+    averaged cycle in m, switches in the whole run, and the failure of the run or 0.
     """
     frequency, direction = g.frequency, g.direction
     boundaries = np.empty((cycles + 1, BOUNDARY_COLUMNS))
@@ -216,8 +204,8 @@ def evaluate(
     c, a = constants_of(p, direction, g.margin), actuator_of(p)
     run_cycles(g, c, a, boundaries, totals)
     result[RUN_SWITCHES] = totals[SWITCHES]
-    result[RUN_CHATTER] = totals[CHATTER]
-    if totals[CHATTER] != 0.0:
+    result[RUN_FAILURE] = totals[FAILURE]
+    if totals[FAILURE] != 0.0:
         result[MEAN_ADVANCE] = result[MEAN_POWER] = result[LEAST_ADVANCE] = math.nan
         return
     first = cycles - averaged
@@ -265,7 +253,7 @@ def sample_many(
         totals = np.zeros(TOTALS_SIZE)
         samples[:, TIME] = (cycle + phases) / gaits[k].frequency
         run_gait(gaits[k], p, cycle + 1, totals, samples, samples[:0])
-        if totals[CHATTER] != 0.0:
+        if totals[FAILURE] != 0.0:
             samples[:] = math.nan
         force[k], length_rate[k] = samples[:, FORCE], samples[:, LENGTH_RATE]
 
@@ -304,7 +292,7 @@ def run_sampled(
         )
         segment = Segment(breaks[k], duration, form, still)
         motion = march(segment, motion, c, totals, samples, events)
-        if totals[CHATTER] != 0.0:
+        if totals[FAILURE] != 0.0:
             break
     return motion
 

@@ -100,6 +100,42 @@ def _resonant_products(
 
 
 @inlined
+def _line_times_free(p0: float, p1: float, h1: float, h2: float, b: Basis, roots: Roots) -> float:
+    """∫ (p0 + p1·σ) times the free response with the coefficients h1 and h2, by parts."""
+    line = p0 + p1 * b.t1
+    if roots.joined:
+        det = roots.discriminant - roots.gamma * roots.gamma
+        a1, a2 = (roots.gamma * h1 + h2) / det, (roots.discriminant * h1 + roots.gamma * h2) / det
+        b1, b2 = (roots.gamma * a1 + a2) / det, (roots.discriminant * a1 + roots.gamma * a2) / det
+        return (line * a1 - p1 * b1) * b.h1 + (line * a2 - p1 * b2) * b.h2
+    total = h2 * b.h2 * (line - p1 / roots.r2) / roots.r2
+    if roots.r1 != 0.0:  # both fins are clear: F_c contains no constant free response
+        total += h1 * b.h1 * (line - p1 / roots.r1) / roots.r1
+    return total
+
+
+@inlined
+def _polynomial_products(
+    r: Coefficients, f: Coefficients, b: Basis, wave: Wave, roots: Roots
+) -> float:
+    """∫ of the polynomial of the rate times the force, and of its decaying term times the force's beyond a constant."""
+    t, q = b.t1, wave.q
+    total = t * (r.one * f.one + t * 0.5 * (r.one * f.t1 + r.t1 * f.one))
+    total += t * t * t * ((r.one * f.t2 + r.t1 * f.t1) / 3.0 + t * 0.25 * r.t1 * f.t2)
+    line = (r.one + r.t1 * t - r.t1 / q) / q
+    parabola = t * (f.t1 + f.t2 * t) - (f.t1 + 2.0 * f.t2 * t - 2.0 * f.t2 / q) / q
+    total += b.exp * (f.exp * line + r.exp * parabola / q)
+    total += _line_times_free(r.one, r.t1, f.h1, f.h2, b, roots)
+    if f.res == 0.0:
+        return total
+    # of the response R to e^qσ, R' = q·R + S/M with S free from rest: ∫ P·R = G·R − ∫ G·S / M with G' + q·G = P
+    gap = roots.r1 - roots.r2
+    h1, h2 = (0.0, 1.0) if roots.joined else (1.0 / gap, -1.0 / gap)
+    free = _line_times_free(r.one / q - r.t1 / (q * q), r.t1 / q, h1, h2, b, roots)
+    return total + f.res * (line * b.res - free / wave.mass)
+
+
+@inlined
 def cable_work(
     length_change: Coefficients,
     rate: Coefficients,
@@ -120,6 +156,8 @@ def cable_work(
         total += _joined_products(rate, force, b, wave, roots)
     else:
         total += _separated_products(rate, force, b, wave, roots)
+    if rate.one != 0.0 or rate.t1 != 0.0 or force.t1 != 0.0 or force.t2 != 0.0:
+        total += _polynomial_products(rate, force, b, wave, roots)
     if force.res != 0.0:
         total += _resonant_products(rate, force, b, wave, roots)
     return total

@@ -33,7 +33,7 @@ from worm_model.simulation.kernel.actuation_law import (
 from worm_model.simulation.kernel.compiled import entry, unlocked
 from worm_model.simulation.kernel.linear import Coefficients, Wave
 from worm_model.simulation.kernel.march import (
-    CHATTER,
+    FAILURE,
     FORCE,
     FRONT_FORCE,
     LENGTH_RATE,
@@ -454,8 +454,8 @@ def _take_next(memory: Memory, rules: Rules, c: Constants, a: Actuator, p: Any, 
         return PAUSE
     moving = m.moving
     _follow(memory, rules, c, a, p, out)
-    if memory.totals[CHATTER] != 0.0:
-        memory.totals[CHATTER] = 0.0
+    if memory.totals[FAILURE] != 0.0:
+        memory.totals[FAILURE] = 0.0
         put_at_rest(memory, row.stamp, m.length_change, m.source, c)
         m.taken_ns = row.stamp
         m.place += 1

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The state in which a run begins: at rest, under a load in the equilibrium of the fins."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from worm_model.simulation.kernel.actuation_law import Actuator
+from worm_model.simulation.kernel.compiled import compiled
+from worm_model.simulation.kernel.guard import NEVER
+from worm_model.simulation.kernel.mode import (
+    ABOVE,
+    BELOW,
+    Constants,
+    Motion,
+    fin_stiffness,
+    nearest_groove_of,
+    region_of,
+)
+from worm_model.simulation.kernel.waveform import rest_of
+
+REGIONS = 3
+
+
+@compiled
+def _balance(offset: float, c: Constants) -> tuple[float, int, int]:
+    """(deflection of the rear fin in m, the regions of both fins) at which the fins hold the load.
+
+    ``offset`` in m is the deflection of the front fin less that of the rear one. The force of both fins grows with the
+    deflection, so that one pair of regions contains its own balance, but for rounding at a border.
+    """
+    best, deflection, regions = NEVER, 0.0, 0
+    for pair in range(REGIONS * REGIONS):
+        rear, front = pair // REGIONS, pair % REGIONS
+        rear_k, front_k = fin_stiffness(rear, c), fin_stiffness(front, c)
+        if rear_k + front_k == 0.0:
+            continue
+        rear_rest = (rear - 1.0) * c.half_clearance
+        front_rest = (front - 1.0) * c.half_clearance - offset
+        x = (rear_k * rear_rest + front_k * front_rest - c.load) / (rear_k + front_k)
+        outside = max(_outside(x, rear, c), _outside(x + offset, front, c))
+        if outside < best:
+            best, deflection, regions = outside, x, pair
+    return deflection, regions // REGIONS, regions % REGIONS
+
+
+@compiled
+def _outside(deflection: float, region: int, c: Constants) -> float:
+    """How far a deflection lies outside of a region, m."""
+    if region == ABOVE:
+        return max(c.half_clearance - deflection, 0.0)
+    if region == BELOW:
+        return max(deflection + c.half_clearance, 0.0)
+    return max(abs(deflection) - c.half_clearance, 0.0)
+
+
+@compiled
+def start_of(g: Any, c: Constants, a: Actuator) -> tuple[bool, float, Motion]:
+    """(whether the fins hold the load, ΔL in m, the motion) at the start of a gait's row.
+
+    Without a load, x1 = 0. With one, the modules are where the fins balance it. The front anchor is on the groove that
+    is nearest to the front module at ΔL = 0. A fin beyond its threshold slips into the next groove at once, the rear
+    one first; a load that both fins have given way to by a groove is not held. v1 = 0, and ẏ = v1 + μ·L̇.
+    """
+    length_change = rest_of(g, a)
+    length_rate = 0.0 if g.pretension > 0.0 else -a.gain * a.slack / a.time_constant
+    rear_groove, front_groove = 0, int(nearest_groove_of(c.initial_length, c.pitch))
+    slips = int(abs(length_change) / c.pitch) + 4
+    for _ in range(slips):
+        gap = (front_groove - rear_groove) * c.pitch
+        offset = c.initial_length + length_change - gap
+        if c.load != 0.0:
+            rear, rear_region, front_region = _balance(offset, c)
+        else:
+            rear = -rear_groove * c.pitch
+            rear_region = region_of(rear, c.half_clearance)
+            front_region = region_of(rear + offset, c.half_clearance)
+        if abs(rear) > c.threshold:
+            rear_groove += 1 if rear > 0.0 else -1
+        elif abs(rear + offset) > c.threshold:
+            front_groove += 1 if rear + offset > 0.0 else -1
+        else:
+            y = rear + rear_groove * c.pitch + c.mu * length_change
+            motion = Motion(
+                y, c.mu * length_rate, rear_groove, front_groove, rear_region, front_region
+            )
+            return True, length_change, motion
+    return False, length_change, Motion(0.0, 0.0, rear_groove, front_groove, 1, 1)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A cycle of a gait (`worm_model.gait.Gait`) in parts over which the effective command has one form.
+
+A cycle begins and ends in the slack, unless the pretension exceeds it. In between, each half is a half wave of a
+cosine or three pieces of the trapezoidal velocity profile. The two half waves of equal duration are one sinusoid.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from worm_model.simulation.kernel.actuation_law import (
+    Actuator,
+    answer_to_line,
+    answer_to_parabola,
+    answer_to_sinusoid,
+)
+from worm_model.simulation.kernel.compiled import compiled, inlined
+from worm_model.simulation.kernel.linear import Coefficients
+
+COSINE = 0.0  # of `worm_model.gait.Profile`
+PARTS = 8  # slack, three pieces of the contraction, three of the extension, slack
+
+Borders = tuple[float, float, float, float, float, float, float, float]
+
+
+@inlined
+def rest_of(g: Any, a: Actuator) -> float:
+    """ΔL in m at which a run begins; ``g`` is a gait's row. Without pretension the slack is still to be taken up."""
+    return 0.0 if g.pretension == 0.0 else -a.gain * max(g.pretension, a.slack)
+
+
+@inlined
+def _slack_time(share: float, g: Any, a: Actuator) -> float:
+    """Time in s at the outer end of a half cycle, of a ``share`` of the cycle, in which the command is in the slack."""
+    taken_up = (a.slack - g.pretension) / g.stroke
+    if taken_up <= 0.0:
+        return 0.0
+    if taken_up >= 1.0:
+        return share / g.frequency
+    if g.profile == COSINE:
+        return share * math.acos(1.0 - 2.0 * taken_up) / (math.pi * g.frequency)
+    ramp, speed = g.ramp_share, 1.0 / (1.0 - g.ramp_share)
+    if taken_up < 0.5 * speed * ramp:
+        part = math.sqrt(2.0 * taken_up * ramp / speed)
+    elif taken_up <= 1.0 - 0.5 * speed * ramp:
+        part = taken_up / speed + 0.5 * ramp
+    else:
+        part = 1.0 - math.sqrt(2.0 * (1.0 - taken_up) * ramp / speed)
+    return part * share / g.frequency
+
+
+@compiled
+def borders_of(begin: float, g: Any, a: Actuator) -> Borders:
+    """Ends of the parts of a cycle that begins at ``begin`` in s, not descending; a part may have no duration."""
+    period = 1.0 / g.frequency
+    opening = begin + _slack_time(g.contraction_share, g, a)
+    closing = begin + period - _slack_time(1.0 - g.contraction_share, g, a)
+    middle, end = begin + g.contraction_share * period, begin + period
+    if g.profile == COSINE:
+        if g.contraction_share == 0.5:
+            middle = closing
+        return opening, middle, middle, middle, closing, closing, closing, end
+    ramp = g.ramp_share * (middle - begin)
+    first, second = max(opening, begin + ramp), max(opening, middle - ramp)
+    ramp = g.ramp_share * (end - middle)
+    third, fourth = min(closing, middle + ramp), min(closing, end - ramp)
+    return opening, first, second, middle, third, fourth, closing, end
+
+
+@inlined
+def _answer_to_piece(
+    piece: int, half: float, time: float, length_change: float, g: Any, a: Actuator
+) -> Coefficients:
+    """ΔL (m) over a piece of the trapezoid, 0 to 2 of the contraction and 3 to 5 of the extension, from a time on.
+
+    ``half`` is the duration of the half and ``time`` the time in it, s.
+    """
+    ramp, speed = g.ramp_share * half, g.stroke / ((1.0 - g.ramp_share) * half)
+    bend = speed / ramp
+    place = piece % 3
+    if place == 0:
+        position, rate = 0.5 * bend * time * time, bend * time
+    elif place == 1:
+        position, rate, bend = speed * (time - 0.5 * ramp), speed, 0.0
+    else:
+        left = half - time
+        position, rate, bend = g.stroke - 0.5 * bend * left * left, bend * left, -bend
+    if piece < 3:
+        position, rate, bend = -position, -rate, -bend
+    else:
+        position -= g.stroke
+    target = a.gain * (position - g.pretension)
+    return answer_to_parabola(length_change, target, a.gain * rate, a.gain * bend, a)
+
+
+@compiled
+def answer_to_part(
+    part: int, begin: float, start: float, length_change: float, g: Any, a: Actuator
+) -> tuple[Coefficients, float]:
+    """(ΔL in m, angular frequency ω in 1/s or 0) over a part of the cycle begun at ``begin``, from ``start`` on."""
+    if part in (0, PARTS - 1):
+        return answer_to_line(length_change, -a.gain * a.slack, 0.0, a), 0.0
+    share, origin, phase = g.contraction_share, begin, 0.0
+    if part > 3:
+        origin, phase, share = begin + share / g.frequency, math.pi, 1.0 - share
+    if g.profile != COSINE:
+        half = share / g.frequency
+        return _answer_to_piece(part - 1, half, start - origin, length_change, g, a), 0.0
+    omega = math.pi * g.frequency / share
+    phase += omega * (start - origin)
+    return answer_to_sinusoid(length_change, g.stroke, omega, phase, g.pretension, a), omega

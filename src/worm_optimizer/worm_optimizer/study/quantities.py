@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Table of the quantities that a study may vary or fix: the keys of a parameter file, the conditions, and `_OTHERS`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from worm_model.conditions import CONDITION_ROWS
+from worm_model.gait import MAX_FREQUENCY, MAX_MARGIN, MAX_STROKE
+from worm_msgs.robot_parameters import ROWS
+
+_SMALL, _LARGE = 1e-6, 1e6  # bounds of positive quantities
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Quantity with its SI ``unit``, description, and admissible range, which detects wrong units."""
+
+    unit: str
+    long_name: str
+    low: float
+    high: float
+
+
+_OTHERS: Mapping[str, Quantity] = {
+    "margin_m": Quantity("m", "robustness margin", 0.0, MAX_MARGIN),
+    "direction": Quantity("1", "direction: 1 forward, -1 reverse", -1.0, 1.0),
+    "groove_phase_m": Quantity("m", "groove phase", -0.1, 0.1),
+    "spool_radius_m": Quantity("m", "spool radius of the cable servos", 1e-3, 1.0),
+    "min_stroke_m": Quantity("m", "shortest stroke", _SMALL, MAX_STROKE),
+    "max_stroke_m": Quantity("m", "longest stroke", _SMALL, MAX_STROKE),
+    "min_frequency_Hz": Quantity("Hz", "lowest frequency", _SMALL, MAX_FREQUENCY),
+    "max_frequency_hz": Quantity("Hz", "highest frequency", _SMALL, MAX_FREQUENCY),
+    "max_cable_speed_m_per_s": Quantity("m/s", "highest cable speed", _SMALL, _LARGE),
+    "max_cable_force_N": Quantity("N", "highest cable force", _SMALL, _LARGE),
+    "max_power_W": Quantity("W", "highest source power", _SMALL, _LARGE),
+    "stall_force_N": Quantity("N", "cable force at which the motors stall", _SMALL, _LARGE),
+    "no_load_speed_m_s": Quantity("m/s", "cable speed of the motors without load", _SMALL, _LARGE),
+    "at_power_W": Quantity("W", "power of the gait max_speed_at_power", _SMALL, _LARGE),
+    "at_speed_m_s": Quantity("m/s", "speed of the gait min_power_at_speed", _SMALL, _LARGE),
+    "reference_power_W": Quantity("W", "power up to which hypervolumes count", _SMALL, _LARGE),
+}
+LIMITS = (  # in the order of the fields of ActuatorLimits
+    *("max_cable_speed_m_per_s", "max_cable_force_N", "max_power_W"),
+    *("stall_force_N", "no_load_speed_m_s"),
+)
+_CF_UNITS = {"°": "degree", "m²": "m2", "N·s/m": "N s/m"}  # as the CF conventions write them
+QUANTITIES: Mapping[str, Quantity] = {
+    **{
+        key: Quantity(
+            _CF_UNITS.get(row["unit"], row["unit"]),
+            f"{key.replace('_', ' ')} ({row['paper']})",
+            row["low"],
+            row["high"],
+        )
+        for key, row in ROWS.items()
+    },
+    **{
+        key: Quantity(
+            _CF_UNITS.get(row["unit"], row["unit"]), row["meaning"], row["low"], row["high"]
+        )
+        for key, row in CONDITION_ROWS.items()
+    },
+    **_OTHERS,
+}

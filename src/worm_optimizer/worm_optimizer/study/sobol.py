@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sobol indices of a quantity from a Saltelli sample, with bootstrapped bounds.
+
+The indices divide the variance of a quantity between independent inputs. The first-order index of an input is the share
+that would vanish if this input alone were known. The total index is the share that the input contributes to, alone or
+together with others. The estimators are SciPy's.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import sobol_indices
+
+Array = NDArray[np.float64]
+
+_LEAST_VARIANCE = 1e-24  # a quantity with a variance below this does not vary
+_VISIBLE = 5e-4  # difference of two indices that a printed percentage shows
+
+
+@dataclass(frozen=True)
+class Indices:
+    """Sobol indices of one quantity; NaN if the quantity does not vary or lacks values.
+
+    Attributes:
+        first, total: first-order and total indices, shape (inputs,).
+        first_bounds, total_bounds: 95 % bounds, shape (2, inputs).
+        mean, deviation: mean and standard deviation of the quantity, in its unit.
+    """
+
+    first: Array
+    total: Array
+    first_bounds: Array
+    total_bounds: Array
+    mean: float
+    deviation: float
+
+    @property
+    def inconsistent(self) -> NDArray[np.intp]:
+        """Inputs whose total index is below the first-order index, which is impossible with enough samples."""
+        return np.flatnonzero(self.total < self.first - _VISIBLE)
+
+
+def indices_of(values: Array, inputs: int, seed: int) -> Indices:
+    """Return the indices of a quantity.
+
+    Args:
+        values: quantity at the points of a Saltelli sample, in the order of `plan.Sample.draw`, shape
+            (samples · (inputs + 2),).
+        inputs: number of inputs.
+        seed: seed of the bootstrap.
+    """
+    rows = values.reshape(-1, inputs + 2)
+    plain = rows[:, :2]  # of independent points
+    mean, deviation = float(np.mean(plain)), float(np.std(plain))
+    if not (np.all(np.isfinite(rows)) and deviation**2 > _LEAST_VARIANCE):
+        unknown = np.full(inputs, np.nan)
+        pair = np.stack([unknown, unknown])
+        return Indices(unknown, unknown, pair, pair, mean, deviation)
+    twice = np.stack([rows, rows])  # SciPy fails for one quantity of one input
+    with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about draws of the bootstrap without variance
+        result = sobol_indices(
+            func={
+                "f_A": twice[:, :, 0],
+                "f_B": twice[:, :, 1],
+                "f_AB": np.moveaxis(twice[:, :, 2:], 2, 0),
+            },
+            n=len(rows),
+        )
+        bounds = _bootstrap(result, seed)
+
+    def first_row(values: Array) -> Array:
+        return np.reshape(values, (2, inputs))[0]
+
+    def interval(bound: Any) -> Array:
+        ends = bound.confidence_interval
+        return np.stack([first_row(ends.low), first_row(ends.high)])
+
+    return Indices(
+        first_row(result.first_order),
+        first_row(result.total_order),
+        interval(bounds.first_order),
+        interval(bounds.total_order),
+        mean,
+        deviation,
+    )
+
+
+def _bootstrap(result: Any, seed: int) -> Any:
+    """Return 95 % bounds of the indices.
+
+    SciPy does not accept a generator here and draws from NumPy's global one, whose state is restored.
+    """
+    before = np.random.get_state()  # noqa: NPY002
+    np.random.seed(seed)  # noqa: NPY002
+    try:
+        return result.bootstrap(confidence_level=0.95)
+    finally:
+        np.random.set_state(before)  # noqa: NPY002
+
+
+def percent(value: float) -> str:
+    """Return a share as a percentage, never as "-0.0 %"."""
+    return f"{round(100.0 * value, 1) + 0.0:.1f} %"
+
+
+def index_text(values: Array, bounds: Array, row: int) -> str:
+    """Return an index with its bounds as text."""
+    low, high = (percent(value) for value in bounds[:, row])
+    return f"{percent(values[row]):>7} ({low} to {high})"
+
+
+def warnings_of(name: str, indices: Indices, inputs: Sequence[str]) -> list[str]:
+    """Return the reasons to distrust the indices of a quantity."""
+    if not indices.inconsistent.size:
+        return []
+    listed = ", ".join(inputs[k] for k in indices.inconsistent)
+    return [
+        f"{name}: the total index of {listed} is below the first-order index: the samples are too few, use more"
+    ]

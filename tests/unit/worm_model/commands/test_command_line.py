@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+from worm_model.commands.command_line import ProgressLine, duration
+
+
+def test_progress_shows_the_time_left_at_the_mean_speed(capsys):
+    times = iter((100.0, 130.0, 160.0))
+    line = ProgressLine("study", lambda: next(times))
+    for fraction in (0.2, 0.35, 0.6, 1.0):
+        line(fraction)
+    # 0.15 in 30 s leave 0.65 in 130 s; 0.4 in 60 s leave 0.4 in 60 s.
+    assert capsys.readouterr().err == (
+        "study: 20%\nstudy: 35%, 2.2 min left\nstudy: 60%, 60 s left\nstudy: 100%\n"
+    )
+
+
+def test_durations_have_the_largest_fitting_unit():
+    assert [duration(value) for value in (5.0, 120.0, 7200.0, 200_000.0)] == [
+        "5 s",
+        "2.0 min",
+        "2.0 h",
+        "2.3 days",
+    ]

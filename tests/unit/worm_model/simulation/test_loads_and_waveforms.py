@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loads and waveforms against an independent integration, their closed forms, and the gaits without them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle import Oracle
+from random_cases import random_case, random_loaded_case
+
+from worm_model.conditions import LEVEL, Conditions, ConditionsError, under
+from worm_model.gait import FORWARD, REVERSE, Gait, GaitError, Profile, gait_of
+from worm_model.parameters import PAPER, STANDARD_GRAVITY, ParameterError
+from worm_model.simulation.actuation import length_change_range
+from worm_model.simulation.batch import evaluate_gaits
+from worm_model.simulation.closed_form import (
+    cliff_margin,
+    grooves_per_cycle,
+    largest_load,
+    largest_static_load,
+)
+from worm_model.simulation.simulator import LoadError, evaluate_gait, simulate
+
+CRUISE = Gait(0.0754, 0.147)  # the paper's
+
+WAVEFORMS = st.builds(
+    Gait,
+    stroke=st.floats(0.01, 0.08),
+    frequency=st.floats(0.08, 0.4),
+    pretension=st.sampled_from([0.0, 0.004, 0.02]),
+    contraction_share=st.floats(0.1, 0.9),
+    profile=st.sampled_from(list(Profile)),
+    ramp_share=st.floats(0.1, 0.5),
+)
+
+
+@pytest.mark.parametrize("seed", range(42))
+def test_random_loads_and_waveforms_agree_with_the_oracle(seed: int) -> None:
+    _, gait, parameters = random_loaded_case(seed)
+    oracle = Oracle(gait, parameters).run()
+    result = evaluate_gait(gait, parameters)
+    advance = gait.direction * oracle.advance(3)
+    assert result.grooves_per_cycle == pytest.approx(advance / parameters.pitch, abs=1e-7)
+    power = parameters.idle_power + parameters.power_factor * oracle.work(3) * gait.frequency
+    assert result.power == pytest.approx(power, rel=1e-6)
+    assert result.switches == oracle.switches
+    starts = simulate(gait, parameters).at(np.arange(6) * gait.period)
+    assert starts.x1 == pytest.approx([x1 for x1, _ in oracle.boundaries], rel=0, abs=1e-9)
+
+
+def test_a_batch_of_loads_and_waveforms_equals_single_gaits() -> None:
+    cases = [random_loaded_case(seed) for seed in range(30)]
+    fields = [row.name for row in dataclasses.fields(Gait)]
+    keys = [row.name for row in dataclasses.fields(PAPER) if row.metadata]
+    for one_sided in (False, True):
+        table = evaluate_gaits(
+            **{name: [getattr(gait, name) for _, gait, _ in cases] for name in fields},
+            parameters=PAPER.replace(one_sided_cable=one_sided),
+            overrides={key: np.array([getattr(p, key) for _, _, p in cases]) for key in keys},
+        )
+        for row, (_, gait, parameters) in enumerate(cases):
+            if parameters.one_sided_cable is one_sided:
+                single = evaluate_gait(gait, parameters)
+                assert table.speed[row] == single.speed
+                assert table.power[row] == single.power
+
+
+@given(WAVEFORMS, st.floats(0.0, 1.0))
+def test_u_cmd_is_continuous_and_within_its_range(gait: Gait, phase: float) -> None:
+    time, step = phase * gait.period, 1e-7 * gait.period
+    before, here, after = gait.command(np.array([time - step, time, time + step]))
+    assert -gait.reach - 1e-12 <= here <= -gait.pretension + 1e-12
+    assert max(abs(here - before), abs(after - here)) <= gait.peak_speed * step * (1 + 1e-6) + 1e-15
+    jump = abs(after - 2.0 * here + before) / step  # of the rate
+    ramp = min(gait.ramp_share, 0.5) * min(gait.contraction_share, 1.0 - gait.contraction_share)
+    assert jump <= 3.0 * np.pi * gait.peak_speed * step / (ramp * gait.period) + 1e-6
+    turning = gait.contraction_share * gait.period
+    assert gait.command(np.array([0.0, turning])) == pytest.approx([-gait.pretension, -gait.reach])
+
+
+@settings(max_examples=20, deadline=None)
+@given(WAVEFORMS)
+def test_the_length_follows_the_command(gait: Gait) -> None:
+    """ΔL is the answer of the lag to the effective command, integrated in small steps."""
+    cycles, steps = 2, 20_000
+    times = np.linspace(0.0, cycles * gait.period, steps + 1)
+    target = PAPER.gain * np.minimum(gait.command(times), -PAPER.slack)
+    decay = np.exp(-(times[1] - times[0]) / PAPER.time_constant)
+    change = np.empty(steps + 1)
+    change[0] = target[0] if gait.pretension else 0.0
+    for k in range(steps):
+        middle = 0.5 * (target[k] + target[k + 1])
+        change[k + 1] = middle + (change[k] - middle) * decay
+    run = simulate(gait, PAPER, cycles).at(times)
+    assert run.length - PAPER.initial_length == pytest.approx(change, abs=2e-6)
+
+
+@settings(max_examples=15, deadline=None)
+@given(WAVEFORMS)
+def test_the_range_of_any_waveform_is_that_of_the_periodic_state(gait: Gait) -> None:
+    cycles = 15
+    times = np.linspace((cycles - 1) * gait.period, cycles * gait.period, 5001)
+    change = simulate(gait, PAPER, cycles).at(times).length - PAPER.initial_length
+    lowest, highest = length_change_range(gait, PAPER)
+    assert lowest == pytest.approx(change.min(), abs=1e-7)
+    assert highest == pytest.approx(change.max(), abs=1e-7)
+
+
+def test_a_slow_gait_with_pretension_has_the_range_of_its_command() -> None:
+    gait = Gait(0.05, 0.001, pretension=0.02)
+    expected = -PAPER.gain * gait.reach, -PAPER.gain * gait.pretension
+    assert length_change_range(gait, PAPER) == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(21))
+def test_equal_halves_of_a_cosine_are_the_papers_gait(seed: int) -> None:
+    """Halves that differ by rounding alone are computed as two, with the results of one sinusoid."""
+    _, gait, parameters = random_case(seed)
+    split = dataclasses.replace(gait, contraction_share=0.5 + 1e-13)
+    one, other = (evaluate_gait(g, parameters) for g in (gait, split))
+    assert other.grooves_per_cycle == pytest.approx(one.grooves_per_cycle, abs=1e-8)
+    assert other.power == pytest.approx(one.power, rel=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_mirrored_robot_under_the_mirrored_load_gains_as_much(seed: int) -> None:
+    """But for a transient, of which the other module is the rear one."""
+    _, gait, parameters = random_loaded_case(seed)
+    parameters = parameters.replace(
+        front_mass=parameters.rear_mass,
+        rear_dry_friction=1.0,
+        front_dry_friction=1.0,
+        initial_length=17 * parameters.pitch,
+        rear_load=parameters.front_load,
+    )
+    mirrored = parameters.replace(
+        rear_load=-parameters.front_load, front_load=-parameters.rear_load
+    )
+    back = dataclasses.replace(gait, direction=-gait.direction)
+    there, again = evaluate_gait(gait, parameters), evaluate_gait(back, mirrored)
+    assert again.grooves_per_cycle == pytest.approx(there.grooves_per_cycle, abs=1e-2)
+
+
+def test_a_loaded_run_starts_in_the_equilibrium() -> None:
+    parameters = PAPER.replace(rear_load=3.0, front_load=4.0)
+    start = simulate(CRUISE, parameters).at([0.0])
+    assert start.rear_force[0] + start.front_force[0] == pytest.approx(-7.0, abs=1e-9)
+    assert start.v1[0] == 0.0
+    tense = dataclasses.replace(CRUISE, stroke=0.05, pretension=0.02)
+    start = simulate(tense, parameters).at([0.0])
+    change = start.length[0] - parameters.initial_length
+    assert change == pytest.approx(-parameters.gain * 0.02)
+    assert start.rear_force[0] + start.front_force[0] == pytest.approx(-7.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("direction", [FORWARD, REVERSE])
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_load_that_the_fins_do_not_hold_is_reported(direction: int, side: int) -> None:
+    gait = dataclasses.replace(CRUISE, direction=direction)
+    held = largest_static_load(PAPER, side, gait)
+    simulate(gait, PAPER.replace(rear_load=0.999 * side * held)).at([0.0])
+    beyond = PAPER.replace(front_load=1.001 * side * held)
+    with pytest.raises(LoadError, match="rear_load") as error:
+        evaluate_gait(gait, beyond)
+    assert f"{held:.4g} N" in str(error.value)
+    with pytest.raises(LoadError):
+        simulate(gait, beyond).at([0.0])
+    table = evaluate_gaits(gait.stroke, gait.frequency, 0.0, direction, parameters=beyond)
+    assert np.isnan(table.speed)
+    assert np.isnan(table.power)
+
+
+def test_the_papers_cruise_on_slopes() -> None:
+    """The table at the opening of the issue on loads: an independent integration of the model on slopes."""
+
+    def grooves(slope: float, margin: float = 0.0) -> float:
+        gait = dataclasses.replace(CRUISE, margin=margin)
+        return evaluate_gait(gait, under(Conditions(slope_deg=slope), PAPER)).grooves_per_cycle
+
+    assert [round(grooves(slope)) for slope in (0, 15, 30, 45, 60, 90)] == [2, 2, 2, 2, 2, 0]
+    assert round(grooves(15, 0.0025)) == 0
+    assert [round(grooves(30, margin)) for margin in (0.001, 0.002)] == [2, 0]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_cliff_under_a_load_is_that_of_slow_gaits(seed: int) -> None:
+    """Q/(k_eng + k_dis) per newton, over random robots, loads and directions."""
+    rng = np.random.default_rng(seed)
+    changes = {
+        key: float(getattr(PAPER, key) * rng.uniform(0.85, 1.15))
+        for key in ("engaged_stiffness", "disengaged_stiffness", "gain", "clearance")
+    }
+    phase = rng.uniform(0.001, 0.006)
+    robot = PAPER.replace(
+        initial_length=17 * PAPER.pitch + phase, switching_threshold=0.016, **changes
+    )
+    direction, load = int(rng.choice([1, -1])), float(rng.uniform(-2.0, 2.0))
+    loaded = robot.replace(rear_load=0.5 * load, front_load=0.5 * load)
+    stiffness = robot.engaged_stiffness + robot.disengaged_stiffness
+    cliff = cliff_margin(loaded, direction)
+    free = cliff_margin(robot, direction)
+    assert cliff == pytest.approx(free - direction * load / stiffness, abs=1e-12)
+    stroke = (
+        2.0 * robot.pitch + 0.024
+    ) / robot.gain + robot.slack  # beyond the edge of two grooves
+    margins = cliff + np.array([-5e-5, 5e-5])
+    table = evaluate_gaits(stroke, 0.004, margins, direction, parameters=loaded)
+    before, after = np.round(table.grooves_per_cycle)
+    assert before > after
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_largest_load_is_that_of_a_slow_gait(seed: int) -> None:
+    rng = np.random.default_rng([seed, 1])
+    robot = PAPER.replace(initial_length=float(17 * PAPER.pitch + rng.uniform(-0.008, 0.008)))
+    gait = Gait(
+        stroke=rng.uniform(0.06, 0.08),
+        frequency=0.004,
+        direction=int(rng.choice([1, -1])),
+        pretension=float(rng.choice([0.0, 0.01])),
+        profile=Profile(int(rng.integers(0, 2))),
+    )
+    for grooves in (1, 2):
+        load = largest_load(gait, robot, grooves)
+        if np.isnan(load):
+            assert grooves_per_cycle(gait, robot) < grooves
+            continue
+        found = [
+            evaluate_gait(gait, robot.replace(rear_load=gait.direction * q)).grooves_per_cycle
+            for q in (load - 0.2, load + 0.2)
+        ]
+        assert round(found[0]) >= grooves > round(found[1])
+
+
+def test_conditions_are_loads_and_friction() -> None:
+    assert under(LEVEL, PAPER) == PAPER
+    vertical = under(Conditions(slope_deg=90.0), PAPER)
+    weight = PAPER.rear_mass * STANDARD_GRAVITY
+    assert (vertical.rear_load, vertical.front_load) == pytest.approx((weight, weight))
+    pulled = under(Conditions(tether_N=2.0, tether_N_per_m=0.5, distance_m=4.0), PAPER)
+    assert (pulled.rear_load, pulled.front_load) == (4.0, 0.0)
+    flow = under(Conditions(flow_m_per_s=0.5, drag_area_m2=1e-3), PAPER)
+    assert flow.rear_load == flow.front_load == pytest.approx(0.5 * 998.2 * 1e-3 * 0.25)
+    added = flow.viscous_friction - PAPER.viscous_friction
+    speed = 1e-4  # of a module: the linear part of the drag
+    moving = 0.5 * 998.2 * 1e-3 * (0.5 + speed) ** 2
+    assert flow.rear_load + added * speed == pytest.approx(moving, abs=1e-8)
+    along = under(Conditions(flow_m_per_s=-0.5, drag_area_m2=1e-3), PAPER)
+    assert along.rear_load == -flow.rear_load
+    assert along.viscous_friction == flow.viscous_friction
+
+
+@pytest.mark.parametrize(
+    ("values", "key"),
+    [
+        ({"slope_deg": 91.0}, "slope_deg"),
+        ({"slope_deg": float("nan")}, "slope_deg"),
+        ({"tether_N": 1e9}, "tether_N"),
+        ({"flow_m_per_s": 1.0}, "drag_area_m2"),
+        ({"drag_area_m2": 1.0}, "flow_m_per_s"),
+        ({"tether_N_per_m": 1.0}, "distance_m"),
+    ],
+)
+def test_bad_conditions_are_rejected(values: dict[str, float], key: str) -> None:
+    with pytest.raises(ConditionsError, match=key):
+        Conditions(**values)
+
+
+def test_a_sum_of_loads_out_of_range_is_rejected() -> None:
+    with pytest.raises(ParameterError, match="rear_load"):
+        under(Conditions(tether_N=999.0), PAPER.replace(rear_load=999.0))
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        {"pretension": -1e-3},
+        {"pretension": float("nan")},
+        {"contraction_share": 0.0},
+        {"contraction_share": 1.0},
+        {"profile": "sawtooth"},
+        {"profile": 0.5},
+        {"profile": 2},
+        {"ramp_share": 0.09},
+        {"ramp_share": 0.51},
+    ],
+)
+def test_bad_waveforms_are_rejected(field: dict[str, object]) -> None:
+    with pytest.raises(GaitError, match=next(iter(field))):
+        gait_of({"stroke": 0.07, "frequency": 0.2} | field)
+    if "sawtooth" not in field.values() and np.isfinite(next(iter(field.values()))):
+        with pytest.raises(GaitError, match=next(iter(field))):
+            evaluate_gaits([0.07, 0.07], 0.2, **field)
+
+
+def test_a_profile_is_a_name_or_its_number() -> None:
+    assert [str(profile) for profile in Profile] == ["cosine", "trapezoid"]
+    for value in ("trapezoid", 1, 1.0, np.float64(1.0), Profile.TRAPEZOID):
+        gait = gait_of({"stroke": 0.07, "frequency": 0.2, "profile": value})
+        assert gait.profile is Profile.TRAPEZOID
+
+
+def test_a_contraction_with_its_pretension_must_fit_the_body() -> None:
+    with pytest.raises(GaitError, match=r"0\.31 m"):
+        evaluate_gait(Gait(0.25, 0.1, pretension=0.06))
+    with pytest.raises(GaitError, match=r"0\.31 m"):
+        evaluate_gaits(0.25, 0.1, pretension=0.06)
