@@ -66,6 +66,7 @@ class Console:
         port = free_port()
         self.address = f"http://127.0.0.1:{port}/"
         words = ["--port", str(port), "--bags", str(self.bags), *arguments]
+        words += ["--control-timeout", str(TIMEOUT_S)]  # a busy machine takes no control away
         command = executable_command("worm_optimizer", "console")
         command = [
             "env",

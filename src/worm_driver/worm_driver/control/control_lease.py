@@ -3,8 +3,8 @@
 
 from worm_driver.control.heartbeat import Owner
 
-#: time without a request after which a client loses control, s
-LEASE = 5.0
+#: longest lease of a client, s; a client that crashed has control for so long
+MAX_LEASE = 600.0
 
 
 class ControlLease:
@@ -22,11 +22,23 @@ class ControlLease:
         self.requester = ""
         self._owners: dict[str, Owner] = {}
 
-    def request(self, client: str, now: float) -> None:
+    def request(self, client: str, lease: float, now: float) -> None:
         """Give control to a client if it is free, renew the client's lease, or note that it requests control.
 
         Of several requesters the first one stays until it withdraws or falls silent.
+
+        Args:
+            client: name of the client; an empty one changes nothing.
+            lease: time without a request after which the client loses control, s.
+            now: present time, s.
+
+        Raises:
+            ValueError: The lease is not above 0 and at most MAX_LEASE.
         """
+        if not 0.0 < lease <= MAX_LEASE:
+            raise ValueError(
+                f"lease_s is {lease:g}. Use a lease above 0 s and of at most {MAX_LEASE:g} s."
+            )
         if not client:
             return
         if not self.holder:
@@ -34,7 +46,7 @@ class ControlLease:
         elif client != self.holder and not self.requester:
             self.requester = client
         if client in (self.holder, self.requester):
-            self._owners.setdefault(client, Owner(LEASE, now)).hear()
+            self._owners.setdefault(client, Owner(lease, now)).hear()
 
     def hand_over(self, client: str) -> None:
         """Give control to the requester, if the client has it."""
@@ -52,6 +64,6 @@ class ControlLease:
             self.holder, self.requester = self.requester, ""
 
     def expire(self, now: float) -> None:
-        """Release the clients that have been silent for LEASE. Call this every `heartbeat.PERIOD`."""
+        """Release the clients that have been silent for their lease. Call this every `heartbeat.PERIOD`."""
         for client in [name for name, owner in self._owners.items() if owner.is_silent(now)]:
             self.release(client)

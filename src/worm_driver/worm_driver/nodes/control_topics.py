@@ -25,6 +25,7 @@ class ControlTopics:
 
     def __init__(self, node: Node, stamp: Callable[[], Time]) -> None:
         self._lease = ControlLease()
+        self._logger = node.get_logger()
         self._stamp = stamp
         self._published: tuple[str, str] | None = None
         self._state = node.create_publisher(ControlState, "control", LATCHED)
@@ -37,12 +38,18 @@ class ControlTopics:
 
     def _on_request(self, message: ControlRequest) -> None:
         if message.wish == ControlRequest.CONTROL:
-            self._lease.request(message.client, time.monotonic())
+            self._on_control(message)
         elif message.wish == ControlRequest.HAND_OVER:
             self._lease.hand_over(message.client)
         elif message.wish == ControlRequest.RELEASE:
             self._lease.release(message.client)
         self._publish()
+
+    def _on_control(self, message: ControlRequest) -> None:
+        try:
+            self._lease.request(message.client, message.lease_s, time.monotonic())
+        except ValueError as error:
+            self._logger.warning(f"control/request of {message.client} is ignored: {error}")
 
     def _expire(self) -> None:
         self._lease.expire(time.monotonic())

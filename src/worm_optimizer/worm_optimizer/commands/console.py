@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-from worm_model.commands.command_line import FAILED, InputError, Parser, run_command
+from worm_model.commands.command_line import FAILED, InputError, Parser, number, run_command
 from worm_model.parameters import load_parameters
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
@@ -23,6 +23,7 @@ from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.system import RESTARTS
 
 PORT = 8080
+CONTROL_TIMEOUT_S, MAX_CONTROL_TIMEOUT_S = 5.0, 600.0  # the driver accepts no longer lease
 
 
 def main() -> int:
@@ -63,6 +64,14 @@ def _parser() -> Parser:
         metavar="FOLDER",
         help="folder of the recordings (default: bags)",
     )
+    parser.add_argument(
+        "--control-timeout",
+        type=number,
+        default=CONTROL_TIMEOUT_S,
+        metavar="SECONDS",
+        help="time without a message of a page after which the page loses control and its run ends, at most "
+        f"{MAX_CONTROL_TIMEOUT_S:g} (default: {CONTROL_TIMEOUT_S:g})",
+    )
     add_robot(parser)
     parser.add_parameters()
     return parser
@@ -83,6 +92,7 @@ def _console(options: argparse.Namespace) -> int:
     parameters = load_parameters(options.parameters)
     file = str(Path(options.parameters).resolve()) if options.parameters else ""
     secret = _secret(options)
+    _check_control_timeout(options.control_timeout)
     _refuse_taken_port(options.listen, options.port)
     say = ProgressLog("console")
     notices = new_notices()
@@ -99,7 +109,7 @@ def _console(options: argparse.Namespace) -> int:
         notify,
     )
     host = f"{socket.gethostname()}:{options.port}"
-    control = ConsoleControl(host, time.monotonic, worker.request_control)
+    control = ConsoleControl(host, time.monotonic, worker.request_control, options.control_timeout)
     library = BagLibrary(options.bags)
     state = ConsoleState(worker, control, library, parameters, file, notices)
     address = f"http://{_address(options.listen)}:{options.port}/"
@@ -161,6 +171,14 @@ def _secret(options: argparse.Namespace) -> str:
             f"--password-file {options.password_file}: its first line must have 8 characters or more"
         )
     return str(password[0])
+
+
+def _check_control_timeout(timeout_s: float) -> None:
+    """Raise `InputError` if the driver would reject the lease, or a late message of a page would end it."""
+    if not 2.0 <= timeout_s <= MAX_CONTROL_TIMEOUT_S:
+        raise InputError(
+            f"--control-timeout {timeout_s:g}: give 2 to {MAX_CONTROL_TIMEOUT_S:g} seconds"
+        )
 
 
 def _address(host: str) -> str:

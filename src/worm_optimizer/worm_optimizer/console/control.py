@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 from worm_optimizer.snapshot import Control, Wish
 
-SILENCE_S = 5.0  # time without a message of a page after which the page loses control
 _SEPARATOR = " page "  # between the names of console and page in that of a client
 
-Send = Callable[[str, Wish], None]
+Send = Callable[[str, Wish, float], None]
 
 
 @dataclass
@@ -31,13 +30,17 @@ class ConsoleControl:
     Args:
         console: name of this console, which is unique among all consoles.
         clock: returns the present time, s.
-        send: sends a wish of a client to the driver.
+        send: sends a client, its wish and the length of its lease (s) to the driver.
+        timeout_s: time without a message of a page after which the page loses control, s.
     """
 
-    def __init__(self, console: str, clock: Callable[[], float], send: Send) -> None:
+    def __init__(
+        self, console: str, clock: Callable[[], float], send: Send, timeout_s: float
+    ) -> None:
         self._console = console
         self._clock = clock
-        self._send = send
+        self._submit = send
+        self.timeout_s = timeout_s
         self._pages: dict[str, _Page] = {}
         self._state = Control()
         self._runner = ""  # client for which the present run was started
@@ -53,14 +56,16 @@ class ConsoleControl:
             page.has_control = has_control
 
     def on_message(self, name: str) -> None:
-        """Register that a page is alive, and renew its request; a page that was silent for SILENCE_S loses control."""
+        """Register that a page is alive, and renew its request; a page that was silent for too long loses control."""
         page = self._page(name)
         now = self._clock()
-        if page.wants_control and now - page.last_message_s > SILENCE_S:
-            self._drop(name, f"this page was silent for more than {SILENCE_S:g} s and lost control")
+        if page.wants_control and now - page.last_message_s > self.timeout_s:
+            self._drop(
+                name, f"this page was silent for more than {self.timeout_s:g} s and lost control"
+            )
         page.last_message_s = now
         if page.wants_control:
-            self._send(self._client(name), Wish.CONTROL)
+            self._send(name, Wish.CONTROL)
 
     def request(self, name: str) -> None:
         """Request control for a page that is alive. `is_held_by` becomes True when the driver grants it."""
@@ -68,13 +73,13 @@ class ConsoleControl:
         page.loss = ""
         page.wants_control = True
         page.last_message_s = self._clock()
-        self._send(self._client(name), Wish.CONTROL)
+        self._send(name, Wish.CONTROL)
 
     def hand_over(self, name: str) -> None:
         """Give control to the client that requests it. A run goes on under that client."""
         if self.is_held_by(name) and self._state.requester:
             self._runner = self._state.requester
-            self._send(self._client(name), Wish.HAND_OVER)
+            self._send(name, Wish.HAND_OVER)
             page = self._page(name)
             page.wants_control = page.has_control = False
 
@@ -132,17 +137,20 @@ class ConsoleControl:
             return f"{self._named(holder)} has control and did not start this run"
         console, _, name = runner.partition(_SEPARATOR)
         if console == self._console and not self.is_held_by(name):
-            return f"the page that had control was closed, or silent for {SILENCE_S:g} s"
+            return f"the page that had control was closed, or silent for {self.timeout_s:g} s"
         return ""
 
     def _drop(self, name: str, loss: str) -> None:
         page = self._page(name)
         page.loss = loss
         page.wants_control = page.has_control = False
-        self._send(self._client(name), Wish.RELEASE)
+        self._send(name, Wish.RELEASE)
+
+    def _send(self, name: str, wish: Wish) -> None:
+        self._submit(self._client(name), wish, self.timeout_s)
 
     def _is_silent(self, page: _Page) -> bool:
-        return self._clock() - page.last_message_s > SILENCE_S
+        return self._clock() - page.last_message_s > self.timeout_s
 
     def _page(self, name: str) -> _Page:
         return self._pages.setdefault(name, _Page())

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
 
+from worm_optimizer.console.robot_worker import STOP_PRESSED
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import Say
@@ -79,7 +80,7 @@ def run(
         report: called with each line of progress.
 
     Raises:
-        OperatorError: The gait failed, was cancelled, or there is no answer.
+        OperatorError: The gait failed, was cancelled except by STOP, or there is no answer.
         InputError: The bag cannot be created.
     """
     bag = new_bag(folder)
@@ -93,7 +94,7 @@ def run(
         finally:
             gait_run.close()
         report(f"{why or result.message}; closing the recording")
-    text = f"recorded in {bag.name}"
-    if not result.success:
-        raise OperatorError("; ".join(filter(None, (result.message, why, text))))
-    return f"{result.message}; {text}"
+    text = "; ".join(filter(None, (result.message, why, f"recorded in {bag.name}")))
+    if not (result.success or why == STOP_PRESSED):  # a stop by a person is no error
+        raise OperatorError(text)
+    return text

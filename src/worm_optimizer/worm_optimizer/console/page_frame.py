@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from worm_optimizer.console.control import SILENCE_S
 from worm_optimizer.console.page_chart import STYLE
 
 MESSAGE_MS = 500  # period of a page's messages to the server
@@ -16,7 +15,7 @@ _NOT_DELIVERED = "STOP CANNOT BE DELIVERED: use the switch in the supply, or ano
 # The server acknowledges each message. A page without acknowledgement shows that it has no connection, and reports
 # when it is back, so that the server ends its control.
 _SCRIPT = f"""<script>
-const pageState = {{acknowledged: performance.now(), connected: true, wasAway: false}};
+const pageState = {{timeout: Infinity, acknowledged: performance.now(), connected: true, wasAway: false}};
 function showConnection(connected) {{
   if (connected === pageState.connected) return;
   pageState.connected = connected;
@@ -30,7 +29,7 @@ function acknowledge() {{
   showConnection(true);
 }}
 function sendMessage() {{
-  if (performance.now() - pageState.acknowledged > {1e3 * SILENCE_S:.0f}) showConnection(false);
+  if (performance.now() - pageState.acknowledged > pageState.timeout) showConnection(false);
   if (!window.socket?.connected) return;
   emitEvent("alive", pageState.wasAway);
   pageState.wasAway = false;
@@ -69,4 +68,9 @@ _STYLE = (
 #popup, #q-loading-bar { display: none } /* the page has its own message */
 </style>"""
 )
-HEAD = _STYLE + _SCRIPT
+
+
+def head(timeout_s: float) -> str:
+    """Return the head of a page that has no connection after ``timeout_s`` without acknowledgement."""
+    timeout = f"<script>pageState.timeout = {1e3 * timeout_s:.0f}</script>"
+    return _STYLE + _SCRIPT + timeout

@@ -18,7 +18,7 @@ from worm_optimizer.console.act_page import ActPage
 from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.entrance import COOKIE
 from worm_optimizer.console.live_page import LivePage
-from worm_optimizer.console.page_frame import HEAD
+from worm_optimizer.console.page_frame import head
 from worm_optimizer.console.recordings_page import RecordingsPage
 from worm_optimizer.console.studies import Studies
 from worm_optimizer.console.studies_page import StudiesPage
@@ -67,7 +67,7 @@ class ConsolePage:
         self._state, self._access, self._client = state, access, client
         self._session, self._id = session, client.id
         self._latest_notice = state.notices[-1] if state.notices else None
-        ui.add_head_html(HEAD)
+        ui.add_head_html(head(state.control.timeout_s))
         ui.on("alive", self._on_alive)
         client.on_disconnect(lambda: self._lose_control("this page lost its connection"))
         client.on_delete(lambda: state.control.forget(self._id))

@@ -19,6 +19,7 @@ from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import FAILURES, Check, Say
 from worm_optimizer.snapshot import Snapshot, Wish
 
+STOP_PRESSED = "STOP was pressed"  # cancellation of a command by a person
 _POLL_S = 1.0
 _JOIN_S = 0.1
 
@@ -60,7 +61,7 @@ class RobotWorker:
     ) -> None:
         self._open_robot, self._open_stop, self._notify = open_robot, open_stop, notify
         self._commands: SimpleQueue[Command] = SimpleQueue()
-        self._wishes: SimpleQueue[tuple[str, Wish]] = SimpleQueue()
+        self._wishes: SimpleQueue[tuple[str, Wish, float]] = SimpleQueue()
         self._closing = threading.Event()
         self._stop_requested = threading.Event()
         self._stop_node: OperatorNode | None = None
@@ -119,14 +120,14 @@ class RobotWorker:
 
     def stop(self) -> None:
         """Hold the robot where it is, immediately, and cancel the present command."""
-        self.cancellation = "STOP was pressed"
-        self.busy = self.busy and "STOP was pressed: the command ends"
+        self.cancellation = STOP_PRESSED
+        self.busy = self.busy and f"{STOP_PRESSED}: the command ends"
         self.stopping = True
         self._stop_requested.set()
 
-    def request_control(self, client: str, wish: Wish) -> None:
+    def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
         """Send a client's wish to the driver, from the stop thread."""
-        self._wishes.put((client, wish))
+        self._wishes.put((client, wish, lease_s))
 
     def report(self, text: str) -> None:
         """Report the progress of the present command."""

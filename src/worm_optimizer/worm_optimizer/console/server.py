@@ -15,7 +15,8 @@ from worm_optimizer.console.entrance import Guard, IgnoreDisconnects
 from worm_optimizer.console.pages import build
 
 _LOOK_S = 0.1
-_RECONNECT_S = 15.0  # time for which a page without connection exists; it loses control immediately
+# A page without connection exists for so many times the timeout of control; it loses control immediately.
+_RECONNECT = 3.0
 
 
 def serve(
@@ -38,7 +39,7 @@ def serve(
         language="en-US",
         show=False,
         show_welcome_message=False,
-        reconnect_timeout=_RECONNECT_S,
+        reconnect_timeout=_RECONNECT * state.control.timeout_s,
     )
 
 

@@ -296,9 +296,9 @@ class OperatorNode(ServiceCaller):
             )
         return "holding; nothing starts before the emergency stop is reset"
 
-    def request_control(self, client: str, wish: Wish) -> None:
+    def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
         """Publish what a client wants of the control of the robot; the answer is `Snapshot.control`."""
-        self._control.publish(ControlRequest(client=client, wish=wish))
+        self._control.publish(ControlRequest(client=client, wish=wish, lease_s=lease_s))
 
     def reset_emergency_stop(self) -> str:
         """Permit starts again; return the driver's report.

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """One client has control at a time, and a silent client loses it."""
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.control.control_lease import LEASE, ControlLease
+from worm_driver.control.control_lease import MAX_LEASE, ControlLease
 from worm_driver.control.heartbeat import PERIOD
+
+LEASE = 5.0
 
 
 class Bench:
@@ -18,7 +22,7 @@ class Bench:
 
     def request(self, *clients: str) -> None:
         for client in clients:
-            self.lease.request(client, self.now)
+            self.lease.request(client, LEASE, self.now)
 
     def pass_time(self, duration_s: float, *alive: str) -> None:
         for _ in range(round(duration_s / PERIOD)):
@@ -83,6 +87,21 @@ def test_release_by_requester_and_holder(bench: Bench):
     bench.lease.release("phone")
     assert bench.state == ("desk", "")
     bench.lease.release("desk")
+    assert bench.state == ("", "")
+
+
+def test_each_client_loses_control_after_its_own_lease(bench: Bench):
+    bench.lease.request("desk", 2.0 * LEASE, bench.now)
+    bench.pass_time(1.5 * LEASE)
+    assert bench.state == ("desk", "")
+    bench.pass_time(LEASE)
+    assert bench.state == ("", "")
+
+
+@pytest.mark.parametrize("lease", [0.0, -1.0, math.nan, math.inf, 1.01 * MAX_LEASE])
+def test_a_lease_without_end_is_rejected(bench: Bench, lease: float):
+    with pytest.raises(ValueError, match="lease_s"):
+        bench.lease.request("desk", lease, bench.now)
     assert bench.state == ("", "")
 
 

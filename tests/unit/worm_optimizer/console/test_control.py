@@ -5,10 +5,12 @@ from collections import deque
 
 import pytest
 
-from worm_driver.control.control_lease import LEASE, ControlLease
+from worm_driver.control.control_lease import ControlLease
 from worm_driver.control.heartbeat import PERIOD
-from worm_optimizer.console.control import SILENCE_S, ConsoleControl
+from worm_optimizer.console.control import ConsoleControl
 from worm_optimizer.snapshot import Control, Wish
+
+TIMEOUT_S = 5.0
 
 
 class Bench:
@@ -17,18 +19,20 @@ class Bench:
     def __init__(self) -> None:
         self.now = 100.0
         self.lease = ControlLease()
-        self.wishes: deque[tuple[str, Wish]] = deque()
+        self.wishes: deque[tuple[str, Wish, float]] = deque()
         self.desk = self.console("desk:8080")
         self.lab = self.console("lab:8080")
 
     def console(self, name: str) -> ConsoleControl:
-        return ConsoleControl(name, lambda: self.now, lambda *wish: self.wishes.append(wish))
+        return ConsoleControl(
+            name, lambda: self.now, lambda *wish: self.wishes.append(wish), TIMEOUT_S
+        )
 
     def deliver(self) -> None:
         while self.wishes:
-            client, wish = self.wishes.popleft()
+            client, wish, lease = self.wishes.popleft()
             if wish is Wish.CONTROL:
-                self.lease.request(client, self.now)
+                self.lease.request(client, lease, self.now)
             elif wish is Wish.HAND_OVER:
                 self.lease.hand_over(client)
             else:
@@ -98,7 +102,7 @@ def test_a_run_ends_when_its_page_is_closed_although_another_page_obtains_contro
 
 
 def test_a_silent_page_loses_control_and_its_run_ends(held: Bench):
-    held.pass_time(SILENCE_S - 2.0 * PERIOD)
+    held.pass_time(TIMEOUT_S - 2.0 * PERIOD)
     assert held.desk.run_loss == ""
     held.pass_time(3.0 * PERIOD)
     assert not held.desk.is_held_by("a")
@@ -106,10 +110,10 @@ def test_a_silent_page_loses_control_and_its_run_ends(held: Bench):
 
 
 def test_a_page_that_comes_back_has_no_control_and_shows_why(held: Bench):
-    held.now += SILENCE_S + PERIOD
+    held.now += TIMEOUT_S + PERIOD
     held.desk.on_message("a")
     held.deliver()
-    held.pass_time(2.0 * LEASE, (held.desk, "a"))
+    held.pass_time(2.0 * TIMEOUT_S, (held.desk, "a"))
     assert not held.desk.is_held_by("a")
     assert "silent" in held.desk.loss_of("a")
     held.desk.request("a")
@@ -119,14 +123,14 @@ def test_a_page_that_comes_back_has_no_control_and_shows_why(held: Bench):
 
 def test_a_page_whose_console_lost_the_driver_does_not_obtain_control_by_itself(held: Bench):
     held.desk.update(None)
-    held.pass_time(LEASE + 2.0 * PERIOD, (held.desk, "a"))
+    held.pass_time(TIMEOUT_S + 2.0 * PERIOD, (held.desk, "a"))
     assert not held.desk.is_held_by("a")
     assert held.lease.holder == ""
     assert held.desk.loss_of("a")
 
 
 def test_a_page_that_sends_messages_keeps_control(held: Bench):
-    held.pass_time(5.0 * LEASE, (held.desk, "a"), (held.lab, "b"))
+    held.pass_time(5.0 * TIMEOUT_S, (held.desk, "a"), (held.lab, "b"))
     assert held.desk.is_held_by("a")
     assert held.desk.run_loss == ""
 

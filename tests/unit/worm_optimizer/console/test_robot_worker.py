@@ -23,7 +23,7 @@ class Node:
         self.meanwhile: Callable[[], None] = lambda: None
         self.broken = ""
         self.has_driver, self.has_lost_driver = True, False
-        self.wishes: list[tuple[str, Wish]] = []
+        self.wishes: list[tuple[str, Wish, float]] = []
         self.known = Snapshot()
 
     def subscribe_to_all(self) -> None: ...
@@ -31,8 +31,8 @@ class Node:
     def snapshot(self) -> Snapshot:
         return self.known
 
-    def request_control(self, client: str, wish: Wish) -> None:
-        self.wishes.append((client, wish))
+    def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
+        self.wishes.append((client, wish, lease_s))
 
     def prepare_stop(self) -> None:
         if self.broken:
@@ -125,7 +125,7 @@ def test_a_lost_driver_is_reported_once(bench: Bench):
 
 
 def test_wishes_for_control_reach_the_driver_in_their_order(bench: Bench):
-    wishes = [("a page", Wish.CONTROL), ("a page", Wish.HAND_OVER)]
+    wishes = [("a page", Wish.CONTROL, 5.0), ("a page", Wish.HAND_OVER, 5.0)]
     for wish in wishes:
         bench.worker.request_control(*wish)
     bench.wait_for(lambda: len(bench.stopper.wishes) == 2)
