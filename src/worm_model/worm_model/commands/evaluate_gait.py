@@ -109,7 +109,7 @@ def _evaluate_table(options: argparse.Namespace, parameters: Parameters) -> None
             f"; {len(failed)} of them have no figures (nan), lines {lines}: the fins do not hold the load at rest, "
             "or the anchors switch to and fro without end"
         )
-    print_result(options, {"output": str(output), "gaits": count, "without_speed": failed}, text)
+    print_result(options, {"output": str(output), "gaits": count, "without_figures": failed}, text)
 
 
 def _evaluate(options: argparse.Namespace) -> None:

@@ -11,7 +11,8 @@ import pytest
 
 from worm_model.commands import evaluate_gait as command
 from worm_model.commands import phase_map
-from worm_model.gait import Gait
+from worm_model.conditions import Conditions, under
+from worm_model.gait import Gait, Profile
 from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import evaluate_gait
 
@@ -168,3 +169,72 @@ def test_help_does_not_wait_for_the_compiler() -> None:
     sources = f"{source}:{source.parent / 'worm_msgs'}"
     path = {"PYTHONPATH": sources, "PATH": "/usr/bin:/bin"}
     assert subprocess.run([sys.executable, "-c", code], env=path).returncode == 0
+
+
+WAVEFORM = "--pretension 0.0115 --contraction-share 0.6 --profile trapezoid --ramp-share 0.1"
+
+
+def test_conditions_and_waveform_are_options(run) -> None:
+    status, out, err = run(
+        command.main,
+        *"--stroke 0.06 --frequency 0.2 --slope 10 --tether 0.5 --json".split(),
+        *WAVEFORM.split(),
+    )
+    gait = json.loads(out)
+    assert (status, err) == (0, "")
+    assert gait["profile"] == "trapezoid"
+    assert gait["conditions"]["slope_deg"] == 10.0
+    expected = evaluate_gait(
+        Gait(0.06, 0.2, 1, 0.0, 0.0115, 0.6, Profile.TRAPEZOID, 0.1),
+        under(Conditions(slope_deg=10.0, tether_N=0.5), PAPER),
+    )
+    assert gait["power"] == expected.power
+    assert gait["speed"] == expected.speed
+
+
+@pytest.mark.parametrize(
+    ("options", "fact"),
+    [
+        ("--tether 200", "200 N"),
+        ("--flow 1", "drag_area_m2"),
+        ("--tether-per-metre 1", "distance_m"),
+        ("--profile sawtooth", "sawtooth"),
+        ("--ramp-share 0.6", "ramp_share: 0.6"),
+        ("--pretension 0.25", "stroke: 0.31 m"),
+    ],
+)
+def test_bad_conditions_and_waveforms_are_one_line(run, options: str, fact: str) -> None:
+    status, out, err = run(command.main, "--stroke", "0.06", "--frequency", "0.2", *options.split())
+    assert (status, out) == (2, "")
+    assert fact in err
+    assert err.count("\n") == 1
+
+
+def test_a_table_has_loads_and_waveforms(run, tmp_path: Path) -> None:
+    source, output = tmp_path / "in.csv", tmp_path / "out.csv"
+    source.write_text(
+        "stroke_m,frequency_Hz,rear_load,front_load,pretension_m,contraction_share,profile,ramp_share\n"
+        "0.06,0.2,1,0.5,0.01,0.6,trapezoid,0.2\n0.07,0.2,0,0,0,0.5,cosine,0.25\n0.07,0.2,60,0,0,0.5,cosine,0.25\n"
+    )
+    status, out, _ = run(command.main, "--gaits", str(source), "--output", str(output), "--json")
+    assert status == 0
+    assert json.loads(out)["without_figures"] == [4]
+    with output.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["profile"] for row in rows] == ["trapezoid", "cosine", "cosine"]
+    first = Gait(0.06, 0.2, 1, 0.0, 0.01, 0.6, Profile.TRAPEZOID, 0.2)
+    expected = evaluate_gait(first, PAPER.replace(rear_load=1.0, front_load=0.5))
+    assert float(rows[0]["power_W"]) == pytest.approx(expected.power, rel=1e-8)
+    assert float(rows[1]["power_W"]) == pytest.approx(evaluate_gait(Gait(0.07, 0.2)).power)
+    assert rows[2]["speed_m_s"] == rows[2]["power_W"] == "nan"
+
+
+def test_conditions_of_a_table_are_rejected(run, tmp_path: Path) -> None:
+    source, output = tmp_path / "in.csv", tmp_path / "out.csv"
+    source.write_text("stroke_m,frequency_Hz\n0.07,0.2\n")
+    status, _, err = run(
+        command.main, "--gaits", str(source), "--output", str(output), "--slope", "10"
+    )
+    assert status == 2
+    assert "rear_load" in err
+    assert not output.exists()

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from recorded_run import GAIT, simulated_run, write_bag
 
+from worm_model.gait import named_values
 from worm_model.parameters import ParameterFile
 from worm_optimizer.commands import campaign as command
 from worm_optimizer.operation.bring_up import left_out
@@ -53,7 +54,7 @@ def test_the_plan_has_the_papers_three_gaits_by_rising_speed(plan):
 def test_promises_are_written_once(plan, tmp_path: Path):
     path = write_promises(plan, tmp_path)
     content = json.loads(path.read_text())
-    assert content["cruise"] == dataclasses.asdict(plan.gaits["cruise"])
+    assert content["cruise"] == named_values(plan.gaits["cruise"])
     with pytest.raises(FileExistsError):
         write_promises(plan, tmp_path)
 

@@ -165,7 +165,8 @@ class SqliteFile(StoredFile):
         return topics
 
     def _columns(self, table: str) -> set[str]:
-        return {row[1] for row in self._database.execute(f"PRAGMA table_info({table})")}
+        with explained(self.path):
+            return {row[1] for row in self._database.execute(f"PRAGMA table_info({table})")}
 
     def blocks(
         self, extents: Iterable[Extent], topics: frozenset[str]

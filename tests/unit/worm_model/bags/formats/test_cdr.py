@@ -138,7 +138,7 @@ def test_encoding_is_byte_for_byte_that_of_an_independent_encoder():
         message = t[type_name](
             header=t["std_msgs/msg/Header"](stamp=time(row + 1, 0), frame_id="pipe"),
             state=0,
-            gait=t["worm_msgs/msg/Gait"](strokes[row], 0.0, -1, 0.0),
+            gait=t["worm_msgs/msg/Gait"](strokes[row], 0.0, -1, *(0.0, 0.0, 0.0, 0, 0.0)),
             onset=time(0, 0),
             run=0,
             cycle=0,

@@ -118,6 +118,7 @@ def test_damaged_mcap(compression: CompressionType, chunked: bool, edits):
 @settings(max_examples=60, deadline=None)
 @given(edits=EDITS)
 @example(edits=[(0.98828125, "flip", 128)])  # a time before 1970
+@example(edits=[(0.625, "cut", 0), (0.1875, "flip", 128)])  # a column's name that is not UTF-8
 def test_damaged_sqlite3(edits):
     read_or_refuse(edit(sqlite_bytes(), edits), "a.db3")
 
