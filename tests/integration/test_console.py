@@ -121,6 +121,7 @@ def choose_a_gait(page: "sync_api.Page") -> None:
     points = page.locator('.front svg path[fill="#0072B2"]')
     expect(points.first).to_be_visible()
     points.last.click()  # the others lie partly below their neighbours
+    page.get_by_label("How many").fill("1000")  # a busy browser sees the run before its end
     expect(page.get_by_role("button", name="Run", exact=True)).to_be_enabled()
 
 
@@ -129,7 +130,7 @@ def test_a_gait_is_run_stopped_found_and_reported(page: "sync_api.Page", console
     console.open(page)
     choose_a_gait(page)
     press(page, "Run")
-    expect(status(page)).to_contain_text("cycle 2")
+    expect(status(page)).to_contain_text(re.compile(r"cycle ([2-9]|\d\d)"))
     page.get_by_role("tab", name="Live").click()
     expect(page.get_by_role("img", name=re.compile("robot seen"))).to_be_visible()
     page.keyboard.press("Escape")
