@@ -167,7 +167,7 @@ def test_without_a_driver_it_says_so(processes: Processes):
     [
         (("run", "--stroke", "0.05"), "give --stroke and --frequency"),
         (("run", "--stroke", "-1", "--frequency", "0.2"), "stroke"),
-        (("run", *LONG[:4], "--objective", "cruise"), "leave --objective"),
+        (("run", *LONG[:4], "--objective", "cruise"), "omit --objective"),
         (("run", "--pretension", "0.01"), "--pretension needs a gait in numbers"),
         (("run", "--profile", "trapezoid", "--objective", "cruise"), "--profile needs"),
         (("run", *LONG[:4], "--contraction-share", "1"), "contraction_share"),
