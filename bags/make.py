@@ -16,7 +16,7 @@ from pathlib import Path
 from worm_model.gait import FORWARD, REVERSE, Gait
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
 from worm_optimizer.operation.processes import Process, ProcessGroup, executable_command
-from worm_optimizer.orders import Order, RunProgress
+from worm_optimizer.robot_commands import GaitCommand, RunProgress
 
 TIMEOUT_S = 60.0
 BEFORE_S, AFTER_S = 2.0, 0.5  # recorded at rest, and after the gait's end
@@ -72,7 +72,7 @@ def make(name: str, sample: Sample, folder: Path) -> None:
             if sample.killed_in:
                 _run_until_killed(node, sample, recorder)
             else:
-                node.run(Order(sample.gait, sample.cycles), lambda _: None)
+                node.run(GaitCommand(sample.gait, sample.cycles), lambda _: None)
                 node.rest(AFTER_S)
                 group.end("recorder")
             node.stop()
@@ -105,7 +105,7 @@ def _run_until_killed(node: OperatorNode, sample: Sample, recorder: Process) -> 
         """The recorder's death is no accident."""
 
     node._check = check
-    node.run(Order(sample.gait, sample.cycles), kill)
+    node.run(GaitCommand(sample.gait, sample.cycles), kill)
 
 
 def main() -> int:

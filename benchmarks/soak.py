@@ -21,7 +21,7 @@ from worm_optimizer.nodes.operator_node import operator
 from worm_optimizer.operation.bring_up import start_nodes
 from worm_optimizer.operation.processes import ProcessGroup
 from worm_optimizer.operation.system import System, load_system_file
-from worm_optimizer.orders import Order
+from worm_optimizer.robot_commands import GaitCommand
 
 TITLE = "soak: growth of memory and files, drift, over gaits faster than real time (WORM_BENCH_CYCLES for more)"
 DOMAIN = 94
@@ -62,14 +62,14 @@ def run() -> list[Row]:
         nodes = tuple(node for node in whole.nodes if node.name not in LEFT_OUT)
         start_nodes(group, System(whole.namespace, nodes), say=lambda _: None)
         with operator(whole.namespace, group.check) as node:
-            node.wait_for_nodes(each.name for each in nodes)
+            node.graph.wait_for_nodes(each.name for each in nodes)
             node.activate()
             started = time.monotonic()
             samples, ends, seconds = [], [], []
             for number in range(gaits):
                 direction = FORWARD if number % 2 == 0 else REVERSE
                 begun = node.robot_time_s
-                node.run(Order(Gait(0.07, 0.4, direction), CYCLES_PER_GAIT), lambda _: None)
+                node.run(GaitCommand(Gait(0.07, 0.4, direction), CYCLES_PER_GAIT), lambda _: None)
                 seconds.append(node.robot_time_s - begun)
                 samples.append({n: Sample.of(p.pid) for n, p in group.processes.items()})
                 ends.append(node.late_cycles)

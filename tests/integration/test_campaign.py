@@ -9,10 +9,10 @@ from harness import system_file
 from worm_model.gait import Gait
 from worm_optimizer.commands.robot_options import CAMERA, with_tracker
 from worm_optimizer.operation.campaign_runs import Robot, run_gaits
-from worm_optimizer.orders import Order
 from worm_optimizer.report.agreement import agreements
 from worm_optimizer.report.agreement import orders as orders_of
 from worm_optimizer.report.recordings import read_recorded_gaits
+from worm_optimizer.robot_commands import GaitCommand
 
 pytestmark = pytest.mark.integration
 
@@ -23,7 +23,7 @@ GAITS = {"slow": Gait(0.06, 0.38), "fast": Gait(0.08, 0.4)}
 def test_each_gait_has_a_recording_of_its_own_that_agrees(ros_domain: int, tmp_path: Path):
     (tmp_path / "logs").mkdir()
     robot = Robot(system_file(), "virtual", {"directory": str(tmp_path / "robot")})
-    orders = {name: Order(gait, 5) for name, gait in GAITS.items()}
+    orders = {name: GaitCommand(gait, 5) for name, gait in GAITS.items()}
     run_gaits(robot, orders, tmp_path, tmp_path / "logs", say=print)
 
     recorded = read_recorded_gaits([tmp_path / name for name in GAITS], "", print)
@@ -47,7 +47,9 @@ def test_a_gait_is_measured_in_images(ros_domain: int, tmp_path: Path):
     robot = Robot(system_file(), "virtual", settings)
     assert "tracker" in [node.name for node in robot.system().nodes]
     told: list[str] = []
-    run_gaits(robot, {"fast": Order(GAITS["fast"], 5)}, tmp_path, tmp_path / "logs", told.append)
+    run_gaits(
+        robot, {"fast": GaitCommand(GAITS["fast"], 5)}, tmp_path, tmp_path / "logs", told.append
+    )
     assert not [line for line in told if "the tracker" in line]
 
     (gait,) = read_recorded_gaits([tmp_path / "fast"], "", print)

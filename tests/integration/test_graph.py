@@ -27,6 +27,7 @@ BYSTANDERS = ("twin", "optimizer")
 OF_OPERATORS = (
     "heartbeat",
     "emergency_stop",
+    "control/request",
 )  # published by who asks for gaits, and here nobody does
 
 

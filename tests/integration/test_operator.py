@@ -15,9 +15,10 @@ from worm_driver.nodes import driver_messages
 from worm_model.gait import Gait
 from worm_msgs.action import RunGait
 from worm_msgs.msg import GaitState
-from worm_optimizer.nodes import operator_node
-from worm_optimizer.nodes.operator_node import OperatorError, operator
-from worm_optimizer.orders import Order, RunResult
+from worm_optimizer.nodes import robot_graph, service_caller
+from worm_optimizer.nodes.operator_node import operator
+from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.robot_commands import GaitCommand, RunResult
 
 
 class Service:
@@ -49,7 +50,7 @@ class Service:
 @pytest.fixture
 def node(monkeypatch, ros_domain):
     monkeypatch.setenv("ROS_DOMAIN_ID", str(ros_domain))
-    monkeypatch.setattr(operator_node, "CALL_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(service_caller, "CALL_TIMEOUT_S", 0.1)
     with operator("/worm", lambda: None) as node:
         yield node
 
@@ -146,7 +147,7 @@ def test_runs_that_somebody_else_asked_for_are_counted(node, probe, monkeypatch)
 
     told(1, 1)
     monkeypatch.setattr(node, "begin", begin)
-    node.run(Order(Gait(0.05, 0.2), cycles=1), lambda _: None)
+    node.run(GaitCommand(Gait(0.05, 0.2), cycles=1), lambda _: None)
     assert node.runs_of_others == 1
 
 
@@ -158,14 +159,17 @@ def test_runs_that_somebody_else_asked_for_are_counted(node, probe, monkeypatch)
         (lambda node: node.deactivate(), State.PRIMARY_STATE_ACTIVE),
         (lambda node: node.home(), State.PRIMARY_STATE_INACTIVE),
         (lambda node: node.reboot(), State.PRIMARY_STATE_INACTIVE),
-        (lambda node: node.begin(Order(Gait(0.05, 0.2), cycles=1)), State.PRIMARY_STATE_ACTIVE),
+        (
+            lambda node: node.begin(GaitCommand(Gait(0.05, 0.2), cycles=1)),
+            State.PRIMARY_STATE_ACTIVE,
+        ),
     ],
     ids=["configure", "activate", "deactivate", "home", "reboot", "run"],
 )
 def test_nothing_is_sent_that_two_drivers_would_execute(
     node, probe, services, monkeypatch, command, state
 ):
-    monkeypatch.setattr(operator_node, "LEASE_S", 0.1)
+    monkeypatch.setattr(robot_graph, "LEASE_S", 0.1)
     monkeypatch.setattr(node, "_state", lambda _: State(id=state))
     made = services(lost=0)
     for _ in range(2):

@@ -12,7 +12,7 @@ from recorded_run import simulated_run, write_bag
 
 from worm_model.gait import Gait
 from worm_optimizer.nodes.operator_node import operator
-from worm_optimizer.orders import Order
+from worm_optimizer.robot_commands import GaitCommand
 
 POLICIES = Path(__file__).parents[2] / "src/worm_driver/security/policies"
 ENCLAVES = {policy.name.removesuffix(".policy.xml"): policy for policy in POLICIES.glob("*.xml")}
@@ -107,7 +107,7 @@ def test_every_node_of_a_virtual_robot_has_what_its_policy_allows_and_no_more(
     gait = Gait(stroke=0.03, frequency=0.4)
     with operator(worm.system.namespace, lambda: None) as person:
         person.activate()
-        person.run(Order(gait, 1), lambda _: people.append(announced(probe, "operator")))
+        person.run(GaitCommand(gait, 1), lambda _: people.append(announced(probe, "operator")))
         permitted = allowed("operator", "operator")
         found = lacking(probe, "virtual_robot", "virtual_robot")
         found += lacking(probe, "driver", "driver")

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was last heard of a robot and its twin, as values that know no ROS."""
+"""The latest state of a robot and its twin, as values that do not depend on ROS."""
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,10 +13,23 @@ from worm_model.twin.scene import Sighting
 
 
 @dataclass(frozen=True)
-class DriverWord:
-    """The driver's last GaitState; ``stroke`` in m, 0: no gait; ``frequency`` in Hz; ``run`` 0 before the first.
+class DriverState:
+    """Content of the driver's latest GaitState.
 
-    ``stamp_ns`` is that of the message, ``onset_ns`` that of the gait, 0 while there is none.
+    Attributes:
+        state: activity of the driver.
+        homed: True if the length of the cable is known.
+        emergency_stop: True if the emergency stop is on.
+        run: number of the latest run; 0 before the first.
+        cycle: number of the present cycle; 0 before the first.
+        cycles: number of requested cycles.
+        stroke: m; 0 without a gait.
+        frequency: Hz.
+        direction: FORWARD or REVERSE.
+        holding: True from a stop until a person acts.
+        message: reason of the state.
+        stamp_ns: stamp of the message.
+        onset_ns: stamp of the gait's onset; 0 without one.
     """
 
     state: Activity
@@ -28,26 +42,53 @@ class DriverWord:
     frequency: float
     direction: int
     message: str
+    holding: bool = False
     stamp_ns: int = 0
     onset_ns: int = 0
 
 
+class Wish(enum.IntEnum):
+    """What a client wants of the control of the robot, with the values of the message ControlRequest."""
+
+    CONTROL = 0
+    HAND_OVER = 1
+    RELEASE = 2
+
+
+@dataclass(frozen=True)
+class Control:
+    """Client that has control of the robot, and client that requests it; empty: none."""
+
+    holder: str = ""
+    requester: str = ""
+
+
 @dataclass(frozen=True)
 class Snapshot:
-    """The newest of everything; None or NaN what has not come yet.
+    """Latest message of each topic; None or NaN before the first.
 
-    A residual is NaN where nothing measures it. ``lengths`` in m by their source, ``power`` in W as measured.
-    ``heard`` says when each topic was heard last (s, on the clock that the reader uses, too); topics that never were
-    are missing in it. ``twin_age`` is how much older the twin's state is than the driver's command, in s of the
-    robot's time. ``grooves`` are the twin's rear grooves of the last seconds: stamp in ns, groove since the onset.
+    Attributes:
+        driver: state of the driver.
+        control: client that has control.
+        twin: state of the twin.
+        residuals: residuals of the twin; NaN where no sensor measures them.
+        robot: latest sample of the tracker.
+        robot_at_twin: sample of the tracker that is nearest to the stamp of ``twin``.
+        lengths: body lengths by source, m.
+        power: measured power, W.
+        twin_age: difference between the stamps of command and twin, s of the robot's time.
+        received: receive time of each topic, s (monotonic). Topics without a message are missing.
+        grooves: stamps (ns) and rear grooves (since the onset) of the twin's states of the last seconds.
     """
 
-    driver: DriverWord | None = None
+    driver: DriverState | None = None
+    control: Control | None = None
     twin: StateRecord | None = None
     residuals: ResidualRecord | None = None
     robot: Sighting = field(default_factory=Sighting)
+    robot_at_twin: Sighting = field(default_factory=Sighting)
     lengths: Mapping[LengthSource, float] = field(default_factory=dict)
     power: float = math.nan
     twin_age: float = math.nan
-    heard: Mapping[str, float] = field(default_factory=dict)
+    received: Mapping[str, float] = field(default_factory=dict)
     grooves: tuple[tuple[int, int], ...] = ()

@@ -128,6 +128,7 @@ def gait_state(snapshot: Snapshot, clocks: ClockPair, *, emergency_stop: bool) -
         state=_STATE[player.phase] if snapshot.active else GaitState.INACTIVE,
         run=0 if player.run is None else player.run.number,
         message=player.message,
+        holding=snapshot.active and player.phase is Phase.HOLDING,
         homed=snapshot.homed,
         emergency_stop=emergency_stop,
     )

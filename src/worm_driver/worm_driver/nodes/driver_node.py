@@ -102,7 +102,12 @@ class DriverNode(LifecycleNode):
         self._telemetry = TelemetryPublisher(self, self._stamps, self._action, self._emergency)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._stops = StopServices(
-            self, self._opened, self._emergency, self._action.stop, self._action.on_heartbeat
+            self,
+            self._opened,
+            self._emergency,
+            self._action.stop,
+            self._action.on_heartbeat,
+            self._stamps.now,
         )
         for name, action, done in _SERVICES:
             self.create_service(Trigger, name, partial(self._serve, action, done))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services and topics that are served while the driver's own thread is busy: stop, emergency stop, heartbeat."""
+"""Services and topics that work while the driver's own thread is busy: stop, emergency stop, heartbeat, control."""
 
 import math
 from collections.abc import Callable, Iterator
 
+from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
@@ -11,6 +12,7 @@ from std_srvs.srv import Trigger
 from worm_driver.control.emergency import EmergencyLatch, StopPublishers
 from worm_driver.control.hardware import Hardware
 from worm_driver.errors import DriverError
+from worm_driver.nodes.control_topics import ControlTopics
 from worm_driver.nodes.identified_subscription import IdentifiedSubscription
 from worm_driver.nodes.side_node import SideNode
 from worm_msgs.msg import Heartbeat
@@ -37,6 +39,7 @@ class StopServices:
         emergency: is set by the topic.
         cancel_goals: rejects the goals that were received and have not begun.
         on_heartbeat: takes each heartbeat.
+        stamp: returns the present ROS time.
     """
 
     def __init__(
@@ -46,6 +49,7 @@ class StopServices:
         emergency: EmergencyLatch,
         cancel_goals: Callable[[], None],
         on_heartbeat: Callable[[Heartbeat], None],
+        stamp: Callable[[], Time],
     ) -> None:
         self._logger = node.get_logger()
         self._opened = opened
@@ -58,6 +62,7 @@ class StopServices:
             Trigger, "reset_emergency_stop", self._on_reset, qos_profile=_EVERY_CALL
         )
         side.create_subscription(Heartbeat, "heartbeat", on_heartbeat, 100)
+        ControlTopics(side, stamp)
         self._publishers = StopPublishers()
         self._emergencies = [
             IdentifiedSubscription(side, _EMERGENCY, qos, self._on_emergency)

@@ -24,7 +24,7 @@ from worm_model.commands.command_line import (
 from worm_model.commands.identify import StageProgress
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.robot_options import add_robot, robot_of
-from worm_optimizer.nodes.operator_node import OperatorError
+from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog, Session, work_folder
 from worm_optimizer.operation.campaign_plan import (
     PROMISES,
@@ -50,12 +50,12 @@ from worm_optimizer.operation.identification_runs import (
 from worm_optimizer.operation.processes import termination_as_interrupt
 from worm_optimizer.operation.spread import Spread, run_names, spread, spread_table
 from worm_optimizer.operation.spread_figure import draw_spread
-from worm_optimizer.orders import Order
 from worm_optimizer.report.agreement import QUANTITIES, agreement_json, describe
 from worm_optimizer.report.identification_parts import add_identification, identification_of
 from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.recordings import read_recorded_gaits
 from worm_optimizer.report.report_page import PAGE, Report, build_report
+from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.search_settings import Settings
 
 _GAITS = 3  # of a campaign without repeats and nominal gaits: nothing spreads
@@ -144,7 +144,9 @@ def _campaign(options: argparse.Namespace) -> int:
             plan = _plan(options)
             _promise(plan, folder)
             names = run_names(tuple(plan.gaits), options.repeats)
-            orders = {run: Order(plan.gaits[name].gait, CYCLES) for run, name in names.items()}
+            orders = {
+                run: GaitCommand(plan.gaits[name].gait, CYCLES) for run, name in names.items()
+            }
             (work / "logs" / "validation").mkdir()
             ask = _asked("Put the robot where it has room") if _asks(options) else _at_once
             run_gaits(robot, orders, folder, work / "logs" / "validation", say, ask)

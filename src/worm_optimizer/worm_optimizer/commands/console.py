@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: the console, which shows the robot in a browser and has it do what `operate` does."""
+"""Command line: the console, which shows and operates the robot in a browser."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-from worm_model.commands.command_line import FAILED, InputError, Parser, run_command
+from worm_model.commands.command_line import FAILED, InputError, Parser, number, run_command
 from worm_model.parameters import load_parameters
 from worm_optimizer.commands.robot_options import add_robot, robot_of
 from worm_optimizer.nodes.operator_node import OperatorNode, operator
@@ -23,6 +23,7 @@ from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.system import RESTARTS
 
 PORT = 8080
+CONTROL_TIMEOUT_S, MAX_CONTROL_TIMEOUT_S = 5.0, 600.0  # the driver accepts no longer lease
 
 
 def main() -> int:
@@ -33,33 +34,43 @@ def main() -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="console",
-        description="The robot in a browser: live view, gaits, recordings. Serves a node graph that runs "
-        "(./worm start), or brings one up with --virtual. Only this computer reaches the page, unless --listen says "
-        "otherwise.",
+        description="Show and operate the robot in a browser: live view, gaits, recordings. Connects to a running "
+        "node graph (./worm start), or starts one with --virtual. Only this computer reaches the page unless --listen "
+        "is given.",
     )
     parser.add_argument(
-        "--virtual", action="store_true", help="bring a virtual robot's whole graph up, too"
+        "--virtual", action="store_true", help="start the node graph of a virtual robot"
     )
-    parser.add_argument("--namespace", default="worm", help="of the robot (default: worm)")
+    parser.add_argument(
+        "--namespace", default="worm", help="namespace of the robot (default: worm)"
+    )
     parser.add_argument(
         "--listen",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="of this computer on a network, 0.0.0.0 for all; a token is then needed, and printed",
+        help="address of this computer in a network, 0.0.0.0 for all; access then needs the printed token",
     )
     parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}")
     parser.add_argument(
         "--password-file",
         type=Path,
         metavar="FILE",
-        help="whose first line one signs in with, instead of a token",
+        help="file whose first line is the password, instead of a token",
     )
     parser.add_argument(
         "--bags",
         type=Path,
         default=Path("bags"),
         metavar="FOLDER",
-        help="of the recordings (default: bags)",
+        help="folder of the recordings (default: bags)",
+    )
+    parser.add_argument(
+        "--control-timeout",
+        type=number,
+        default=CONTROL_TIMEOUT_S,
+        metavar="SECONDS",
+        help="time without a message of a page after which the page loses control and its run ends, at most "
+        f"{MAX_CONTROL_TIMEOUT_S:g} (default: {CONTROL_TIMEOUT_S:g})",
     )
     add_robot(parser)
     parser.add_parameters()
@@ -72,50 +83,60 @@ def _console(options: argparse.Namespace) -> int:
             "the console needs NiceGUI: pip install -r requirements-console.txt, or use ./worm console"
         )
     from worm_optimizer.console.access import Access
-    from worm_optimizer.console.control import Control
-    from worm_optimizer.console.hub import Hub, new_words
+    from worm_optimizer.console.bag_library import BagLibrary
+    from worm_optimizer.console.console_state import ConsoleState, new_notices
+    from worm_optimizer.console.control import ConsoleControl
     from worm_optimizer.console.robot_worker import Notice, RobotWorker
     from worm_optimizer.console.server import serve
-    from worm_optimizer.console.shelf import Shelf
 
     parameters = load_parameters(options.parameters)
     file = str(Path(options.parameters).resolve()) if options.parameters else ""
     secret = _secret(options)
+    _check_control_timeout(options.control_timeout)
     _refuse_taken_port(options.listen, options.port)
     say = ProgressLog("console")
-    words = new_words()
+    notices = new_notices()
 
-    def tell(word: Notice) -> None:
-        words.append(word)
-        say(word.text)
+    def notify(notice: Notice) -> None:
+        notices.append(notice)
+        say(notice.text)
 
     namespace = "/" + options.namespace.strip("/")
     name = f"console_{os.getpid()}"
     worker = RobotWorker(
         _robot_opener(options, namespace, name, say),
         lambda check: operator(namespace, check, f"{name}_stop"),
-        tell,
+        notify,
     )
-    control = Control(time.monotonic)
-    hub = Hub(worker, control, Shelf(options.bags), parameters, file, words)
-    address = f"http://{_named(options.listen)}:{options.port}/"
+    host = f"{socket.gethostname()}:{options.port}"
+    control = ConsoleControl(host, time.monotonic, worker.request_control, options.control_timeout)
+    library = BagLibrary(options.bags)
+    state = ConsoleState(worker, control, library, parameters, file, notices)
+    address = f"http://{_address(options.listen)}:{options.port}/"
     token = f"?token={secret}" if secret and not options.password_file else ""
     say(f"{address}{token} (Ctrl-C ends it)")
     with counted_interrupts() as interrupts:
         try:
             access = Access(secret, time.monotonic)
-            serve(hub, access, options.listen, options.port, interrupts)
+            serve(state, access, options.listen, options.port, interrupts)
         finally:
             if worker.busy:
-                say("what goes on comes to its end; Ctrl-C once more holds the robot at once")
-            worker.close(impatient=lambda: interrupts() > 1)
+                say("waiting for the end of the run; another Ctrl-C holds the robot immediately")
+            worker.close(hold_now=lambda: interrupts() > 1)
     return FAILED if worker.failure else 0
 
 
 def _robot_opener(
     options: argparse.Namespace, namespace: str, name: str, note: Say
 ) -> Callable[[Say, Check], AbstractContextManager[OperatorNode]]:
-    """Opens the operator of a graph that runs, or of one that is brought up first; ``note`` tells the terminal."""
+    """Return a function that opens the operator of a running graph, or starts a graph first.
+
+    Args:
+        options: command line.
+        namespace: the robot's namespace.
+        name: name of the node.
+        note: prints a line in the terminal.
+    """
     robot = robot_of(options, "virtual" if options.virtual else "robot")
     system = robot.file.system(robot.mode, namespace.strip("/"), **robot.settings)
 
@@ -126,7 +147,7 @@ def _robot_opener(
             note(f"the logs of all nodes go to {logs}")
             with session(system, logs, say, RESTARTS, check) as running:
                 running.node.configure()
-                say("ready")
+                say("all nodes run")
                 yield running.node
         else:
             with operator(namespace, check, name) as node:
@@ -136,7 +157,7 @@ def _robot_opener(
 
 
 def _secret(options: argparse.Namespace) -> str:
-    """What one signs in with; nothing where only this computer reaches the pages. Raises `InputError`."""
+    """Return the token or password; empty if only this computer reaches the pages. Raises `InputError`."""
     from worm_optimizer.console.access import is_local
 
     if options.password_file is None:
@@ -147,20 +168,28 @@ def _secret(options: argparse.Namespace) -> str:
         raise InputError(f"--password-file {options.password_file}: {error}") from None
     if not password or len(password[0]) < 8:
         raise InputError(
-            f"--password-file {options.password_file}: its first line is to have 8 characters or more"
+            f"--password-file {options.password_file}: its first line must have 8 characters or more"
         )
     return str(password[0])
 
 
-def _named(host: str) -> str:
-    """A host as it stands in an address; this computer's name where it listens everywhere."""
+def _check_control_timeout(timeout_s: float) -> None:
+    """Raise `InputError` if the driver would reject the lease, or a late message of a page would end it."""
+    if not 2.0 <= timeout_s <= MAX_CONTROL_TIMEOUT_S:
+        raise InputError(
+            f"--control-timeout {timeout_s:g}: give 2 to {MAX_CONTROL_TIMEOUT_S:g} seconds"
+        )
+
+
+def _address(host: str) -> str:
+    """Return the host part of the address for other devices; the IP address if the server listens everywhere."""
     if host in ("0.0.0.0", "::"):
-        return socket.gethostname()
+        return _own_address()
     return f"[{host}]" if ":" in host else host
 
 
 def _refuse_taken_port(host: str, port: int) -> None:
-    """Raises `InputError` where nobody could listen."""
+    """Raise `InputError` if the address or the port is not available."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         with socket.socket(family, socket.SOCK_STREAM) as tried:
@@ -168,3 +197,17 @@ def _refuse_taken_port(host: str, port: int) -> None:
             tried.bind((host, port))
     except (OSError, OverflowError) as error:
         raise InputError(f"--listen {host} --port {port}: {error}") from None
+
+
+def _own_address() -> str:
+    """Return the IPv4 address of this computer in its network; its name if it has none.
+
+    Connecting a datagram socket sends nothing; it selects the interface towards the address, which is one for
+    documentation (RFC 5737).
+    """
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect(("192.0.2.1", 9))
+            return str(probe.getsockname()[0])
+    except OSError:
+        return socket.gethostname()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line: what a person does with a robot whose node graph runs; the same that ros2 would do."""
+"""Command line: operate a robot whose node graph runs."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from worm_model.commands.command_line import (
@@ -33,9 +34,15 @@ from worm_optimizer.nodes.operator_node import OperatorNode, UnreachableError, o
 from worm_optimizer.operation.bring_up import CYCLES, FAILURES, ProgressLog
 from worm_optimizer.operation.processes import counted_interrupts
 from worm_optimizer.operation.recorded_run import new_bag, recorded
-from worm_optimizer.orders import Order, RobotState, RunProgress, RunResult
+from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
+from worm_optimizer.snapshot import Snapshot
 
-_TOLD_S = 2.0  # between two lines of progress
+_PROGRESS_S = 2.0  # time between two lines of progress
+#: fields of the driver's state that `operate state` returns
+_STATE = (
+    *("holding", "homed", "emergency_stop", "cycle", "cycles"),
+    *("stroke", "frequency", "direction", "message"),
+)
 
 Action = Callable[[OperatorNode, argparse.Namespace], int]
 
@@ -48,8 +55,8 @@ def main() -> int:
 def _parser() -> Parser:
     parser = Parser(
         prog="operate",
-        description="What a person does with a robot whose node graph runs (./worm start, or ros2 launch): the same "
-        "services, actions and topics that ros2 would use.",
+        description="Operate a robot whose node graph runs (./worm start, or ros2 launch), with its public services, "
+        "actions and topics.",
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
 
@@ -62,37 +69,37 @@ def _parser() -> Parser:
             type=number,
             default=10.0,
             metavar="S",
-            help="for a driver to be heard (default: 10)",
+            help="timeout for the driver (default: 10)",
         )
         added.add_json()
         return added
 
-    add("state", _state, "What is heard of the robot; exit status 1 where there is no driver.")
+    add("state", _state, "Print the state of the robot; exit status 1 without a driver.")
     add(
         "home",
-        _asking(OperatorNode.home),
-        "Take the present length of the cable as the initial one; torque is off.",
+        _simple(OperatorNode.home),
+        "Define the present length of the cable as the initial one; torque must be off.",
     )
-    add("activate", _asking(OperatorNode.activate), "Turn the torque on, where the cable is.")
+    add("activate", _simple(OperatorNode.activate), "Turn the torque on without motion.")
     add(
         "deactivate",
-        _asking(OperatorNode.deactivate),
+        _simple(OperatorNode.deactivate),
         "Bring the robot to rest and turn its torque off.",
     )
     add(
         "stop",
-        _asking(OperatorNode.stop),
-        "Hold the cable where it is, at once; the torque stays on.",
+        _simple(OperatorNode.stop),
+        "Hold the cable where it is, immediately; the torque stays on.",
     )
     add(
         "reboot",
-        _asking(OperatorNode.reboot),
-        "Restart the servos that report a hardware error; torque is off.",
+        _simple(OperatorNode.reboot),
+        "Restart the servos that report a hardware error; torque must be off.",
     )
     switch = add(
         "emergency_stop",
         _emergency_stop,
-        "on: hold at once, and reject every start, also of a driver that is started again; off: reset it, which "
+        "on: hold immediately and reject every start, also after a restart of the driver; off: reset it, which "
         "the driver rejects while the last message of any publisher of the topic is true.",
     )
     switch.add_argument("switch", choices=("on", "off"))
@@ -101,8 +108,8 @@ def _parser() -> Parser:
         add(
             "run",
             _run,
-            "Run a gait of one's own (--stroke, --frequency) or one of the optimizer's front, the most economical by "
-            "default. Ctrl-C stops it at the next point of rest, another Ctrl-C holds at once.",
+            "Run a given gait (--stroke, --frequency) or one of the optimizer's front, by default the one with the "
+            "lowest cost of transport. Ctrl-C stops it at the next point of rest, another Ctrl-C holds immediately.",
         )
     )
     return parser
@@ -113,18 +120,18 @@ def _add_fault(parser: Parser) -> None:
         "name", help="as `worm_driver virtual_robot --help` lists them; clear ends all"
     )
     parser.add_argument("--target", type=int, default=0, help="id of the servo; default: any")
-    parser.add_argument("--count", type=int, default=0, help="packets that it strikes")
+    parser.add_argument("--count", type=int, default=0, help="number of affected packets")
     parser.add_number("--delay", "S", "s from now", 0.0)
-    parser.add_number("--duration", "S", "s; 0: the fault's own", 0.0)
-    parser.add_number("--value", "X", "as the fault takes it; 0: its own", 0.0)
+    parser.add_number("--duration", "S", "s; 0: the default of the fault", 0.0)
+    parser.add_number("--value", "X", "value of the fault; 0: its default", 0.0)
 
 
 def _add_run(parser: Parser) -> None:
     parser.add_gait()
     add_objective(parser)
-    ends = parser.add_argument_group("its end: the first that is reached")
+    ends = parser.add_argument_group("end of the run: the first that is reached")
     ends.add_argument(
-        "--cycles", type=int, default=0, metavar="N", help=f"default {CYCLES} where no end is given"
+        "--cycles", type=int, default=0, metavar="N", help=f"default {CYCLES} if no end is given"
     )
     ends.add_argument("--grooves", type=int, default=0, metavar="N", help="needs a tracker")
     ends.add_argument(
@@ -142,7 +149,7 @@ def _operate(options: argparse.Namespace) -> int:
         raise InputError(f"--timeout {options.timeout:g}: give a positive time in s")
     action: Action = options.action
     if action is _run:
-        _ends(options, _own_gait(options) or Gait(0.05, 0.1))  # refused before anybody is asked
+        _ends(options, _own_gait(options) or Gait(0.05, 0.1))  # rejected before any request
     try:
         with operator(namespace, name=f"operate_{os.getpid()}") as node:
             node.wait_for_driver(options.timeout)
@@ -158,15 +165,32 @@ def _done(options: argparse.Namespace, message: str) -> int:
 
 
 def _state(node: OperatorNode, options: argparse.Namespace) -> int:
-    state = node.state()
-    print_result(options, asdict(state), _state_words(state))
+    lifecycle, now = node.lifecycle_state(), node.current_snapshot()
+    content = _state_content(lifecycle, now)
+    print_result(options, content, _state_text(content))
     return 0
 
 
-def _state_words(state: RobotState) -> str:
+def _state_content(lifecycle: str, now: Snapshot) -> dict[str, Any]:
+    """Return the fields of the output; NaN, an empty text or 0 for what was not received."""
+    assert now.driver is not None
+    return {
+        "lifecycle": lifecycle,
+        **{name: getattr(now.driver, name) for name in _STATE},
+        "state": now.driver.state.name,
+        "power": now.power,
+        "rear_position": now.robot.rear_position,
+        "health": "" if now.residuals is None else now.residuals.health.name.lower(),
+        "initial_length": 0.0 if now.twin is None else now.twin.initial_length,
+    }
+
+
+def _state_text(content: Mapping[str, Any]) -> str:
+    state = SimpleNamespace(**content)
+    activity = "stopped, holding" if state.holding else state.state.lower()
     rows = [
         ("driver", state.lifecycle),
-        ("state", state.state.lower() + (f": {state.message}" if state.message else "")),
+        ("state", activity + (f": {state.message}" if state.message else "")),
         ("homed", "yes" if state.homed else "no"),
         ("emergency stop", "ON: nothing starts" if state.emergency_stop else "off"),
     ]
@@ -181,9 +205,9 @@ def _state_words(state: RobotState) -> str:
     return "\n".join(f"{name:<15} {value}" for name, value in rows)
 
 
-def _asking(ask: Callable[[OperatorNode], str]) -> Action:
-    """An action that takes nothing but the word."""
-    return lambda node, options: _done(options, ask(node))
+def _simple(call: Callable[[OperatorNode], str]) -> Action:
+    """Return an action without arguments."""
+    return lambda node, options: _done(options, call(node))
 
 
 def _emergency_stop(node: OperatorNode, options: argparse.Namespace) -> int:
@@ -207,14 +231,14 @@ def _run(node: OperatorNode, options: argparse.Namespace) -> int:
     with recorder:
         result = _attended(node, order, say)
     content = {**asdict(result), "bag": None if bag is None else str(bag)}
-    print_result(options, content, _result_words(result, bag))
+    print_result(options, content, _result_text(result, bag))
     if not result.success:
         print(f"operate: {result.message}", file=sys.stderr)  # noqa: T201
     return 0 if result.success else FAILED
 
 
 def _own_gait(options: argparse.Namespace) -> Gait | None:
-    """The gait that is given in numbers, None where one is to be requested. Raises `InputError`."""
+    """Return the gait of the options; None if one must be requested. Raises `InputError`."""
     if options.stroke is None and options.frequency is None:
         for name in WAVEFORM:
             if name in GAIT_DEFAULTS and str(getattr(options, name)) != str(GAIT_DEFAULTS[name]):
@@ -225,21 +249,22 @@ def _own_gait(options: argparse.Namespace) -> Gait | None:
         raise InputError("a gait has a stroke and a frequency: give --stroke and --frequency")
     if (options.objective, options.speed, options.power) != (None, None, None):
         raise InputError(
-            "--stroke and --frequency make the gait: leave --objective, --speed, --power out"
+            "--stroke and --frequency define the gait: omit --objective, --speed and --power"
         )
     return gait_of(options)
 
 
-def _ends(options: argparse.Namespace, gait: Gait) -> Order:
-    """A gait with the ends that are asked for, five cycles without any. Raises `InputError`."""
+def _ends(options: argparse.Namespace, gait: Gait) -> GaitCommand:
+    """Return a gait with the ends of the options; without any, with CYCLES cycles. Raises `InputError`."""
     default = 0 if options.grooves or options.distance else CYCLES
-    return Order(gait, options.cycles or default, options.grooves, options.distance)
+    return GaitCommand(gait, options.cycles or default, options.grooves, options.distance)
 
 
 def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog) -> Gait:
-    """A gait of the optimizer's front, for the groove phase at which the robot rests where the twin knows it."""
+    """Request a gait of the optimizer's front, for the groove phase at rest if the twin has estimated it."""
     request = request_of_options(options)
-    length = node.state().initial_length
+    twin = node.current_snapshot().twin
+    length = 0.0 if twin is None else twin.initial_length
     try:
         answer = node.request_gait(request, options.direction, length)
     except UnreachableError as error:
@@ -249,14 +274,14 @@ def _requested(node: OperatorNode, options: argparse.Namespace, say: ProgressLog
     return answer.gait
 
 
-def _attended(node: OperatorNode, order: Order, say: ProgressLog) -> RunResult:
-    """A run to its end; Ctrl-C stops it at the next point of rest, another one at once."""
+def _attended(node: OperatorNode, order: GaitCommand, say: ProgressLog) -> RunResult:
+    """Run a gait to its end; Ctrl-C stops it at the next point of rest, another one immediately."""
     with counted_interrupts() as interrupts:
         run = node.begin(order)
         try:
             if not node.follow(run, _progress(say), lambda: interrupts() > 0):
                 run.cancel()
-                say("stopping at the next point of rest; Ctrl-C again holds at once")
+                say("stopping at the next point of rest; Ctrl-C again holds immediately")
             if not node.follow(run, _progress(say), lambda: interrupts() > 1):
                 say(node.stop())
             node.follow(run, _progress(say))
@@ -270,14 +295,14 @@ def _progress(say: ProgressLog) -> Callable[[RunProgress], None]:
 
     def progress(now: RunProgress) -> None:
         nonlocal last, cycle
-        if now.cycle != cycle or time.monotonic() > last + _TOLD_S:
+        if now.cycle != cycle or time.monotonic() > last + _PROGRESS_S:
             last, cycle = time.monotonic(), now.cycle
             say(str(now))
 
     return progress
 
 
-def _result_words(result: RunResult, bag: Path | None) -> str:
+def _result_text(result: RunResult, bag: Path | None) -> str:
     if not result.cycles_completed:
         return result.message
     rows: list[tuple[str, Any]] = [

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from worm_model.commands.command_line import InputError, Parser, notifier, print_result, run_command
@@ -11,7 +12,7 @@ from worm_optimizer.report.agreement import agreement_json, describe, title_of
 from worm_optimizer.report.identification_parts import add_identification, identification_of
 from worm_optimizer.report.optimisation import optimise, why_no_front
 from worm_optimizer.report.recordings import bags_of, newest_recording, read_recorded_gaits
-from worm_optimizer.report.report_page import Report, build_report
+from worm_optimizer.report.report_page import Report, build_report, report_name
 
 _BAGS = Path("bags")
 _notify = notifier("report")
@@ -37,7 +38,12 @@ def _parser() -> Parser:
         metavar="BAG",
         help="or a folder of bags, such as a campaign's; default: what was recorded last in bags/",
     )
-    add("--output", type=Path, metavar="FOLDER", help="a new folder (default: BAG_report)")
+    add(
+        "--output",
+        type=Path,
+        metavar="FOLDER",
+        help="a new folder (default: BAG_report, or BAG_with_BAG_report)",
+    )
     add("--title", default="", help="of the page")
     add("--without-front", action="store_true", help="leave the optimizer's part out")
     add_identification(parser)
@@ -48,7 +54,7 @@ def _parser() -> Parser:
 
 def _report(options: argparse.Namespace) -> None:
     named = options.bags or [newest_recording(_BAGS, _notify)]
-    folder = options.output or _beside(named[0])
+    folder = options.output or _default_folder(named)
     if folder.exists():
         raise InputError(f"{folder}: exists already; give another name with --output")
     identification = identification_of(options)
@@ -66,6 +72,6 @@ def _report(options: argparse.Namespace) -> None:
     print_result(options, content, f"{describe(gaits)}\n\nreport  {page}")
 
 
-def _beside(path: Path) -> Path:
-    name = path.stem if path.is_file() else path.resolve().name
-    return path.resolve().parent / f"{name}_report"
+def _default_folder(paths: Sequence[Path]) -> Path:
+    names = [path.stem if path.is_file() else path.resolve().name for path in paths]
+    return paths[0].resolve().parent / report_name(names)

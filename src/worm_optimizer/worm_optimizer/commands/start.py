@@ -10,7 +10,7 @@ from pathlib import Path
 
 from worm_model.commands.command_line import FAILED, Parser, run_command
 from worm_optimizer.commands.robot_options import add_robot, robot_of
-from worm_optimizer.nodes.operator_node import OperatorError
+from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import FAILURES, ProgressLog, Session, session
 from worm_optimizer.operation.processes import counted_interrupts, termination_as_interrupt
 from worm_optimizer.operation.system import RESTARTS

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may use the console: where requests come from, the token or password, and sessions that end."""
+"""Access to the console: origin of requests, token or password, and sessions with an end."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from urllib.parse import urlsplit
 
-SESSION_S = 12 * 3600.0  # after which one signs in again
+SESSION_S = 12 * 3600.0  # length of a session
 LOCAL = ("localhost", "127.0.0.1", "::1")
-# Wrong secrets in so many s, after which nobody new is let in for as long.
+# After so many wrong secrets within this time (s), sign-ins are locked until the first of them is as old.
 _FAILURES, _FAILURES_S = 10, 60.0
 
 
 def is_local(address: str) -> bool:
-    """Whether only this computer reaches an address on which is listened."""
+    """Return True if only this computer reaches a server at an address."""
     return address in LOCAL
 
 
 def same_origin(headers: Mapping[str, str]) -> bool:
-    """Whether a request comes from a page of this console, or from no page at all; names of headers in lower case."""
+    """Return True if a request comes from a page of this console or from no page; header names are in lower case."""
     origin = headers.get("origin")
     if origin is None:
         return True
@@ -29,7 +29,12 @@ def same_origin(headers: Mapping[str, str]) -> bool:
 
 
 class Access:
-    """Without a ``secret``, everybody on this computer and nobody else; ``clock`` tells the time in s."""
+    """Rules of access and open sessions.
+
+    Args:
+        secret: token or password; empty: every user of this computer has access, and no other computer.
+        clock: returns the present time, s.
+    """
 
     def __init__(self, secret: str, clock: Callable[[], float]) -> None:
         self._secret = secret
@@ -39,11 +44,11 @@ class Access:
 
     @property
     def needs_secret(self) -> bool:
-        """Whether one has to sign in."""
+        """True if access requires a sign-in."""
         return bool(self._secret)
 
     def admits(self, headers: Mapping[str, str], session: str) -> bool:
-        """Whether a request is answered at all; a name that only resolves to this computer is no local page."""
+        """Return True if a request is permitted; another host name that resolves to this computer is not local."""
         if not same_origin(headers):
             return False
         if self._secret:
@@ -51,18 +56,26 @@ class Access:
         return is_local(urlsplit(f"//{headers.get('host', '')}").hostname or "")
 
     def sign_in(self, offered: str) -> str:
-        """A new session for the right secret, else an empty text."""
+        """Return a new session for the right secret, otherwise an empty text."""
         now = self._clock()
-        tired = len(self._failures) == _FAILURES and now - self._failures[0] < _FAILURES_S
-        if tired or not hmac.compare_digest(offered.encode(), self._secret.encode()):
+        if self.lock_s > 0.0:
+            return ""
+        if not hmac.compare_digest(offered.encode(), self._secret.encode()):
             self._failures.append(now)
             return ""
         session = secrets.token_urlsafe(32)
         self._ends[session] = now + SESSION_S
         return session
 
+    @property
+    def lock_s(self) -> float:
+        """Time until sign-ins are possible again after too many wrong secrets, s; 0: they are possible."""
+        if len(self._failures) < _FAILURES:
+            return 0.0
+        return max(self._failures[0] + _FAILURES_S - self._clock(), 0.0)
+
     def is_open(self, session: str) -> bool:
-        """Whether a session has begun and not ended; without a secret there is nothing to end."""
+        """Return True if a session is open; without a secret, every session is."""
         return not self._secret or self._clock() < self._ends.get(session, 0.0)
 
     def sign_out(self, session: str) -> None:

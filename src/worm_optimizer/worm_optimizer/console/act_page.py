@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tab from which the robot is moved: its torque, a gait of the front, and how long."""
+"""The tab of the commands: torque, choice of a gait on the front, and its run."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from worm_model.analysis.plot_style import BLUE, VERMILION
 from worm_model.errors import InputError
 from worm_model.gait import FORWARD, REVERSE
 from worm_optimizer.console import page_actions
-from worm_optimizer.console.hub import Hub
+from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.page_chart import chart
 from worm_optimizer.console.view import obstacles
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.operation.bring_up import CYCLES
-from worm_optimizer.orders import Order, RunProgress
+from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 from worm_optimizer.search.optimizer_errors import OptimizerError
 
-WORDS_S = 0.25
+REFRESH_S = 0.25
 _RECORDED = "Every run is recorded."
 _SHOWN = {
     "stroke": ("stroke", 1e3, "mm"),
@@ -36,30 +36,38 @@ _SHOWN = {
     "cost_of_transport": ("cost of transport, robust", 1.0, ""),
     "nominal_cost_of_transport": ("cost of transport, nominal", 1.0, ""),
     "grooves_per_cycle": ("grooves per cycle", 1.0, ""),
-    "groove_phase": ("holds for a groove phase of", 1e3, "mm"),
+    "groove_phase": ("groove phase", 1e3, "mm"),
     "success_probability": ("success, phase known", 1.0, ""),
     "success_probability_any_phase": ("success, any phase", 1.0, ""),
 }
 
 
 class ActPage:
-    """``forbidden`` says why this page may move nothing, empty: it may."""
+    """Commands to the robot.
 
-    def __init__(self, hub: Hub, forbidden: Callable[[], str]) -> None:
-        self._hub, self._forbidden = hub, forbidden
+    Args:
+        state: shared state of the pages.
+        why_not: returns why this page may not command the robot; empty: it may.
+    """
+
+    def __init__(self, state: ConsoleState, why_not: Callable[[], str]) -> None:
+        self._state, self._why_not = state, why_not
         self._chosen: Prediction | None = None
         self._shown: list[Prediction] = []
         self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}
+        ui.html("Act", tag="h2", sanitize=False).classes("text-lg")
         with ui.row().classes("gap-2"):
-            self._button("Home", partial(self._ask, "homing", OperatorNode.home))
+            self._button("Home", partial(self._submit, "homing", OperatorNode.home))
             self._button(
-                "Activate", partial(self._ask, "activating the driver", OperatorNode.activate)
+                "Activate", partial(self._submit, "activating the driver", OperatorNode.activate)
             )
-            self._button("Deactivate", partial(self._ask, "deactivating", OperatorNode.deactivate))
+            self._button(
+                "Deactivate", partial(self._submit, "deactivating", OperatorNode.deactivate)
+            )
             self._release = ui.button(
                 "Permit starts",
                 on_click=partial(
-                    self._ask, "resetting the emergency stop", OperatorNode.reset_emergency_stop
+                    self._submit, "resetting the emergency stop", OperatorNode.reset_emergency_stop
                 ),
             )
         with ui.row().classes("w-full gap-4"):
@@ -67,7 +75,7 @@ class ActPage:
                 self._front()
             with ui.column().classes("gap-1"):
                 self._gait()
-        ui.timer(WORDS_S, self._tell)
+        ui.timer(REFRESH_S, self._refresh)
 
     def _button(self, name: str, press: Callable[[], None]) -> None:
         button = ui.button(name, on_click=press)
@@ -78,14 +86,14 @@ class ActPage:
         with ui.row().classes("items-center gap-2"):
             self._direction = ui.toggle({FORWARD: "Forward", REVERSE: "Reverse"}, value=FORWARD)
             self._button("Read front", self._read)
-        self._plot = _plot(self._click)
+        self._plot = _plot(self._click).props('role=img aria-label="Front: power over speed"')
         with ui.row().classes("items-center gap-2"):
             ui.button("Slower gait", on_click=lambda: self._step(-1))
             ui.button("Faster gait", on_click=lambda: self._step(1))
         with ui.row().classes("items-center gap-2"):
             self._speed = ui.number("At a speed of, mm/s", min=0.0).classes("w-40")
             ui.button("Find gait", on_click=self._find)
-        self._why = ui.label().props("role=alert")
+        self._error = ui.label().classes("line error").props("role=alert")
 
     def _gait(self) -> None:
         with ui.grid(columns=2).classes("gap-x-4 gap-y-0 numbers"):
@@ -97,27 +105,27 @@ class ActPage:
             self._count = ui.number("How many", value=CYCLES, min=1, precision=0).classes("w-24")
             self._unit = ui.toggle(["cycles", "grooves"], value="cycles")
         self._button("Run", self._run)
-        self._why_not = ui.label(_RECORDED)
+        self._run_note = ui.label(_RECORDED).classes("line").style("max-width: 24rem")
 
-    # --- what is pressed ---------------------------------------------------------------------
+    # --- buttons and fields ---------------------------------------------------------------------
 
-    def _ask(self, doing: str, act: Callable[[OperatorNode], str]) -> None:
-        if why := self._forbidden():
+    def _submit(self, description: str, command: Callable[[OperatorNode], str]) -> None:
+        if why := self._why_not():
             ui.notify(why, type="warning")
-        elif not self._hub.worker.ask(doing, act):
-            ui.notify(self._hub.worker.hindrance, type="warning")
+        elif not self._state.worker.submit(description, command):
+            ui.notify(self._state.worker.hindrance, type="warning")
 
     def _read(self) -> None:
-        direction, twin = self._direction.value, self._hub.snapshot().twin
+        direction, twin = self._direction.value, self._state.snapshot().twin
         length = 0.0 if twin is None else twin.initial_length
 
         def read(node: OperatorNode) -> str:
-            front = page_actions.read_front(node, direction, length, self._hub.worker.going)
-            self._hub.fronts[direction] = front
+            front = page_actions.read_front(node, direction, length, self._state.worker.progress)
+            self._state.fronts[direction] = front
             return f"the front has {len(front)} gaits"
 
-        if not self._hub.worker.ask("reading the front", read):
-            ui.notify(self._hub.worker.hindrance, type="warning")
+        if not self._state.worker.submit("reading the front", read):
+            ui.notify(self._state.worker.hindrance, type="warning")
 
     def _click(self, event: events.EChartPointClickEventArguments) -> None:
         self._choose(self._shown[event.data_index])
@@ -129,25 +137,25 @@ class ActPage:
 
     def _find(self) -> None:
         if not self._shown:
-            self._why.set_text("no front has been read: Read front")
+            self._error.set_text("there is no front yet: Read front")
             return
         try:
             request = GaitRequest(Objective.MIN_POWER_AT_SPEED, 1e-3 * (self._speed.value or 0.0))
         except OptimizerError as error:
-            self._why.set_text(str(error))
+            self._error.set_text(str(error))
             return
         fast_enough = [gait for gait in self._shown if gait.speed >= request.value]
         if not fast_enough:
             fastest = 1e3 * self._shown[-1].speed
-            self._why.set_text(
-                f"no gait of the front is as fast; the fastest makes {fastest:.3f} mm/s"
+            self._error.set_text(
+                f"no gait of the front is so fast; the fastest has {fastest:.3f} mm/s"
             )
             return
         self._choose(min(fast_enough, key=lambda gait: gait.power))
 
     def _choose(self, prediction: Prediction) -> None:
         self._chosen = prediction
-        self._why.set_text("")
+        self._error.set_text("")
         for key, (_, scale, _) in _SHOWN.items():
             value = getattr(prediction, key)
             self._cells[key].set_text(f"{scale * value:.4g}" if math.isfinite(value) else "–")
@@ -156,42 +164,43 @@ class ActPage:
 
     def _run(self) -> None:
         if self._chosen is None:
-            self._why.set_text("choose a gait on the front first")
+            self._error.set_text("choose a gait on the front first")
             return
         try:
-            order = Order(self._chosen.gait, **{self._unit.value: int(self._count.value or 0)})
+            end = {self._unit.value: int(self._count.value or 0)}
+            command = GaitCommand(self._chosen.gait, **end)
         except InputError as error:
-            self._why.set_text(str(error))
+            self._error.set_text(str(error))
             return
-        hub = self._hub
-
-        def progress(now: RunProgress) -> None:
-            hub.worker.busy = f"running: {now}"
+        state = self._state
+        folder, parameter_file = state.library.folder, state.parameter_file
 
         def run(node: OperatorNode) -> str:
             return page_actions.run(
-                node, order, hub.shelf.folder, hub.parameter_file, hub.unwanted, progress
+                node, command, folder, parameter_file, state.cancellation, state.worker.report
             )
 
-        self._ask("starting the recorder", run)
+        if not (self._why_not() or state.worker.hindrance):
+            state.control.begin_run()
+        self._submit("starting the recorder", run)
 
     # --- what is shown -----------------------------------------------------------------------
 
-    def _tell(self) -> None:
-        snapshot, worker = self._hub.snapshot(), self._hub.worker
-        reasons = obstacles(snapshot, self._forbidden() or worker.hindrance)
+    def _refresh(self) -> None:
+        snapshot, worker = self._state.snapshot(), self._state.worker
+        reasons = obstacles(snapshot, self._why_not() or worker.hindrance)
         if not reasons["Run"] and self._chosen is None:
             reasons["Run"] = "choose a gait on the front first"
         reasons["Read front"] = worker.hindrance
         why = reasons["Run"]
-        self._why_not.set_text(f"Run cannot be pressed: {why}" if why else _RECORDED)
+        self._run_note.set_text(f"Run is not possible: {why}" if why else _RECORDED)
         for name, (button, tooltip) in self._buttons.items():
             button.set_enabled(not reasons[name])
             tooltip.set_text(reasons[name])
             tooltip.set_visibility(bool(reasons[name]))
         latched = snapshot.driver is not None and snapshot.driver.emergency_stop
         self._release.set_visibility(latched)
-        gaits = self._hub.fronts.get(self._direction.value, [])
+        gaits = self._state.fronts.get(self._direction.value, [])
         if gaits != self._shown:
             self._shown = gaits
             self._plot.options["series"][0]["data"] = [_point(gait) for gait in gaits]
@@ -215,6 +224,6 @@ def _plot(click: Callable[[events.EChartPointClickEventArguments], None]) -> ui.
         height="20rem",
         on_point_click=click,
     )
-    words = "point => `${point.value[0].toFixed(2)} mm/s, ${point.value[1].toFixed(2)} W`"
-    plot.options["tooltip"] = {"trigger": "item", ":formatter": words}
+    text = "point => `${point.value[0].toFixed(2)} mm/s, ${point.value[1].toFixed(2)} W`"
+    plot.options["tooltip"] = {"trigger": "item", ":formatter": text}
     return plot.classes("front")

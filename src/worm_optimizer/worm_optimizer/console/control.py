@@ -1,66 +1,164 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which page holds control of the robot: one at a time, and handed over on purpose."""
+"""Control of the robot by the pages of one console. The driver decides who has it, among the pages of all consoles."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
-SILENCE_S = 3.0  # of the page that holds control, which a run puts up with
+from worm_optimizer.snapshot import Control, Wish
+
+_SEPARATOR = " page "  # between the names of console and page in that of a client
+
+Send = Callable[[str, Wish, float], None]
 
 
-class Control:
-    """Pages by their names; ``clock`` tells the time in s.
+@dataclass
+class _Page:
+    """State of one page: time of its last message (s), and what it wants, has and has lost."""
 
-    Attributes:
-        holder: the page that holds control, empty: none.
-        asking: the page that asks for it, empty: none.
+    last_message_s: float = -math.inf
+    wants_control: bool = False
+    has_control: bool = False
+    loss: str = ""
+
+
+class ConsoleControl:
+    """Requests of the pages of this console, and what the driver decides about them.
+
+    Args:
+        console: name of this console, which is unique among all consoles.
+        clock: returns the present time, s.
+        send: sends a client, its wish and the length of its lease (s) to the driver.
+        timeout_s: time without a message of a page after which the page loses control, s.
     """
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, console: str, clock: Callable[[], float], send: Send, timeout_s: float
+    ) -> None:
+        self._console = console
         self._clock = clock
-        self._seen: dict[str, float] = {}
-        self.holder = ""
-        self.asking = ""
+        self._submit = send
+        self.timeout_s = timeout_s
+        self._pages: dict[str, _Page] = {}
+        self._state = Control()
+        self._runner = ""  # client for which the present run was started
 
-    def beat(self, page: str) -> None:
-        """A page says that it lives."""
-        self._seen[page] = self._clock()
+    def update(self, state: Control | None) -> None:
+        """Take over the driver's state; None if there is no driver."""
+        self._state = state or Control()
+        for name, page in self._pages.items():
+            has_control = page.wants_control and self._state.holder == self._client(name)
+            if page.has_control and not has_control and page.wants_control:
+                why = self._state.holder and f": {self._named(self._state.holder)} has it"
+                self._drop(name, f"this page lost control{why}")
+            page.has_control = has_control
 
-    def take(self, page: str) -> bool:
-        """Take control if no living page has it, else ask for it; whether it was taken."""
-        if self.holder in ("", page) or not self.held:
-            self.holder, self.asking = page, ""
-            return True
-        self.asking = page
-        return False
+    def on_message(self, name: str) -> None:
+        """Register that a page is alive, and renew its request; a page that was silent for too long loses control."""
+        page = self._page(name)
+        now = self._clock()
+        if page.wants_control and now - page.last_message_s > self.timeout_s:
+            self._drop(
+                name, f"this page was silent for more than {self.timeout_s:g} s and lost control"
+            )
+        page.last_message_s = now
+        if page.wants_control:
+            self._send(name, Wish.CONTROL)
 
-    def hand_over(self, page: str) -> None:
-        """Give control to the page that asks for it; only its holder can."""
-        if page == self.holder and self.asking:
-            self.holder, self.asking = self.asking, ""
+    def request(self, name: str) -> None:
+        """Request control for a page that is alive. `is_held_by` becomes True when the driver grants it."""
+        page = self._page(name)
+        page.loss = ""
+        page.wants_control = True
+        page.last_message_s = self._clock()
+        self._send(name, Wish.CONTROL)
 
-    def release(self, page: str) -> None:
-        """Let go of control, as a page does that is closed."""
-        self._seen.pop(page, None)
-        if self.holder == page:
-            self.holder = ""
-        if self.asking == page:
-            self.asking = ""
+    def hand_over(self, name: str) -> None:
+        """Give control to the client that requests it. A run goes on under that client."""
+        if self.is_held_by(name) and self._state.requester:
+            self._runner = self._state.requester
+            self._send(name, Wish.HAND_OVER)
+            page = self._page(name)
+            page.wants_control = page.has_control = False
 
-    def is_held_by(self, page: str) -> bool:
-        """Whether a page has control."""
-        return bool(page) and self.holder == page
+    def release(self, name: str, loss: str = "") -> None:
+        """Give up control or the request for it.
+
+        Args:
+            name: the page.
+            loss: reason, if the page did not decide it; returned by `loss_of`.
+        """
+        if name in self._pages and self._pages[name].wants_control:
+            self._drop(name, loss)
+
+    def forget(self, name: str) -> None:
+        """Release the control of a page that does not exist any more."""
+        self.release(name)
+        self._pages.pop(name, None)
+
+    def is_held_by(self, name: str) -> bool:
+        """Return True if a page has control and is alive."""
+        page = self._pages.get(name)
+        return page is not None and page.has_control and not self._is_silent(page)
+
+    def is_requested_by(self, name: str) -> bool:
+        """Return True if a page wants control and does not have it yet."""
+        page = self._pages.get(name)
+        return page is not None and page.wants_control and not page.has_control
 
     @property
-    def held(self) -> bool:
-        """Whether a page that lives has control: else nobody wants what the robot does."""
-        return not self.loss
+    def holder(self) -> str:
+        """Name of the console whose page has control, as people read it; empty: none."""
+        return self._state.holder and self._named(self._state.holder)
 
     @property
-    def loss(self) -> str:
-        """Why no page has control, in words, empty: one has."""
-        if not self.holder:
-            return "no page holds control"
-        silent = self._clock() - self._seen.get(self.holder, -math.inf) > SILENCE_S
-        return f"the page in control was not heard for {SILENCE_S:g} s" if silent else ""
+    def requester(self) -> str:
+        """Name of the console whose page requests control; empty: none."""
+        return self._state.requester and self._named(self._state.requester)
+
+    def loss_of(self, name: str) -> str:
+        """Return why a page has lost control; empty if it gave it up, or never had it."""
+        page = self._pages.get(name)
+        return "" if page is None else page.loss
+
+    def begin_run(self) -> None:
+        """Note that a run starts for the client that has control now."""
+        self._runner = self._state.holder
+
+    @property
+    def run_loss(self) -> str:
+        """Return why the present run must end; empty while the client for which it runs has control."""
+        runner, holder = self._runner, self._state.holder
+        if not holder:
+            return "no page has control"
+        if holder != runner:
+            return f"{self._named(holder)} has control and did not start this run"
+        console, _, name = runner.partition(_SEPARATOR)
+        if console == self._console and not self.is_held_by(name):
+            return f"the page that had control was closed, or silent for {self.timeout_s:g} s"
+        return ""
+
+    def _drop(self, name: str, loss: str) -> None:
+        page = self._page(name)
+        page.loss = loss
+        page.wants_control = page.has_control = False
+        self._send(name, Wish.RELEASE)
+
+    def _send(self, name: str, wish: Wish) -> None:
+        self._submit(self._client(name), wish, self.timeout_s)
+
+    def _is_silent(self, page: _Page) -> bool:
+        return self._clock() - page.last_message_s > self.timeout_s
+
+    def _page(self, name: str) -> _Page:
+        return self._pages.setdefault(name, _Page())
+
+    def _client(self, name: str) -> str:
+        return f"{self._console}{_SEPARATOR}{name}"
+
+    def _named(self, client: str) -> str:
+        """Return a client's name for people: its console, or another page of this one."""
+        console = client.split(_SEPARATOR)[0]
+        return "another page" if console == self._console else f"a page of {console}"

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands before all pages and their sockets (ASGI): lets in whom `Access` admits, and signs people in."""
+"""ASGI middleware in front of all pages and sockets: permits requests by `Access`, and serves the sign-in."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Awaitable, Callable, MutableMapping
 from contextlib import suppress
 from http import HTTPStatus
@@ -18,18 +19,18 @@ from worm_optimizer.console.access import SESSION_S, Access, same_origin
 COOKIE = "worm_console"
 _FRAMES = b"frame-ancestors 'self'"
 _LONGEST_FORM = 4096  # bytes
-# Of an answer of its own, which no other site shows in a frame and whose address is told to nobody; with no-referrer,
-# browsers hide the origin of the form.
+# Headers of the guard's own responses: no other site may show them in a frame or receive their address. With
+# no-referrer, browsers would hide the origin of the form.
 _OWN = {"cache-control": "no-store", "referrer-policy": "same-origin", "x-frame-options": "DENY"}
 _FORM = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Worm console</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
-<body style="font-family:sans-serif;max-width:24rem;margin:4rem auto;padding:1rem">
+<body style="font-family:sans-serif;max-width:24rem;margin:4rem auto;padding:1rem"><main>
 <h1>Worm console</h1>
 <p role="alert">{0}</p><form method="post" action="/login"><label>Token or password
 <input type="password" name="token" autocomplete="current-password" autofocus
  style="width:100%;font-size:1.2rem"></label>
-<p><button style="font-size:1.2rem">Sign in</button></form>"""
+<p><button style="font-size:1.2rem">Sign in</button></form></main>"""
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[Any]]
@@ -44,27 +45,29 @@ class Guard:
         self._access = access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Hands on what may pass, and answers the rest."""
+        """Pass permitted requests on, and respond to all others."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        asked = HTTPConnection(scope)
-        signs = scope["type"] == "http" and self._access.needs_secret and same_origin(asked.headers)
-        named = scope["path"] in ("/login", "/logout") or asked.query_params.get("token")
-        answer: Callable[[Scope, Receive, Send], Awaitable[None]]
+        request = HTTPConnection(scope)
+        signs = (
+            scope["type"] == "http" and self._access.needs_secret and same_origin(request.headers)
+        )
+        named = scope["path"] in ("/login", "/logout") or request.query_params.get("token")
+        response: Callable[[Scope, Receive, Send], Awaitable[None]]
         if signs and named:
-            answer = await self._sign(Request(scope, receive))
-        elif self._access.admits(asked.headers, asked.cookies.get(COOKIE, "")):
+            response = await self._sign(Request(scope, receive))
+        elif self._access.admits(request.headers, request.cookies.get(COOKIE, "")):
             await self._app(scope, receive, _unframed(send))
             return
         elif scope["type"] == "websocket":
-            answer = WebSocketClose(1008)
+            response = WebSocketClose(1008)
         elif signs:
-            answer = RedirectResponse("/login", HTTPStatus.SEE_OTHER, _OWN)
+            response = RedirectResponse("/login", HTTPStatus.SEE_OTHER, _OWN)
         else:
-            text = "refused: this request does not come from a page of the console"
-            answer = HTMLResponse(text, HTTPStatus.FORBIDDEN, _OWN)
-        await answer(scope, receive, send)
+            text = "rejected: this request does not come from a page of the console"
+            response = HTMLResponse(text, HTTPStatus.FORBIDDEN, _OWN)
+        await response(scope, receive, send)
 
     async def _sign(self, request: Request) -> Response:
         if request.url.path == "/logout":
@@ -78,26 +81,51 @@ class Guard:
         opened = self._access.sign_in(offered)
         if not opened:
             wrong = "Wrong token or password: the console prints the token when it starts."
+            if self._access.lock_s > 0.0:
+                wrong = f"Too many wrong attempts: try again in {math.ceil(self._access.lock_s)} s."
             return HTMLResponse(_FORM.format(wrong), HTTPStatus.FORBIDDEN, _OWN)
-        answer = RedirectResponse("/", HTTPStatus.SEE_OTHER, _OWN)
-        answer.set_cookie(COOKIE, opened, round(SESSION_S), httponly=True, samesite="strict")
-        return answer
+        response = RedirectResponse("/", HTTPStatus.SEE_OTHER, _OWN)
+        response.set_cookie(COOKIE, opened, round(SESSION_S), httponly=True, samesite="strict")
+        return response
+
+
+class IgnoreDisconnects:
+    """Wraps an ASGI application; a client that disconnects before the response is no error of the server."""
+
+    def __init__(self, app: Any) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on. Starlette's middleware raises RuntimeError if a client left before its response."""
+        has_left = False
+
+        async def noting_receive() -> Any:
+            nonlocal has_left
+            message = await receive()
+            has_left = has_left or message["type"] == "http.disconnect"
+            return message
+
+        try:
+            await self._app(scope, noting_receive, send)
+        except RuntimeError:
+            if not has_left:
+                raise
 
 
 def _unframed(send: Send) -> Send:
-    """Tells browsers that no other site may show a page in a frame, where clicks could be lured onto it."""
+    """Add a header that forbids other sites to show a page in a frame, where they could capture clicks."""
 
-    async def tell(message: Any) -> None:
+    async def send_with_header(message: Any) -> None:
         if message["type"] == "http.response.start":
             headers = [*message.get("headers", []), (b"content-security-policy", _FRAMES)]
             message = {**message, "headers": headers}
         await send(message)
 
-    return tell
+    return send_with_header
 
 
 async def _body(request: Request) -> str:
-    """Of a form; empty where it is longer than a form is."""
+    """Return the body of a form; empty if it is longer than _LONGEST_FORM."""
     body = b""
     with suppress(ClientDisconnect):
         async for chunk in request.stream():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tab that shows the robot: in its pipe, in numbers, and a minute back."""
+"""The tab of the robot: picture in its pipe, values, and the last minute."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 from nicegui import ui
 
 from worm_model.analysis.plot_style import BLUE, GREEN, VERMILION
-from worm_optimizer.console.hub import Hub
+from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.page_chart import chart
-from worm_optimizer.console.view import REMEMBERED_S, Sample, silences, twin_words
+from worm_optimizer.console.view import HISTORY_S, Sample, missing_sources, twin_text
 
 FRAME_S = 1.0 / 30.0
-WORDS_S = 0.25
+REFRESH_S = 0.25
 CHART_S = 0.5
 _LENGTHS = {"commanded": "#888888", "cable": GREEN, "measured": BLUE, "estimated": VERMILION}
 _OF_TWIN = ("estimated", "predicted")
@@ -28,54 +28,57 @@ _ROWS = (
 
 
 class LivePage:
-    """Draws as long as it is seen and not paused."""
+    """View of the robot, which is updated unless it is paused."""
 
-    def __init__(self, hub: Hub) -> None:
-        self._hub = hub
+    def __init__(self, state: ConsoleState) -> None:
+        self._state = state
         self._drawn = ""
         with ui.column().classes("w-full gap-2"):
-            self._silent = ui.label().classes("silent").props("role=status")
-            self._health = ui.label().classes("text-lg")
+            ui.html("Live", tag="h2", sanitize=False).classes("text-lg")
+            self._health = ui.label().classes("line")
+            self._missing = ui.label().classes("line error").props("role=status")
             self._scene = ui.html("", sanitize=False).classes("w-full scene")
             with ui.row().classes("items-center w-full"):
                 self._pause = ui.switch("Pause")
-                ui.label("blue: robot, amber: twin; fins green hold, amber yield, grey are free")
+                ui.label(
+                    "blue: robot, amber: twin; fins: green hold, amber yield, grey touch nothing"
+                )
             with ui.row().classes("w-full gap-4"):
                 self._cells = _table(_ROWS)
                 with ui.column().style("flex: 1 1 18rem; min-width: 0"):
                     self._lengths = _chart("length, mm", _LENGTHS)
                     self._powers = _chart("power, W", _POWERS)
         ui.timer(FRAME_S, self._draw)
-        ui.timer(WORDS_S, self._tell)
+        ui.timer(REFRESH_S, self._refresh)
         ui.timer(CHART_S, self._plot)
 
     def _draw(self) -> None:
         if self._pause.value:
             return
-        drawn = self._hub.picture()
+        drawn = self._state.picture()
         if drawn != self._drawn:
             self._drawn = drawn
             self._scene.set_content(drawn)
 
-    def _tell(self) -> None:
+    def _refresh(self) -> None:
         if self._pause.value:
             return
-        snapshot, now = self._hub.snapshot(), time.monotonic()
-        self._silent.set_text("; ".join(silences(snapshot, now)))
-        self._health.set_text(twin_words(snapshot, now))
-        for name, text in self._hub.numbers(now).items():
+        snapshot, now = self._state.snapshot(), time.monotonic()
+        self._missing.set_text("; ".join(missing_sources(snapshot, now)))
+        self._health.set_text(twin_text(snapshot, now))
+        for name, text in self._state.numbers(now).items():
             self._cells[name].set_text(text)
 
     def _plot(self) -> None:
         if self._pause.value:
             return
-        samples = list(self._hub.history.samples)
+        samples = list(self._state.history.samples)
         _fill(self._lengths, samples, _LENGTHS, 1e3)
         _fill(self._powers, samples, _POWERS, 1.0)
 
 
 def _table(names: tuple[str, ...]) -> dict[str, ui.label]:
-    """A cell for each name."""
+    """Return a table with a cell for each name."""
     cells = {}
     with ui.grid(columns=2).classes("gap-x-4 gap-y-0 numbers"):
         for name in names:
@@ -85,12 +88,12 @@ def _table(names: tuple[str, ...]) -> dict[str, ui.label]:
 
 
 def _chart(title: str, lines: dict[str, str]) -> ui.echart:
-    """An empty chart of a minute."""
+    """Return an empty chart of the last minute."""
     series = [
         {"name": name, "type": "line", "showSymbol": False, "color": colour, "data": []}
         for name, colour in lines.items()
     ]
-    return chart({"min": -REMEMBERED_S, "max": 0, "name": "time, s"}, title, series, height="14rem")
+    return chart({"min": -HISTORY_S, "max": 0, "name": "time, s"}, title, series, height="14rem")
 
 
 def _fill(shown: ui.echart, samples: list[Sample], lines: dict[str, str], scale: float) -> None:
@@ -101,7 +104,7 @@ def _fill(shown: ui.echart, samples: list[Sample], lines: dict[str, str], scale:
 
 
 def _point(sample: Sample, name: str, now: float, scale: float) -> list[Any]:
-    """Seconds ago and the value; no value where there was silence."""
+    """Return the time of a sample relative to now, s, and its value; None for NaN."""
     value = getattr(sample, name)
     age = sample.twin_age if name in _OF_TWIN else 0.0
     return [

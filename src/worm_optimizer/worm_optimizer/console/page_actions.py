@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a person does from a page, for the worker to do: the same calls that `operate` makes."""
+"""Commands of the pages, for the command thread; they make the same calls as `operate`."""
 
 from __future__ import annotations
 
@@ -8,23 +8,33 @@ from collections.abc import Callable, Iterator
 from itertools import count
 from pathlib import Path
 
-from worm_optimizer.nodes.operator_node import OperatorError, OperatorNode
+from worm_optimizer.console.robot_worker import STOP_PRESSED
+from worm_optimizer.nodes.operator_node import OperatorNode
+from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.operation.bring_up import Say
 from worm_optimizer.operation.recorded_run import new_bag, recorded
-from worm_optimizer.orders import Order, Progress
+from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
-_GAITS = 32  # of a front that is shown
+_GAITS = 32  # number of gaits of the displayed front
 
 _numbers: Iterator[int] = count(1)  # of recorders
 
 
 def read_front(
-    node: OperatorNode, direction: int, initial_length: float, say: Callable[[str], None]
+    node: OperatorNode, direction: int, initial_length: float, progress: Say
 ) -> list[Prediction]:
-    """Gaits of the front evenly over its speeds, the slowest first.
+    """Return gaits of the front at regular speeds, the slowest first.
 
-    ``initial_length`` in m, 0: that of the parameters. Raises `OperatorError`.
+    Args:
+        node: the operator.
+        direction: FORWARD or REVERSE.
+        initial_length: length of the robot at rest (m); 0: that of the optimizer's parameters.
+        progress: called with each line of progress.
+
+    Raises:
+        OperatorError: The optimizer rejects a request or does not answer.
     """
 
     def request(objective: Objective, value: float = 0.0) -> Prediction:
@@ -32,47 +42,59 @@ def read_front(
 
     gaits, fastest = [request(Objective.MIN_POWER)], request(Objective.MAX_SPEED)
     step = (fastest.speed - gaits[0].speed) / _GAITS
-    for place in range(1, _GAITS):
-        say(f"reading the front: {place} of {_GAITS} gaits")
-        speed = gaits[0].speed + place * step
-        if speed > gaits[-1].speed:  # the gait of the speed before may be faster than was requested
+    for number in range(1, _GAITS):
+        progress(f"reading the front: {number} of {_GAITS} gaits")
+        speed = gaits[0].speed + number * step
+        if speed > gaits[-1].speed:  # the previous gait may be faster than requested
             gaits.append(request(Objective.MIN_POWER_AT_SPEED, speed))
     return gaits if fastest.speed <= gaits[-1].speed else [*gaits, fastest]
 
 
-def take_parameters(node: OperatorNode, file: str) -> str:
-    """Have the twin and the optimizer take a parameter file, empty for the paper's values. Raises `OperatorError`."""
-    node.take_parameters("twin", file)
+def set_parameter_file(node: OperatorNode, file: str) -> str:
+    """Set the parameter file of twin and optimizer; empty for the paper's values. Raises `OperatorError`."""
+    node.set_parameter_file("twin", file)
     try:
-        node.take_parameters("optimizer", file)
+        node.set_parameter_file("optimizer", file)
     except OperatorError as error:
-        raise OperatorError(f"only the twin has taken it: {error}") from None
-    return f"twin and optimizer have taken {Path(file).name or 'the paper’s values'} over"
+        raise OperatorError(f"only the twin uses the new parameters: {error}") from None
+    return f"twin and optimizer use {Path(file).name or 'the paper’s values'}"
 
 
 def run(
     node: OperatorNode,
-    order: Order,
+    command: GaitCommand,
     folder: Path,
-    parameters: str,
-    unwanted: Callable[[], str],
-    progress: Progress,
+    parameter_file: str,
+    cancellation: Callable[[], str],
+    report: Say,
 ) -> str:
-    """Run a gait and record it into a new bag in a folder; what came of it, in words.
+    """Run a gait, record it into a new bag, and return its result in words.
 
-    Once ``unwanted`` says why, its heartbeat ends, and the robot comes to rest. Raises `OperatorError` or `InputError`.
+    Args:
+        node: the operator.
+        command: the gait and its end.
+        folder: folder of the new bag.
+        parameter_file: parameters to store in the bag; empty: the paper's values.
+        cancellation: returns why the run must end, empty: it goes on. While it must end, no heartbeats are sent, and
+            the robot comes to rest.
+        report: called with each line of progress.
+
+    Raises:
+        OperatorError: The gait failed, was cancelled except by STOP, or there is no answer.
+        InputError: The bag cannot be created.
     """
     bag = new_bag(folder)
-    with recorded(node, bag, parameters, f"console_{os.getpid()}_{next(_numbers)}"):
-        if why := unwanted():
-            raise OperatorError(f"not begun: {why}")
-        going = node.begin(order, lambda: not unwanted())
+    with recorded(node, bag, parameter_file, f"console_{os.getpid()}_{next(_numbers)}"):
+        if why := cancellation():
+            raise OperatorError(f"not started: {why}")
+        gait_run = node.begin(command, lambda: not cancellation())
         try:
-            node.follow(going, progress)
-            result, why = going.result, unwanted()
+            node.follow(gait_run, lambda now: report(cancellation() or f"running: {now}"))
+            result, why = gait_run.result, cancellation()
         finally:
-            going.close()
-    words = f"recorded in {bag.name}"
-    if not result.success:
-        raise OperatorError("; ".join(filter(None, (result.message, why, words))))
-    return f"{result.message}; {words}"
+            gait_run.close()
+        report(f"{why or result.message}; closing the recording")
+    text = "; ".join(filter(None, (result.message, why, f"recorded in {bag.name}")))
+    if not (result.success or why == STOP_PRESSED):  # a stop by a person is no error
+        raise OperatorError(text)
+    return text

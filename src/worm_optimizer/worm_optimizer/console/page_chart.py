@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the pages' charts look, in light and dark."""
+"""Charts of the pages, in light and dark."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from nicegui import ui
 
-# Text is of the page's colour; the lines of the grid are seen on white and on black.
+# Text has the colour of the page; the grid is visible on white and on black.
 STYLE = ".chart svg text { fill: currentColor; stroke: none }"
 _LINES = {"lineStyle": {"color": "#88888855"}}
 

@@ -1,77 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page: tabs, who holds control, and STOP, which is always there."""
+"""The page: tabs, control, and STOP, which is on every tab."""
 
 from __future__ import annotations
 
 import tempfile
-import time
 from pathlib import Path
 
 from fastapi import Request, Response
 from fastapi.responses import FileResponse, PlainTextResponse
-from nicegui import Client, app, ui
+from nicegui import Client, app, events, ui
 from starlette.background import BackgroundTask
 
 from worm_model.analysis.plot_style import BLUE
 from worm_model.errors import InputError
 from worm_optimizer.console.access import Access
 from worm_optimizer.console.act_page import ActPage
+from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.entrance import COOKIE
-from worm_optimizer.console.hub import Hub
 from worm_optimizer.console.live_page import LivePage
-from worm_optimizer.console.page_chart import STYLE
+from worm_optimizer.console.page_frame import head
 from worm_optimizer.console.recordings_page import RecordingsPage
 from worm_optimizer.console.studies import Studies
 from worm_optimizer.console.studies_page import StudiesPage
-from worm_optimizer.console.view import SAMPLE_S, state_words
+from worm_optimizer.console.view import SAMPLE_S, state_text
 
-WORDS_S = 0.25
-_BEAT_MS = 500
-_READ_ONLY = {"content-security-policy": "sandbox"}  # a bag of elsewhere has no script run here
-_WITHOUT = "this page does not hold control"
-# The space bar stops, whatever has the focus, but for where one writes, and does nothing else when it comes up again,
-# as at the button that has the focus; and the page says that it lives.
-_SCRIPT = f"""<script>
-const stopBySpace = (event) => {{
-  const written = event.target.closest?.("input:not([type=checkbox], [readonly]), textarea");
-  if (event.code !== "Space" || written) return;
-  event.preventDefault(); event.stopPropagation();
-  if (event.type === "keydown" && !event.repeat) document.querySelector("#stop").click();
-}};
-addEventListener("keydown", stopBySpace, true);
-addEventListener("keyup", stopBySpace, true);
-addEventListener("load", () => setInterval(() => emitEvent("beat"), {_BEAT_MS}));
-</script>"""
-_STYLE = (
-    f"<style>{STYLE}"
-    + """
-.scene svg { width: 100%; max-height: 36vh; display: block }
-.worm .pipe { fill: #8d8d99 } .worm .robot { fill: #2659bf } .worm .ghost { fill: #e6b422; opacity: .45 }
-.worm .bellows { opacity: .5 } .worm .ghost.bellows { opacity: .25 } .worm .fins { opacity: .9 }
-.worm text { font: 8px sans-serif; fill: currentColor }
-@media (max-width: 600px) { .worm text { font-size: 14px } }
-.worm path.scale { stroke: currentColor; stroke-width: 1.5 }
-.numbers .value { text-align: right; font-variant-numeric: tabular-nums }
-.silent { color: #c62828 } .body--dark .silent { color: #ff8a80 }
-.stop { font-weight: 700; font-size: 1.4rem; min-height: 3.2rem; min-width: 9rem }
-.q-footer { z-index: 9000 } .q-notifications__list--bottom { bottom: 9rem } /* nothing ever covers STOP */
-</style>"""
-)
+REFRESH_S = 0.25
+_SANDBOX = {"content-security-policy": "sandbox"}  # scripts of a foreign bag's report do not run
+_NO_CONTROL = "this page does not have control"
 
 
-def build(hub: Hub, access: Access) -> None:
-    """Make the pages known to the server."""
-    studies = Studies(hub)
+def build(state: ConsoleState, access: Access) -> None:
+    """Register the pages with the server."""
+    studies = Studies(state)
 
     @ui.page("/", title="Worm console")
     def console(request: Request, client: Client) -> None:
-        ConsolePage(hub, studies, access, client, request.cookies.get(COOKIE, ""))
+        ConsolePage(state, studies, access, client, request.cookies.get(COOKIE, ""))
 
     @app.get("/reports/{name:path}")
     def report(name: str) -> Response:
         try:
-            page = hub.shelf.report(name)
-            return FileResponse(page, media_type="text/html", headers=_READ_ONLY)
+            page = state.library.report(name)
+            return FileResponse(page, media_type="text/html", headers=_SANDBOX)
         except InputError as error:
             return PlainTextResponse(str(error), 404)
 
@@ -79,138 +49,154 @@ def build(hub: Hub, access: Access) -> None:
     async def bag(name: str) -> Response:
         folder = tempfile.TemporaryDirectory(prefix="worm_console_")
         try:
-            packed = await hub.shelf.packed(name, Path(folder.name))
+            packed = await state.library.packed(name, Path(folder.name))
         except InputError as error:
             folder.cleanup()
             return PlainTextResponse(str(error), 404)
         return FileResponse(packed, filename=packed.name, background=BackgroundTask(folder.cleanup))
 
-    app.timer(SAMPLE_S, lambda: hub.history.add(hub.snapshot()))
+    app.timer(SAMPLE_S, lambda: state.history.add(state.snapshot()))
 
 
 class ConsolePage:
     """One page in one browser, from its opening to its end."""
 
     def __init__(
-        self, hub: Hub, studies: Studies, access: Access, client: Client, session: str
+        self, state: ConsoleState, studies: Studies, access: Access, client: Client, session: str
     ) -> None:
-        self._hub, self._access, self._client = hub, access, client
+        self._state, self._access, self._client = state, access, client
         self._session, self._id = session, client.id
-        self._lost = _WITHOUT
-        self._told = hub.words[-1] if hub.words else None
-        ui.add_head_html(_STYLE + _SCRIPT)
-        ui.on("beat", self._beat)
-        client.on_disconnect(self._leave)
-        client.on_delete(lambda: hub.control.release(self._id))
-        ui.colors(primary=BLUE)  # on which white is read in the sun
+        self._latest_notice = state.notices[-1] if state.notices else None
+        ui.add_head_html(head(state.control.timeout_s))
+        ui.on("alive", self._on_alive)
+        client.on_disconnect(lambda: self._lose_control("this page lost its connection"))
+        client.on_delete(lambda: state.control.forget(self._id))
+        ui.colors(primary=BLUE)  # white text on it is legible in the sun
         dark = ui.dark_mode(None)
         with ui.header().classes("items-center gap-2 q-py-xs"):
-            ui.label("worm").classes("text-h6")
-            self._state = ui.label().classes("grow").props("role=status")
-            ui.button(icon="dark_mode", on_click=lambda: _turn(dark)).props(
+            ui.html("Worm console", tag="h1", sanitize=False).classes("text-h6")
+            self._state_label = ui.label().classes("grow line").props("role=status")
+            ui.button(icon="dark_mode", on_click=lambda: _toggle(dark)).props(
                 'flat color=white aria-label="Light or dark"'
             )
             if access.needs_secret:
                 ui.link("Sign out", "/logout").classes("text-white")
+        self._tabs(studies)
+        self._footer()
+        ui.timer(REFRESH_S, self._refresh)
+
+    def _tabs(self, studies: Studies) -> None:
+        state = self._state
         with ui.tabs().classes("w-full") as tabs:
             live, act = ui.tab("Live"), ui.tab("Act")
             recordings, studied = ui.tab("Recordings"), ui.tab("Studies")
         with ui.tab_panels(tabs, value=live).classes("w-full"):
             with ui.tab_panel(live):
-                LivePage(hub)
+                LivePage(state)
             with ui.tab_panel(act):
-                ActPage(hub, self._forbidden)
+                ActPage(state, self._why_not)
             with ui.tab_panel(recordings):
-                shelf = RecordingsPage(hub)
+                bags = RecordingsPage(state)
             with ui.tab_panel(studied):
-                StudiesPage(hub, studies, self._forbidden, shelf.chosen)
-        tabs.on_value_change(lambda event: shelf.read() if event.value == "Recordings" else None)
-        self._foot()
-        ui.timer(WORDS_S, self._tell)
+                StudiesPage(state, studies, self._why_not, bags.selected)
+        tabs.on_value_change(lambda event: bags.read() if event.value == "Recordings" else None)
 
-    def _foot(self) -> None:
+    def _footer(self) -> None:
         with ui.footer().classes("items-center gap-2 q-py-xs"):
-            self._take = ui.button("Take control", on_click=self._take_control).props(
-                "color=white text-color=black"
-            )
-            self._hand = ui.button("Hand over", on_click=self._hand_over).props(
-                "color=amber text-color=black"
-            )
-            self._word = (
+            ui.element("div").props("id=connection role=alert")
+            self._take = ui.button("Take control", on_click=self._toggle_control)
+            self._hand_over = ui.button("Hand over", on_click=self._on_hand_over)
+            for button, colour in ((self._take, "white"), (self._hand_over, "amber")):
+                button.props(f"color={colour} text-color=black").classes("needs-connection")
+            self._holder = ui.label().classes("line")
+            self._status = (
                 ui.label()
-                .classes("order-first w-full sm:order-none sm:w-0 sm:grow")
+                .classes("line order-first w-full sm:order-none sm:w-0 sm:grow")
                 .props("role=status")
             )
-            ui.button("STOP", on_click=self._stop).props(
-                'id=stop aria-label="Stop" color=red-10'
-            ).classes("stop ml-auto")
+            ui.button("STOP (Esc)", on_click=self._stop).props("id=stop color=red-10").classes(
+                "stop ml-auto"
+            )
 
     # --- control -----------------------------------------------------------------------------
 
-    def _forbidden(self) -> str:
-        """Why this page may move nothing, empty: it may."""
+    def _why_not(self) -> str:
+        """Return why this page may not command the robot; empty: it may."""
+        control = self._state.control
         if not self._access.is_open(self._session):
             return "the session has ended: sign in"
-        if self._hub.control.is_held_by(self._id):
+        if control.is_held_by(self._id):
             return ""
-        return f"{self._lost}: {_control_words(self._hub, self._id)}"
+        return f"{control.loss_of(self._id) or _NO_CONTROL}: {self._control_action()}"
 
-    def _beat(self) -> None:
-        if self._access.is_open(self._session):
-            self._hub.control.beat(self._id)
+    def _on_alive(self, event: events.GenericEventArguments) -> None:
+        """Handle a message of the page, whose argument is True after a time without connection."""
+        if not self._access.is_open(self._session):
+            return
+        if event.args:
+            self._lose_control("this page had no connection")
+        self._state.control.on_message(self._id)
+        self._client.run_javascript("acknowledge()")
 
-    def _leave(self) -> None:
-        if not self._client.has_socket_connection:
-            self._lose("this page lost its connection, and control with it")
+    def _lose_control(self, reason: str) -> None:
+        self._state.control.release(self._id, f"{reason} and lost control")
 
-    def _lose(self, why: str) -> None:
-        """Let go of control, and say why where somebody comes back to this page."""
-        if self._hub.control.is_held_by(self._id):
-            self._lost = why
-        self._hub.control.release(self._id)
-
-    def _take_control(self) -> None:
-        if not self._forbidden():
-            self._lose(_WITHOUT)
+    def _toggle_control(self) -> None:
+        control = self._state.control
+        if control.is_held_by(self._id) or control.is_requested_by(self._id):
+            control.release(self._id)
         elif self._access.is_open(self._session):
-            self._lost = _WITHOUT
-            if not self._hub.control.take(self._id):
-                ui.notify("another page holds control; it was asked to hand it over")
-        self._tell()
+            control.request(self._id)
+        self._refresh()
 
-    def _hand_over(self) -> None:
-        self._hub.control.hand_over(self._id)
-        self._tell()
+    def _on_hand_over(self) -> None:
+        self._state.control.hand_over(self._id)
+        self._refresh()
 
     def _stop(self) -> None:
         if self._access.is_open(self._session):
-            self._hub.worker.stop()
+            self._state.worker.stop()
+            self._refresh()
+
+    def _control_action(self) -> str:
+        """Return the text of the button for control."""
+        control = self._state.control
+        if control.is_held_by(self._id):
+            return "Release control"
+        if control.is_requested_by(self._id):
+            return "Withdraw request"
+        return "Ask for control" if control.holder else "Take control"
+
+    def _control_text(self) -> str:
+        """Return who has control, and who requests it."""
+        control = self._state.control
+        if control.is_held_by(self._id):
+            asks = control.requester and f"; {control.requester} asks for it"
+            return f"This page has control{asks}."
+        return f"Control: {control.holder}." if control.holder else ""
 
     # --- what is shown -----------------------------------------------------------------------
 
-    def _tell(self) -> None:
-        hub = self._hub
+    def _refresh(self) -> None:
+        state = self._state
         if not self._access.is_open(self._session):
-            hub.control.release(self._id)
+            state.control.release(self._id)
             ui.navigate.to("/login")
             return
-        self._state.set_text(state_words(hub.snapshot(), time.monotonic()))
-        self._take.set_text(_control_words(hub, self._id))
-        self._hand.set_visibility(hub.control.is_held_by(self._id) and bool(hub.control.asking))
-        newest = hub.words[-1] if hub.words else None
-        self._word.set_text(hub.worker.busy or ("" if newest is None else newest.text))
-        if newest is not self._told and newest is not None:
-            self._told = newest
+        snapshot = state.snapshot()
+        held = state.control.is_held_by(self._id)
+        self._state_label.set_text(state_text(snapshot, stopping=state.worker.stopping))
+        self._take.set_text(self._control_action())
+        self._take.set_enabled(snapshot.control is not None)
+        self._holder.set_text(self._control_text())
+        self._hand_over.set_visibility(held and bool(state.control.requester))
+        self._status.set_text(state.status_text())
+        newest = state.notices[-1] if state.notices else None
+        if newest is not self._latest_notice and newest is not None:
+            self._latest_notice = newest
             if not newest.good:
                 ui.notify(newest.text, type="negative", multi_line=True, timeout=10000)
 
 
-def _control_words(hub: Hub, page: str) -> str:
-    if hub.control.is_held_by(page):
-        return "Release control"
-    return "Ask for control" if hub.control.held else "Take control"
-
-
-def _turn(dark: ui.dark_mode) -> None:
-    """From light or the system's choice to dark, and back."""
+def _toggle(dark: ui.dark_mode) -> None:
     dark.value = not dark.value

@@ -10,19 +10,19 @@ from worm_model.twin.scene import PIPE_RADIUS, Kind, Shape, Sighting, scene
 
 BEFORE, BEHIND = 0.12, 0.12  # m of pipe shown before and behind the robot
 _WALL = 0.006  # m
-_VIEW_STEP = 0.05  # m by which the view moves on, so that the pipe rests while the robot moves
+_VIEW_STEP = 0.05  # m; the view moves in steps, so that the pipe is at rest between them
 _NAMES = {"twin": "ghost", "robot": "robot", "pipe": "pipe", "rear": "fins", "front": "fins"}
 
 
 def picture(
     twin: StateRecord | None, robot: Sighting, parameters: Parameters, direction: int = FORWARD
 ) -> str:
-    """An SVG element, its user unit 1 mm; without a twin, the empty pipe and a word.
+    """An SVG element, its user unit 1 mm; without a twin, the empty pipe and a note.
 
-    ``direction`` is that of the gait, on which it depends which fins hold.
+    The direction of the gait determines which fins hold.
     """
     if twin is None:
-        return _svg(0.0, 0.5, _words(0.25, "no twin is heard"), "The empty pipe")
+        return _svg(0.0, 0.5, _note(0.25, "no data of the twin"), "The empty pipe")
     middle = 0.5 * (twin.rear_position + twin.front_position)
     left = round(middle / _VIEW_STEP) * _VIEW_STEP - 0.5 * parameters.initial_length - BEHIND
     width = parameters.initial_length + BEHIND + BEFORE
@@ -37,7 +37,7 @@ def picture(
 
 def _svg(left: float, width: float, content: str, words: str) -> str:
     half = 1e3 * (PIPE_RADIUS + 2.0 * _WALL)
-    # beyond what is shown on purpose: a page that is wider shows more
+    # longer than the view, because a wider page shows more
     walls = "".join(
         _rect("pipe", left - width, side * (PIPE_RADIUS + 0.5 * _WALL), 3.0 * width, _WALL)
         for side in (-1.0, 1.0)
@@ -50,7 +50,7 @@ def _svg(left: float, width: float, content: str, words: str) -> str:
 
 
 def _drawn(shape: Shape) -> str:
-    """A shape as rectangles; its colour stands for what it does, its class for what it is."""
+    """Return a shape as rectangles, whose class is the kind of the shape."""
     kind = _NAMES[shape.name.split()[0]]
     x, _, z = shape.position
     if shape.kind is Kind.BOXES:
@@ -85,5 +85,5 @@ def _scale_bar(left: float, half: float) -> str:
     )
 
 
-def _words(x: float, text: str) -> str:
+def _note(x: float, text: str) -> str:
     return f'<text class="none" x="{1e3 * x:.0f}" y="4" text-anchor="middle">{text}</text>'

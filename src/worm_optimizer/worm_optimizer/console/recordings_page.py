@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tab of what was recorded: a list with a search, reports in the page, two runs compared, bags to take away."""
+"""The tab of the recordings: list with search, reports, a closer look, and downloads."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from nicegui import ui
 
 from worm_model.commands.bag_table import gait_text
 from worm_model.errors import InputError
-from worm_optimizer.console.hub import Hub
-from worm_optimizer.console.shelf import Row, found
+from worm_optimizer.console.bag_library import Row, matches
+from worm_optimizer.console.closer_page import CloserLook
+from worm_optimizer.console.console_state import ConsoleState
 
 _COLUMNS = (
     ("name", "bag"),
@@ -23,37 +24,50 @@ _COLUMNS = (
     ("cost_of_transport", "cost of transport"),
     ("health", "health"),
 )
+_CHECKBOX = '<q-checkbox v-model="props.selected" :aria-label="{}" />'
 
 
 class RecordingsPage:
-    """The list is read when it is asked for."""
+    """List of runs, which is read on request; a report or a closer look replaces it until "Back to the list"."""
 
-    def __init__(self, hub: Hub) -> None:
-        self._hub = hub
+    def __init__(self, state: ConsoleState) -> None:
+        self._state = state
         self._rows: list[Row] = []
+        ui.html("Recordings", tag="h2", sanitize=False).classes("text-lg")
+        with ui.element("div").classes("w-full") as self._list:
+            self._build_list()
+        with ui.element("div").classes("w-full") as self._detail:
+            ui.button("Back to the list", icon="arrow_back", on_click=self._back)
+            self._shown = ui.element("div").classes("w-full closer")
+        self._detail.set_visibility(False)
+
+    def _build_list(self) -> None:
         with ui.row().classes("items-center w-full gap-2"):
             ui.button("Read list", on_click=self.read)
             self._search = ui.input("Search", on_change=self._fill).classes("grow")
+        with ui.row().classes("gap-2 q-my-sm"):
+            ui.button("Open report", on_click=self._report)
+            ui.button("Compare two", on_click=self._compare)
+            ui.button("Look closer", on_click=self._look_closer)
+            ui.button("Download", on_click=self._download)
+        self._note = ui.label().classes("line").props("role=status")
         columns = [
             {"name": key, "field": key, "label": label, "align": "left", "sortable": True}
             for key, label in _COLUMNS
         ]
-        self._note = ui.label().props("role=status")
         self._table = ui.table(
             columns=columns, rows=[], row_key="key", selection="multiple", pagination=20
         ).classes("w-full")
+        self._table.style("min-height: 40vh")
         self._table.props('no-data-label="no run to show" no-results-label="none"')
-        with ui.row().classes("gap-2"):
-            ui.button("Open report", on_click=lambda: self._report(1))
-            ui.button("Compare two", on_click=lambda: self._report(2))
-            ui.button("Download", on_click=self._download)
-        self._shown = ui.element("div").classes("w-full")
+        self._table.add_slot("header-selection", _CHECKBOX.format("'Select all'"))
+        self._table.add_slot("body-selection", _CHECKBOX.format("'Select ' + props.row.name"))
 
     async def read(self) -> None:
-        """Read the list anew."""
+        """Read the list."""
         self._note.set_text("reading")
         try:
-            self._rows = await self._hub.shelf.rows()
+            self._rows = await self._state.library.rows()
         except InputError as error:
             self._note.set_text(str(error))
             return
@@ -61,49 +75,94 @@ class RecordingsPage:
         self._fill()
 
     def _fill(self) -> None:
-        rows = found(self._rows, self._search.value or "")
-        self._table.update_rows([_shown(row, key) for key, row in enumerate(rows)])
+        """Show the rows that match the search, and those that are selected."""
+        rows = [_cells(row) for row in self._rows]
+        known = {row["key"] for row in rows}
+        self._table.selected[:] = [row for row in self._table.selected if row["key"] in known]
+        selected = {row["key"] for row in self._table.selected}
+        words = self._search.value or ""
+        shown = [
+            cells
+            for row, cells in zip(self._rows, rows, strict=True)
+            if cells["key"] in selected or matches(row, words)
+        ]
+        self._table.update_rows(shown, clear_selection=False)
 
-    def chosen(self) -> list[str]:
-        """The names of the bags that are chosen in the list."""
+    def selected(self) -> list[str]:
+        """Return the names of the selected bags."""
         return list(dict.fromkeys(row["name"] for row in self._table.selected))
 
-    async def _report(self, bags: int) -> None:
-        names = self.chosen()
-        if len(names) != bags:
-            self._note.set_text(f"choose {'one bag' if bags == 1 else 'two bags'} in the list")
+    def _selection(self, numbers: tuple[int, ...], request: str) -> list[str]:
+        """Return the selected bags if their number is permitted; otherwise show a request and return none."""
+        names = self.selected()
+        self._note.set_text("" if len(names) in numbers else request)
+        return names if len(names) in numbers else []
+
+    async def _report(self) -> None:
+        await self._make_report(self._selection((1,), "select one bag in the list"))
+
+    async def _compare(self) -> None:
+        await self._make_report(self._selection((2,), "select two bags in the list"))
+
+    async def _make_report(self, names: list[str]) -> None:
+        if not names:
             return
         self._note.set_text("making the report, which takes some seconds")
+        state = self._state
         try:
-            report = await self._hub.shelf.make_report(names)
+            report = await state.library.make_report(names, state.parameter_file)
         except InputError as error:
             self._note.set_text(str(error))
             return
-        self._note.set_text("")
-        self._shown.clear()
+        self._show()
         with self._shown:
             report_frame(report)
 
-    def _download(self) -> None:
-        names = self.chosen()
+    async def _look_closer(self) -> None:
+        names = self._selection((1, 2), "select one or two bags in the list")
         if not names:
-            self._note.set_text("choose a bag in the list")
+            return
+        self._note.set_text("reading the recording, which takes some seconds")
+        state = self._state
+        try:
+            runs = [await state.library.traces(name, state.parameter_file) for name in names]
+        except InputError as error:
+            self._note.set_text(str(error))
+            return
+        self._show()
+        with self._shown:
+            CloserLook(runs)
+
+    def _show(self) -> None:
+        self._note.set_text("")
+        self._shown.clear()
+        self._list.set_visibility(False)
+        self._detail.set_visibility(True)
+
+    def _back(self) -> None:
+        self._shown.clear()
+        self._detail.set_visibility(False)
+        self._list.set_visibility(True)
+
+    def _download(self) -> None:
+        names = self.selected()
+        if not names:
+            self._note.set_text("select a bag in the list")
         for name in names:
             ui.download.from_url(f"/bags/{quote(name)}")
 
 
 def report_frame(report: str) -> None:
-    """A report in the page, where it can do nothing but be read."""
+    """Show a report in the page, without scripts."""
     ui.element("iframe").props(
         f'src="/reports/{quote(report)}" title="Report" sandbox="" '
-        'style="width:100%;height:70vh;border:0;background:white"'
+        'style="width:100%;height:75vh;border:0;background:white"'
     )
 
 
-def _shown(row: Row, key: int) -> dict[str, Any]:
-    """A row of the table."""
+def _cells(row: Row) -> dict[str, Any]:
     return {
-        "key": key,
+        "key": f"{row['name']} {row['start']}",
         "name": row["name"],
         "start": (row["start"] or "")[:19].replace("T", " "),
         "gait": gait_text(row["gait"]),

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The console's hands: a thread that owns the operator and does one thing after the other, and one that never waits.
+"""Threads between the pages of the console, which never wait, and the robot.
 
-The second one hears what is shown and stops, whatever the first one waits for.
+The command thread owns an operator node and executes one command after the other. The stop thread owns another one,
+which receives the telemetry, requests control and stops the robot while the command thread waits.
 """
 
 from __future__ import annotations
@@ -10,19 +11,19 @@ import threading
 import traceback
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 
 from worm_model.errors import InputError
 from worm_optimizer.nodes.operator_node import OperatorNode
-from worm_optimizer.nodes.robot_telemetry import Telemetry
 from worm_optimizer.operation.bring_up import FAILURES, Check, Say
-from worm_optimizer.snapshot import Snapshot
+from worm_optimizer.snapshot import Snapshot, Wish
 
+STOP_PRESSED = "STOP was pressed"  # cancellation of a command by a person
 _POLL_S = 1.0
 _JOIN_S = 0.1
 
-Act = Callable[[OperatorNode], str]
+Command = Callable[[OperatorNode], str]
 
 
 class _ClosedError(RuntimeError):
@@ -31,164 +32,197 @@ class _ClosedError(RuntimeError):
 
 @dataclass(frozen=True)
 class Notice:
-    """What is to be told, and whether all is well."""
+    """Message for the pages; ``good`` is False for an error."""
 
     text: str
     good: bool = True
 
 
 class RobotWorker:
-    """Between pages, which never wait, and the robot.
+    """Command thread and stop thread.
 
     Args:
-        robot: opens the operator that does all; is given who to tell what goes on meanwhile, and a check.
-        brake: opens another one, which listens and stops: whatever the first one waits for; is given a check.
-        tell: gets each word, from either thread.
+        open_robot: opens the operator of the command thread; its arguments report progress, and raise to end a wait.
+        open_stop: opens the operator of the stop thread; its argument raises to end a wait.
+        notify: called with each notice, from either thread.
 
     Attributes:
-        busy: what is being done, empty: nothing.
-        failure: why nothing can be done any more, empty: it can.
-        stopped: why what was asked for last is not wanted any more, empty: it is.
+        busy: present command; empty: none.
+        failure: why no command can be executed any more; empty: commands can be executed.
+        cancellation: why the latest command must end; empty: it may go on.
+        stopping: True from a call of `stop` until the driver has answered it.
     """
 
     def __init__(
         self,
-        robot: Callable[[Say, Check], AbstractContextManager[OperatorNode]],
-        brake: Callable[[Check], AbstractContextManager[OperatorNode]],
-        tell: Callable[[Notice], None],
+        open_robot: Callable[[Say, Check], AbstractContextManager[OperatorNode]],
+        open_stop: Callable[[Check], AbstractContextManager[OperatorNode]],
+        notify: Callable[[Notice], None],
     ) -> None:
-        self._robot, self._brake, self._tell = robot, brake, tell
-        self._asked: SimpleQueue[Act] = SimpleQueue()
-        self._ended = threading.Event()
-        self._pulled = threading.Event()
-        self._telemetry: Telemetry | None = None
-        self._up = False
+        self._open_robot, self._open_stop, self._notify = open_robot, open_stop, notify
+        self._commands: SimpleQueue[Command] = SimpleQueue()
+        self._wishes: SimpleQueue[tuple[str, Wish, float]] = SimpleQueue()
+        self._closing = threading.Event()
+        self._stop_requested = threading.Event()
+        self._stop_node: OperatorNode | None = None
+        self._has_driver = True
+        self._is_up = False
         self.busy = "starting"
         self.failure = ""
-        self.stopped = ""
-        self._hands = threading.Thread(target=self._guarded, args=(self._attend, ""))
-        words = "STOP does not work, so nothing is begun: "
-        self._stopper = threading.Thread(target=self._guarded, args=(self._stand_by, words))
+        self.cancellation = ""
+        self.stopping = False
+        self._command_thread = threading.Thread(target=self._guard, args=(self._run_commands, ""))
+        text = "STOP does not work, so no command is executed: "
+        self._stop_thread = threading.Thread(target=self._guard, args=(self._run_stop, text))
 
     def start(self) -> None:
-        """Begin."""
-        for thread in (self._stopper, self._hands):
+        """Start both threads."""
+        for thread in (self._stop_thread, self._command_thread):
             thread.start()
 
-    def close(self, impatient: Callable[[], bool]) -> None:
-        """End, and wait for the end of what was started: what runs comes to rest, or is held once ``impatient``."""
-        self.stopped = "the console ends"
-        self._ended.set()
-        while self._hands.is_alive() and not impatient():
-            self._hands.join(_JOIN_S)
-        if self._hands.is_alive():
-            self._pulled.set()
-        for thread in (self._hands, self._stopper):
+    def close(self, hold_now: Callable[[], bool]) -> None:
+        """End both threads; a run comes to rest first.
+
+        Args:
+            hold_now: polled meanwhile; when it returns True, the robot is stopped where it is.
+        """
+        self.cancellation = "the console ends"
+        self._closing.set()
+        while self._command_thread.is_alive() and not hold_now():
+            self._command_thread.join(_JOIN_S)
+        if self._command_thread.is_alive():
+            self._stop_requested.set()
+        for thread in (self._command_thread, self._stop_thread):
             if thread.is_alive():
                 thread.join()
 
     def snapshot(self) -> Snapshot:
-        """What is known of the robot now."""
-        return Snapshot() if self._telemetry is None else self._telemetry.snapshot()
+        """Return the latest state of the robot; without a driver also without the state of a former one."""
+        node = self._stop_node
+        if node is None:
+            return Snapshot()
+        known = node.snapshot()
+        return known if self._has_driver else replace(known, driver=None, control=None)
 
     @property
     def hindrance(self) -> str:
-        """Why nothing can be asked for now, empty: something can."""
+        """Why no command can be submitted now; empty: one can."""
         return self.failure or (f"wait: {self.busy}" if self.busy else "")
 
-    def ask(self, doing: str, act: Act) -> bool:
-        """Have something done; false where something hinders it."""
+    def submit(self, description: str, command: Command) -> bool:
+        """Submit a command; return False if there is a `hindrance`."""
         if self.hindrance:
             return False
-        self.stopped = ""
-        self.busy = doing
-        self._asked.put(act)
+        self.cancellation = ""
+        self.busy = description
+        self._commands.put(command)
         return True
 
     def stop(self) -> None:
-        """Hold the robot where it is, at once; what is being run is not wanted any more."""
-        self.stopped = "STOP was pressed"
-        self._pulled.set()
+        """Hold the robot where it is, immediately, and cancel the present command."""
+        self.cancellation = STOP_PRESSED
+        self.busy = self.busy and f"{STOP_PRESSED}: the command ends"
+        self.stopping = True
+        self._stop_requested.set()
 
-    def going(self, text: str) -> None:
-        """How far something is that may be given up, from the thread that does it; it is where the console ends."""
+    def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
+        """Send a client's wish to the driver, from the stop thread."""
+        self._wishes.put((client, wish, lease_s))
+
+    def report(self, text: str) -> None:
+        """Report the progress of the present command."""
         self.busy = text
-        if self._ended.is_set():
+
+    def progress(self, text: str) -> None:
+        """Report the progress of a command that may be abandoned; raises in its thread when the console ends."""
+        self.busy = text
+        if self._closing.is_set():
             raise _ClosedError
 
-    def _guarded(self, work: Callable[[], None], before: str) -> None:
-        """A thread that ends says why: else whoever waits for it would wait for ever."""
+    def _guard(self, work: Callable[[], None], prefix: str) -> None:
+        """Run a thread; if it fails, report the reason, because its clients would wait forever."""
         try:
             work()
         except _ClosedError:
             pass
         except FAILURES as error:
-            self._fail(f"{before}{error}")
-        except Exception as error:  # noqa: BLE001 (whatever it was, the pages must be told)
+            self._fail(f"{prefix}{error}")
+        except Exception as error:  # noqa: BLE001 (the pages need a reason, whatever it is)
             traceback.print_exc()
-            self._fail(f"{before}start the console anew, it has failed: {error!r}")
+            self._fail(f"{prefix}restart the console, it has failed: {error!r}")
 
     def _fail(self, text: str) -> None:
         self.failure = self.failure or text
-        self._tell(Notice(text, good=False))
+        self._notify(Notice(text, good=False))
 
-    # --- the thread that does all ------------------------------------------------------------
+    # --- the command thread ------------------------------------------------------------------
 
-    def _attend(self) -> None:
-        with self._robot(self._say, self._give_up_start) as node:
-            self._up = True
+    def _run_commands(self) -> None:
+        with self._open_robot(self._on_start_progress, self._check_start) as node:
+            self._is_up = True
             self.busy = ""
-            while not self._ended.is_set():
-                node.wait(lambda: self._ended.is_set() or not self._asked.empty(), _POLL_S)
-                self._do(node)
+            while not self._closing.is_set():
+                node.wait(lambda: self._closing.is_set() or not self._commands.empty(), _POLL_S)
+                self._execute(node)
 
-    def _give_up_start(self) -> None:
-        if self._ended.is_set() and not self._up:
+    def _check_start(self) -> None:
+        if self._closing.is_set() and not self._is_up:
             raise _ClosedError
 
-    def _say(self, text: str) -> None:
-        """Also while nothing is done, as when a node starts again: no reason to be busy."""
+    def _on_start_progress(self, text: str) -> None:
+        """Report the progress of the start, or a restart of a node, which keeps nothing busy."""
         if self.busy:
             self.busy = text
-        self._tell(Notice(text))
-        self._give_up_start()
+        self._notify(Notice(text))
+        self._check_start()
 
-    def _do(self, node: OperatorNode) -> None:
+    def _execute(self, node: OperatorNode) -> None:
         try:
-            act = self._asked.get_nowait()
+            command = self._commands.get_nowait()
         except Empty:
             return
         try:
-            self._tell(Notice(act(node)))
+            self._notify(Notice(command(node)))
         except (*FAILURES, InputError, OSError) as error:
-            self._tell(Notice(str(error), good=False))
+            self._notify(Notice(str(error), good=False))
         finally:
             self.busy = ""
 
-    # --- the thread that listens and stops ---------------------------------------------------
+    # --- the stop thread ---------------------------------------------------------------------
 
-    def _stand_by(self) -> None:
-        with self._brake(self._give_up_stop) as node:
-            self._telemetry = Telemetry(node)
+    def _run_stop(self) -> None:
+        with self._open_stop(self._check_stop) as node:
+            node.subscribe_to_all()
             node.prepare_stop()
-            lost = False
+            self._stop_node = node
+            was_lost = False
             while True:
-                node.wait(self._pulled.is_set, _POLL_S)
-                self._hold(node)
-                if node.has_lost_driver and not lost:
-                    self._tell(Notice("the driver ended; torque may be on", good=False))
-                lost = node.has_lost_driver
+                node.wait(
+                    lambda: self._stop_requested.is_set() or not self._wishes.empty(), _POLL_S
+                )
+                self._stop(node)
+                self._send_wishes(node)
+                self._has_driver = node.has_driver
+                if node.has_lost_driver and not was_lost:
+                    self._notify(Notice("the driver ended; torque may be on", good=False))
+                was_lost = node.has_lost_driver
 
-    def _give_up_stop(self) -> None:
-        """There is nothing to stop any more."""
-        if self._ended.is_set() and not self._hands.is_alive():
+    def _check_stop(self) -> None:
+        if self._closing.is_set() and not self._command_thread.is_alive():
             raise _ClosedError
 
-    def _hold(self, node: OperatorNode) -> None:
-        if not self._pulled.is_set():
+    def _send_wishes(self, node: OperatorNode) -> None:
+        while not self._wishes.empty():
+            node.request_control(*self._wishes.get_nowait())
+
+    def _stop(self, node: OperatorNode) -> None:
+        if not self._stop_requested.is_set():
             return
-        self._pulled.clear()
+        self._stop_requested.clear()
         try:
-            self._tell(Notice(node.stop()))
+            self._notify(Notice(node.stop()))
         except FAILURES as error:
-            self._tell(Notice(f"{error}; a run ends without its heartbeat", good=False))
+            text = f"{error}: STOP is not confirmed; a run ends without its heartbeat"
+            self._notify(Notice(text, good=False))
+        finally:
+            self.stopping = self._stop_requested.is_set()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What takes minutes and goes on beside all else: a search of the optimizer, and an identification."""
+"""Work of minutes in the background: searches of the optimizer and identifications."""
 
 from __future__ import annotations
 
@@ -9,66 +9,68 @@ from collections.abc import Sequence
 from worm_model.errors import InputError
 from worm_model.parameters import load_parameters
 from worm_optimizer.console import page_actions
-from worm_optimizer.console.hub import Hub
+from worm_optimizer.console.console_state import ConsoleState
 from worm_optimizer.console.robot_worker import Notice
 from worm_optimizer.nodes.operator_node import OperatorNode
 from worm_optimizer.nodes.search_goal import SearchGoal
-from worm_optimizer.orders import FrontOrder, ScanOrder, SearchResult
+from worm_optimizer.robot_commands import FrontRequest, ScanRequest, SearchResult
 
 
 class Studies:
-    """One search and one identification at a time, whatever page has begun them.
+    """Searches and identifications, at most one of each at a time, which all pages share.
 
     Attributes:
-        scan: the last margin scan, None before the first.
-        identifying: how far an identification is, empty: none goes on.
-        identified: the name of the parameter file that was identified last, empty: none.
-        started: the parameter file that the console was started with, empty: the paper's values.
+        scan: latest margin scan, None before the first.
+        identifying: progress of the present identification; empty: none.
+        identified: name of the parameter file that was identified last; empty: none.
+        initial_file: parameter file at the start of the console; empty: the paper's values.
     """
 
-    def __init__(self, hub: Hub) -> None:
-        self._hub = hub
+    def __init__(self, state: ConsoleState) -> None:
+        self._state = state
         self._goal: SearchGoal | None = None
-        self._doing = ""
+        self._search_name = ""
         self._task: asyncio.Task[None] | None = None
         self.scan: SearchResult | None = None
         self.identifying = ""
         self.identified = ""
-        self.started = hub.parameter_file
+        self.initial_file = state.parameter_file
 
     # --- a search --------------------------------------------------------------------------------
 
     @property
     def searching(self) -> str:
-        """The search that goes on, empty: none."""
-        return self._doing
+        """Name of the present search; empty: none."""
+        return self._search_name
 
-    def search(self, order: ScanOrder | FrontOrder) -> bool:
-        """Have the optimizer begin; false where something else is done."""
-        scans = isinstance(order, ScanOrder)
+    def search(self, request: ScanRequest | FrontRequest) -> bool:
+        """Start a search; return False if another one or another command is executed."""
+        scans = isinstance(request, ScanRequest)
 
         def begin(node: OperatorNode) -> str:
             if self._goal is not None:
                 self._goal.close()
-            self._goal = node.search(order, self._take)
-            self._doing = "margin scan" if scans else "optimisation"
-            return f"the {self._doing} has begun"
+            self._goal = node.search(request, self._store)
+            self._search_name = "margin scan" if scans else "optimisation"
+            return f"the {self._search_name} has begun"
 
-        return not self._doing and self._hub.worker.ask("asking the optimizer", begin)
+        return not self._search_name and self._state.worker.submit(
+            "sending the request to the optimizer", begin
+        )
 
-    def _take(self, result: SearchResult) -> None:
-        """Comes from the worker's thread."""
-        doing, self._doing = self._doing, ""
+    def _store(self, result: SearchResult) -> None:
+        """Store a result. The command thread calls this."""
+        name, self._search_name = self._search_name, ""
         if result.margins:
             self.scan = result
         elif result.success:
-            self._hub.fronts.clear()  # what was read is not what is answered any more
-        self._hub.words.append(Notice(f"{doing}: {result.message}", good=result.success))
+            self._state.fronts.clear()  # the optimizer has another front now
+        self._state.notices.append(Notice(f"{name}: {result.message}", good=result.success))
 
     # --- an identification -----------------------------------------------------------------------
 
     def identify(self, names: Sequence[str]) -> bool:
-        """Begin with some bags; false where one goes on already."""
+        """Start an identification from bags; return False if there is one already."""
         if self.identifying:
             return False
         self.identifying = "identification"
@@ -76,21 +78,21 @@ class Studies:
         return True
 
     def cancel_identification(self) -> None:
-        """End its process."""
+        """Cancel the identification."""
         if self._task is not None:
             self._task.cancel()
 
     async def _identify(self, names: Sequence[str]) -> None:
-        hub = self._hub
+        state = self._state
         try:
-            made = await hub.shelf.identify(names, hub.parameter_file, self._note)
+            made = await state.library.identify(names, state.parameter_file, self._note)
         except InputError as error:
-            hub.words.append(Notice(f"identification: {error}", good=False))
+            state.notices.append(Notice(f"identification: {error}", good=False))
         except asyncio.CancelledError:
-            hub.words.append(Notice("identification: cancelled"))
+            state.notices.append(Notice("identification: cancelled"))
         else:
             self.identified = made
-            hub.words.append(Notice(f"identification: {made} is written, its report beside it"))
+            state.notices.append(Notice(f"identification: {made} and its report were written"))
         finally:
             self.identifying = ""
 
@@ -99,17 +101,17 @@ class Studies:
 
     # --- its parameter file ----------------------------------------------------------------------
 
-    def take_over(self, file: str) -> bool:
-        """Have twin and optimizer take a parameter file, empty for the paper's values.
+    def set_parameter_file(self, file: str) -> bool:
+        """Set the parameter file of twin and optimizer; empty for the paper's values.
 
-        False where something else is done. Raises `InputError`.
+        Return False if another command is executed. Raises `InputError`.
         """
-        hub, parameters = self._hub, load_parameters(file)
+        state, parameters = self._state, load_parameters(file)
 
-        def take(node: OperatorNode) -> str:
-            said = page_actions.take_parameters(node, file)
-            hub.parameters, hub.parameter_file = parameters, file
-            hub.fronts.clear()
-            return said
+        def apply(node: OperatorNode) -> str:
+            text = page_actions.set_parameter_file(node, file)
+            state.parameters, state.parameter_file = parameters, file
+            state.fronts.clear()
+            return text
 
-        return hub.worker.ask("taking the parameters over", take)
+        return state.worker.submit("setting the parameters of twin and optimizer", apply)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a page shows of a robot: what is live and what silent, words, and what may be pressed and why not."""
+"""Content of the pages about the robot: current values, state, possible actions, and the history of a minute."""
 
 from __future__ import annotations
 
@@ -13,86 +13,103 @@ from worm_model.run import SAME_ONSET_NS
 from worm_model.twin.records import Activity, LengthSource
 from worm_model.twin.run_start import PLAYING
 from worm_model.twin.watch_view import STALE_S
-from worm_optimizer.snapshot import DriverWord, Snapshot
+from worm_optimizer.snapshot import DriverState, Snapshot
 
-SOURCES: Mapping[str, str] = {  # topics, by who is silent when they are
+SOURCES: Mapping[str, str] = {  # topic and the name of its source
     "body_length/commanded": "driver",
     "body_length/cable": "cable",
     "power": "power",
     "tracker": "tracker",
     "twin/state": "twin",
 }
-REMEMBERED_S = 60.0
-SAMPLE_S = 0.2  # between two samples of what is remembered
+HISTORY_S = 60.0
+SAMPLE_S = 0.2  # period of the history, s
 MOVING = (Activity.RESTING, Activity.RUNNING, Activity.STOPPING)
 
 
-def live(snapshot: Snapshot, topic: str, now: float) -> bool:
-    """Whether a topic was heard within `STALE_S`."""
-    at = snapshot.heard.get(topic)
-    return at is not None and now - at <= STALE_S
+def is_live(snapshot: Snapshot, topic: str, now: float) -> bool:
+    """Return True if a message of a topic was received within `STALE_S`."""
+    received_s = snapshot.received.get(topic)
+    return received_s is not None and now - received_s <= STALE_S
 
 
-def silences(snapshot: Snapshot, now: float) -> list[str]:
-    """Who has fallen silent, or was never heard, in words."""
+def missing_sources(snapshot: Snapshot, now: float) -> list[str]:
+    """Return the sources that do not publish although the driver is active; empty if it is not."""
+    driver = snapshot.driver
+    if driver is None or driver.state is Activity.INACTIVE:
+        return []
     texts = []
     for topic, name in SOURCES.items():
-        at = snapshot.heard.get(topic)
-        if at is None:
-            texts.append(f"{name}: not heard")
-        elif now - at > STALE_S:
-            texts.append(f"{name}: silent for {now - at:.0f} s")
+        received_s = snapshot.received.get(topic)
+        if received_s is None:
+            texts.append(f"{name}: no message yet")
+        elif now - received_s > STALE_S:
+            texts.append(f"{name}: silent for {now - received_s:.0f} s")
     return texts
 
 
-def state_words(snapshot: Snapshot, now: float) -> str:
-    """What the driver does, in a few words."""
+def state_text(snapshot: Snapshot, *, stopping: bool = False) -> str:
+    """Return the state of the driver in a few words.
+
+    Args:
+        snapshot: latest state of the robot.
+        stopping: True between a press of STOP and the driver's answer.
+    """
     driver = snapshot.driver
     if driver is None:
-        return "no driver heard"
-    words = driver.state.name.lower()
-    if not live(snapshot, "body_length/commanded", now) and driver.state is not Activity.INACTIVE:
-        words += ", now silent"
+        return "no driver"
+    if driver.holding:
+        text = "stopped, holding"
+    elif stopping:
+        text = f"STOP is not confirmed yet, {driver.state.name.lower()}"
+    elif driver.state is Activity.INACTIVE:
+        text = "inactive, torque off"
+    else:
+        text = driver.state.name.lower()
     if driver.state in MOVING and driver.cycle:
-        words += f", cycle {driver.cycle} of {driver.cycles}" if driver.cycles else ""
-    return f"emergency stop, {words}" if driver.emergency_stop else words
+        text += f", cycle {driver.cycle} of {driver.cycles}" if driver.cycles else ""
+    if driver.state is Activity.FAULT and driver.message:
+        text += f": {driver.message}"
+    return f"emergency stop, {text}" if driver.emergency_stop else text
 
 
-def twin_words(snapshot: Snapshot, now: float) -> str:
-    """What the twin says of the robot's health, and how old that is."""
+def twin_text(snapshot: Snapshot, now: float) -> str:
+    """Return the health of the robot according to the twin, and the age of this information."""
     residuals = snapshot.residuals
-    if residuals is None or not live(snapshot, "twin/residuals", now):
-        return "twin: silent"
+    if residuals is None or not is_live(snapshot, "twin/residuals", now):
+        return "twin: no message"
     age = f"{snapshot.twin_age:.1f} s behind" if math.isfinite(snapshot.twin_age) else ""
-    words = (f"twin: {residuals.health.name.lower()}", residuals.message, age)
-    return ", ".join(word for word in words if word)
+    parts = (f"twin: {residuals.health.name.lower()}", residuals.message, age)
+    return ", ".join(part for part in parts if part)
 
 
 def obstacles(snapshot: Snapshot, hindrance: str) -> dict[str, str]:
-    """Why each action cannot be pressed now, empty where it can be.
+    """Return why each action is not possible now; empty texts for possible ones.
 
-    ``hindrance`` says why nothing at all can be asked for, empty: something can.
+    Args:
+        snapshot: latest state of the robot.
+        hindrance: why no action at all is possible; empty: see the state of the driver.
     """
     driver = snapshot.driver
     if hindrance or driver is None:
-        why = hindrance or "no driver is heard"
+        why = hindrance or "there is no driver"
         return dict.fromkeys(("Home", "Activate", "Deactivate", "Run"), why)
     off = driver.state is Activity.INACTIVE
     moving = "the robot moves" if driver.state in MOVING else ""
     blocked = "the emergency stop is on" if driver.emergency_stop else ""
     return {
-        "Home": moving or ("" if off else "its torque is on: Deactivate first"),
-        "Activate": blocked or ("" if off else "its torque is on already"),
-        "Deactivate": "its torque is off already" if off else "",
-        "Run": blocked or moving or ("its torque is off: Activate first" if off else ""),
+        "Home": moving or ("" if off else "the torque is on: Deactivate first"),
+        "Activate": blocked or ("" if off else "the torque is on already"),
+        "Deactivate": "the torque is off already" if off else "",
+        "Run": blocked or moving or ("the torque is off: Activate first" if off else ""),
     }
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What is remembered of a moment: lengths in m, powers in W, NaN what is silent.
+    """Values at a time (s, monotonic): lengths in m, powers in W; NaN for silent topics.
 
-    What the twin says, ``estimated`` and ``predicted``, is older by ``twin_age`` in s.
+    The twin's values ``estimated`` and ``predicted`` are older by ``twin_age`` (s).
     """
 
     time: float
@@ -106,18 +123,18 @@ class Sample:
 
 
 def sample(snapshot: Snapshot, now: float) -> Sample:
-    """The numbers of now, NaN where their topic is silent."""
+    """Return the present values; NaN for silent topics."""
     lengths = {
         source.name.lower(): snapshot.lengths.get(source, math.nan)
-        if live(snapshot, f"body_length/{source.name.lower()}", now)
+        if is_live(snapshot, f"body_length/{source.name.lower()}", now)
         else math.nan
         for source in LengthSource
     }
-    twin = snapshot.twin if live(snapshot, "twin/state", now) else None
+    twin = snapshot.twin if is_live(snapshot, "twin/state", now) else None
     return Sample(
         time=now,
         **lengths,
-        power=snapshot.power if live(snapshot, "power", now) else math.nan,
+        power=snapshot.power if is_live(snapshot, "power", now) else math.nan,
         predicted=math.nan if twin is None else twin.power,
         twin_age=snapshot.twin_age if math.isfinite(snapshot.twin_age) else 0.0,
     )
@@ -125,30 +142,34 @@ def sample(snapshot: Snapshot, now: float) -> Sample:
 
 @dataclass
 class _CountedRun:
-    """A run whose grooves are counted: ``border`` is the next end of a cycle, ``end_ns`` 0 while it goes on."""
+    """Run whose grooves are counted; ``border`` is the number of the next end of a cycle."""
 
     onset_ns: int
     period_ns: float
     direction: int
     border: int
-    end_ns: int = 0
+    end_ns: int = 0  # stamp of the end of the run; 0 before
     start: int | None = None  # groove at the border before
 
 
 class History:
-    """A minute back, and the grooves that each cycle of the present run gained; ``clock`` returns the time in s.
+    """Samples of the last minute, and the grooves of each cycle of the present run.
 
-    The twin is behind the driver: a cycle's grooves are those of its states at the stamps of the cycle's begin and end.
+    The twin lags behind the driver. The grooves of a cycle are the difference between the twin's states at the stamps
+    of the cycle's begin and end.
+
+    Args:
+        clock: returns the present time, s.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
-        self.samples: deque[Sample] = deque(maxlen=round(REMEMBERED_S / SAMPLE_S))
+        self.samples: deque[Sample] = deque(maxlen=round(HISTORY_S / SAMPLE_S))
         self.grooves: list[int] = []
         self._run: _CountedRun | None = None
 
     def add(self, snapshot: Snapshot) -> None:
-        """Remember a moment; to be called every `SAMPLE_S`."""
+        """Add a sample. Call this every `SAMPLE_S`."""
         self.samples.append(sample(snapshot, self._clock()))
         driver = snapshot.driver
         if driver is None or not snapshot.grooves:
@@ -157,8 +178,8 @@ class History:
         if self._run is not None:
             self._count(self._run, snapshot.grooves)
 
-    def _follow_driver(self, driver: DriverWord, oldest_ns: int) -> None:
-        """Note a run that begins or ends; one that goes on already is counted from a cycle whose begin was seen."""
+    def _follow_driver(self, driver: DriverState, oldest_ns: int) -> None:
+        """Detect the begin and the end of a run. One under way is counted from the first cycle with a known begin."""
         run = self._run
         if driver.state in PLAYING and driver.onset_ns:
             if run is None or abs(driver.onset_ns - run.onset_ns) > SAME_ONSET_NS:

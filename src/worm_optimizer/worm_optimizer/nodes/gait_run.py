@@ -16,7 +16,7 @@ from worm_msgs.action import RunGait
 from worm_msgs.msg import Gait, Heartbeat
 from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.nodes.optimizer_messages import value_of
-from worm_optimizer.orders import Order, RunProgress, RunResult
+from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 
 SILENCE_S = 3.0  # heartbeat timeout of a run, s
 BEAT_S = 0.25  # heartbeat period, s
@@ -36,7 +36,7 @@ class GaitRun(ActionGoal):
     """
 
     def __init__(
-        self, node: Node, heartbeat: Publisher, order: Order, wanted: Callable[[], bool]
+        self, node: Node, heartbeat: Publisher, order: GaitCommand, wanted: Callable[[], bool]
     ) -> None:
         super().__init__(node, RunGait, "run_gait", _goal_of(order))
         self.order = order
@@ -77,7 +77,7 @@ def _no_result(message: str) -> RunGait.Result:
     return RunGait.Result(message=message, **dict.fromkeys(names, math.nan))
 
 
-def _goal_of(order: Order) -> RunGait.Goal:
+def _goal_of(order: GaitCommand) -> RunGait.Goal:
     return RunGait.Goal(
         gait=Gait(**asdict(order.gait)),
         cycles=order.cycles,

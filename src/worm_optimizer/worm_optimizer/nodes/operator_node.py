@@ -8,12 +8,11 @@ while it waits. A running gait is a `GaitRun`; its heartbeat needs a node that i
 from __future__ import annotations
 
 import os
-import re
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -21,70 +20,55 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Log, Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.client import Client
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity
-from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from worm_model.gait import FORWARD
-from worm_model.twin.records import Activity, Health
+from worm_model.twin.records import Activity
 from worm_msgs import network
-from worm_msgs.msg import GaitState, Heartbeat, Power, Tracker, TwinResiduals, TwinState
+from worm_msgs.msg import ControlRequest, Heartbeat
 from worm_msgs.qos import LATCHED
 from worm_msgs.ros_process import words_of
 from worm_msgs.srv import InjectFault, RequestGait
 from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.nodes.gait_run import GaitRun
 from worm_optimizer.nodes.optimizer_messages import value_of
+from worm_optimizer.nodes.robot_graph import RobotGraph
+from worm_optimizer.nodes.robot_telemetry import Telemetry
 from worm_optimizer.nodes.search_goal import SearchGoal
-from worm_optimizer.orders import (
-    FrontOrder,
-    Order,
+from worm_optimizer.nodes.service_caller import (
+    CALL_TIMEOUT_S,
+    DISCOVERY_TIMEOUT_S,
+    NoAnswerError,
+    OperatorError,
+    ServiceCaller,
+)
+from worm_optimizer.robot_commands import (
+    FrontRequest,
+    GaitCommand,
     Progress,
-    RobotState,
     RunResult,
-    ScanOrder,
+    ScanRequest,
     SearchResult,
 )
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
+from worm_optimizer.snapshot import Snapshot, Wish
 
 DRIVER = "driver"  # name of the node in system.yaml
-_DRIVER_SERVICE = (
-    "run_gait/_action/send_goal"  # only drivers have this service, whatever their names
-)
-NODES_TIMEOUT_S = 120.0  # the first start of the twin includes the compilation of its kernel
-DISCOVERY_TIMEOUT_S = 30.0
-LEASE_S = 25.0  # DDS counts a silent participant as alive for 20 s
-CALL_TIMEOUT_S = 30.0
 SILENCE_S = 60.0  # timeout for feedback of a running gait
 REASON_S = 1.0  # timeout for the driver's log message about a failed transition
 TELEMETRY_S = 1.0  # timeout of `state` for the optional topics of power, tracker and twin
 ATTEMPTS = 2  # lifecycle transitions from unconfigured to active
-SPIN_S = 0.05  # longest time between two calls of `check`
-_TELEMETRY: dict[type, str] = {
-    Power: "power",
-    Tracker: "tracker",
-    TwinResiduals: "twin/residuals",
-    TwinState: "twin/state",
-}
 _NEXT = {
     State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_CONFIGURE,
     State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_ACTIVATE,
 }
-_STATES = {state.value: state.name for state in Activity}
-_HEALTH = {health.value: health.name.lower() for health in Health}
 _Goal = TypeVar("_Goal", bound=ActionGoal)
-
-
-class OperatorError(RuntimeError):
-    """A node did not answer in time, or rejected a request."""
 
 
 class UnreachableError(OperatorError):
@@ -93,10 +77,6 @@ class UnreachableError(OperatorError):
 
 class GaitFailedError(OperatorError):
     """A gait was started and did not reach its end."""
-
-
-class _NoAnswerError(OperatorError):
-    """No answer arrived in time."""
 
 
 @contextmanager
@@ -128,7 +108,7 @@ def operator(
         yield node
 
 
-class OperatorNode(Node):
+class OperatorNode(ServiceCaller):
     """Client of the driver, the optimizer and the virtual robot in one namespace.
 
     Args:
@@ -138,6 +118,7 @@ class OperatorNode(Node):
         name: name of the node.
 
     Attributes:
+        graph: the ROS graph of the robot.
         late_cycles: deadlines that the driver has missed since its start, according to its diagnostics.
     """
 
@@ -148,28 +129,21 @@ class OperatorNode(Node):
         context: rclpy.Context,
         name: str = "operator",
     ) -> None:
-        super().__init__(name, namespace=namespace, context=context)
-        self._check = check
-        self._named_clients: dict[str, Client] = {}
+        super().__init__(name, namespace, context, check)
+        self.graph = RobotGraph(self)
         self.late_cycles = 0
         self._simulated_s: float | None = None  # time of a virtual robot's clock
-        self._heard: dict[type, Any] = {}  # latest message of each type
+        self._telemetry = Telemetry(self)
         self._errors: deque[str] = deque(maxlen=20)  # errors in the driver's log
-        self._watched: set[type] = set()
         self._own_runs = 0
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.create_subscription(Clock, "clock", self._on_clock, 10)
         self.create_subscription(Log, "/rosout", self._on_log, 100)
-        self.create_subscription(GaitState, "gait_state", self._hear, LATCHED)
         self._heartbeat = self.create_publisher(Heartbeat, "heartbeat", 10)
+        self._control = self.create_publisher(ControlRequest, "control/request", 100)
         self._emergency: Publisher | None = (
             None  # created by the first emergency stop of this operator
         )
-        self._executor = SingleThreadedExecutor(context=context)
-        self._executor.add_node(self)
-
-    def _hear(self, message: Any) -> None:
-        self._heard[type(message)] = message
 
     def _on_log(self, message: Log) -> None:
         own = f"{self.get_namespace()}/{DRIVER}".strip("/").replace("/", ".")
@@ -191,99 +165,54 @@ class OperatorNode(Node):
         """Time of the virtual robot in this namespace (s); without one, the computer's monotonic time."""
         return time.monotonic() if self._simulated_s is None else self._simulated_s
 
-    def destroy_node(self) -> None:
-        """Destroy the node and its executor."""
-        self._executor.shutdown()
-        super().destroy_node()
-
-    # --- the graph -----------------------------------------------------------------------------
+    # --- the state of the robot ----------------------------------------------------------------
 
     def wait_for_driver(self, timeout_s: float) -> None:
         """Wait for a message of a driver in this namespace. Raises `OperatorError` at the timeout (s)."""
-        if not self.wait(lambda: GaitState in self._heard, timeout_s):
+        if not self.wait(lambda: self._telemetry.driver is not None, timeout_s):
             raise OperatorError(
-                f"no driver is heard in {self.get_namespace()} within {timeout_s:g} s: start one "
+                f"no driver in {self.get_namespace()} within {timeout_s:g} s: start one "
                 "(./worm start, or ros2 launch worm_optimizer worm.launch.py), or give its namespace "
                 "and ROS_DOMAIN_ID"
             )
 
-    def wait_for_nodes(self, names: Iterable[str]) -> None:
-        """Wait until these nodes exist in this namespace. Raises `OperatorError` with a missing one."""
-        expected = set(names)
-        if not self.wait(lambda: expected <= set(self._names()), NODES_TIMEOUT_S):
-            missing = min(expected - set(self._names()))
-            raise OperatorError(f"no node {missing} within {NODES_TIMEOUT_S:g} s")
+    def subscribe_to_all(self) -> None:
+        """Subscribe to all topics of `snapshot`."""
+        self._telemetry.subscribe_to_all()
+
+    def snapshot(self) -> Snapshot:
+        """Return what was received of the robot. Other threads may call this."""
+        return self._telemetry.snapshot()
+
+    def current_snapshot(self) -> Snapshot:
+        """Return the state of the robot after a wait for all its topics. Raises `OperatorError` without a driver.
+
+        Topics that are not published are missing after TELEMETRY_S.
+        """
+        self.subscribe_to_all()
+        self.wait_for_driver(DISCOVERY_TIMEOUT_S)
+        self.wait(lambda: self._telemetry.is_complete, TELEMETRY_S)
+        return self.snapshot()
+
+    def lifecycle_state(self) -> str:
+        """Return the primary lifecycle state of the driver, such as ``active``. Raises `OperatorError`."""
+        return str(self._state(DRIVER).label)
+
+    @property
+    def has_driver(self) -> bool:
+        """True if a driver is in the graph."""
+        return self.graph.publishers("gait_state") > 0
 
     @property
     def has_lost_driver(self) -> bool:
         """True if a driver has disappeared and was not inactive according to its latest message."""
-        heard = self._heard.get(GaitState)
-        if heard is None or heard.state == GaitState.INACTIVE:
-            return False
-        return self.count_publishers(self.resolve_topic_name("gait_state")) == 0
-
-    def _require_sole_driver(self) -> None:
-        """Raise `OperatorError` if more than one driver would execute a command.
-
-        A request reaches all services that this node has discovered, and exactly these are counted. DDS counts a
-        killed process for a while after its end, so this waits up to LEASE_S.
-        """
-        service = self.resolve_service_name(_DRIVER_SERVICE)
-
-        def count() -> int:
-            return int(self.count_services(service))
-
-        if not self.wait(lambda: count() <= 1, LEASE_S):
-            raise OperatorError(
-                f"{self.get_namespace()} has {count()} drivers, and both would move: end one of them, or use another "
-                "namespace or ROS_DOMAIN_ID for it"
-            )
-
-    def wait_for_publisher(self, topic: str, remedy: str) -> None:
-        """Wait until a topic has a publisher. Raises `OperatorError`, whose message contains the remedy."""
-        name = self.resolve_topic_name(topic)
-        if not self.wait(lambda: self.count_publishers(name) > 0, DISCOVERY_TIMEOUT_S):
-            raise OperatorError(f"nobody publishes {name}: {remedy}")
+        driver = self._telemetry.driver
+        return driver is not None and driver.state is not Activity.INACTIVE and not self.has_driver
 
     def rest(self, duration_s: float) -> None:
         """Wait for a duration (s) of the robot's time; `check` is called meanwhile."""
         end = self.robot_time_s + duration_s
         self.wait(lambda: self.robot_time_s >= end, 10.0 * duration_s + SILENCE_S)
-
-    def wait_for_recorder(self, name: str, left_out: str = "") -> None:
-        """Wait until a recorder has subscribed to all visible topics of this namespace that have publishers.
-
-        Its recording lacks messages that were published earlier.
-
-        Args:
-            name: name of the recorder's node.
-            left_out: regular expression of the topics that it does not record; empty: it records all.
-
-        Raises:
-            OperatorError: The recorder did not subscribe in time; the message names a topic.
-        """
-
-        def unheard() -> list[str]:
-            topics = self._unheard_topics(name)
-            return [topic for topic in topics if not (left_out and re.search(left_out, topic))]
-
-        if not self.wait(lambda: not unheard(), DISCOVERY_TIMEOUT_S):
-            raise OperatorError(f"{name} does not subscribe to {unheard()[0]}")
-
-    def _unheard_topics(self, listener: str) -> list[str]:
-        prefix = self.get_namespace() + "/"
-        return [
-            topic
-            for topic, _ in self.get_topic_names_and_types()
-            if topic.startswith(prefix)
-            and "/_" not in topic
-            and self.count_publishers(topic) > 0
-            and listener not in [i.node_name for i in self.get_subscriptions_info_by_topic(topic)]
-        ]
-
-    def _names(self) -> list[str]:
-        nodes = self.get_node_names_and_namespaces()
-        return [name for name, namespace in nodes if namespace == self.get_namespace()]
 
     @property
     def runs_of_others(self) -> int:
@@ -292,20 +221,10 @@ class OperatorNode(Node):
 
     @property
     def _runs(self) -> int:
-        heard = self._heard.get(GaitState)
-        return 0 if heard is None else int(heard.run)
+        driver = self._telemetry.driver
+        return 0 if driver is None else driver.run
 
     # --- what a person does --------------------------------------------------------------------
-
-    def state(self) -> RobotState:
-        """Return the robot's state. Raises `OperatorError` if there is no driver."""
-        for kind, topic in _TELEMETRY.items():
-            if kind not in self._watched:
-                self._watched.add(kind)
-                self.create_subscription(kind, topic, self._hear, 10)
-        self.wait_for_driver(DISCOVERY_TIMEOUT_S)
-        self.wait(lambda: _TELEMETRY.keys() <= self._heard.keys(), TELEMETRY_S)
-        return _state_of(self._state(DRIVER).label, self._heard)
 
     def activate(self) -> str:
         """Configure and activate the driver; return a report. Raises `OperatorError` if it does not become active."""
@@ -339,13 +258,13 @@ class OperatorNode(Node):
 
     def home(self) -> str:
         """Define the present cable length as ΔL = 0; return the driver's report. Raises `OperatorError`."""
-        self._require_sole_driver()
+        self.graph.require_sole_driver()
         self.configure()
         return self._trigger("home")
 
     def reboot(self) -> str:
         """Restart the servos that have a hardware error; return the driver's report. Raises `OperatorError`."""
-        self._require_sole_driver()
+        self.graph.require_sole_driver()
         return self._trigger("reboot")
 
     def stop(self) -> str:
@@ -354,7 +273,7 @@ class OperatorNode(Node):
 
     def prepare_stop(self) -> None:
         """Create the client of the stop service, so that it is discovered before it is needed."""
-        self._client(Trigger, "stop")
+        self.named_client(Trigger, "stop")
 
     def emergency_stop(self) -> str:
         """Hold immediately and reject all starts until the reset; return a report.
@@ -368,14 +287,18 @@ class OperatorNode(Node):
 
         def latched() -> bool:
             publisher.publish(Bool(data=True))
-            heard = self._heard.get(GaitState)
-            return heard is not None and bool(heard.emergency_stop)
+            driver = self._telemetry.driver
+            return driver is not None and driver.emergency_stop
 
         if not self.wait(latched, CALL_TIMEOUT_S):
             raise OperatorError(
                 f"no driver confirms the emergency stop within {CALL_TIMEOUT_S:g} s"
             )
         return "holding; nothing starts before the emergency stop is reset"
+
+    def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
+        """Publish what a client wants of the control of the robot; the answer is `Snapshot.control`."""
+        self._control.publish(ControlRequest(client=client, wish=wish, lease_s=lease_s))
 
     def reset_emergency_stop(self) -> str:
         """Permit starts again; return the driver's report.
@@ -399,7 +322,7 @@ class OperatorNode(Node):
             OperatorError: The virtual robot rejects the fault or does not answer.
         """
         fault = InjectFault.Request(name=name, **details)
-        response = self._call(InjectFault, "inject_fault", fault)
+        response = self.call(InjectFault, "inject_fault", fault)
         if not response.success:
             raise OperatorError(response.message)
         return str(response.message)
@@ -415,7 +338,7 @@ class OperatorNode(Node):
         Args:
             request: objective and its value.
             direction: FORWARD or REVERSE.
-            initial_length: length of the robot at rest (m), as in `RobotState`; 0: that of the optimizer's parameters.
+            initial_length: length of the robot at rest (m), as in `StateRecord`; 0: that of the optimizer's parameters.
 
         Raises:
             UnreachableError: No gait of the front satisfies the request.
@@ -428,14 +351,14 @@ class OperatorNode(Node):
             message.speed = request.value
         elif request.objective is Objective.MAX_SPEED_AT_POWER:
             message.power = request.value
-        response = self._call_twice(RequestGait, "request_gait", message)
+        response = self.call_twice(RequestGait, "request_gait", message)
         if response.success:
             return value_of(Prediction, response.prediction.gait, response.prediction)
         if response.status == RequestGait.Response.UNREACHABLE:
             raise UnreachableError(response.message)
         raise OperatorError(f"the optimizer has no gait: {response.message}")
 
-    def begin(self, order: Order, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
+    def begin(self, order: GaitCommand, wanted: Callable[[], bool] = lambda: True) -> GaitRun:
         """Start a gait. The caller must close the returned handle.
 
         The robot comes to rest when the heartbeats of this operator stop, or when ``wanted`` returns False. It is
@@ -444,11 +367,11 @@ class OperatorNode(Node):
         Raises:
             OperatorError: There is no driver, more than one, or no answer.
         """
-        self._require_sole_driver()
+        self.graph.require_sole_driver()
         return self._sent(GaitRun(self, self._heartbeat, order, wanted))
 
     def search(
-        self, order: ScanOrder | FrontOrder, on_end: Callable[[SearchResult], None]
+        self, order: ScanRequest | FrontRequest, on_end: Callable[[SearchResult], None]
     ) -> SearchGoal:
         """Start a margin scan or an optimisation. The caller must close the returned handle.
 
@@ -457,7 +380,7 @@ class OperatorNode(Node):
         """
         return self._sent(SearchGoal(self, order, on_end))
 
-    def take_parameters(self, node: str, parameter_file: str) -> None:
+    def set_parameter_file(self, node: str, parameter_file: str) -> None:
         """Set the parameter file of a node; empty for the paper's values.
 
         Raises:
@@ -465,9 +388,9 @@ class OperatorNode(Node):
         """
         value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=parameter_file)
         request = SetParameters.Request(parameters=[Parameter(name="parameter_file", value=value)])
-        answer = self._call_twice(SetParameters, f"{node}/set_parameters", request).results[0]
+        answer = self.call_twice(SetParameters, f"{node}/set_parameters", request).results[0]
         if not answer.successful:
-            raise OperatorError(f"{node} does not take {parameter_file}: {answer.reason}")
+            raise OperatorError(f"{node} rejects {parameter_file}: {answer.reason}")
 
     def follow(
         self, run: GaitRun, progress: Progress, until: Callable[[], bool] = lambda: False
@@ -486,14 +409,14 @@ class OperatorNode(Node):
         last = None
         while not run.done and not until():
             if time.monotonic() > run.heard_at + SILENCE_S:
-                raise _NoAnswerError(f"nothing is heard of the run for {SILENCE_S:g} s")
-            self._spin()
+                raise NoAnswerError(f"no feedback of the run for {SILENCE_S:g} s")
+            self.spin()
             if run.progress is not None and run.progress is not last:
                 last = run.progress
                 progress(last)
         return run.done
 
-    def run(self, order: Order, progress: Progress) -> RunResult:
+    def run(self, order: GaitCommand, progress: Progress) -> RunResult:
         """Run a gait to its end and return its result.
 
         Raises:
@@ -521,14 +444,14 @@ class OperatorNode(Node):
                 raise OperatorError(f"no action {goal.name}")
             goal.send()
             if not self.wait(lambda: goal.answered, CALL_TIMEOUT_S):
-                raise _NoAnswerError(f"no answer from {goal.name} within {CALL_TIMEOUT_S:g} s")
+                raise NoAnswerError(f"no answer from {goal.name} within {CALL_TIMEOUT_S:g} s")
         except BaseException:
             goal.close()
             raise
         return goal
 
     def _trigger(self, name: str) -> str:
-        response = self._call_twice(Trigger, name, Trigger.Request())
+        response = self.call_twice(Trigger, name, Trigger.Request())
         if not response.success:
             raise OperatorError(f"{name}: {response.message}")
         return str(response.message)
@@ -539,68 +462,11 @@ class OperatorNode(Node):
         return self._errors[-1] if self._errors else "its log says why"
 
     def _state(self, node: str) -> State:
-        answer = self._call_twice(GetState, f"{node}/get_state", GetState.Request())
+        answer = self.call_twice(GetState, f"{node}/get_state", GetState.Request())
         return answer.current_state
 
     def _change(self, node: str, transition: int) -> bool:
-        self._require_sole_driver()
+        self.graph.require_sole_driver()
         request = ChangeState.Request(transition=Transition(id=transition))
-        response = self._call(ChangeState, f"{node}/change_state", request)
+        response = self.call(ChangeState, f"{node}/change_state", request)
         return bool(response.success)
-
-    def _call_twice(self, kind: Any, name: str, request: Any) -> Any:
-        """Call a service, once more if no answer arrives; on a busy computer, discovery can lose an answer."""
-        try:
-            return self._call(kind, name, request)
-        except _NoAnswerError:
-            return self._call(kind, name, request)
-
-    def _call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self._client(kind, name)
-        if not self.wait(client.service_is_ready, DISCOVERY_TIMEOUT_S):
-            raise OperatorError(f"no service {name}")
-        return self._result(client.call_async(request), name, CALL_TIMEOUT_S)
-
-    def _client(self, kind: Any, name: str) -> Client:
-        if name not in self._named_clients:  # reused, as each new client has to be discovered
-            self._named_clients[name] = self.create_client(kind, name)
-        return self._named_clients[name]
-
-    def _result(self, future: Future, name: str, timeout_s: float) -> Any:
-        if not self.wait(future.done, timeout_s):
-            raise _NoAnswerError(f"no answer from {name} within {timeout_s:g} s")
-        return future.result()
-
-    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Spin until a condition holds; return False at the timeout (s)."""
-        deadline = time.monotonic() + timeout_s
-        while not condition():
-            if time.monotonic() > deadline:
-                return False
-            self._spin()
-        return True
-
-    def _spin(self) -> None:
-        self._check()
-        self._executor.spin_once(timeout_sec=SPIN_S)
-
-
-def _state_of(lifecycle: str, heard: dict[type, Any]) -> RobotState:
-    gait_state = heard[GaitState]
-    fields: dict[str, Any] = {}
-    if (power := heard.get(Power)) is not None:
-        fields["power"] = power.power
-    if (tracker := heard.get(Tracker)) is not None:
-        fields["rear_position"] = tracker.rear_position
-    if (residuals := heard.get(TwinResiduals)) is not None:
-        fields["health"] = _HEALTH.get(residuals.health, "")
-    if (twin := heard.get(TwinState)) is not None:
-        fields["initial_length"] = twin.initial_length
-    return value_of(
-        RobotState,
-        gait_state,
-        gait_state.gait,
-        lifecycle=lifecycle,
-        state=_STATES.get(gait_state.state, ""),
-        **fields,
-    )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions to all topics that the console shows of a robot, shared by all pages."""
+"""Subscriptions to the topics of a robot, and the latest state of the robot from them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,18 @@ from worm_model.nodes.twin_messages import nanoseconds
 from worm_model.twin.records import Activity, Health, LengthSource, ResidualRecord, StateRecord
 from worm_model.twin.scene import Sighting
 from worm_model.twin.watch_view import STALE_S
-from worm_msgs.msg import BodyLength, GaitState, Power, Tracker, TwinResiduals, TwinState
+from worm_msgs.msg import (
+    BodyLength,
+    ControlState,
+    GaitState,
+    Power,
+    Tracker,
+    TwinResiduals,
+    TwinState,
+)
 from worm_msgs.qos import LATCHED
 from worm_optimizer.nodes.optimizer_messages import value_of
-from worm_optimizer.snapshot import DriverWord, Snapshot
+from worm_optimizer.snapshot import Control, DriverState, Snapshot
 
 RESIDUALS = ("rear_position", "length", "power")
 _NEWEST = QoSProfile(depth=1)
@@ -33,56 +41,89 @@ _LENGTHS = {
     LengthSource.MEASURED: "body_length/measured",
 }
 _TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
-    "gait_state": (GaitState, LATCHED),
     "power": (Power, _NEWEST),
     "tracker": (Tracker, _NEWEST),
     "twin/state": (TwinState, _NEWEST),
     "twin/residuals": (TwinResiduals, _NEWEST),
     **dict.fromkeys(_LENGTHS.values(), (BodyLength, _NEWEST)),
 }
+_MEASUREMENTS = {"power", "tracker", "twin/state", "twin/residuals"}
+# Topics of few messages, which every operator needs.
+_LATCHED_TOPICS: Mapping[str, tuple[type, QoSProfile]] = {
+    "gait_state": (GaitState, LATCHED),
+    "control": (ControlState, LATCHED),
+}
 
 
 class Telemetry:
-    """Store of the newest message of each topic. Other threads than the node's may call ``snapshot``."""
+    """Store of the newest message of each topic. Other threads than the node's may call ``snapshot``.
+
+    Args:
+        node: node in the robot's namespace. At first it subscribes only to the driver's gait state and control.
+    """
 
     def __init__(self, node: Node) -> None:
-        self._heard: dict[str, tuple[float, Any]] = {}
+        self._node = node
+        self._subscribed: set[str] = set()
+        self._received: dict[str, tuple[float, Any]] = {}
         self._sightings: deque[Any] = deque(maxlen=_SIGHTINGS)
         self._grooves: deque[tuple[int, int]] = deque(maxlen=_GROOVES)
         # receive time (s) and newest message that contains the residual
         self._residuals: dict[str, tuple[float, Any]] = {}
-        for topic, (kind, qos) in _TOPICS.items():
-            node.create_subscription(kind, topic, self._keep(topic), qos)
+        self._subscribe(_LATCHED_TOPICS)
+
+    def subscribe_to_all(self) -> None:
+        """Subscribe to all topics."""
+        self._subscribe(_TOPICS)
+
+    @property
+    def is_complete(self) -> bool:
+        """True if a message of each topic that is published in every state of the driver was received."""
+        return self._received.keys() >= _MEASUREMENTS
+
+    @property
+    def driver(self) -> DriverState | None:
+        """Latest state of the driver; None before the first."""
+        received = self._received.get("gait_state")
+        return None if received is None else _driver_of(received[1])
+
+    def _subscribe(self, topics: Mapping[str, tuple[type, QoSProfile]]) -> None:
+        for topic, (kind, qos) in topics.items():
+            if topic not in self._subscribed:
+                self._subscribed.add(topic)
+                self._node.create_subscription(kind, topic, self._keep(topic), qos)
 
     def _keep(self, topic: str) -> Any:
         def keep(message: Any) -> None:
-            self._heard[topic] = (time.monotonic(), message)
+            self._received[topic] = (time.monotonic(), message)
             if topic == "tracker":
                 self._sightings.append(message)
             elif topic == "twin/state":
                 self._grooves.append((nanoseconds(message.header.stamp), message.rear_groove))
             elif topic == "twin/residuals":  # a sample measures only some of the residuals
-                kept = dict.fromkeys(_measured(message), self._heard[topic])
+                kept = dict.fromkeys(_measured(message), self._received[topic])
                 self._residuals = self._residuals | kept
 
         return keep
 
     def snapshot(self) -> Snapshot:
         """Return the latest data, with receive times of the monotonic clock and the robot at the twin's stamp."""
-        heard = dict(self._heard)
-        newest = {topic: message for topic, (_, message) in heard.items()}
+        received = dict(self._received)
+        newest = {topic: message for topic, (_, message) in received.items()}
         power = newest.get("power")
         return Snapshot(
             driver=_driver_of(newest.get("gait_state")),
+            control=_control_of(newest.get("control")),
             twin=_twin_of(newest.get("twin/state")),
             residuals=_residuals_of(newest.get("twin/residuals"), self._residuals),
-            robot=_robot_at(newest.get("twin/state"), list(self._sightings)),
+            robot=_robot_at(None, list(self._sightings)),
+            robot_at_twin=_robot_at(newest.get("twin/state"), list(self._sightings)),
             lengths={s: newest[topic].length for s, topic in _LENGTHS.items() if topic in newest},
             power=power.power if power is not None else math.nan,
             twin_age=_between(
                 newest.get("twin/state"), newest.get(_LENGTHS[LengthSource.COMMANDED])
             ),
-            heard={topic: at for topic, (at, _) in heard.items()},
+            received={topic: at for topic, (at, _) in received.items()},
             grooves=tuple(self._grooves.copy()),
         )
 
@@ -94,14 +135,18 @@ def _between(earlier: Any, later: Any) -> float:
     return 1e-9 * (nanoseconds(later.header.stamp) - nanoseconds(earlier.header.stamp))
 
 
-def _driver_of(message: Any) -> DriverWord | None:
+def _driver_of(message: Any) -> DriverState | None:
     if message is None:
         return None
     stamps = {
         name: nanoseconds(stamp)
         for name, stamp in (("stamp_ns", message.header.stamp), ("onset_ns", message.onset))
     }
-    return value_of(DriverWord, message, message.gait, state=Activity(message.state), **stamps)
+    return value_of(DriverState, message, message.gait, state=Activity(message.state), **stamps)
+
+
+def _control_of(message: Any) -> Control | None:
+    return None if message is None else value_of(Control, message)
 
 
 def _twin_of(message: Any) -> StateRecord | None:

@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_optimizer.nodes.action_goal import ActionGoal
-from worm_optimizer.orders import FrontOrder, ScanOrder, SearchResult
+from worm_optimizer.robot_commands import FrontRequest, ScanRequest, SearchResult
 from worm_optimizer.search.search_settings import Settings
 
 _LOOK_S = 0.25  # period of the checks for the result, s
@@ -29,7 +29,7 @@ class SearchGoal(ActionGoal):
     """
 
     def __init__(
-        self, node: Node, order: ScanOrder | FrontOrder, on_end: Callable[[SearchResult], None]
+        self, node: Node, order: ScanRequest | FrontRequest, on_end: Callable[[SearchResult], None]
     ) -> None:
         super().__init__(node, *_action_of(order))
         self._on_end = on_end
@@ -55,8 +55,8 @@ class SearchGoal(ActionGoal):
         self._on_end(result)
 
 
-def _action_of(order: ScanOrder | FrontOrder) -> tuple[Any, str, Any]:
-    if isinstance(order, ScanOrder):
+def _action_of(order: ScanRequest | FrontRequest) -> tuple[Any, str, Any]:
+    if isinstance(order, ScanRequest):
         return ScanMargin, "scan_margin", ScanMargin.Goal(**asdict(order))
     goal = OptimizeGaits.Goal(seed=Settings().seed, **asdict(order))
     return OptimizeGaits, "optimize_gaits", goal

@@ -20,10 +20,10 @@ from worm_msgs.claim import ClaimedError, claim_graph, domain_of
 from worm_msgs.readiness import Readiness
 from worm_optimizer.nodes.operator_node import (
     GaitFailedError,
-    OperatorError,
     OperatorNode,
     operator,
 )
+from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.processes import (
     ProcessError,
     ProcessGroup,
@@ -31,7 +31,7 @@ from worm_optimizer.operation.processes import (
     wait_for,
 )
 from worm_optimizer.operation.system import NodeDescription, System, SystemFile, load_system_file
-from worm_optimizer.orders import Order, RunProgress, RunResult
+from worm_optimizer.robot_commands import GaitCommand, RunProgress, RunResult
 
 READY_TIMEOUT_S = 120.0  # timeout of a node's start, sufficient on a busy computer
 CYCLES = 5
@@ -98,7 +98,7 @@ class Session:
         self.say("activating the driver")
         self.node.activate()
 
-    def run_gait(self, order: Order) -> RunResult:
+    def run_gait(self, order: GaitCommand) -> RunResult:
         """Run a gait; if it fails, report this and run it once more, from rest.
 
         Raises:
@@ -151,7 +151,7 @@ def session(
 
         with operator(system.namespace, look) as node:
             start_nodes(group, system, say, look)
-            node.wait_for_nodes(description.name for description in system.nodes)
+            node.graph.wait_for_nodes(description.name for description in system.nodes)
             yield Session(group, node, system, say)
         say("stopping the nodes")
     check_ends(group)
@@ -262,7 +262,7 @@ def recording(
     words = tuple(word for word in recorder.arguments if word != _TO_REST)
     own = replace(recorder, name=name, arguments=words)
     start_node(group, own, node.get_namespace().strip("/"))
-    node.wait_for_recorder(name, left_out(recorder))
+    node.graph.wait_for_recorder(name, left_out(recorder))
     yield
     node.rest(AFTERWARDS_S)
     group.end(name)
@@ -274,7 +274,7 @@ def left_out(recorder: NodeDescription) -> str:
     return words[words.index(_EXCLUDE) + 1] if _EXCLUDE in words else ""
 
 
-def once_per_cycle(say: Say, order: Order) -> Callable[[RunProgress], None]:
+def once_per_cycle(say: Say, order: GaitCommand) -> Callable[[RunProgress], None]:
     """Return a callback for progress that reports each cycle once."""
     reported = {0}
 

@@ -14,7 +14,7 @@ from worm_model.bags.run_reader import read_run
 from worm_optimizer.nodes.tracker_watch import TrackerWatch
 from worm_optimizer.operation.bring_up import RECORDER, Say, Session, recording, session
 from worm_optimizer.operation.system import System, SystemFile
-from worm_optimizer.orders import Order
+from worm_optimizer.robot_commands import GaitCommand
 
 Prepare = Callable[[Session, str], None]
 
@@ -60,7 +60,7 @@ class Robot:
 
 def run_gaits(
     robot: Robot,
-    orders: Mapping[str, Order],
+    orders: Mapping[str, GaitCommand],
     folder: Path,
     logs: Path,
     say: Say,
@@ -89,7 +89,7 @@ def run_gaits(
     if not missing:
         return
     with session(robot.system(), logs, say) as running:
-        running.node.wait_for_publisher(_TRACKER, _NO_TRACKER)
+        running.node.graph.wait_for_publisher(_TRACKER, _NO_TRACKER)
         running.activate()
         TrackerWatch(running.node, lambda: running.node.robot_time_s, say)
         others = 0
@@ -131,7 +131,7 @@ def put_aside(bag: Path, say: Say) -> None:
     say(f"{bag.name}: what is unfinished is kept as {aside.name}")
 
 
-def _record_gait(running: Session, system: System, name: str, order: Order) -> None:
+def _record_gait(running: Session, system: System, name: str, order: GaitCommand) -> None:
     running.say(f"{name}: {order}")
     with recording(running.group, running.node, system.node(RECORDER), f"{RECORDER}_{name}"):
         running.run_gait(order)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from worm_optimizer.operation.bring_up import CYCLES, RECORDER, Say, left_out, session
 from worm_optimizer.operation.system import System
-from worm_optimizer.orders import Order
+from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.robustness.prediction import Prediction
 from worm_optimizer.search.gait_request import GaitRequest, Objective
 
@@ -34,8 +34,8 @@ def drive(system: System, logs: Path, say: Say) -> Prediction:
             f"{gait.frequency:.3f} Hz, margin {1e3 * gait.margin:.1f} mm"
         )
         running.activate()
-        node.wait_for_recorder(RECORDER, left_out(system.node(RECORDER)))
+        node.graph.wait_for_recorder(RECORDER, left_out(system.node(RECORDER)))
         say(f"running {CYCLES} cycles, {CYCLES / gait.frequency:.0f} s")
-        running.run_gait(Order(gait, CYCLES))
+        running.run_gait(GaitCommand(gait, CYCLES))
         running.release()
     return prediction

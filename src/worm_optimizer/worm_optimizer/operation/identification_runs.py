@@ -23,7 +23,7 @@ from worm_model.parameters import ParameterFile, write_parameter_file
 from worm_optimizer.operation.bring_up import Say, Session
 from worm_optimizer.operation.campaign_runs import Prepare, Robot, run_gaits
 from worm_optimizer.operation.processes import ProcessError, ProcessGroup, executable_command
-from worm_optimizer.orders import Order
+from worm_optimizer.robot_commands import GaitCommand
 
 # Damping and power factor can only be separated with several frequencies (docs/model.md), gain and slack with several
 # strokes. Each gait passes the ridges at every groove phase.
@@ -52,7 +52,7 @@ class Bench:
     fin: Path | None
 
 
-def identification_orders(direction: int, pitch: float) -> dict[str, Order]:
+def identification_orders(direction: int, pitch: float) -> dict[str, GaitCommand]:
     """Return the runs of the identification by name.
 
     Args:
@@ -61,7 +61,7 @@ def identification_orders(direction: int, pitch: float) -> dict[str, Order]:
     """
     distance = (RIDGES + _BEYOND) * pitch
     return {
-        f"stroke_{1e3 * gait.stroke:.0f}_mm_{gait.frequency:g}_Hz".replace(".", "_"): Order(
+        f"stroke_{1e3 * gait.stroke:.0f}_mm_{gait.frequency:g}_Hz".replace(".", "_"): GaitCommand(
             replace(gait, direction=direction), cycles=_MOST_CYCLES, distance=distance
         )
         for gait in GAITS
@@ -69,7 +69,12 @@ def identification_orders(direction: int, pitch: float) -> dict[str, Order]:
 
 
 def record_identification(
-    robot: Robot, orders: dict[str, Order], folder: Path, logs: Path, say: Say, prepare: Prepare
+    robot: Robot,
+    orders: dict[str, GaitCommand],
+    folder: Path,
+    logs: Path,
+    say: Say,
+    prepare: Prepare,
 ) -> list[Path]:
     """Run and record what is missing in ``folder/identification``; return all bags. Raises like `run_gaits`.
 

@@ -39,6 +39,7 @@ from worm_optimizer.report.recorded_gait import RecordedGait
 from worm_optimizer.report.run_figures import RUN_FIGURES, draw_overlay
 
 PAGE = "report.html"
+REPORT_SUFFIX = "_report"  # of the names of reports' folders
 _TEMPLATE = "report.html.jinja"
 _FACTS = {  # keys of a recording's manifest for each entry at the top of the page; the first available key counts
     "date": ("recorded_at",),
@@ -130,6 +131,13 @@ def build_report(report: Report, folder: Path) -> Path:
     path = folder / PAGE
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def report_name(names: Sequence[str]) -> str:
+    """Return the name of a report's folder: ``A_report``, ``A_with_B_report``, or ``A_with_2_others_report``."""
+    first, *others = names
+    added = f"{len(others)}_others" if len(others) > 1 else "".join(others)
+    return f"{first}_with_{added}{REPORT_SUFFIX}" if added else f"{first}{REPORT_SUFFIX}"
 
 
 def _facts(gaits: Sequence[RecordedGait]) -> dict[str, str]:

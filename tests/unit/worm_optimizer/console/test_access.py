@@ -68,12 +68,17 @@ def test_sessions_end(clock: Clock):
     assert not access.is_open(second)
 
 
-def test_guessing_is_slow(clock: Clock):
+def test_ten_wrong_secrets_lock_sign_ins_for_a_minute(clock: Clock):
     access = Access("right", clock)
     for _ in range(10):
+        assert access.lock_s == 0.0
         access.sign_in("wrong")
-    assert access.sign_in("right") == ""
-    clock.now += 61.0
+    clock.now += 20.0
+    assert access.lock_s == 40.0
+    for _ in range(10):  # attempts during the lock do not extend it
+        assert access.sign_in("right") == ""
+    clock.now += 40.0
+    assert access.lock_s == 0.0
     assert access.sign_in("right")
 
 

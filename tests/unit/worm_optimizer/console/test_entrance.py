@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from worm_optimizer.console.access import Access
-from worm_optimizer.console.entrance import Guard
+from worm_optimizer.console.entrance import Guard, IgnoreDisconnects
 
 HOST = "robot:8080"
 
@@ -131,3 +131,34 @@ def test_pages_cannot_be_framed_by_other_sites():
 
 def test_a_broken_cookie_is_none(site: Site):
     assert site.ask("/", cookie="worm_console")[0]["status"] == 303
+
+
+def test_the_lock_is_stated_to_a_right_token(site: Site):
+    for _ in range(10):
+        site.ask("/login", method="POST", body="token=wrong")
+    sent = site.ask("/login", method="POST", body="token=right")
+    assert sent[0]["status"] == 403
+    assert b"try again in 60 s" in sent[1]["body"]
+
+
+@pytest.mark.parametrize(
+    ("message", "ignored"), [("http.disconnect", True), ("http.request", False)]
+)
+def test_only_the_error_of_a_client_that_left_is_ignored(message: str, ignored: bool):
+    async def receive() -> dict[str, Any]:
+        return {"type": message}
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        await receive()
+        raise RuntimeError("No response returned.")
+
+    async def send(message: Any) -> None: ...
+
+    def ask() -> None:
+        asyncio.run(IgnoreDisconnects(app)({"type": "http"}, receive, send))
+
+    if ignored:
+        ask()
+    else:
+        with pytest.raises(RuntimeError):
+            ask()

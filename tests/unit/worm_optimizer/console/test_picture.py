@@ -55,8 +55,8 @@ def test_fins_change_their_colour_with_what_they_do():
     assert {box.get("style") for box in reverse} == {box.get("style") for box in held}
 
 
-def test_without_a_twin_it_says_so():
-    assert "no twin is heard" in picture(None, Sighting(), PAPER)
+def test_without_a_twin_there_is_a_note():
+    assert "no data of the twin" in picture(None, Sighting(), PAPER)
 
 
 def test_the_view_rests_while_the_robot_moves_a_little():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The worker does one thing after the other, stops whatever it waits for, and tells what fails; nodes are made up."""
+"""The worker executes one command after the other, stops at any time, and reports failures; nodes are fakes."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -8,23 +8,31 @@ from contextlib import contextmanager
 import pytest
 
 from worm_optimizer.console.robot_worker import Notice, RobotWorker
-from worm_optimizer.nodes.operator_node import OperatorError
+from worm_optimizer.nodes.service_caller import OperatorError
 from worm_optimizer.operation.bring_up import Check, Say
+from worm_optimizer.snapshot import Control, Snapshot, Wish
 
 TIMEOUT_S = 10.0
 
 
 class Node:
-    """An operator whose waiting is short; ``meanwhile`` is done in it."""
+    """Operator whose waits are short; ``meanwhile`` is called in each."""
 
     def __init__(self) -> None:
         self.stops = threading.Semaphore(0)
         self.meanwhile: Callable[[], None] = lambda: None
         self.broken = ""
-        self.has_lost_driver = False
+        self.has_driver, self.has_lost_driver = True, False
+        self.wishes: list[tuple[str, Wish, float]] = []
+        self.known = Snapshot()
 
-    def create_subscription(self, *_: object) -> None:
-        pass
+    def subscribe_to_all(self) -> None: ...
+
+    def snapshot(self) -> Snapshot:
+        return self.known
+
+    def request_control(self, client: str, wish: Wish, lease_s: float) -> None:
+        self.wishes.append((client, wish, lease_s))
 
     def prepare_stop(self) -> None:
         if self.broken:
@@ -41,18 +49,18 @@ class Node:
 
 
 class Bench:
-    """A worker with a made-up robot, and what it said."""
+    """Worker with a fake robot, and its notices."""
 
     def __init__(self, failure: str = "") -> None:
         self.node, self.stopper, self.failure = Node(), Node(), failure
         self.ends = 0
-        self.words: list[Notice] = []
-        self.told = threading.Semaphore(0)
-        self.worker = RobotWorker(self._robot, self._brake, self._tell)
+        self.notices: list[Notice] = []
+        self.notified = threading.Semaphore(0)
+        self.worker = RobotWorker(self._robot, self._stop, self._notify)
 
-    def _tell(self, word: Notice) -> None:
-        self.words.append(word)
-        self.told.release()
+    def _notify(self, notice: Notice) -> None:
+        self.notices.append(notice)
+        self.notified.release()
 
     @contextmanager
     def _robot(self, say: Say, check: Check) -> Iterator[Node]:
@@ -67,21 +75,28 @@ class Bench:
             self.ends += 1
 
     @contextmanager
-    def _brake(self, check: Check) -> Iterator[Node]:
+    def _stop(self, check: Check) -> Iterator[Node]:
         self.stopper.meanwhile = check
         yield self.stopper
 
     def close(self) -> None:
-        self.worker.close(impatient=lambda: False)
+        self.worker.close(hold_now=lambda: False)
 
-    def heard(self, text: str) -> Notice:
-        while not any(word.text == text for word in self.words):
-            assert self.told.acquire(timeout=TIMEOUT_S), f"never told {text!r}: {self.words}"
-        return next(word for word in self.words if word.text == text)
+    def notice(self, text: str) -> Notice:
+        while not any(notice.text == text for notice in self.notices):
+            assert self.notified.acquire(timeout=TIMEOUT_S), f"no {text!r}: {self.notices}"
+        return next(notice for notice in self.notices if notice.text == text)
 
-    def ask(self, act: Callable[[object], str]) -> None:
+    def wait_for(self, condition: Callable[[], bool]) -> None:
         for _ in range(5000):
-            if self.worker.ask("working", act):
+            if condition():
+                return
+            threading.Event().wait(0.002)
+        raise AssertionError("the condition does not hold")
+
+    def submit(self, command: Callable[[object], str]) -> None:
+        for _ in range(5000):
+            if self.worker.submit("working", command):
                 return
             threading.Event().wait(0.002)
         raise AssertionError(self.worker.busy)
@@ -95,129 +110,152 @@ def bench() -> Iterator[Bench]:
     bench.close()
 
 
-def test_what_is_asked_for_is_done_and_told(bench: Bench):
-    bench.ask(lambda node: "done")
-    assert bench.heard("done").good
+def test_a_command_is_executed_and_its_result_reported(bench: Bench):
+    bench.submit(lambda node: "done")
+    assert bench.notice("done").good
 
 
-def test_a_driver_that_is_lost_is_told_once(bench: Bench):
+def test_a_lost_driver_is_reported_once(bench: Bench):
     bench.stopper.has_lost_driver = True
-    assert not bench.heard("the driver ended; torque may be on").good
-    bench.ask(lambda node: "done")
-    bench.heard("done")
-    assert sum("torque may be on" in word.text for word in bench.words) == 1
+    assert not bench.notice("the driver ended; torque may be on").good
+    bench.submit(lambda node: "done")
+    bench.notice("done")
+    assert sum("torque may be on" in notice.text for notice in bench.notices) == 1
     bench.stopper.has_lost_driver = False
 
 
-def test_a_failure_is_told_and_the_worker_goes_on(bench: Bench):
+def test_wishes_for_control_reach_the_driver_in_their_order(bench: Bench):
+    wishes = [("a page", Wish.CONTROL, 5.0), ("a page", Wish.HAND_OVER, 5.0)]
+    for wish in wishes:
+        bench.worker.request_control(*wish)
+    bench.wait_for(lambda: len(bench.stopper.wishes) == 2)
+    assert bench.stopper.wishes == wishes
+
+
+def test_without_a_driver_nobody_has_control_and_there_is_no_state(bench: Bench):
+    bench.stopper.known = Snapshot(control=Control("a page"), power=2.0)
+    bench.wait_for(lambda: bench.worker.snapshot().control == Control("a page"))
+    bench.stopper.has_driver = False
+    bench.wait_for(lambda: bench.worker.snapshot().control is None)
+    assert bench.worker.snapshot().power == 2.0
+
+
+def test_a_stop_is_unconfirmed_until_the_driver_answers(bench: Bench):
+    bench.worker.stop()
+    assert bench.notice("holding").good
+    bench.wait_for(lambda: not bench.worker.stopping)
+
+
+def test_a_failure_is_reported_and_further_commands_are_executed(bench: Bench):
     def fail(node: object) -> str:
         raise OperatorError("no answer")
 
-    bench.ask(fail)
-    assert not bench.heard("no answer").good
-    bench.ask(lambda node: "done")
-    assert bench.heard("done").good
+    bench.submit(fail)
+    assert not bench.notice("no answer").good
+    bench.submit(lambda node: "done")
+    assert bench.notice("done").good
 
 
-def test_one_thing_at_a_time_and_stop_at_any(bench: Bench):
+def test_one_command_at_a_time_and_stop_at_any_time(bench: Bench):
     begun, release = threading.Event(), threading.Event()
 
     def work(node: object) -> str:
         begun.set()
         release.wait(TIMEOUT_S)
-        return "stopped" if bench.worker.stopped else "not stopped"
+        return "stopped" if bench.worker.cancellation else "not stopped"
 
-    bench.ask(work)
+    bench.submit(work)
     assert begun.wait(TIMEOUT_S)
-    assert not bench.worker.ask("more", lambda node: "more")
+    assert not bench.worker.submit("more", lambda node: "more")
     assert bench.worker.hindrance == "wait: working"
     bench.worker.stop()
+    assert "STOP" in bench.worker.busy
     assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)  # while the other still waits
     release.set()
-    bench.heard("stopped")
-    bench.ask(lambda node: "stopped still" if bench.worker.stopped else "free again")
-    bench.heard("free again")
+    bench.notice("stopped")
+    bench.submit(lambda node: "stopped still" if bench.worker.cancellation else "free again")
+    bench.notice("free again")
 
 
-def test_a_robot_that_does_not_come_up_is_told(request):
+def test_a_robot_that_does_not_start_is_reported(request):
     bench = Bench(failure="twin has ended")
     bench.worker.start()
     request.addfinalizer(bench.close)
-    assert not bench.heard("twin has ended").good
+    assert not bench.notice("twin has ended").good
     assert bench.worker.hindrance == "twin has ended"
-    assert not bench.worker.ask("working", lambda node: "")
+    assert not bench.worker.submit("working", lambda node: "")
 
 
-def test_a_node_that_starts_again_while_nothing_is_done_hinders_nothing(bench: Bench):
-    bench.ask(lambda node: "at rest")
-    bench.heard("at rest")
+def test_a_restarted_node_blocks_no_command(bench: Bench):
+    bench.submit(lambda node: "at rest")
+    bench.notice("at rest")
 
     def restart() -> None:
         bench.node.meanwhile = lambda: None
         bench.say("optimizer has ended: out of memory; it starts again")
 
     bench.node.meanwhile = restart
-    bench.heard("optimizer has ended: out of memory; it starts again")
-    bench.ask(lambda node: "done")
-    bench.heard("done")
+    bench.notice("optimizer has ended: out of memory; it starts again")
+    bench.submit(lambda node: "done")
+    bench.notice("done")
 
 
 @pytest.mark.parametrize(
     "error", [OSError(28, "No space left on device"), OperatorError("no answer")]
 )
-def test_what_can_go_wrong_hinders_nothing_else(bench: Bench, error: Exception):
+def test_an_error_of_a_command_blocks_no_other_one(bench: Bench, error: Exception):
     def fail(node: object) -> str:
         raise error
 
-    bench.ask(fail)
-    assert not bench.heard(str(error)).good
-    bench.ask(lambda node: "done")
-    bench.heard("done")
+    bench.submit(fail)
+    assert not bench.notice(str(error)).good
+    bench.submit(lambda node: "done")
+    bench.notice("done")
 
 
-def test_what_nobody_thought_of_is_told_and_is_the_reason_from_then_on(bench: Bench, capsys):
+def test_an_unexpected_error_is_reported_and_ends_all_commands_but_stop(bench: Bench, capsys):
     def fail(node: object) -> str:
         return {}["a fault of the console"]  # type: ignore[index]
 
-    bench.ask(fail)
-    words = "start the console anew, it has failed: KeyError('a fault of the console')"
-    assert not bench.heard(words).good
+    bench.submit(fail)
+    words = "restart the console, it has failed: KeyError('a fault of the console')"
+    assert not bench.notice(words).good
     assert bench.worker.hindrance == words
-    assert not bench.worker.ask("more", lambda node: "more")
+    assert not bench.worker.submit("more", lambda node: "more")
     assert "Traceback" in capsys.readouterr().err
     bench.worker.stop()
     assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)  # all the same
 
 
-def test_nothing_is_begun_that_could_not_be_stopped(request):
+def test_no_command_is_executed_if_stop_does_not_work(request):
     bench = Bench()
     bench.stopper.broken = "no service stop"
     bench.worker.start()
     request.addfinalizer(bench.close)
-    words = "STOP does not work, so nothing is begun: no service stop"
-    assert not bench.heard(words).good
+    words = "STOP does not work, so no command is executed: no service stop"
+    assert not bench.notice(words).good
     assert bench.worker.hindrance == words
 
 
-def test_the_end_waits_for_what_runs_and_gives_up_what_need_not_be():
+def test_the_end_waits_for_a_run():
     bench = Bench()
     bench.worker.start()
     begun = threading.Event()
 
     def run(node: object) -> str:
         begun.set()
-        while not bench.worker.stopped:
+        while not bench.worker.cancellation:
             threading.Event().wait(0.001)
-        return f"at rest: {bench.worker.stopped}"
+        return f"at rest: {bench.worker.cancellation}"
 
-    bench.ask(run)
+    bench.submit(run)
     assert begun.wait(TIMEOUT_S)
     bench.close()
-    assert bench.heard("at rest: the console ends").good
+    assert bench.notice("at rest: the console ends").good
     assert bench.ends == 1
 
 
-def test_who_is_impatient_holds_the_robot():
+def test_an_immediate_end_holds_the_robot():
     bench = Bench()
     bench.worker.start()
     begun = threading.Event()
@@ -227,13 +265,13 @@ def test_who_is_impatient_holds_the_robot():
         assert bench.stopper.stops.acquire(timeout=TIMEOUT_S)
         return "held"
 
-    bench.ask(run)
+    bench.submit(run)
     assert begun.wait(TIMEOUT_S)
-    bench.worker.close(impatient=lambda: True)
-    assert bench.heard("held").good
+    bench.worker.close(hold_now=lambda: True)
+    assert bench.notice("held").good
 
 
-def test_what_may_be_given_up_is_where_the_console_ends():
+def test_the_end_abandons_a_command_that_reports_its_progress():
     bench = Bench()
     bench.worker.start()
     begun = threading.Event()
@@ -241,16 +279,16 @@ def test_what_may_be_given_up_is_where_the_console_ends():
     def read(node: object) -> str:
         begun.set()
         while True:
-            bench.worker.going("reading")
+            bench.worker.progress("reading")
 
-    bench.ask(read)
+    bench.submit(read)
     assert begun.wait(TIMEOUT_S)
     bench.close()
     assert bench.ends == 1
     assert bench.worker.failure == ""
 
 
-def test_a_start_is_given_up():
+def test_the_end_abandons_a_start():
     bench = Bench()
     at = threading.Event()
 
@@ -261,12 +299,12 @@ def test_a_start_is_given_up():
             check()
         yield bench.node
 
-    bench.worker = RobotWorker(robot, bench._brake, bench._tell)
+    bench.worker = RobotWorker(robot, bench._stop, bench._notify)
     bench.worker.start()
     assert at.wait(TIMEOUT_S)
     bench.close()
     assert bench.worker.failure == ""
 
 
-def test_one_that_was_not_begun_ends():
+def test_a_worker_that_was_not_started_ends():
     Bench().close()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is live, what is silent, what may be pressed and why not, and what is remembered."""
+"""Current and missing values, possible actions and their obstacles, and the history."""
 
 import math
 from dataclasses import replace
@@ -10,44 +10,49 @@ from worm_model.twin.records import Activity, Health, LengthSource, ResidualReco
 from worm_optimizer.console.view import (
     SOURCES,
     History,
-    live,
+    is_live,
+    missing_sources,
     obstacles,
     sample,
-    silences,
-    state_words,
-    twin_words,
+    state_text,
+    twin_text,
 )
-from worm_optimizer.snapshot import DriverWord, Snapshot
+from worm_optimizer.snapshot import DriverState, Snapshot
 
 NOW = 50.0
-IDLE = DriverWord(Activity.IDLE, True, False, 0, 0, 0, 0.0, 0.0, 1, "")
+IDLE = DriverState(Activity.IDLE, True, False, 0, 0, 0, 0.0, 0.0, 1, "")
 TWIN = StateRecord(0, LengthSource.MEASURED, *(0.3, 0.0, 0.3, 0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.3),
                    *(0, 0), *(0.0, 0.0, 0.0, 2.0, 0.0))  # fmt: skip
-HEARD = dict.fromkeys(SOURCES, NOW)
+RECEIVED = dict.fromkeys(SOURCES, NOW)
 
 
 def snapshot(state: Activity = Activity.IDLE, **values) -> Snapshot:
-    return Snapshot(driver=replace(IDLE, state=state, **values), twin=TWIN, heard=HEARD)
+    return Snapshot(driver=replace(IDLE, state=state, **values), twin=TWIN, received=RECEIVED)
 
 
-def test_what_was_heard_within_a_second_is_live():
-    heard = Snapshot(heard={"power": NOW - 0.9, "tracker": NOW - 1.1})
-    assert live(heard, "power", NOW)
-    assert not live(heard, "tracker", NOW)
-    assert not live(heard, "twin/state", NOW)
+def test_a_topic_is_live_for_a_second():
+    received = Snapshot(received={"power": NOW - 0.9, "tracker": NOW - 1.1})
+    assert is_live(received, "power", NOW)
+    assert not is_live(received, "tracker", NOW)
+    assert not is_live(received, "twin/state", NOW)
 
 
-def test_what_has_fallen_silent_is_told_apart_from_what_was_never_heard():
-    heard = {**HEARD, "tracker": NOW - 7.0}
+def test_missing_sources_are_named_with_their_silence():
+    heard = {**RECEIVED, "tracker": NOW - 7.0}
     del heard["power"]
-    assert silences(Snapshot(heard=HEARD), NOW) == []
-    assert silences(Snapshot(heard=heard), NOW) == [
-        "power: not heard",
-        "tracker: silent for 7 s",
-    ]
+    assert missing_sources(snapshot(), NOW) == []
+    silent = replace(snapshot(), received=heard)
+    assert missing_sources(silent, NOW) == ["power: no message yet", "tracker: silent for 7 s"]
 
 
-def test_silent_numbers_are_not_shown_as_the_present():
+def test_no_source_is_missing_unless_the_driver_is_active():
+    inactive = replace(snapshot(Activity.INACTIVE), received={})
+    assert missing_sources(inactive, NOW) == []
+    assert missing_sources(Snapshot(), NOW) == []
+    assert state_text(Snapshot()) == "no driver"
+
+
+def test_old_values_are_not_shown():
     lengths = dict.fromkeys(LengthSource, 0.3)
     known = replace(snapshot(), lengths=lengths, power=2.5, twin_age=0.4)
     assert sample(known, NOW).power == 2.5
@@ -62,7 +67,7 @@ def test_silent_numbers_are_not_shown_as_the_present():
 
 
 @pytest.mark.parametrize(
-    ("given", "pressable"),
+    ("given", "possible"),
     [
         (snapshot(Activity.INACTIVE), {"Home", "Activate"}),
         (snapshot(Activity.INACTIVE, emergency_stop=True), {"Home"}),
@@ -72,34 +77,43 @@ def test_silent_numbers_are_not_shown_as_the_present():
         (Snapshot(), set()),
     ],
 )
-def test_what_can_be_pressed_follows_from_the_state(given: Snapshot, pressable: set[str]):
+def test_possible_actions_follow_from_the_state(given: Snapshot, possible: set[str]):
     reasons = obstacles(given, "")
-    assert {name for name, reason in reasons.items() if not reason} == pressable
+    assert {name for name, reason in reasons.items() if not reason} == possible
 
 
-def test_how_old_the_twins_words_are_is_told():
+def test_the_age_of_the_twins_data_is_shown():
     residuals = ResidualRecord(0, *(0.0,) * 7, Health.SUSPECT, "a fin slips")
-    heard = {**HEARD, "twin/residuals": NOW}
-    known = replace(snapshot(), residuals=residuals, twin_age=0.43, heard=heard)
-    assert twin_words(known, NOW) == "twin: suspect, a fin slips, 0.4 s behind"
-    assert twin_words(replace(known, twin_age=math.nan), NOW) == "twin: suspect, a fin slips"
-    assert twin_words(known, NOW + 2.0) == "twin: silent"
+    received = {**RECEIVED, "twin/residuals": NOW}
+    known = replace(snapshot(), residuals=residuals, twin_age=0.43, received=received)
+    assert twin_text(known, NOW) == "twin: suspect, a fin slips, 0.4 s behind"
+    assert twin_text(replace(known, twin_age=math.nan), NOW) == "twin: suspect, a fin slips"
+    assert twin_text(known, NOW + 2.0) == "twin: no message"
 
 
-def test_what_hinders_all_is_the_reason_at_each():
+def test_a_common_obstacle_is_the_reason_for_each_action():
     assert set(obstacles(snapshot(), "wait: homing").values()) == {"wait: homing"}
-    assert set(obstacles(Snapshot(), "").values()) == {"no driver is heard"}
+    assert set(obstacles(Snapshot(), "").values()) == {"there is no driver"}
 
 
-def test_the_state_is_told_in_words():
-    assert state_words(Snapshot(), NOW) == "no driver heard"
+def test_the_state_of_the_driver_as_text():
+    assert state_text(snapshot(Activity.RUNNING, cycle=2, cycles=5)) == "running, cycle 2 of 5"
+    assert state_text(snapshot(emergency_stop=True)) == "emergency stop, idle"
+    assert state_text(snapshot(Activity.FAULT, message="servo 2 is silent")) == (
+        "fault: servo 2 is silent"
+    )
+
+
+def test_a_stop_is_shown_before_its_confirmation_and_until_a_person_acts():
     running = snapshot(Activity.RUNNING, cycle=2, cycles=5)
-    assert state_words(running, NOW) == "running, cycle 2 of 5"
-    assert state_words(running, NOW + 9.0) == "running, now silent, cycle 2 of 5"
-    assert state_words(snapshot(emergency_stop=True), NOW) == "emergency stop, idle"
+    assert state_text(running, stopping=True).startswith("STOP is not confirmed yet, running")
+    holding = snapshot(Activity.IDLE, holding=True)
+    assert state_text(holding, stopping=True) == "stopped, holding"
+    assert state_text(holding) == "stopped, holding"
+    assert state_text(snapshot(Activity.IDLE)) == "idle"
 
 
-def test_a_minute_is_remembered():
+def test_the_history_has_a_minute():
     history = History(lambda: NOW)
     for _ in range(1000):
         history.add(snapshot())
@@ -111,7 +125,7 @@ PERIOD_NS, LATE_NS = 5 * 10**9, 450_000_000
 
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("before", [0, 7])
-def test_the_grooves_of_each_cycle_are_those_between_its_stamps_by_a_twin_that_is_behind(
+def test_grooves_of_a_cycle_are_counted_at_its_stamps_although_the_twin_lags(
     direction: int, before: int
 ):
     """The twin still has the grooves of the run before when the driver says that the next one has begun."""
@@ -134,11 +148,11 @@ def test_the_grooves_of_each_cycle_are_those_between_its_stamps_by_a_twin_that_i
         driver = replace(driver, stamp_ns=begun, onset_ns=onset if onset <= now and not over else 0)
         stamps = range(now - LATE_NS - 2 * 10**9, now - LATE_NS, 10_000_000)
         states = tuple((stamp, rear_groove(stamp)) for stamp in stamps)
-        history.add(Snapshot(driver=driver, twin=TWIN, heard=HEARD, grooves=states))
+        history.add(Snapshot(driver=driver, twin=TWIN, received=RECEIVED, grooves=states))
     assert history.grooves == list(gained)
 
 
-def test_a_cycle_that_was_stopped_has_no_grooves():
+def test_a_stopped_cycle_has_no_grooves():
     history = History(lambda: NOW)
     onset = 10**12
     stop = onset + PERIOD_NS + PERIOD_NS // 2
@@ -147,5 +161,5 @@ def test_a_cycle_that_was_stopped_has_no_grooves():
         driver = replace(IDLE, state=state, run=1, frequency=0.2, stamp_ns=min(now, stop))
         driver = replace(driver, onset_ns=onset if now < stop else 0)
         states = tuple((now - LATE_NS - 10_000_000 * k, 1) for k in range(50, 0, -1))
-        history.add(Snapshot(driver=driver, twin=TWIN, heard=HEARD, grooves=states))
+        history.add(Snapshot(driver=driver, twin=TWIN, received=RECEIVED, grooves=states))
     assert history.grooves == [0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is kept of a robot's topics; the node that hears them is made up."""
+"""The snapshot of a robot's topics; the subscribing node is a fake."""
 
 import math
 from collections.abc import Callable
@@ -43,6 +43,7 @@ def test_each_residual_is_that_of_the_last_sample_which_measured_it(
     node, now = Node(), 100.0
     monkeypatch.setattr(robot_telemetry.time, "monotonic", lambda: now)
     telemetry = Telemetry(node)
+    telemetry.subscribe_to_all()
     assert telemetry.snapshot().residuals is None
     node.say["twin/residuals"](residuals(rear_position=1e-3, length=2e-3))
     node.say["twin/residuals"](residuals(power=0.5))
@@ -60,6 +61,7 @@ def test_each_residual_is_that_of_the_last_sample_which_measured_it(
 def test_the_twin_is_as_old_as_its_state_beside_the_command():
     node = Node()
     telemetry = Telemetry(node)
+    telemetry.subscribe_to_all()
     node.say["twin/state"](TwinState(header=Header(stamp=Time(sec=7, nanosec=600_000_000))))
     assert math.isnan(telemetry.snapshot().twin_age)
     node.say["body_length/commanded"](BodyLength(header=Header(stamp=Time(sec=8))))

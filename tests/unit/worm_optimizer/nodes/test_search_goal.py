@@ -10,7 +10,7 @@ pytest.importorskip("worm_msgs.msg", reason="worm_msgs is not built")
 
 from worm_optimizer.nodes import action_goal
 from worm_optimizer.nodes.search_goal import SearchGoal
-from worm_optimizer.orders import FrontOrder, SearchResult
+from worm_optimizer.robot_commands import FrontRequest, SearchResult
 
 
 class Node:
@@ -38,7 +38,7 @@ def test_an_optimizer_that_has_ended_ends_the_search(monkeypatch: pytest.MonkeyP
     client.server_is_ready = lambda: client.ready
     monkeypatch.setattr(action_goal, "ActionClient", lambda *_: client)
     node, ends = Node(), list[SearchResult]()
-    goal = SearchGoal(node, FrontOrder(1), ends.append)
+    goal = SearchGoal(node, FrontRequest(1), ends.append)
     goal._on_answer(SimpleNamespace(result=Handle))
     node.look()
     assert ends == []

@@ -12,7 +12,7 @@ from worm_optimizer.operation import bring_up
 from worm_optimizer.operation.bring_up import Session, load
 from worm_optimizer.operation.processes import ProcessGroup
 from worm_optimizer.operation.system import System
-from worm_optimizer.orders import Order, RunProgress
+from worm_optimizer.robot_commands import GaitCommand, RunProgress
 
 GAIT = Gait(0.07, 0.2)
 
@@ -24,8 +24,8 @@ class Operator:
         self.failures, self.late_cycles = failures, late_cycles
         self.asked: list[str] = []
 
-    def run(self, order: Order, progress) -> None:
-        assert order == Order(GAIT, 5)
+    def run(self, order: GaitCommand, progress) -> None:
+        assert order == GaitCommand(GAIT, 5)
         self.asked.append("run")
         progress(RunProgress(1, 0.0, 0.0, 0.0, 0.0))
         if self.failures:
@@ -47,7 +47,7 @@ def idle(monkeypatch):
 def run(operator: Operator, folder: Path) -> list[str]:
     told: list[str] = []
     system = System("worm", ())
-    Session(ProcessGroup(folder), operator, system, told.append).run_gait(Order(GAIT, 5))
+    Session(ProcessGroup(folder), operator, system, told.append).run_gait(GaitCommand(GAIT, 5))
     return told
 
 

@@ -21,7 +21,7 @@ from worm_optimizer.operation.campaign_runs import (
     run_gaits,
 )
 from worm_optimizer.operation.system import load_system_file
-from worm_optimizer.orders import Order
+from worm_optimizer.robot_commands import GaitCommand
 from worm_optimizer.search.exact import Resolution
 from worm_optimizer.search.search_settings import ScanSettings, Settings
 
@@ -146,7 +146,7 @@ def test_what_is_recorded_is_not_run_again(bag, tmp_path: Path):
     """No node is started: there is none that could be."""
     nothing = dataclasses.replace(FILE, nodes={})
     told: list[str] = []
-    orders = {"cruise": Order(GAIT, 5)}
+    orders = {"cruise": GaitCommand(GAIT, 5)}
     run_gaits(Robot(nothing, "virtual", {}), orders, bag.parent, tmp_path / "no_logs", told.append)
     assert told == ["cruise: recorded already"]
 

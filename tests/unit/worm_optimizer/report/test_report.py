@@ -44,7 +44,7 @@ from worm_optimizer.report.recordings import (
     newest_recording,
     read_recorded_gaits,
 )
-from worm_optimizer.report.report_page import Report, build_report
+from worm_optimizer.report.report_page import Report, build_report, report_name
 from worm_optimizer.report.run_figures import ridges_passed_at
 from worm_optimizer.search.exact import Resolution
 from worm_optimizer.search.search_settings import ScanSettings, Settings
@@ -610,3 +610,15 @@ def test_bad_input_is_one_line_and_status_2(
     assert told.out == ""
     assert complaint in told.err
     assert told.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("names", "folder"),
+    [
+        (["A"], "A_report"),
+        (["A", "B"], "A_with_B_report"),
+        (["A", "B", "C"], "A_with_2_others_report"),
+    ],
+)
+def test_the_report_of_several_bags_has_a_name_of_its_own(names: list[str], folder: str):
+    assert report_name(names) == folder

@@ -7,7 +7,7 @@ import pytest
 
 from worm_model.errors import InputError
 from worm_model.gait import Gait, Profile
-from worm_optimizer.orders import Order, RunProgress
+from worm_optimizer.robot_commands import GaitCommand, RunProgress
 
 GAIT = Gait(0.07, 0.2, -1)
 
@@ -25,17 +25,17 @@ GAIT = Gait(0.07, 0.2, -1)
 )
 def test_an_impossible_end_is_refused(ends, complaint):
     with pytest.raises(InputError, match=complaint):
-        Order(GAIT, **ends)
+        GaitCommand(GAIT, **ends)
 
 
 def test_an_order_says_what_will_happen():
-    text = str(Order(GAIT, cycles=9, distance=0.5))
+    text = str(GaitCommand(GAIT, cycles=9, distance=0.5))
     assert text == "stroke 70.0 mm, frequency 0.200 Hz, reverse, 9 cycles or 500 mm"
 
 
 def test_an_order_names_a_waveform_that_is_not_the_papers():
     gait = Gait(0.07, 0.2, 1, 0.0, 0.01, 0.6, Profile.TRAPEZOID, 0.2)
-    waveform = str(Order(gait, cycles=1)).split(", ")[2:5]
+    waveform = str(GaitCommand(gait, cycles=1)).split(", ")[2:5]
     assert waveform == [
         "pretension 10.0 mm",
         "contraction share 0.6",

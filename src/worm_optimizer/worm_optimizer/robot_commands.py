@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a person asks of a robot and what comes back, as values that know no ROS."""
+"""Commands to a robot and to the optimizer, with their progress and results, as values that do not depend on ROS."""
 
 from __future__ import annotations
 
@@ -10,15 +10,21 @@ from dataclasses import dataclass
 from worm_model.errors import InputError
 from worm_model.gait import Gait, Profile
 
-MOST_CYCLES = 1000  # of one run, as the driver's limits say
+MOST_CYCLES = 1000  # of one run; the driver has the same limit
 
 
 @dataclass(frozen=True)
-class Order:
-    """A gait to run until the first of the ends that are asked for; 0: does not matter.
+class GaitCommand:
+    """Gait to run until the first of the given ends; 0 stands for no such end.
 
-    ``cycles`` and ``grooves`` are counts, ``distance`` is in m along the gait's direction. Raises `InputError`
-    on values that no run can have, and without any end.
+    Attributes:
+        gait: the gait.
+        cycles: number of cycles.
+        grooves: number of grooves along the gait's direction.
+        distance: distance along the gait's direction, m.
+
+    Raises:
+        InputError: A value is impossible, or there is no end at all.
     """
 
     gait: Gait
@@ -58,9 +64,14 @@ class Order:
 
 @dataclass(frozen=True)
 class RunProgress:
-    """Of a run that goes on: ``cycle`` counts those begun, ``elapsed`` (s) is negative while resting.
+    """Progress of a run.
 
-    ``grooves``, ``distance`` (m) and ``power`` (W) are NaN where nothing measures them.
+    Attributes:
+        cycle: number of the present cycle; 0 while resting.
+        elapsed: time since the onset, s; negative while resting.
+        grooves: grooves so far; NaN without a measurement.
+        distance: distance so far, m; NaN without a measurement.
+        power: mean power, W; NaN without a measurement.
     """
 
     cycle: int
@@ -84,8 +95,8 @@ Progress = Callable[[RunProgress], None]
 
 
 @dataclass(frozen=True)
-class ScanOrder:
-    """A margin scan to ask of the optimizer: margins in m, ``highest`` and ``step`` 0 for its own."""
+class ScanRequest:
+    """Margin scan of the optimizer; margins in m, with ``highest`` and ``step`` 0 for the optimizer's own values."""
 
     direction: int
     lowest: float = 0.0
@@ -94,8 +105,8 @@ class ScanOrder:
 
 
 @dataclass(frozen=True)
-class FrontOrder:
-    """An optimisation to ask of the optimizer: ``margin`` in m, NaN: at the cliff; ``probability`` 0: its own."""
+class FrontRequest:
+    """Optimisation; ``margin`` in m, NaN for the one at the cliff; ``probability`` 0 for the optimizer's own value."""
 
     direction: int
     robustness: str = "margin"
@@ -105,10 +116,10 @@ class FrontOrder:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What came of a search, or why nothing did, in words.
+    """Result of a search; the ``message`` describes it or the reason of a failure.
 
-    Of a scan also the ``margins`` in m with their lowest ``costs`` of transport, and the last margin before the
-    ``cliff`` in m, NaN without one.
+    A scan has ``margins`` (m) with their lowest ``costs`` of transport, and the margin of the ``cliff`` (m, NaN
+    without one).
     """
 
     success: bool
@@ -120,7 +131,7 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class RunResult:
-    """What was measured of a run, SI units, NaN where it could not be; the ``message`` says what happened and why."""
+    """Measured result of a run, in SI units, NaN without a measurement; the ``message`` describes its end."""
 
     gait: Gait
     success: bool
@@ -133,27 +144,3 @@ class RunResult:
     power: float
     cost_of_transport: float
     idle_power: float
-
-
-@dataclass(frozen=True)
-class RobotState:
-    """What is heard of a robot now.
-
-    ``lifecycle`` is the driver's primary state, ``state`` GaitState's name; ``power`` (W) and ``rear_position`` (m)
-    are NaN, ``health`` is empty and ``initial_length`` 0 where nobody tells them.
-    """
-
-    lifecycle: str
-    state: str
-    homed: bool
-    emergency_stop: bool
-    cycle: int
-    cycles: int
-    stroke: float
-    frequency: float
-    direction: int
-    message: str
-    power: float = math.nan
-    rear_position: float = math.nan
-    health: str = ""
-    initial_length: float = 0.0

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Control of the robot as a lease: one client has it, and loses it when its requests stop."""
+
+from worm_driver.control.heartbeat import Owner
+
+#: longest lease of a client, s; a client that crashed has control for so long
+MAX_LEASE = 600.0
+
+
+class ControlLease:
+    """Holder of control and the client that requests it from the holder.
+
+    Not thread-safe. Times are monotonic, in s.
+
+    Attributes:
+        holder: name of the client that has control; empty: none.
+        requester: name of the client that requests control from the holder; empty: none.
+    """
+
+    def __init__(self) -> None:
+        self.holder = ""
+        self.requester = ""
+        self._owners: dict[str, Owner] = {}
+
+    def request(self, client: str, lease: float, now: float) -> None:
+        """Give control to a client if it is free, renew the client's lease, or note that it requests control.
+
+        Of several requesters the first one stays until it withdraws or falls silent.
+
+        Args:
+            client: name of the client; an empty one changes nothing.
+            lease: time without a request after which the client loses control, s.
+            now: present time, s.
+
+        Raises:
+            ValueError: The lease is not above 0 and at most MAX_LEASE.
+        """
+        if not 0.0 < lease <= MAX_LEASE:
+            raise ValueError(
+                f"lease_s is {lease:g}. Use a lease above 0 s and of at most {MAX_LEASE:g} s."
+            )
+        if not client:
+            return
+        if not self.holder:
+            self.holder = client
+        elif client != self.holder and not self.requester:
+            self.requester = client
+        if client in (self.holder, self.requester):
+            self._owners.setdefault(client, Owner(lease, now)).hear()
+
+    def hand_over(self, client: str) -> None:
+        """Give control to the requester, if the client has it."""
+        if client == self.holder and self.requester:
+            self.release(client)
+
+    def release(self, client: str) -> None:
+        """End the lease or the request of a client. The requester, if there is one, obtains control."""
+        if not client:
+            return
+        self._owners.pop(client, None)
+        if client == self.requester:
+            self.requester = ""
+        elif client == self.holder:
+            self.holder, self.requester = self.requester, ""
+
+    def expire(self, now: float) -> None:
+        """Release the clients that have been silent for their lease. Call this every `heartbeat.PERIOD`."""
+        for client in [name for name, owner in self._owners.items() if owner.is_silent(now)]:
+            self.release(client)

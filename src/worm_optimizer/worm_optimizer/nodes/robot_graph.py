@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ROS graph of one robot: its nodes, publishers, subscribers and drivers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from worm_optimizer.nodes.service_caller import DISCOVERY_TIMEOUT_S, OperatorError, ServiceCaller
+
+# Only drivers have this service, whatever their names.
+_DRIVER_SERVICE = "run_gait/_action/send_goal"
+NODES_TIMEOUT_S = 120.0  # the first start of the twin includes the compilation of its kernel
+LEASE_S = 25.0  # DDS counts a silent participant as alive for 20 s
+
+
+class RobotGraph:
+    """Nodes and topics in the namespace of a node.
+
+    Args:
+        node: the node, which is spun during waits.
+    """
+
+    def __init__(self, node: ServiceCaller) -> None:
+        self._node = node
+
+    def wait_for_nodes(self, names: Iterable[str]) -> None:
+        """Wait until these nodes exist in this namespace. Raises `OperatorError` with a missing one."""
+        expected = set(names)
+        if not self._node.wait(lambda: expected <= self._node_names(), NODES_TIMEOUT_S):
+            missing = min(expected - self._node_names())
+            raise OperatorError(f"no node {missing} within {NODES_TIMEOUT_S:g} s")
+
+    def publishers(self, topic: str) -> int:
+        """Return the number of publishers of a topic of this namespace."""
+        return int(self._node.count_publishers(self._node.resolve_topic_name(topic)))
+
+    def wait_for_publisher(self, topic: str, remedy: str) -> None:
+        """Wait until a topic has a publisher. Raises `OperatorError`, whose message contains the remedy."""
+        if not self._node.wait(lambda: self.publishers(topic) > 0, DISCOVERY_TIMEOUT_S):
+            name = self._node.resolve_topic_name(topic)
+            raise OperatorError(f"{name} has no publisher: {remedy}")
+
+    def require_sole_driver(self) -> None:
+        """Raise `OperatorError` if more than one driver would execute a command.
+
+        A request reaches all services that the node has discovered, and exactly these are counted. DDS counts a
+        killed process for a while after its end, so this waits up to LEASE_S.
+        """
+        service = self._node.resolve_service_name(_DRIVER_SERVICE)
+
+        def count() -> int:
+            return int(self._node.count_services(service))
+
+        if not self._node.wait(lambda: count() <= 1, LEASE_S):
+            raise OperatorError(
+                f"{self._node.get_namespace()} has {count()} drivers, and both would move: end one of them, or use "
+                "another namespace or ROS_DOMAIN_ID for it"
+            )
+
+    def wait_for_recorder(self, name: str, excluded: str = "") -> None:
+        """Wait until a recorder has subscribed to all visible topics of this namespace that have publishers.
+
+        Its recording lacks messages that were published earlier.
+
+        Args:
+            name: name of the recorder's node.
+            excluded: regular expression of the topics that it does not record; empty: it records all.
+
+        Raises:
+            OperatorError: The recorder did not subscribe in time; the message names a topic.
+        """
+
+        def missing() -> list[str]:
+            topics = self._topics_without(name)
+            return [topic for topic in topics if not (excluded and re.search(excluded, topic))]
+
+        if not self._node.wait(lambda: not missing(), DISCOVERY_TIMEOUT_S):
+            raise OperatorError(f"{name} does not subscribe to {missing()[0]}")
+
+    def _topics_without(self, subscriber: str) -> list[str]:
+        node, prefix = self._node, self._node.get_namespace() + "/"
+        return [
+            topic
+            for topic, _ in node.get_topic_names_and_types()
+            if topic.startswith(prefix)
+            and "/_" not in topic
+            and node.count_publishers(topic) > 0
+            and subscriber not in [i.node_name for i in node.get_subscriptions_info_by_topic(topic)]
+        ]
+
+    def _node_names(self) -> set[str]:
+        own = self._node.get_namespace()
+        return {name for name, space in self._node.get_node_names_and_namespaces() if space == own}

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Node whose service calls and waits have timeouts, for a single thread that spins it while it waits."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.client import Client
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+DISCOVERY_TIMEOUT_S = 30.0
+CALL_TIMEOUT_S = 30.0
+SPIN_S = 0.05  # longest time between two calls of `check`
+
+
+class OperatorError(RuntimeError):
+    """A node did not answer in time, or rejected a request."""
+
+
+class NoAnswerError(OperatorError):
+    """No answer arrived in time."""
+
+
+class ServiceCaller(Node):
+    """Node with an executor of its own. Every call blocks and spins the node.
+
+    Args:
+        name: name of the node.
+        namespace: its namespace.
+        context: ROS context.
+        check: called during each wait. It may raise, for example when a process has ended.
+    """
+
+    def __init__(
+        self, name: str, namespace: str, context: rclpy.Context, check: Callable[[], None]
+    ) -> None:
+        super().__init__(name, namespace=namespace, context=context)
+        self._check = check
+        self._named_clients: dict[str, Client] = {}
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self)
+
+    def destroy_node(self) -> None:
+        """Destroy the node and its executor."""
+        self._executor.shutdown()
+        super().destroy_node()
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Spin until a condition holds; return False at the timeout (s)."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self.spin()
+        return True
+
+    def spin(self) -> None:
+        """Call `check`, then execute one callback if there is one within SPIN_S."""
+        self._check()
+        self._executor.spin_once(timeout_sec=SPIN_S)
+
+    def named_client(self, kind: Any, name: str) -> Client:
+        """Return the client of a service. It is reused, because each new client has to be discovered."""
+        if name not in self._named_clients:
+            self._named_clients[name] = self.create_client(kind, name)
+        return self._named_clients[name]
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """Call a service and return its response. Raises `OperatorError`."""
+        client = self.named_client(kind, name)
+        if not self.wait(client.service_is_ready, DISCOVERY_TIMEOUT_S):
+            raise OperatorError(f"no service {name} within {DISCOVERY_TIMEOUT_S:g} s")
+        future = client.call_async(request)
+        if not self.wait(future.done, CALL_TIMEOUT_S):
+            raise NoAnswerError(f"no answer from {name} within {CALL_TIMEOUT_S:g} s")
+        return future.result()
+
+    def call_twice(self, kind: Any, name: str, request: Any) -> Any:
+        """Call a service, once more if no answer arrives; on a busy computer, discovery can lose an answer."""
+        try:
+            return self.call(kind, name, request)
+        except NoAnswerError:
+            return self.call(kind, name, request)

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags and reports below the folder are found by name, files outside of it are not."""
+
+import asyncio
+import sys
+from pathlib import Path
+
+import pytest
+
+from worm_model.errors import InputError
+from worm_optimizer.console import bag_library
+from worm_optimizer.console.bag_library import BagLibrary, matches
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> BagLibrary:
+    for place in ("bags/run", "bags/campaign/fast", "secret", "bags/run_report"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / "metadata.yaml").touch()
+        (tmp_path / place / "report.html").touch()
+    (tmp_path / "bags/link").symlink_to(tmp_path / "secret")
+    return BagLibrary(tmp_path / "bags")
+
+
+@pytest.mark.parametrize("name", ["run", "campaign/fast", "campaign/../run"])
+def test_bags_below_the_folder_are_found(library: BagLibrary, name: str):
+    assert library.bag(name) == (library.folder / name).resolve()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("../secret", "/etc", "", ".", "..", "run/../../secret", "link", "none"),
+        *("campaign", "run\0", "/secret", 5000 * "x"),
+    ],
+)
+def test_other_files_are_not(library: BagLibrary, name: str):
+    with pytest.raises(InputError):
+        library.bag(name)
+
+
+@pytest.mark.parametrize("name", ["run", "../secret", "link", "none_report", ""])
+def test_a_page_is_only_that_of_a_report(library: BagLibrary, name: str):
+    assert library.report("run_report").name == "report.html"
+    with pytest.raises(InputError):
+        library.report(name)
+
+
+def test_a_bag_whose_links_lead_out_is_not_packed(library: BagLibrary, tmp_path: Path):
+    (library.bag("run") / "link").symlink_to("/etc/passwd")
+    with pytest.raises(InputError, match="links lead out of the bags folder"):
+        asyncio.run(library.packed("run", tmp_path))
+
+
+def test_a_missing_folder_is_created_and_has_no_rows(tmp_path: Path):
+    assert asyncio.run(BagLibrary(tmp_path / "new").rows()) == []
+
+
+def test_a_row_matches_words_that_its_table_shows():
+    gait = {"direction": 1, "stroke": 0.07, "frequency": 0.2}
+    row = {"name": "run_1", "start": "2026-11-21", "gait": gait, "health": "healthy", "state": ""}
+    for words in ("", "RUN forward", "11-21 healthy", "70", "70.0 mm", "0.200 hz"):
+        assert matches(row, words), words
+    for words in ("reverse", "faulty", "71"):
+        assert not matches(row, words), words
+    assert matches({**row, "gait": {**gait, "direction": -1}}, "reverse")
+    assert matches({**row, "gait": None, "notes": "a new fin"}, "new FIN")
+
+
+PROGRAM = """import sys
+print("locomotion: 10%", "last", sep="\\n", file=sys.stderr)
+print(" ".join(sys.argv[1:]))
+sys.exit("--fail" in sys.argv)
+"""
+
+
+@pytest.fixture
+def executables(monkeypatch: pytest.MonkeyPatch) -> None:
+    command = [sys.executable, "-c", PROGRAM]
+    monkeypatch.setattr(bag_library, "executable_command", lambda *_: command)
+
+
+@pytest.mark.usefixtures("executables")
+def test_the_progress_of_a_process_is_reported_line_by_line():
+    command = bag_library.executable_command("a", "b")
+    lines: list[str] = []
+    assert asyncio.run(bag_library._run(command, "x", "y", progress=lines.append)) == "x y\n"
+    assert lines == ["locomotion: 10%", "last"]
+    with pytest.raises(InputError, match="last"):
+        asyncio.run(bag_library._run(command, "--fail"))
+
+
+def test_a_report_has_another_name_after_a_change_of_bags_parameters_or_code(
+    library: BagLibrary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    made: list[list[str]] = []
+
+    async def run(command: list[str], *words: str) -> str:
+        made.append(list(words))
+        folder = Path(words[words.index("--output") + 1])
+        folder.mkdir()
+        (folder / "report.html").touch()
+        return ""
+
+    monkeypatch.setattr(bag_library, "_run", run)
+    parameters = tmp_path / "robot.yaml"
+    parameters.write_text("a")
+
+    def name(*bags: str, file: str = "") -> str:
+        return asyncio.run(library.make_report(bags, file))
+
+    first = name("run")
+    assert name("run") == first
+    assert len(made) == 1
+    names = {first, name("run", "campaign/fast"), name("run", file=str(parameters))}
+    parameters.write_text("b")
+    names.add(name("run", file=str(parameters)))
+    (library.folder / "run/metadata.yaml").write_text("another recording")
+    names.add(name("run"))
+    monkeypatch.setattr(bag_library, "_code_digest", lambda: b"another code")
+    names.add(name("run"))
+    assert len(names) == len(made) == 6
+    assert all(library.report(each).is_file() for each in names)
+
+
+@pytest.mark.usefixtures("executables")
+def test_an_identification_is_named_by_its_time_and_made_of_bags_alone(library: BagLibrary):
+    lines: list[str] = []
+    made = asyncio.run(library.identify(["run"], "", lines.append))
+    assert made.startswith("identified_")
+    assert "report" in lines
+    with pytest.raises(InputError):
+        asyncio.run(library.identify(["run", "../secret"], "", lines.append))
+
+
+def test_only_what_was_identified_here_is_a_parameter_file(library: BagLibrary):
+    for name in ("identified_1.yaml", "identified_2.yaml", "robot.yaml"):
+        (library.folder / name).touch()
+    assert library.identified() == ["identified_2.yaml", "identified_1.yaml"]
+    assert library.parameter_file("identified_1.yaml") == str(library.folder / "identified_1.yaml")
+    for name in ("robot.yaml", "../secret/metadata.yaml", ""):
+        with pytest.raises(InputError):
+            library.parameter_file(name)

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ends of a run that a page started."""
+
+import math
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from worm_model.gait import Gait
+from worm_optimizer.console import page_actions
+from worm_optimizer.console.robot_worker import STOP_PRESSED
+from worm_optimizer.nodes.service_caller import OperatorError
+from worm_optimizer.robot_commands import GaitCommand, RunResult
+
+GAIT = Gait(0.03, 0.2, 1)
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *cancellations: str, success: bool) -> str:
+    """Run a gait with the answers of `cancellation`, from the start of the run to its end."""
+    result = RunResult(GAIT, success, "the result", 1, 0, *6 * (math.nan,))
+    gait_run = SimpleNamespace(result=result, close=lambda: None)
+    node = SimpleNamespace(begin=lambda *_: gait_run, follow=lambda *_: None)
+    monkeypatch.setattr(page_actions, "recorded", lambda *_: nullcontext())
+    monkeypatch.setattr(page_actions, "new_bag", lambda _: Path("run_1"))
+    answers = iter(cancellations)
+    command = GaitCommand(GAIT, cycles=2)
+    return page_actions.run(node, command, Path(), "", lambda: next(answers), lambda _: None)
+
+
+def test_a_run_that_a_person_stops_is_no_error(monkeypatch: pytest.MonkeyPatch):
+    text = run(monkeypatch, "", STOP_PRESSED, success=False)
+    assert all(part in text for part in ("the result", STOP_PRESSED, "run_1"))
+
+
+@pytest.mark.parametrize("why", ["", "no page has control"])
+def test_any_other_failure_is_an_error_with_its_reason(monkeypatch: pytest.MonkeyPatch, why: str):
+    with pytest.raises(OperatorError, match=f"the result; .*{why}.*run_1"):
+        run(monkeypatch, "", why, success=False)
+
+
+def test_a_cancelled_run_does_not_start(monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(OperatorError, match="not started"):
+        run(monkeypatch, STOP_PRESSED, success=True)
