@@ -386,7 +386,7 @@ def waveforms_picture() -> Figure:
             axes.grid(visible=True, linewidth=0.4)
     panels[0, 0].set_ylabel("mm")
     panels[1, 0].set_ylabel("power (W)")
-    panels[0, 1].legend(loc="lower right", fontsize="small", frameon=False)
+    panels[0, 1].legend(loc="upper center", fontsize="small", frameon=False)
     return figure
 
 

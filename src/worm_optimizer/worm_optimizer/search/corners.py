@@ -33,6 +33,7 @@ from worm_optimizer.search.task import (
 COARSE = (2e-5, 1e-6)
 FINE = (*COARSE, EDGE_TOLERANCE)
 _WINDOW = 50.0  # of the last width, in which a border is located again: it moves while the other one is located
+_REACHES = 8  # steps of an eighth of the pitch below the longest reach, at which a gait may still gain its grooves
 _FIRST_STEPS = (0.08, 0.1)  # of contraction share and ramp share
 _LEAST_STEP = 0.015  # of the first step, at which the search ends
 _SHRINK = 0.4
@@ -62,6 +63,12 @@ class ShapeBounds:
                 raise OptimizerError(
                     f"bounds: {name} from {low:g} to {high:g}: give values from {least:g} to {most:g}, the lower first"
                 )
+
+    @property
+    def include_sinusoid(self) -> bool:
+        """True if the paper's gait is within the box; a cosine has no ramps."""
+        low, high = self.contraction_share
+        return self.pretension[0] == 0.0 and low <= 0.5 <= high
 
     @property
     def shares(self) -> Array:
@@ -117,17 +124,19 @@ def corners(
     size, tightest = columns.count.size, min(high, most - least)
     pretension, reach = np.full(size, low), np.full(size, most)
     found = np.zeros(size, dtype=bool)
-    if tightest >= low:
-        found = keeps(np.arange(size), pretension, reach)
+    for value in reaches_of(task, bounds):
+        open_ = np.flatnonzero(~found)
+        kept = open_[keeps(open_, pretension[open_], np.full(open_.size, value))]
+        found[kept], reach[kept] = True, value
     rows = np.flatnonzero(found)
-    o, top = pretension[rows], reach[rows]
+    o, top, longest = pretension[rows], reach[rows], reach[rows]
     short, tight = o + least, np.full(rows.size, tightest)
     for width in widths:
 
         def reaches(part: Index, value: Array, o: Array = o) -> Mask:
             return keeps(rows[part], o[part], value)
 
-        top = np.minimum(_bisected(reaches, top, short, width) + width, most)
+        top = np.minimum(_bisected(reaches, top, short, width) + width, longest)
         tight = np.minimum(tight, top - least)
 
         def returns(part: Index, value: Array, top: Array = top) -> Mask:
@@ -137,10 +146,20 @@ def corners(
         short = np.maximum(top - (_WINDOW + 1.0) * width, o + least)
         tight = np.minimum(o + _WINDOW * width, tightest)
     safe = np.maximum(o - EDGE_ALLOWANCE, low)
-    pretension[rows], reach[rows] = safe, np.minimum(top + EDGE_ALLOWANCE, most)
+    pretension[rows], reach[rows] = safe, np.minimum(top + EDGE_ALLOWANCE, longest)
     shape = _shapes(columns, shares, pretension)
     points = task.points(reach - pretension, columns.frequency, shape, columns.margin)
     return points, found & (points.count >= columns.count)
+
+
+def reaches_of(task: MarginTask, bounds: ShapeBounds) -> Array:
+    """Return reaches in m, falling, at which a gait of the least pretension is tried.
+
+    Near the highest frequency of a branch, a reach that is too long loses the grooves, too.
+    """
+    longest = task.bounds.stroke_high
+    reaches = longest - np.arange(_REACHES + 1) * task.parameters.pitch / _REACHES
+    return reaches[reaches >= bounds.pretension[0] + task.bounds.stroke_low]
 
 
 def _shapes(columns: Columns, shares: Array, pretension: Array) -> Shapes:

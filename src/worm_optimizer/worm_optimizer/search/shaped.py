@@ -31,6 +31,7 @@ from worm_optimizer.search.corners import (
     corners,
     costs_of,
     improve,
+    reaches_of,
 )
 from worm_optimizer.search.task import (
     Array,
@@ -115,13 +116,14 @@ class ShapedTask:
     def edges(
         self,
         frequency: Array,
-        _strokes: Array,
+        strokes: Array,
         count: Index | None = None,
         margin: Array | None = None,
     ) -> Edges:
-        """Find the corner of each branch at each frequency, see `Task`; the strokes are not needed.
+        """Find the corners of all branches at each frequency, and the edges of the sinusoid if it is within the box.
 
-        ``margin`` in m, of shape (m,), must be within the nodes.
+        See `Task`; the strokes span those of the sinusoid alone. ``margin`` in m, of shape (m,), must be within the
+        nodes.
         """
         margins = np.full(frequency.shape, self.task.margin) if margin is None else margin
         found = [Edges(np.empty(0, dtype=np.int64), self.points(np.empty(0), np.empty(0)))]
@@ -135,6 +137,8 @@ class ShapedTask:
             points, gains = corners(self.task, self.shapes, columns, shares[rows], FINE)
             kept = gains & points.admissible
             found.append(Edges(rows[kept], points.take(kept)))
+        if self.shapes.include_sinusoid:
+            found.append(self.task.edges(frequency, strokes, count, margins))
         column = np.concatenate([part.column for part in found])
         return Edges(column, Points.join(*(part.points for part in found)))
 
@@ -252,7 +256,10 @@ class _Search:
         )
         start = start.astype(np.int64)
         columns = Columns(frequency, margin, np.ones(margin.size, np.int64), starts[start, 0])
-        gained = gained_of(self._widest(columns, starts[start, 1:], margin))
+        gained = np.zeros(margin.size, dtype=np.int64)
+        for reach in reaches_of(self.task, self.shapes):
+            table = self._swing(columns, starts[start, 1:], margin, reach)
+            gained = np.maximum(gained, gained_of(table))
         wanted = [
             np.flatnonzero(gained >= count)
             for count in range(AVERAGED, int(gained.max(initial=0)) + 1, AVERAGED)
@@ -312,8 +319,8 @@ class _Search:
             parts.append(self.improved(columns, shares, _SMALL_STEP))
         return Solved.join(*parts)
 
-    def _widest(self, columns: Columns, shares: Array, margin: Array) -> GaitTable:
-        """Table of the gaits with the least pretension and the largest reach."""
+    def _swing(self, columns: Columns, shares: Array, margin: Array, reach: float) -> GaitTable:
+        """Return the table of the gaits with the least pretension and a reach in m."""
         share, ramp = shares.T
         low = self.shapes.pretension[0]
         shape = shapes_of(
@@ -323,18 +330,19 @@ class _Search:
             profile=columns.profile,
             ramp_share=ramp,
         )
-        stroke = np.full(len(shares), self.task.bounds.stroke_high - low)
+        stroke = np.full(len(shares), reach - low)
         return self.task.table(stroke, columns.frequency, margin, shape=shape)
 
     def _widest_margin(self, columns: Columns, shares: Array) -> Array:
         """Search the shares with which the widest swing keeps the grooves at the largest margin."""
+        longest = self.task.bounds.stroke_high
 
         def cost_of(rows: Index, tried: Array) -> Array:
             own, size = columns.take(rows), rows.size
             good, bad = np.full(size, -1.0), np.full(size, 2.0 * self.task.parameters.pitch)
             for _ in range(_MARGIN_HALVINGS if size else 0):
                 middle = 0.5 * (np.maximum(good, 0.0) + bad)
-                keeps = gained_of(self._widest(own, tried, middle)) >= own.count
+                keeps = gained_of(self._swing(own, tried, middle, longest)) >= own.count
                 good, bad = np.where(keeps, middle, good), np.where(keeps, bad, middle)
             return -good
 
