@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -237,6 +237,8 @@ class Data:
         for event in reported:
             if event.name in self.signs.lasting:
                 yield BROAD * self.lasting([event])[0]
+                if event.name == "viscous_friction":  # the power is not linear in a large change
+                    yield self.lasting([replace(event, name="scale")])[0]
             elif event.name == "missed":
                 for fin in self.signs.missed:
                     yield self._grooves(fin, False, [event.cycle])
