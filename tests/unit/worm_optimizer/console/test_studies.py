@@ -83,7 +83,7 @@ class Library:
 def bench() -> SimpleNamespace:
     node = Node()
     worker, library = RobotWorker(node), Library()
-    control = ConsoleControl("desk", lambda: 0.0, lambda *_: None)
+    control = ConsoleControl("desk", lambda: 0.0, lambda *_: None, 5.0)
     fronts = {1: ["a gait"]}
     state = ConsoleState(worker, control, library, PAPER, "", new_notices(), fronts)
     return SimpleNamespace(
