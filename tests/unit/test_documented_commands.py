@@ -22,7 +22,7 @@ from recorded_run import simulated_run, write_bag
 COMMANDS = commands()
 ENTRY_POINTS = entry_points()
 EXECUTABLE_COMMANDS = [command for command in COMMANDS if command.executable]
-SMALL_FRONT = tuple("--margin 0.0034 --samples 20".split())
+SMALL_FRONT = ("--samples", "20")
 # What reads and writes files alone and is done in seconds, with what makes it so where the whole takes longer.
 CHEAP: dict[tuple[str, str], tuple[str, ...]] = {
     **{

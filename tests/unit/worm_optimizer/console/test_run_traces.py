@@ -3,6 +3,7 @@
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,8 +56,11 @@ def test_without_recent_samples_there_is_no_value(traces: RunTraces):
 def test_the_picture_shows_robot_and_twin_at_the_time(traces: RunTraces):
     assert "not seen" not in traces.picture_at(1.0)
     assert traces.picture_at(0.0) != traces.picture_at(2.0)
-    hidden = np.flatnonzero(np.isnan(traces.traces["x1"]))
-    assert "not seen" in traces.picture_at(float(traces.time_s[hidden[0]]))
+    nan = np.full(len(traces.time_s), math.nan)
+    hidden = replace(traces, traces={**traces.traces, "x1": nan, "x2": nan})
+    assert "not seen" in hidden.picture_at(1.0)
+    before = np.flatnonzero(np.isnan(traces.twin["rear_position"]))
+    assert "no data of the twin" in traces.picture_at(float(traces.time_s[before[0]]))
 
 
 def test_the_output_of_the_program_is_read_back(

@@ -145,6 +145,7 @@ def test_encoding_is_byte_for_byte_that_of_an_independent_encoder():
             cycles=0,
             message=texts[row],
             homed=False,
+            holding=False,
             emergency_stop=False,
         )
         assert payload == bytes(STORE.serialize_cdr(message, type_name))
