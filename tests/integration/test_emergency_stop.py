@@ -30,7 +30,14 @@ class Stops:
         self.probe = probe
         self.latch = EmergencyLatch(folder)
         self.latch.adopt(["stop"])
-        self.services = StopServices(probe.node, _closed, self.latch, lambda: None, lambda _: None)
+        self.services = StopServices(
+            probe.node,
+            _closed,
+            self.latch,
+            lambda: None,
+            lambda _: None,
+            lambda: probe.node.get_clock().now().to_msg(),
+        )
 
     def button(self, qos: QoSProfile) -> Publisher:
         return self.probe.node.create_publisher(Bool, TOPIC, qos)
