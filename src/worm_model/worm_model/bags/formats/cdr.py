@@ -339,7 +339,7 @@ class Converter:
     def __init__(self, source: Topic, target: Topic) -> None:
         one, other = types_of(source), types_of(target)
         self.added: list[str] = []
-        for name in one.keys() & other.keys():
+        for name in sorted(one.keys() & other.keys()):
             before, after = dict(one[name]), dict(other[name])
             changed = [field for field in before if before[field] != after.get(field)]
             if changed:
