@@ -306,7 +306,9 @@ def test_gaits_are_searched_and_parameters_identified_in_the_background(
     page.get_by_role("tab", name="Studies").click()
     scan = page.get_by_role("button", name="Scan margins")
     expect(scan).to_be_disabled()
-    expect(page.get_by_text("this page does not have control")).to_be_visible()
+    expect(
+        page.get_by_text("Searches and parameters: this page does not have control")
+    ).to_be_visible()
     expect(status(page)).to_contain_text("all nodes run")
     press(page, "Take control")
     expect(scan).to_be_enabled()
