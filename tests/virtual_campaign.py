@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from worm_driver.gait.gait_limits import Gait as DriverGait
 from worm_driver.virtual_robot.offline_run import Run as Rehearsal
-from worm_driver.virtual_robot.offline_run import run_offline, sinusoid
+from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
 from worm_model.gait import Gait
 from worm_model.identification.inputs import BenchTest, Inputs
@@ -57,7 +58,7 @@ def virtual_campaign(
     for index, (gait, duration) in enumerate(plan):
         run = run_offline(
             dataclasses.replace(settings, recording=index + 1),
-            sinusoid(gait.stroke, gait.frequency),
+            DriverGait(gait.stroke, gait.frequency).length_change,
             duration,
         )
         truth = Parameters(**dataclasses.asdict(run.truth))

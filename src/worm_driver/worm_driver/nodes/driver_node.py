@@ -265,7 +265,7 @@ class DriverNode(LifecycleNode):
             raise self._failure or DriverError("it cannot be configured")
 
     def wait_to_be_sole(self, ended: Ending) -> None:
-        """Serve nobody before this is the only driver of its namespace. Raises ConfigurationError where it is not."""
+        """Wait until this is the only driver of its namespace. Raises `ConfigurationError` where it is not."""
         self._sole.wait(ended)
 
     def tell_what_it_waits_for(self) -> None:

@@ -31,7 +31,7 @@ _EMERGENCY = "emergency_stop"
 
 
 class StopServices:
-    """Served by a node beside the driver's, in its own thread.
+    """Services of a second node of the driver's process, in its own thread.
 
     Args:
         node: the driver's.

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from worm_driver.gait.gait_limits import Gait
 from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.plant import FORWARD
 from worm_driver.virtual_robot.servo.control_table import XM430_W350
@@ -57,11 +56,6 @@ class Run:
     bus_voltage: Array
     current: Array
     truth: RobotParameters
-
-
-def sinusoid(stroke: float, frequency: float) -> Callable[[float], float]:
-    """Return the commanded length change (m) of a gait over time (s) (eq:problem_formulation_gait)."""
-    return Gait(stroke, frequency).length_change
 
 
 def run_offline(

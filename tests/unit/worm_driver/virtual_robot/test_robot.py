@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from worm_driver.gait.gait_limits import TRAPEZOID, Gait
-from worm_driver.virtual_robot.offline_run import run_offline, sinusoid
+from worm_driver.virtual_robot.offline_run import run_offline
 from worm_driver.virtual_robot.plant import FORWARD, REVERSE, Conditions
 from worm_driver.virtual_robot.servo.control_table import XL330_M288
 from worm_driver.virtual_robot.servo.virtual_servo import Servo
@@ -44,7 +44,7 @@ def grooves_per_cycle(run, frequency, pitch=0.0173, cycles=5, last=3):
 )
 def test_robust_gaits_gain_the_predicted_grooves(settings, seed, stroke, frequency, grooves):
     run = run_offline(
-        settings.with_seed(seed), sinusoid(stroke, frequency), 5 / frequency, rest=0.5
+        settings.with_seed(seed), Gait(stroke, frequency).length_change, 5 / frequency, rest=0.5
     )
     assert grooves_per_cycle(run, frequency) == pytest.approx(grooves, abs=0.1)
 
@@ -79,13 +79,14 @@ def test_a_slope_and_a_tether_cost_power_and_no_speed_with_a_margin(settings):
 
 
 def test_fins_turned_around_walk_backward(settings):
-    run = run_offline(settings, sinusoid(0.07, 0.2), 25.0, rest=0.5, direction=REVERSE)
+    run = run_offline(settings, Gait(0.07, 0.2).length_change, 25.0, rest=0.5, direction=REVERSE)
     assert grooves_per_cycle(run, 0.2) == pytest.approx(-1, abs=0.1)
 
 
 def test_a_rehearsal_repeats_exactly_and_differs_with_the_seed(settings):
     first, again, other = (
-        run_offline(settings.with_seed(seed), sinusoid(0.07, 0.2), 2.0) for seed in (5, 5, 6)
+        run_offline(settings.with_seed(seed), Gait(0.07, 0.2).length_change, 2.0)
+        for seed in (5, 5, 6)
     )
     for name in ("goal_ticks", "encoder_ticks", "current", "bus_voltage"):
         assert np.array_equal(getattr(first, name), getattr(again, name))
@@ -96,7 +97,7 @@ def test_a_rehearsal_repeats_exactly_and_differs_with_the_seed(settings):
 def test_the_spread_moves_the_truth_but_not_what_a_ruler_tells(settings):
     spread = replace(settings, parameter_spread=0.05)
     truths = [
-        run_offline(spread.with_seed(seed), sinusoid(0.07, 0.2), 0.1, rest=0.1).truth
+        run_offline(spread.with_seed(seed), Gait(0.07, 0.2).length_change, 0.1, rest=0.1).truth
         for seed in range(5)
     ]
     assert len({truth.bellows_stiffness for truth in truths}) == 5
@@ -104,7 +105,7 @@ def test_the_spread_moves_the_truth_but_not_what_a_ruler_tells(settings):
 
 
 def test_what_the_instruments_of_a_rehearsal_see(settings):
-    run = run_offline(settings, sinusoid(0.07, 0.2), 10.0)
+    run = run_offline(settings, Gait(0.07, 0.2).length_change, 10.0)
     resting = run.power_time < run.onset
     idle = np.mean((run.bus_voltage * run.current)[resting])
     assert idle == pytest.approx(settings.body.idle_power, rel=0.02)
