@@ -172,12 +172,12 @@ def _largest_unnoticed() -> int:
 def _stopped_while_closing(moment: float) -> tuple[float, float, int]:
     """S until the cable stands after a stop during a shutdown, m contracted, and torque at the end."""
     rig = _running(1.0)
-    rig.loop.leave("the driver ends")
+    rig.loop.shutdown("the driver ends")
     if moment:
         rig.run(moment)
     begin = rig.clock.now
     rig.speeds.clear()
-    rig.loop.submit(lambda now: rig.robot.stop(now, "stop"), patience=math.inf)
+    rig.loop.submit(lambda now: rig.robot.stop(now, "stop"), lifetime=math.inf)
     while not rig.ended:
         rig.run(rig.settings.period)
     rig.end()

@@ -40,7 +40,7 @@ class Clock:
     """Seconds that pass when a test sets them."""
 
     epoch_ns = None
-    patience = 0.0
+    least_timeout = 0.0
 
     def __init__(self) -> None:
         self.now = 0.0

@@ -150,7 +150,7 @@ class Session:
     def deactivate(self) -> None:
         """Bring the robot to rest, and take the torque off."""
         robot = self.rig.robot
-        robot.begin_release(self.rig.clock.now, "the driver is deactivated")
+        robot.ramp_to_rest(self.rig.clock.now, "the driver is deactivated")
         self._follow(LONGEST_S, lambda _: robot.released)
         robot.release()
         self.rest(0.1)

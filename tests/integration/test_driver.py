@@ -612,7 +612,7 @@ def test_an_activation_that_takes_too_long_ends_inactive_and_released(
 def test_a_deactivation_that_fails_closes_and_releases_all_the_same(
     processes, commander, directory, tmp_path
 ):
-    deed = "Robot.begin_release = refuse"
+    deed = "Robot.ramp_to_rest = refuse"
     given = parameters(directory)
     start_script(processes, tmp_path / "refusing.py", _SLOW.format(deed=deed), given)
     commander.activate()

@@ -31,7 +31,7 @@ class Clock(Protocol):
 
     traffic: Traffic
     epoch_ns: int | None
-    patience: float
+    least_timeout: float
 
     def __call__(self) -> float:
         """Now."""
@@ -50,7 +50,7 @@ class MachineClock:
     """The machine's monotonic clock."""
 
     epoch_ns: int | None = None
-    patience = 0.0
+    least_timeout = 0.0
 
     def __init__(self) -> None:
         self.traffic = Traffic()

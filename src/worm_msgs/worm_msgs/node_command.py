@@ -24,7 +24,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from worm_msgs.parameter_rows import ParameterRow, present_names
-from worm_msgs.ros_process import Ending, own_arguments, ros_process
+from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
 BAD_INPUT = 2
 #: what rclpy itself takes, beside the parameters that it declares
@@ -35,7 +35,7 @@ _CONTENT = "ros__parameters"  # in such a file
 Rows = Callable[[], Sequence[ParameterRow]]
 
 
-class ParameterRefusedError(ValueError):
+class ParameterRejectedError(ValueError):
     """A parameter that was given cannot be used; the message is one line that says why."""
 
 
@@ -46,7 +46,7 @@ def declare(node: Node, rows: Rows) -> None:
     parameters that are set later, too; setting one to the value that it has succeeds.
 
     Raises:
-        ParameterRefusedError: a value has a wrong type or is out of its range, no row has its name, a parameter is
+        ParameterRejectedError: a value has a wrong type or is out of its range, no row has its name, a parameter is
             given by both its names, or a file is for a node whose name is not this one's, but nearly.
     """
     _check_files(node)
@@ -61,8 +61,8 @@ def declare(node: Node, rows: Rows) -> None:
         try:
             node.declare_parameter(row.name, row.default, row.descriptor())
         except ParameterException as error:
-            raise ParameterRefusedError(f"parameter {row.name}: {_one_line(error)}") from error
-    _refuse_unknown(node, overrides)
+            raise ParameterRejectedError(f"parameter {row.name}: {_one_line(error)}") from error
+    _reject_unknown(node, overrides)
     _set_changes_alone(node, floats)
 
 
@@ -73,7 +73,7 @@ def _translated(
     try:
         named = present_names({p.name: p for p in parameters}, node.get_logger().warning)
     except ValueError as error:
-        raise ParameterRefusedError(str(error)) from error
+        raise ParameterRejectedError(str(error)) from error
     renamed = [p if p.name == name else _named(name, p) for name, p in named.items()]
     return [_as_float(p) if p.name in floats else p for p in renamed]
 
@@ -89,7 +89,7 @@ def _set_changes_alone(node: Node, floats: frozenset[str]) -> None:
     def set_changes(parameters: list[Parameter]) -> SetParametersResult:
         try:
             translated = _translated(node, floats, parameters)
-        except ParameterRefusedError as error:
+        except ParameterRejectedError as error:
             return SetParametersResult(successful=False, reason=str(error))
         changes = [p for p in translated if not _is_set(node, p)]
         return set_all(changes) if changes else SetParametersResult(successful=True)
@@ -110,14 +110,14 @@ def _text(parameter: Parameter) -> str:
     return repr(value.tolist() if isinstance(value, array) else value)
 
 
-def _refuse_unknown(node: Node, overrides: dict[str, Parameter]) -> None:
+def _reject_unknown(node: Node, overrides: dict[str, Parameter]) -> None:
     for name in overrides:
         if node.has_parameter(name) or name.startswith(_ALLOWED):
             continue
         known = sorted(node.get_parameters_by_prefix(""))
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
-        raise ParameterRefusedError(f"no parameter {name}: {hint}")
+        raise ParameterRejectedError(f"no parameter {name}: {hint}")
 
 
 def declare_none(node: Node) -> None:
@@ -128,7 +128,7 @@ def declare_none(node: Node) -> None:
     """
     try:
         declare(node, list)
-    except ParameterRefusedError as error:
+    except ParameterRejectedError as error:
         print(f"{node.get_name()}: {_one_line(error)}", file=sys.stderr)  # noqa: T201 (the command's own words)
         raise SystemExit(BAD_INPUT) from error
 
@@ -145,7 +145,7 @@ def _check_files(node: Node) -> None:
         last = {known.rsplit("/", 1)[-1]: known for known in names}
         near = difflib.get_close_matches(own, last, n=1)
         if near:
-            raise ParameterRefusedError(f"{file} is for {last[near[0]]}, and this is {name}")
+            raise ParameterRejectedError(f"{file} is for {last[near[0]]}, and this is {name}")
         node.get_logger().warning(f"{file} holds nothing for {name}, only for {', '.join(names)}")
 
 
@@ -189,7 +189,7 @@ def run_node(
     name: str,
     description: str,
     rows: Rows,
-    run: Callable[[Ending], int | None],
+    run: Callable[[ShutdownRequest], int | None],
     refusals: tuple[type[Exception], ...],
     arguments: Sequence[str] | None = None,
 ) -> int:
@@ -203,7 +203,7 @@ def run_node(
         refusals: what else it raises on bad input.
         arguments: the command line with the program's name; None for that of the process.
     """
-    refused: tuple[type[Exception], ...] = (ParameterRefusedError, *refusals)
+    refused: tuple[type[Exception], ...] = (ParameterRejectedError, *refusals)
     words = list(sys.argv if arguments is None else arguments)
     _Parser(name, description, rows).parse_args(own_arguments(words)[1:])
     try:

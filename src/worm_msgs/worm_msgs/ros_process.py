@@ -30,7 +30,7 @@ _SAME_PRESS_S = 1.5
 _NO_NODE = "error creating node"
 
 
-class Ending:
+class ShutdownRequest:
     """Whether a process was asked to end: call it.
 
     Attributes:
@@ -60,7 +60,7 @@ class Ending:
 
 
 @contextlib.contextmanager
-def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Ending]:
+def ros_process(arguments: Sequence[str] | None = None) -> Iterator[ShutdownRequest]:
     """ROS while this lasts; SIGINT, SIGTERM and SIGHUP set a flag and do nothing else.
 
     rclpy's own handlers would take the context away from under a node that still has something to do or to say. The
@@ -80,7 +80,7 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Ending]:
         raise SystemExit(2) from error
     if not heard.is_local:
         _say(str(heard))
-    ending = Ending()
+    ending = ShutdownRequest()
     try:
         rclpy.init(
             args=None if arguments is None else list(arguments),
@@ -103,7 +103,7 @@ def ros_process(arguments: Sequence[str] | None = None) -> Iterator[Ending]:
 
 
 @contextlib.contextmanager
-def ending_at_once() -> Iterator[None]:
+def exiting_on_signal() -> Iterator[None]:
     """Within ros_process, while this lasts: a signal ends the process where it is, as there is nothing to do before."""
     before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
     try:
@@ -125,13 +125,13 @@ def own_arguments(arguments: Sequence[str]) -> list[str]:
         raise _refuse(error) from None
 
 
-def words_of(error: Exception) -> str:
+def one_line_of(error: Exception) -> str:
     """A message of rcl in one line, without the places in its source."""
     return " ".join(re.sub(r",? at [./]\S+:\d+", "", str(error)).split())
 
 
 def _refuse(error: Exception) -> SystemExit:
-    print(f"ROS: {words_of(error)}", file=sys.stderr)  # noqa: T201 (what every process says)
+    print(f"ROS: {one_line_of(error)}", file=sys.stderr)  # noqa: T201 (what every process says)
     return SystemExit(2)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from worm_model.twin.records import Activity, LengthSource, ResidualRecord, StateRecord
-from worm_model.twin.scene import Sighting
+from worm_model.twin.scene import PositionSample
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ class Snapshot:
     control: Control | None = None
     twin: StateRecord | None = None
     residuals: ResidualRecord | None = None
-    robot: Sighting = field(default_factory=Sighting)
-    robot_at_twin: Sighting = field(default_factory=Sighting)
+    robot: PositionSample = field(default_factory=PositionSample)
+    robot_at_twin: PositionSample = field(default_factory=PositionSample)
     lengths: Mapping[LengthSource, float] = field(default_factory=dict)
     power: float = math.nan
     twin_age: float = math.nan

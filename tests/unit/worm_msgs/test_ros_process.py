@@ -9,7 +9,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="no ROS is installed")
 
-from worm_msgs.ros_process import Ending, own_arguments, ros_process  # noqa: E402
+from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process  # noqa: E402
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
@@ -43,7 +43,7 @@ def test_a_process_that_was_not_asked_gets_its_signals_back(ros_domain):
 def test_only_a_later_ctrl_c_is_an_impatient_persons():
     """launch and systemd escalate with SIGTERM by themselves; a terminal and launch pass one Ctrl-C on twice."""
     now, told = [10.0], []
-    ending = Ending(lambda: now[0])
+    ending = ShutdownRequest(lambda: now[0])
     ending.again = lambda: told.append(now[0])
     for time, number in (
         (10.0, signal.SIGINT),

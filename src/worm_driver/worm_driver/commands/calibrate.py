@@ -263,7 +263,7 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
 
 
 @contextlib.contextmanager
-def _bus_let_go_at_the_end(port: str, baud_rate: int) -> Iterator[ServoBus]:
+def _torque_released_at_the_end(port: str, baud_rate: int) -> Iterator[ServoBus]:
     bus = ServoBus.open(port, baud_rate, retries=_RETRIES)
     try:
         yield bus
@@ -283,7 +283,7 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, _interrupt)
     signal.signal(signal.SIGHUP, _interrupt)
     try:
-        with _bus_let_go_at_the_end(options.port, options.baud_rate) as bus:
+        with _torque_released_at_the_end(options.port, options.baud_rate) as bus:
             calibration = Calibration(bus, _ask, _say, time.sleep)
             spools, fins = calibrate(calibration, options.turns, options.points)
         text = parameter_text(options.port, options.baud_rate, spools, fins)

@@ -9,7 +9,7 @@ from worm_driver.control.telemetry import SILENT, ServoState
 from worm_driver.errors import HomingError
 from worm_driver.servos import servo_setup as servos
 from worm_driver.servos.goal_gate import Bound, GoalGate
-from worm_driver.servos.position_track import PositionTrack, Sighting
+from worm_driver.servos.position_track import PositionSample, PositionTrack
 from worm_driver.servos.registers import COMMON, TICKS_PER_TURN
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.servos.servo_setup import Servo
@@ -178,14 +178,14 @@ class Actuators:
         self._held = {number: position.ticks for number, position in positions.items()}
         return self._mean_change([position.ticks for position in positions.values()])
 
-    def _enable(self, servo: Servo) -> Sighting:
-        position = Sighting(servos.standing_position(self._bus, servo), self._bus.now())
+    def _enable(self, servo: Servo) -> PositionSample:
+        position = PositionSample(servos.standing_position(self._bus, servo), self._bus.now())
         self.track.accepts(servo.number, position.ticks, position.time)
         self._goals.write(servo.number, position.ticks)
         servos.switch_on(self._bus, servo)
         return position
 
-    def take(self, settings: DriverSettings) -> None:
+    def apply_settings(self, settings: DriverSettings) -> None:
         """Apply other limits. The range of the goals does not shrink before the next activation."""
         self.settings = settings
         self._longest_stroke = max(self._longest_stroke, settings.max_stroke)
@@ -218,7 +218,7 @@ class Actuators:
         self.track.end()
         return self.unreleased
 
-    def leave_on(self) -> list[str]:
+    def leave_torque_on(self) -> list[str]:
         """Leave the torque of a contracted robot on, as it would spring back, and return the message about it."""
         self.left_on = (
             f"the torque stays on, as the robot is contracted by {self.contraction * 1e3:.1f} mm and would spring "

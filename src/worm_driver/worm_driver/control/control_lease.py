@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control of the robot as a lease: one client has it, and loses it when its requests stop."""
 
-from worm_driver.control.heartbeat import Owner
+from worm_driver.control.heartbeat import HeartbeatMonitor
 
 #: longest lease of a client, s; a client that crashed has control for so long
 MAX_LEASE = 600.0
@@ -20,7 +20,7 @@ class ControlLease:
     def __init__(self) -> None:
         self.holder = ""
         self.requester = ""
-        self._owners: dict[str, Owner] = {}
+        self._owners: dict[str, HeartbeatMonitor] = {}
 
     def request(self, client: str, lease: float, now: float) -> None:
         """Give control to a client if it is free, renew the client's lease, or note that it requests control.
@@ -46,7 +46,7 @@ class ControlLease:
         elif client != self.holder and not self.requester:
             self.requester = client
         if client in (self.holder, self.requester):
-            self._owners.setdefault(client, Owner(lease, now)).hear()
+            self._owners.setdefault(client, HeartbeatMonitor(lease, now)).record()
 
     def hand_over(self, client: str) -> None:
         """Give control to the requester, if the client has it."""

@@ -16,7 +16,12 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from worm_driver.clock import Clock, MachineClock
-from worm_driver.control.real_time import NOT_ASKED, VIRTUAL, ask_for_urgency, return_to_normal
+from worm_driver.control.real_time import (
+    NOT_REQUESTED,
+    VIRTUAL,
+    request_scheduling,
+    return_to_normal,
+)
 from worm_driver.control.robot import Robot
 from worm_driver.control.telemetry import Snapshot
 from worm_driver.control.timing import DeadlineGrid, PeriodMeter, TimingReport
@@ -30,7 +35,7 @@ _ERRORS_TO_REOPEN = 100
 
 
 class PeriodicThread:
-    """Thread that calls a step at every deadline of a grid, until `ask_to_end` or until the step returns False.
+    """Thread that calls a step at every deadline of a grid, until `request_end` or until the step returns False.
 
     Args:
         name: name of the thread.
@@ -64,13 +69,13 @@ class PeriodicThread:
         """Start the thread."""
         self._thread.start()
 
-    def ask_to_end(self) -> None:
+    def request_end(self) -> None:
         """Request the end of the thread after its present step. Safe in a signal handler."""
         self._ending.set()
 
     def end(self, timeout: float) -> bool:
         """End the thread after its present step. Return True if it ended within the timeout (s)."""
-        self.ask_to_end()
+        self.request_end()
         self._thread.join(timeout)
         return not self._thread.is_alive()
 
@@ -128,7 +133,7 @@ class ControlLoop(PeriodicThread):
         clock: clock of the thread; None: the machine's.
 
     Attributes:
-        urgency: real-time scheduling that Linux granted to the thread.
+        scheduling: real-time scheduling that Linux granted to the thread.
         release_problems: failures of the release at the end of the thread, one sentence each.
     """
 
@@ -136,11 +141,11 @@ class ControlLoop(PeriodicThread):
         self, robot: Robot, on_snapshot: Callable[[Snapshot], None], clock: Clock | None = None
     ):
         super().__init__("servo_bus", robot.settings.period, clock)
-        self.urgency = NOT_ASKED
+        self.scheduling = NOT_REQUESTED
         self._robot = robot
         self._on_snapshot = on_snapshot
         self._commands: deque[_Command] = deque()
-        self._leaving: str | None = None
+        self._shutdown_reason: str | None = None
         self._at_once = False
         self.release_problems: list[str] = []
 
@@ -153,21 +158,21 @@ class ControlLoop(PeriodicThread):
         if not self.alive and not self._robot.closing:
             raise self._ended() from self.failure
 
-    def submit(self, action: Callable[[float], T], patience: float = 0.5) -> "Future[T]":
+    def submit(self, action: Callable[[float], T], lifetime: float = 0.5) -> "Future[T]":
         """Queue an action for the gap between two cycles.
 
         Args:
             action: called with the time (s, monotonic).
-            patience: time after which the command is stale, s. The loop then rejects it with LimitError.
+            lifetime: time after which the command is stale, s. The loop then rejects it with LimitError.
 
         Returns:
             Future of the action's result.
         """
-        command = _Command(action, self._clock() + patience, Future())
+        command = _Command(action, self._clock() + lifetime, Future())
         self._commands.append(command)
         return command.answer
 
-    def ask(
+    def run(
         self,
         action: Callable[[float], T],
         timeout: float = 2.0,
@@ -186,23 +191,23 @@ class ControlLoop(PeriodicThread):
             DriverError: The action failed, or its result did not arrive in time.
         """
         answer = self.submit(action)
-        timeout = max(timeout, self._clock.patience)
+        timeout = max(timeout, self._clock.least_timeout)
         try:
             return answer.result(timeout)
         except TimeoutError:
             if not answer.cancel() and undo is not None:
-                self.submit(undo, patience=math.inf)
+                self.submit(undo, lifetime=math.inf)
             raise self._silent(timeout) from None
 
-    def insist(self, action: Callable[[float], T], timeout: float = 2.0) -> T:
-        """Like `ask`, but without a deadline for the action, and without ``undo``.
+    def run_without_deadline(self, action: Callable[[float], T], timeout: float = 2.0) -> T:
+        """Like `run`, but without a deadline for the action, and without ``undo``.
 
         Raises:
             DriverError: The action failed, or its result did not arrive within the timeout (s).
         """
-        timeout = max(timeout, self._clock.patience)
+        timeout = max(timeout, self._clock.least_timeout)
         try:
-            return self.submit(action, patience=math.inf).result(timeout)
+            return self.submit(action, lifetime=math.inf).result(timeout)
         except TimeoutError:
             raise self._silent(timeout) from None
 
@@ -214,16 +219,16 @@ class ControlLoop(PeriodicThread):
     def _ended(self) -> DriverError:
         return DriverError(f"the servo bus thread has ended: {self.failure!r}")
 
-    def leave(self, reason: str) -> None:
+    def shutdown(self, reason: str) -> None:
         """Bring the robot to rest, release it and end the thread.
 
         Later calls have no effect. Safe in a signal handler.
 
         A stop ends the return to rest. The thread then ends while the robot holds its position.
         """
-        if self._leaving is None:
+        if self._shutdown_reason is None:
             self._robot.closing = True
-            self._leaving = reason
+            self._shutdown_reason = reason
 
     def release_at_once(self) -> None:
         """Release the robot at its present position and end the thread, at an operator's request.
@@ -231,7 +236,7 @@ class ControlLoop(PeriodicThread):
         Safe in a signal handler.
         """
         self._at_once = True
-        self.ask_to_end()
+        self.request_end()
 
     def join(self, timeout: float, meanwhile: Callable[[], None] = lambda: None) -> bool:
         """Wait for the thread to end. After the timeout it ends with its present step, wherever the robot is.
@@ -243,22 +248,22 @@ class ControlLoop(PeriodicThread):
         Returns:
             True if the thread has ended.
         """
-        end = time.monotonic() + max(timeout, self._clock.patience)
+        end = time.monotonic() + max(timeout, self._clock.least_timeout)
         while self.alive and time.monotonic() < end:
             meanwhile()
             time.sleep(0.005)
         return self.end(timeout=1.0)
 
     def _step(self, now: float) -> bool:
-        leaving = self._leaving is not None
-        if self._leaving:
-            self._robot.close(now, self._leaving)
-            self._leaving = ""
+        shutting_down = self._shutdown_reason is not None
+        if self._shutdown_reason:
+            self._robot.close(now, self._shutdown_reason)
+            self._shutdown_reason = ""
         before = self._robot.active
         if self._serve(now) and not (before and self._robot.active):
             self._excused = True  # setup and release of the servos take many cycles
         self._on_snapshot(self._robot.cycle(now))
-        return not (leaving and self._robot.is_closed(now))
+        return not (shutting_down and self._robot.is_closed(now))
 
     def _serve(self, now: float) -> bool:
         """Run the waiting commands. Return True if there was one."""
@@ -280,13 +285,13 @@ class ControlLoop(PeriodicThread):
 
     def _at_start(self) -> None:
         if self._clock.epoch_ns is not None:
-            self.urgency = VIRTUAL
+            self.scheduling = VIRTUAL
             return
-        self.urgency = ask_for_urgency(self._robot.settings.real_time_priority)
+        self.scheduling = request_scheduling(self._robot.settings.real_time_priority)
 
     def _at_end(self) -> None:
-        self.release_problems = self._robot.release() if self._at_once else self._robot.leave()
-        if self.urgency not in (NOT_ASKED, VIRTUAL):
+        self.release_problems = self._robot.release() if self._at_once else self._robot.shutdown()
+        if self.scheduling not in (NOT_REQUESTED, VIRTUAL):
             return_to_normal()
         self._clock.close()  # a thread that has ended must not keep a virtual robot's time
         self._serve(math.inf)
@@ -320,7 +325,7 @@ class PowerLoop(PeriodicThread):
 
     def close(self) -> None:
         """End the thread and close the bus."""
-        self.end(timeout=max(2.0, self._clock.patience))
+        self.end(timeout=max(2.0, self._clock.least_timeout))
         self._sensor.device.close()
         self._clock.close()
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
-from worm_driver.control.real_time import Urgency
+from worm_driver.control.real_time import Scheduling
 from worm_driver.control.telemetry import SILENT, ServoState
 from worm_driver.control.timing import TimingReport
 from worm_driver.gait.gait_player import Phase, PlayerState
@@ -104,13 +104,13 @@ def bus_report(
     return Report("driver: servo bus", level, message, port, values)
 
 
-def timing_report(timing: TimingReport, period: float, urgency: Urgency) -> Report:
+def timing_report(timing: TimingReport, period: float, scheduling: Scheduling) -> Report:
     """Return the report on the timing of the control loop and on the scheduling of its thread. The period is in s."""
     if math.isnan(timing.p99_error):
         level, message = Level.OK, "starting"
     elif timing.p99_error > _LATE:
         level = Level.WARN
-        cause = _what_was_late(timing, period, urgency)
+        cause = _cause_of_lateness(timing, period, scheduling)
         message = f"p99 of the period error is {timing.p99_error * 1e3:.2f} ms: {cause}"
     else:
         level, message = Level.OK, "ok"
@@ -128,15 +128,17 @@ def timing_report(timing: TimingReport, period: float, urgency: Urgency) -> Repo
             ("p99_cycle_s", f"{timing.p99_cycle:.6f}"),
             ("missed_deadlines", str(timing.missed)),
             ("cycles", str(timing.cycles)),
-            ("real_time_priority", urgency.words),
+            ("real_time_priority", scheduling.words),
         ),
     )
 
 
-def _what_was_late(timing: TimingReport, period: float, urgency: Urgency) -> str:
+def _cause_of_lateness(timing: TimingReport, period: float, scheduling: Scheduling) -> str:
     """Return whether the thread wakes late or its cycles take too long, and what to do about it."""
     if timing.p99_cycle < period:
-        remedy = "free the machine" if urgency.granted else f"free the machine; {urgency.words}"
+        remedy = (
+            "free the machine" if scheduling.granted else f"free the machine; {scheduling.words}"
+        )
         return f"the computer wakes the thread {timing.p99_wake * 1e3:.2f} ms late (p99): {remedy}"
     return (
         f"a cycle takes {timing.p99_cycle * 1e3:.1f} ms (p99) of {period * 1e3:g}: the servos answer late, or their "

@@ -93,7 +93,7 @@ class FaultWatch:
         Only one servo per cycle is read, to keep the cycle short.
         """
         robot = self._actuators
-        suspect = self._reader.take_suspect()
+        suspect = self._reader.pop_suspect()
         servo = next((servo for servo in robot.servos if servo.number == suspect), None)
         if servo is None:
             return None

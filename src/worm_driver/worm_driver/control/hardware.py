@@ -28,7 +28,7 @@ _ANSWERS = 2
 #: Factor by which late cycles may prolong a return to rest, as it does not catch up.
 _LATENESS = 2.0
 #: Age of the oldest unread snapshot beyond which the robot is held, s.
-_UNHEARD = 3.0
+_LISTENING_TIMEOUT = 3.0
 #: Number of unread snapshots beyond which a virtual robot's time waits for their reader, and the longest wait (s).
 _BACKLOG = 250
 _BACKLOG_PATIENCE = 10.0
@@ -121,11 +121,11 @@ class Hardware:
         travel = self._longest_stroke + 0.02
         return _LATENESS * math.pi / 2 * travel / self.settings.player.return_speed + 1.0
 
-    def take(self, settings: DriverSettings) -> str:
+    def apply_settings(self, settings: DriverSettings) -> str:
         """Apply other limits. Return a message if the present run ends because of them, else an empty string."""
         self._longest_stroke = max(self._longest_stroke, settings.max_stroke)
         self.settings = settings
-        return self.loop.ask(lambda now: self.robot.take(now, settings))
+        return self.loop.run(lambda now: self.robot.apply_settings(now, settings))
 
     def rest_line(self) -> str:
         """Return the sentence about how long the return to rest takes."""
@@ -164,7 +164,7 @@ class Hardware:
         Returns:
             Failures, one sentence each.
         """
-        self.loop.leave(reason)
+        self.loop.shutdown(reason)
         ended = self.loop.join(self.release_time, meanwhile)
         if self._power is not None:
             self._power.close()
@@ -188,7 +188,9 @@ class Hardware:
                 left_on=robot.actuators.left_on,
             ),
             diagnostics.bus_report(self.settings.port, counters, sensor.counters, timer),
-            diagnostics.timing_report(self.loop.report(), self.settings.period, self.loop.urgency),
+            diagnostics.timing_report(
+                self.loop.report(), self.settings.period, self.loop.scheduling
+            ),
         ]
         if robot.actuators.unreleased:
             reports.append(diagnostics.release_report(robot.actuators.unreleased))
@@ -223,12 +225,12 @@ class Hardware:
         """Queue a snapshot, in the loop's thread. Hold the robot if the node no longer reads the queue."""
         self.snapshots.append(snapshot)
         unheard = snapshot.command_time - self._oldest(snapshot).command_time
-        if snapshot.active and unheard > _UNHEARD:
+        if snapshot.active and unheard > _LISTENING_TIMEOUT:
             reason = (
                 f"the node has not listened for {unheard:.0f} s: the service stop would not work"
             )
             self.robot.fail(snapshot.command_time, reason)
-        if self.clock.patience:
+        if self.clock.least_timeout:
             self._wait_for_listener()
 
     def _wait_for_listener(self) -> None:

@@ -17,7 +17,7 @@ _REMEDY = (
 
 
 @dataclass(frozen=True)
-class Urgency:
+class Scheduling:
     """Real-time scheduling that a thread has.
 
     Attributes:
@@ -29,8 +29,8 @@ class Urgency:
     words: str
 
 
-NOT_ASKED = Urgency(granted=True, words="not asked for")
-VIRTUAL = Urgency(granted=True, words="not needed: the virtual robot's time waits")
+NOT_REQUESTED = Scheduling(granted=True, words="not asked for")
+VIRTUAL = Scheduling(granted=True, words="not needed: the virtual robot's time waits")
 
 
 def _set_priority(priority: int) -> None:
@@ -75,11 +75,11 @@ def _lock_memory() -> None:
         raise OSError(number, os.strerror(number))
 
 
-def ask_for_urgency(
+def request_scheduling(
     priority: int,
     set_priority: Callable[[int], None] = _set_priority,
     lock_memory: Callable[[], None] = _lock_memory,
-) -> Urgency:
+) -> Scheduling:
     """Request SCHED_FIFO for the calling thread, half the priority for the other threads, and locked memory.
 
     Threads must sleep while they wait, as a spinning thread would starve a core.
@@ -93,7 +93,7 @@ def ask_for_urgency(
         The scheduling as far as Linux grants it.
     """
     if priority == 0:
-        return NOT_ASKED
+        return NOT_REQUESTED
     refused = []
     for what, act in (
         (f"SCHED_FIFO {priority}", lambda: set_priority(priority)),
@@ -104,5 +104,5 @@ def ask_for_urgency(
         except OSError as error:
             refused.append(f"no {what} ({error.strerror})")
     if refused:
-        return Urgency(granted=False, words=f"{', '.join(refused)}: {_REMEDY}")
-    return Urgency(granted=True, words=f"SCHED_FIFO {priority}, memory locked")
+        return Scheduling(granted=False, words=f"{', '.join(refused)}: {_REMEDY}")
+    return Scheduling(granted=True, words=f"SCHED_FIFO {priority}, memory locked")

@@ -142,7 +142,7 @@ class Robot:
             BusError: A servo does not answer.
             ConfigurationError: A servo is not fit to be enabled.
         """
-        self._refuse_start()
+        self._check_start()
         self.actuators.check()
         self._reader.learn_clocks()
         cable = self._measured_cable()
@@ -158,13 +158,13 @@ class Robot:
             raise
         self._reader.forget_suspects()
         run = self.player.run
-        self.player = PlayerState(since=now, length_change=held, run=run)
+        self.player = PlayerState(phase_start=now, length_change=held, run=run)
         self._watch.begin()
         self._forget_states()
         self.actuators.unreleased, self.actuators.left_on = [], ""
         self.active = True
 
-    def _refuse_start(self) -> None:
+    def _check_start(self) -> None:
         if self.closing:
             raise LimitError("the driver shuts down: start it again first")
         reason = self._why_not_start()
@@ -196,19 +196,19 @@ class Robot:
         """
         if not self.active:
             raise LimitError("the torque is off: activate the driver first")
-        self._refuse_start()
+        self._check_start()
         self.limits.check(gait, cycles)
         self.player = gait_player.start(self.player, now, gait, cycles)
         assert self.player.run is not None
         return self.player.run.number
 
-    def take(self, now: float, settings: DriverSettings) -> str:
+    def apply_settings(self, now: float, settings: DriverSettings) -> str:
         """Apply other limits.
 
         A run that violates them ends at its next point of rest. The returned message reports that; otherwise it is
         empty.
         """
-        self.actuators.take(settings)
+        self.actuators.apply_settings(settings)
         run = self.player.active_run
         if run is None:
             return ""
@@ -245,7 +245,7 @@ class Robot:
                 self.actuators.stop_fins()
         self.player = player
 
-    def begin_release(self, now: float, reason: str) -> None:
+    def ramp_to_rest(self, now: float, reason: str) -> None:
         """Begin the return to rest. ``released`` is True once the torque may be switched off.
 
         No return to rest begins in two cases. In FAULT none can be trusted, and the torque may be switched off
@@ -265,7 +265,7 @@ class Robot:
     def released(self) -> bool:
         """True if the torque may be switched off.
 
-        The robot is at rest, or it holds and would not spring back. If it would, `begin_release` must have been called
+        The robot is at rest, or it holds and would not spring back. If it would, `ramp_to_rest` must have been called
         in FAULT.
         """
         if not self.active or gait_player.at_rest(self.player):
@@ -284,24 +284,24 @@ class Robot:
         if why_not and not gait_player.at_rest(self.player):
             self.stop(now, why_not)
         else:
-            self.begin_release(now, reason)
+            self.ramp_to_rest(now, reason)
 
     def is_closed(self, now: float) -> bool:
         """Return True if the driver may end at a time (s).
 
         The robot is then at rest, or was stopped on the way and stands still.
         """
-        stands = self.player.phase in _HOLDS and now - self.player.since >= _STANDS
+        stands = self.player.phase in _HOLDS and now - self.player.phase_start >= _STANDS
         return not self.active or gait_player.at_rest(self.player) or stands
 
-    def leave(self) -> list[str]:
+    def shutdown(self) -> list[str]:
         """Release the robot at the end of the driver, unless it would spring back. Return the sentences to report.
 
         Only an operator may let a contracted robot spring back, through `release`.
         """
         if self.active and not gait_player.at_rest(self.player) and self.actuators.springs_back:
             self.active = False
-            return self.actuators.leave_on()
+            return self.actuators.leave_torque_on()
         return self.release()
 
     def release(self) -> list[str]:

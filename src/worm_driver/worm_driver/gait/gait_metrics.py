@@ -26,7 +26,7 @@ _TRACKER_GAP = 0.12
 #: s, the longest time for which the tracker may have been blind, and from how far on either side that is bridged
 _LONGEST_BRIDGE = 0.5
 _BRIDGE_SIDE = 0.25
-_LEAST_SIGHTINGS = 4
+_LEAST_SAMPLES = 4
 #: s, the longest time without a valid power sample within the averaged cycles
 _POWER_GAP = 0.25
 
@@ -67,7 +67,7 @@ class RunRecord:
             [(t, x) for t, x in self.positions if last - _BRIDGE_SIDE <= t <= last],
             [(t, x) for t, x in self.positions if first <= t <= first + _BRIDGE_SIDE],
         )
-        if first - last > _LONGEST_BRIDGE or min(map(len, sides)) < _LEAST_SIGHTINGS:
+        if first - last > _LONGEST_BRIDGE or min(map(len, sides)) < _LEAST_SAMPLES:
             return math.nan
         times, positions = zip(*(sides[0] + sides[1]), strict=True)
         return float(np.polyfit(np.subtract(times, time), positions, 3)[-1])

@@ -89,18 +89,18 @@ class PlayerState:
         ramp_from: m, where a return to rest or the tensioning began.
         direction: where the fins are set to; 0 before the first run and after a hold, which stops them where they are.
         stepped: s, when the last step was.
-        still_since: s, when the cable and the fins were last asked to move, or seen off their place.
+        still_start: s, when the cable and the fins were last asked to move, or seen off their place.
         run: the current run, or the last one when its ending is set.
         message: why it holds or has failed.
     """
 
     phase: Phase = Phase.IDLE
-    since: float = 0.0
+    phase_start: float = 0.0
     length_change: float = 0.0
     ramp_from: float = 0.0
     direction: int = 0
     stepped: float = -math.inf
-    still_since: float = -math.inf
+    still_start: float = -math.inf
     run: Run | None = None
     message: str = ""
 
@@ -231,7 +231,7 @@ def step(
     before, state = state, handler(_delayed(state, now, settings), now, observation, settings)
     state = replace(state, stepped=now)
     if moving(before) or state.direction != before.direction or not observation.fins_set:
-        return replace(state, still_since=now)
+        return replace(state, still_start=now)
     return state
 
 
@@ -240,8 +240,8 @@ def _delayed(state: PlayerState, now: float, settings: PlayerSettings) -> Player
     is_ramp = state.phase in (Phase.RETURNING, Phase.TENSIONING) or (
         state.phase is Phase.STOPPING and state.run is not None and state.run.onset is None
     )
-    late = now - max(state.stepped, state.since) - settings.longest_step
-    return replace(state, since=state.since + late) if is_ramp and late > 0.0 else state
+    late = now - max(state.stepped, state.phase_start) - settings.longest_step
+    return replace(state, phase_start=state.phase_start + late) if is_ramp and late > 0.0 else state
 
 
 def _returning(
@@ -268,7 +268,7 @@ def _ramp(state: PlayerState, now: float, target: float, settings: PlayerSetting
     """A half cosine from where the ramp began to a target (m): no jump of speed, a bounded peak."""
     way = state.ramp_from - target
     duration = math.pi / 2 * abs(way) / settings.return_speed
-    elapsed = now - state.since
+    elapsed = now - state.phase_start
     if abs(way) <= REST_TOLERANCE or elapsed >= duration:
         return replace(state, length_change=target)
     value = target + way / 2 * (1.0 + math.cos(math.pi * elapsed / duration))
@@ -281,12 +281,12 @@ def _flipping(
     run = state.run
     assert run is not None
     if state.direction != run.gait.direction:
-        return replace(state, direction=run.gait.direction, since=now)
+        return replace(state, direction=run.gait.direction, phase_start=now)
     if observation.fins_set and state.length_change != run.gait.point_of_rest:
         return _enter(state, Phase.TENSIONING, now)
-    if observation.fins_set and now - state.still_since >= settings.settle_time:
+    if observation.fins_set and now - state.still_start >= settings.settle_time:
         return _enter(replace(state, run=replace(run, rest_start=now)), Phase.RESTING, now)
-    if not observation.fins_set and now - state.since > settings.flip_timeout:
+    if not observation.fins_set and now - state.phase_start > settings.flip_timeout:
         reason = f"the fins did not reach their place within {settings.flip_timeout:g} s"
         return fault(state, now, state.length_change, reason)
     return state
@@ -297,7 +297,7 @@ def _resting(
 ) -> PlayerState:
     run = state.run
     assert run is not None
-    rested = now - state.since
+    rested = now - state.phase_start
     enough = rested >= settings.rest_duration and observation.idle_samples >= settings.rest_samples
     if not (enough and observation.tracker_ready) and rested < settings.rest_timeout:
         return state
@@ -332,7 +332,7 @@ _STEPS = {
 
 
 def _enter(state: PlayerState, phase: Phase, now: float) -> PlayerState:
-    return replace(state, phase=phase, since=now, ramp_from=state.length_change)
+    return replace(state, phase=phase, phase_start=now, ramp_from=state.length_change)
 
 
 def _end(
@@ -342,7 +342,7 @@ def _end(
     if run is not None:
         run = replace(run, end=now, ending=ending, reason=reason or run.reason)
         state = replace(state, run=run)
-    return replace(state, phase=phase, since=now)
+    return replace(state, phase=phase, phase_start=now)
 
 
 def _come_to_rest(state: PlayerState, now: float, ending: Ending) -> PlayerState:

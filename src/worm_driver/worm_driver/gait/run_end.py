@@ -14,7 +14,7 @@ _LATE = 0.8
 #: part of a groove that may lack: beside whole grooves, x1 moves by what the fins bend, which is no groove
 _NEARLY = 0.25
 #: cycles after which a robot that has not gained a groove in them gains none
-_CYCLES_IN_VAIN = 3
+_CYCLES_WITHOUT_PROGRESS = 3
 #: s after a cycle's end within which the tracker's word on it must have come
 _LATENCY = 0.5
 
@@ -68,9 +68,9 @@ def is_late(run: Run, record: RunRecord) -> bool:
     return run.gait.extended_share(phase) >= _LATE
 
 
-def is_in_vain(run: Run, record: RunRecord, pitch: float) -> bool:
+def makes_no_progress(run: Run, record: RunRecord, pitch: float) -> bool:
     """Whether the robot gains nothing any more, by the tracker's last word, which is of the end of a cycle."""
-    newest, before = record.positions[-1], _CYCLES_IN_VAIN / run.gait.frequency
+    newest, before = record.positions[-1], _CYCLES_WITHOUT_PROGRESS / run.gait.frequency
     if run.onset is None or newest[0] - before < run.onset:
         return False
     gained = run.gait.direction * (newest[1] - record.position_at(newest[0] - before)[0])

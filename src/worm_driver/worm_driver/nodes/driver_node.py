@@ -37,7 +37,7 @@ from worm_driver.nodes.telemetry_publisher import TelemetryPublisher
 from worm_driver.nodes.tracker_listener import TrackerListener
 from worm_msgs import network, readiness
 from worm_msgs.node_command import declare, run_node
-from worm_msgs.ros_process import Ending, spare_pauses
+from worm_msgs.ros_process import ShutdownRequest, spare_pauses
 
 T = TypeVar("T")
 
@@ -116,7 +116,7 @@ class DriverNode(LifecycleNode):
         self.create_timer(_PUBLISH_PERIOD, self._publish, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self._take_parameters)
+        self.add_post_set_parameters_callback(self._apply_parameters)
         self._publish()
 
     # --- parameters ----------------------------------------------------------------------------
@@ -128,11 +128,11 @@ class DriverNode(LifecycleNode):
         )
         return SetParametersResult(successful=not reason, reason=reason)
 
-    def _take_parameters(self, _: Sequence[Parameter]) -> None:
+    def _apply_parameters(self, _: Sequence[Parameter]) -> None:
         """What takes effect at once does."""
         if self._hardware is None:
             return
-        said = self._hardware.take(driver_parameters.settings(self))
+        said = self._hardware.apply_settings(driver_parameters.settings(self))
         if said:
             self.get_logger().warning(said)
         self.get_logger().info(self._hardware.rest_line())
@@ -237,16 +237,16 @@ class DriverNode(LifecycleNode):
         while time.monotonic() < linger:
             executor.spin_once(timeout_sec=0.05)
 
-    def refuse_transitions(self) -> None:
+    def reject_transitions(self) -> None:
         """Carry no transition out from now on: the process ends."""
         self._lifecycle.refuse()
 
-    def begin_to_close(self) -> None:
+    def begin_shutdown(self) -> None:
         """Begin to bring the robot to rest, before any stop that comes from now on. Safe in a signal handler."""
         if self._hardware is not None:
-            self._hardware.loop.leave(_END)
+            self._hardware.loop.shutdown(_END)
 
-    def let_go(self) -> None:
+    def release_at_once(self) -> None:
         """Cuts a release short: the torque goes at once. Safe in a signal handler."""
         if self._hardware is not None:
             self._hardware.loop.release_at_once()
@@ -264,11 +264,11 @@ class DriverNode(LifecycleNode):
         elif not self.get_parameter("stay_on_failure").value:
             raise self._failure or DriverError("it cannot be configured")
 
-    def wait_to_be_sole(self, ended: Ending) -> None:
+    def wait_until_sole(self, ended: ShutdownRequest) -> None:
         """Wait until this is the only driver of its namespace. Raises `ConfigurationError` where it is not."""
         self._sole.wait(ended)
 
-    def tell_what_it_waits_for(self) -> None:
+    def log_awaited_transition(self) -> None:
         """A driver that nobody has configured says so."""
         if self._hardware is None:
             name = f"{self.get_namespace().rstrip('/')}/{self.get_name()}"
@@ -291,13 +291,13 @@ class DriverNode(LifecycleNode):
         self._sole.require()
         hardware = self._opened()
         robot = hardware.robot
-        hardware.loop.ask(robot.activate, _ACTIVATION, undo=lambda _: robot.leave())
+        hardware.loop.run(robot.activate, _ACTIVATION, undo=lambda _: robot.shutdown())
 
     def _release(self) -> None:
         """Raises StoppedError, ReleaseError, DriverError."""
         hardware = self._opened()
         self._do(
-            lambda hardware, now: hardware.robot.begin_release(now, "the driver is deactivated")
+            lambda hardware, now: hardware.robot.ramp_to_rest(now, "the driver is deactivated")
         )
         end = hardware.clock() + hardware.release_time
         while not self._do(lambda hardware, _: hardware.robot.released) and hardware.clock() < end:
@@ -343,7 +343,7 @@ class DriverNode(LifecycleNode):
     def _do(self, action: Callable[[Hardware, float], T], timeout: float = 2.0) -> T:
         """Has something done between two cycles, within a time (s). Raises DriverError."""
         hardware = self._opened()
-        return hardware.loop.ask(lambda now: action(hardware, now), timeout)
+        return hardware.loop.run(lambda now: action(hardware, now), timeout)
 
     def _opened(self) -> Hardware:
         if self._hardware is None:
@@ -392,21 +392,21 @@ def main(args: list[str] | None = None) -> int:
         return 1
 
 
-def _run(ended: Ending) -> int:
+def _run(ended: ShutdownRequest) -> int:
     node = DriverNode()
-    ended.first, ended.again = node.begin_to_close, node.let_go
+    ended.first, ended.again = node.begin_shutdown, node.release_at_once
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
         spare_pauses()
-        node.wait_to_be_sole(ended)
+        node.wait_until_sole(ended)
         readiness.announce()
         node.autostart()
-        node.tell_what_it_waits_for()
+        node.log_awaited_transition()
         while not ended():
             executor.spin_once(timeout_sec=0.05)
     finally:
-        node.refuse_transitions()
+        node.reject_transitions()
         node.close(_END)
         node.answer_goals(executor)
         node.destroy_node()

@@ -69,7 +69,7 @@ class GoalServer(ActionServer):
         """Reject every goal that was received and has not begun. In any thread."""
         with self._lock:
             self.stops += 1
-            waiting = self._take_goals()
+            waiting = self._accept_goals()
         for header, request in waiting:
             response = self._action_type.Impl.SendGoalService.Response()
             self._handle.send_goal_response(header, response)
@@ -83,7 +83,7 @@ class GoalServer(ActionServer):
         self._is_goal_request_ready = False
         data: dict[str, Any] = super().take_data()
         with self._lock:
-            data["goals"] = self._take_goals() if are_there else []
+            data["goals"] = self._accept_goals() if are_there else []
             data["stops"] = self.stops
         return data
 
@@ -95,7 +95,7 @@ class GoalServer(ActionServer):
             await self._execute_goal_request(goal)
         await super().execute(taken_data)
 
-    def _take_goals(self) -> list[tuple[Any, Any]]:
+    def _accept_goals(self) -> list[tuple[Any, Any]]:
         """The goal requests that wait; the lock is held."""
         kind, goals = self._action_type.Impl.SendGoalService.Request, []
         while all(taken := self._handle.take_goal_request(kind)):

@@ -18,12 +18,12 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from worm_driver.control.hardware import Hardware
-from worm_driver.control.heartbeat import PERIOD, Owner, patience_of
+from worm_driver.control.heartbeat import PERIOD, HeartbeatMonitor, shorter_timeout
 from worm_driver.control.telemetry import Snapshot
 from worm_driver.errors import DriverError, LimitError
 from worm_driver.gait.gait_metrics import Figures, RunRecord, distance, figures
 from worm_driver.gait.gait_player import Ending, Phase, Run
-from worm_driver.gait.run_end import RunEnd, is_in_vain, is_late, unseen_cycle
+from worm_driver.gait.run_end import RunEnd, is_late, makes_no_progress, unseen_cycle
 from worm_driver.nodes.driver_messages import gait_from
 from worm_driver.nodes.driver_parameters import HEARTBEAT
 from worm_driver.nodes.goal_server import GoalServer
@@ -50,7 +50,7 @@ class _Current:
     done: Future
     record: RunRecord
     end: RunEnd
-    owner: Owner
+    owner: HeartbeatMonitor
     #: known once rclpy has accepted the goal
     goal: ServerGoalHandle | None = None
     next_feedback: float = -math.inf
@@ -88,7 +88,7 @@ class RunGaitAction:
             self._on_cancel,
         )
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(PERIOD, self._look_for_owners, clock=steady)
+        node.create_timer(PERIOD, self._check_heartbeats, clock=steady)
 
     def on_position(self, time_s: float, rear_position: float) -> None:
         """Takes a tracker sample (s monotonic, m) into the run's record."""
@@ -102,7 +102,7 @@ class RunGaitAction:
         goal = bytes(beat.goal)
         for current in tuple(self._runs):
             if current.goal_id == goal:
-                current.owner.hear()
+                current.owner.record()
 
     def on_power(self, sample: PowerSample) -> None:
         """Takes a power sample into the run's record."""
@@ -154,7 +154,7 @@ class RunGaitAction:
         if current.end.is_reached(run, current.record, hardware.settings.body.pitch):
             current.leaving = True
             hardware.loop.submit(hardware.robot.finish)
-        elif is_in_vain(run, current.record, hardware.settings.body.pitch):
+        elif makes_no_progress(run, current.record, hardware.settings.body.pitch):
             self._leave(current, "ended, as the robot gains no groove with this gait")
 
     def _end_unseen(self, current: _Current, run: Run, now: float) -> None:
@@ -165,12 +165,12 @@ class RunGaitAction:
                 current, f"ended, as the tracker did not see the robot at the end of cycle {cycle}"
             )
 
-    def _look_for_owners(self) -> None:
+    def _check_heartbeats(self) -> None:
         """A run whose owner is not heard any more comes to rest."""
         now = time.monotonic()
         for current in self._runs:
             if current.owner.is_silent(now) and current.ended is None:
-                silence = current.owner.patience
+                silence = current.owner.timeout
                 self._leave(current, f"ended, as its owner was not heard for {silence:g} s")
 
     def _leave(self, current: _Current, reason: str) -> None:
@@ -180,7 +180,7 @@ class RunGaitAction:
             return
         current.leaving = True
         self._node.get_logger().warning(f"run {current.number} {reason}")
-        hardware.loop.submit(lambda now: hardware.robot.cancel(now, reason), patience=math.inf)
+        hardware.loop.submit(lambda now: hardware.robot.cancel(now, reason), lifetime=math.inf)
 
     def _on_rejected(self, goal_id: bytes, reason: str) -> None:
         """In any thread: report why a goal is rejected."""
@@ -210,14 +210,14 @@ class RunGaitAction:
             raise DriverError(
                 "a run that ends by grooves or distance needs the topic tracker, which is silent"
             )
-        owner = Owner(self._patience(asked.heartbeat), time.monotonic())
+        owner = HeartbeatMonitor(self._patience(asked.heartbeat), time.monotonic())
 
         def start(now: float) -> int:
             if self._server.stops != stops:
                 raise LimitError("a stop came after this goal: send it again")
             return hardware.robot.start(now, gait, cycles)
 
-        number = hardware.loop.ask(start, undo=hardware.robot.cancel)
+        number = hardware.loop.run(start, undo=hardware.robot.cancel)
         self._runs.append(_Current(goal_id, number, Future(), RunRecord(), end, owner))
 
     def _patience(self, asked: float) -> float:
@@ -225,7 +225,7 @@ class RunGaitAction:
         if not (math.isfinite(asked) and asked >= 0.0):
             raise LimitError(f"heartbeat must be a time in s, not {asked:g}")
         demanded: float = self._node.get_parameter(HEARTBEAT).value
-        return patience_of(asked, demanded)
+        return shorter_timeout(asked, demanded)
 
     def _finish(
         self, goal: ServerGoalHandle, current: _Current, outcome: Run | str
@@ -285,7 +285,7 @@ def _elapsed(run: Run, snapshot: Snapshot) -> float:
     if run.onset is not None:
         return snapshot.command_time - run.onset
     resting = snapshot.player.phase is Phase.RESTING
-    return -(snapshot.command_time - snapshot.player.since) if resting else -0.0
+    return -(snapshot.command_time - snapshot.player.phase_start) if resting else -0.0
 
 
 def _result(run: Run, measured: Figures, pitch: float) -> RunGait.Result:

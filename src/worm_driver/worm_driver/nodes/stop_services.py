@@ -80,7 +80,7 @@ class StopServices:
         self._cancel_goals()
         try:
             hardware = self._opened()
-            hardware.loop.insist(
+            hardware.loop.run_without_deadline(
                 lambda now: hardware.robot.stop(now, "the service stop was called")
             )
         except Exception as error:  # noqa: BLE001 (the next call must find the service alive)
@@ -118,7 +118,7 @@ class StopServices:
         except DriverError:
             return  # nothing is open that could move
         hardware.loop.submit(
-            lambda now: hardware.robot.stop(now, "the emergency stop is on"), patience=math.inf
+            lambda now: hardware.robot.stop(now, "the emergency stop is on"), lifetime=math.inf
         )
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -116,13 +116,13 @@ class TelemetryPublisher:
             run and (run.number, run.onset, run.cycles, run.cycle(snapshot.command_time)),
         )
         if shown != self._shown:
-            self._tell_fault(player)
+            self._log_fault(player)
             self._shown = shown
             self._gait_state.publish(
                 driver_messages.gait_state(snapshot, clocks, emergency_stop=self._emergency.on)
             )
 
-    def _tell_fault(self, player: PlayerState) -> None:
+    def _log_fault(self, player: PlayerState) -> None:
         """A fault is an error in the log, once, with its cause and what to do."""
         is_fault = player.phase is Phase.FAULT
         if is_fault and not self._faulty:

@@ -29,7 +29,7 @@ from worm_driver.tracking.tracking_errors import ImageError, SetupError, Trackin
 from worm_msgs import readiness
 from worm_msgs.node_command import declare, run_node
 from worm_msgs.parameter_rows import ParameterRow
-from worm_msgs.ros_process import Ending, spare_pauses
+from worm_msgs.ros_process import ShutdownRequest, spare_pauses
 
 #: Value of setup_file that selects the setup of the virtual robot's camera.
 VIRTUAL = "virtual"
@@ -232,7 +232,7 @@ def _time(nanoseconds: int) -> Time:
     return Time(sec=nanoseconds // _NANOSECONDS, nanosec=nanoseconds % _NANOSECONDS)
 
 
-def _run(ended: Ending) -> int:
+def _run(ended: ShutdownRequest) -> int:
     node = TrackerNode()
     try:
         executor = SingleThreadedExecutor()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The virtual robot as a process: doors for the driver, the camera and the faults as a ROS node."""
+"""The virtual robot as a process: ports for the driver, the camera and the faults as a ROS node."""
 
 import argparse
 import logging
@@ -28,7 +28,6 @@ from worm_driver.virtual_robot.virtual_settings import (
     check_conditions,
     load_settings,
 )
-from worm_driver.virtual_robot.wire.endpoints import DirectoryError, Endpoints
 from worm_driver.virtual_robot.wire.faults import (
     KINDS,
     FaultBoard,
@@ -36,9 +35,10 @@ from worm_driver.virtual_robot.wire.faults import (
     make_fault,
     parse_fault,
 )
+from worm_driver.virtual_robot.wire.robot_server import DirectoryError, RobotServer
 from worm_msgs import readiness
 from worm_msgs.node_command import declare_none
-from worm_msgs.ros_process import Ending, own_arguments, ros_process
+from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 from worm_msgs.srv import InjectFault
 
 _DEPTH = 500  # of samples that may wait for a subscriber whose machine is busy
@@ -71,7 +71,7 @@ class VirtualRobotNode(Node):
         super().__init__("virtual_robot")
         declare_none(self)
         epoch_ns = self.get_clock().now().nanoseconds
-        self.endpoints = Endpoints(
+        self.server = RobotServer(
             robot,
             directory,
             self._take_samples,
@@ -100,7 +100,7 @@ class VirtualRobotNode(Node):
             if self._camera is None:
                 self._positions.publish(stamp.to_msg(), *places)
             else:
-                patience = _CAMERA_PATIENCE if self.endpoints.waits else 0.0
+                patience = _CAMERA_PATIENCE if self.server.waits else 0.0
                 self._camera.expose(stamp.nanoseconds, *places, patience)
 
     def _tell_time(self, now: float) -> None:
@@ -111,17 +111,17 @@ class VirtualRobotNode(Node):
 
     def _stamp(self, time: float) -> Time:
         """The ROS time of the robot's time (s); in real time that of the machine, which may be set."""
-        endpoints = self.endpoints
-        if endpoints.shares_time:
-            return Time(nanoseconds=endpoints.epoch_ns + round(time * 1e9))
-        age = endpoints.now() - time
+        server = self.server
+        if server.shares_time:
+            return Time(nanoseconds=server.epoch_ns + round(time * 1e9))
+        age = server.now() - time
         return self.get_clock().now() - Duration(nanoseconds=round(age * 1e9))
 
     def _inject(
         self, request: InjectFault.Request, response: InjectFault.Response
     ) -> InjectFault.Response:
         if request.name == "clear":
-            self.endpoints.clear_faults()
+            self.server.clear_faults()
             response.success, response.message = True, "all faults are over"
             return response
         try:
@@ -136,7 +136,7 @@ class VirtualRobotNode(Node):
         except FaultError as error:
             response.success, response.message = False, str(error)
             return response
-        self.endpoints.inject(fault)
+        self.server.inject(fault)
         response.success, response.message = True, f"{fault.name}: {KINDS[fault.name].text}"
         return response
 
@@ -227,33 +227,33 @@ def _make_robot(arguments: argparse.Namespace) -> VirtualRobot:
 def _serve(node: VirtualRobotNode, failures: list[Exception]) -> None:
     """The serving thread; a failure there ends the process."""
     try:
-        node.endpoints.run()
+        node.server.run()
     except Exception as error:  # noqa: BLE001 (reported by the main thread)
         failures.append(error)
 
 
-def _run(robot: VirtualRobot, options: argparse.Namespace, ended: Ending) -> None:
+def _run(robot: VirtualRobot, options: argparse.Namespace, ended: ShutdownRequest) -> None:
     """Serves until the process is asked to end, and the driver has. Raises what the serving thread raised."""
     node = VirtualRobotNode(robot, options.directory, options.rate, options.camera)
-    ended.again = node.endpoints.stop
+    ended.again = node.server.stop
     failures: list[Exception] = []
     serving = threading.Thread(target=_serve, args=(node, failures), name="serving")
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
-        node.endpoints.open()
+        node.server.open()
         serving.start()
         sys.stdout.write(f"ready: {options.directory}\n")
         sys.stdout.flush()
         readiness.announce()
         # Where all are asked to end at once, the robot is there until the driver has let go of it.
-        while serving.is_alive() and not (ended() and node.endpoints.quiet_for(_QUIET)):
+        while serving.is_alive() and not (ended() and node.server.quiet_for(_QUIET)):
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
     finally:
-        node.endpoints.stop()
+        node.server.stop()
         if serving.ident is not None:
             serving.join()
-        node.endpoints.close()
+        node.server.close()
         node.close()
         node.destroy_node()
     if failures:

@@ -69,7 +69,7 @@ class GoalGate:
             BusError: The packet cannot be sent.
         """
         within = {servo: ticks for servo, ticks in goals.items() if self._is_within(servo, ticks)}
-        self._bus.note_withheld(len(goals) - len(within))
+        self._bus.count_withheld(len(goals) - len(within))
         self._bus.sync_write(_GOAL, within)
         self._sent.update(within)
 

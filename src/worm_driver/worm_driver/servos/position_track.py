@@ -14,7 +14,7 @@ _SLACK = 64
 
 
 @dataclass(frozen=True)
-class Sighting:
+class PositionSample:
     """Plausible position.
 
     Attributes:
@@ -42,11 +42,11 @@ class PositionTrack:
 
     def __init__(self, fastest: Mapping[int, float]):
         self._fastest = dict(fastest)
-        self._last: dict[int, Sighting] = {}
+        self._last: dict[int, PositionSample] = {}
         self._watches = False
         self.lost: dict[int, int] = {}
 
-    def begin(self, positions: Mapping[int, Sighting]) -> None:
+    def begin(self, positions: Mapping[int, PositionSample]) -> None:
         """Begin to reject implausible samples, starting from confirmed positions."""
         self._last.update(positions)
         self._watches = True
@@ -57,7 +57,7 @@ class PositionTrack:
         self._watches = False
         self.lost.clear()
 
-    def last(self, servo: int) -> Sighting | None:
+    def last(self, servo: int) -> PositionSample | None:
         """Return the last plausible position of a servo, None before the first one."""
         return self._last.get(servo)
 
@@ -65,7 +65,7 @@ class PositionTrack:
         """Record a sample received at a time (s) and return True, or return False if it is implausible."""
         if self._watches and not self._is_plausible(servo, ticks, time):
             return False
-        self._last[servo] = Sighting(ticks, time)
+        self._last[servo] = PositionSample(ticks, time)
         return True
 
     def lose(self, servo: int, ticks: int) -> None:
@@ -79,7 +79,7 @@ class PositionTrack:
         return last is None or is_reachable(last, ticks, time, self._fastest[servo])
 
 
-def is_reachable(last: Sighting, ticks: int, time: float, fastest: float) -> bool:
+def is_reachable(last: PositionSample, ticks: int, time: float, fastest: float) -> bool:
     """Return True if a servo with a velocity limit (rad/s) can be at a position (ticks) at a time (s)."""
     turned = _FASTER * fastest * max(0.0, time - last.time) / math.tau * TICKS_PER_TURN
     return abs(ticks - last.ticks) <= turned + _SLACK

@@ -68,7 +68,7 @@ def _own_terminals() -> set[int]:
     return terminals
 
 
-def refuse_other_openers(descriptor: int) -> None:
+def open_exclusively(descriptor: int) -> None:
     """Make the kernel reject further opens of a tty, also by programs that ignore lock files.
 
     A pseudo-terminal is excluded, because its other side keeps it open and the mark would outlive its opener.
@@ -77,8 +77,8 @@ def refuse_other_openers(descriptor: int) -> None:
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
 
 
-def admit_other_openers(descriptor: int) -> None:
-    """Undo `refuse_other_openers`."""
+def end_exclusive_use(descriptor: int) -> None:
+    """Undo `open_exclusively`."""
     with contextlib.suppress(OSError):
         fcntl.ioctl(descriptor, termios.TIOCNXCL)
 

@@ -165,7 +165,7 @@ class BusPort(PortHandler):
             self.closePort()
         self.ser = serial.Serial(self.port_name, cflag_baud, timeout=0, exclusive=True)
         self.is_open = True
-        serial_port.refuse_other_openers(self.ser.fileno())
+        serial_port.open_exclusively(self.ser.fileno())
         with contextlib.suppress(
             OSError, ValueError, AttributeError
         ):  # not every tty has the ioctl
@@ -178,7 +178,7 @@ class BusPort(PortHandler):
         """Close the device and permit other programs to open it."""
         if self.is_open:
             self.is_open = False
-            serial_port.admit_other_openers(self.ser.fileno())
+            serial_port.end_exclusive_use(self.ser.fileno())
             self.ser.close()
 
 
@@ -420,16 +420,16 @@ class ServoBus:
             torque = COMMON["torque_enable"]
             self._check_sent(handler.writeTxOnly(self.port, BROADCAST, torque.address, 1, [0]))
 
-    def note_stale(self) -> None:
+    def count_stale(self) -> None:
         """Count an answer that is older than its request. The next request waits for a quiet line."""
         self._count(stale=1)
         self._settled = False
 
-    def note_implausible(self) -> None:
+    def count_implausible(self) -> None:
         """Count a position that its servo cannot have reached."""
         self._count(implausible=1)
 
-    def note_withheld(self, goals: int) -> None:
+    def count_withheld(self, goals: int) -> None:
         """Count goals that were not written because they are out of bounds."""
         self._count(withheld=goals)
 

@@ -74,7 +74,7 @@ class StateReader:
         lost = self._track.lost
         return [servo.number for servo in self._servos if servo.number not in lost]
 
-    def take_suspect(self) -> int | None:
+    def pop_suspect(self) -> int | None:
         """Remove and return a servo that showed a sign of a fault or a restart; None if there is none.
 
         A sign is not yet a fault, because a late answer can look like one. The caller reads the servo again.
@@ -150,7 +150,7 @@ class StateReader:
         return asked, states
 
     def _note_implausible(self, servo: int, ticks: int) -> None:
-        self._bus.note_implausible()
+        self._bus.count_implausible()
         self._implausible[servo] = ticks
         self.problems[servo] = f"gives a position that it cannot have reached ({ticks} ticks)"
 
@@ -166,7 +166,7 @@ class StateReader:
             return False
         self._clocks[servo] = clock = tick_clock.update(clock, tick, received)
         if tick_clock.age(clock, tick, asked) > tick_clock.RESOLUTION:
-            self._bus.note_stale()
+            self._bus.count_stale()
             return False
         return True
 

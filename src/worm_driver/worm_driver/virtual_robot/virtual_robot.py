@@ -190,7 +190,7 @@ class VirtualRobot:
                 servo.supervise(_SUPERVISION)
         self._disturb_sensor(time)
         self._load(time)
-        if self.board.take(faults.PUT_BACK, time):
+        if self.board.consume(faults.PUT_BACK, time):
             self.state = self.plant.put_back(self.state)
         self.board.forget_past(time)
 
@@ -228,7 +228,7 @@ class VirtualRobot:
         surge = overflow or self.board.active(faults.INA219_SATURATION, time)
         self._extra_current = 0.0 if surge is None else surge.value
         self.chip.forced_overflow = overflow is not None
-        if self.board.take(faults.INA219_RESET, time):
+        if self.board.consume(faults.INA219_RESET, time):
             self.chip.power_on()
 
 

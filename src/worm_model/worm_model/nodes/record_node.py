@@ -35,7 +35,7 @@ from worm_model.commands.command_line import (
 )
 from worm_model.nodes.raw_subscriptions import RecordNode
 from worm_msgs import readiness
-from worm_msgs.ros_process import Ending, own_arguments, ros_process
+from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
 
 POLL_S = 0.01
 DISCOVERY_S = 0.1
@@ -264,7 +264,7 @@ def _session_options(
     )
 
 
-def _run(arguments: argparse.Namespace, command: Sequence[str], ended: Ending) -> int:
+def _run(arguments: argparse.Namespace, command: Sequence[str], ended: ShutdownRequest) -> int:
     selection = TopicSelection(
         frozenset(arguments.topics),
         everything=arguments.all,

@@ -37,14 +37,14 @@ from worm_model.simulation import warm_up
 from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.records import Event, Severity, StateRecord
 from worm_model.twin.samples import SAMPLE, Kind
-from worm_model.twin.scene import LOST_S, Sighting, scene
+from worm_model.twin.scene import LOST_S, PositionSample, scene
 from worm_model.twin.stored_memory import StoringTimes, stored_memory
 from worm_model.twin.twin import Output, Twin
 from worm_model.twin.twin_status import report
 from worm_msgs import qos
 from worm_msgs.msg import BodyLength, TwinEvent, TwinMemory, TwinResiduals, TwinState
 from worm_msgs.node_command import declare, run_node
-from worm_msgs.ros_process import Ending, ending_at_once, spare_pauses
+from worm_msgs.ros_process import ShutdownRequest, exiting_on_signal, spare_pauses
 from worm_msgs.srv import PredictGait
 
 POLL_S = 0.02
@@ -109,7 +109,7 @@ class TwinNode(Node):
         self._received = self._moved = (
             time.monotonic()
         )  # times of the last input and of the last state
-        self._sightings: deque[Sighting] = deque([Sighting()], maxlen=SIGHTINGS)
+        self._sightings: deque[PositionSample] = deque([PositionSample()], maxlen=SIGHTINGS)
         self.create_service(PredictGait, "predict_gait", self._predict)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
@@ -137,7 +137,9 @@ class TwinNode(Node):
         if len(output.residuals):
             self._residual = output.residuals[-1].copy()
         for row in samples[samples["kind"] == Kind.POSITION]:
-            self._sightings.append(Sighting(float(row["a"]), float(row["b"]), int(row["stamp"])))
+            self._sightings.append(
+                PositionSample(float(row["a"]), float(row["b"]), int(row["stamp"]))
+            )
 
     def _subscribe(
         self,
@@ -260,8 +262,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_node("twin_node", about, twin_messages.rows, _run, (ParameterError,), arguments)
 
 
-def _run(ended: Ending) -> None:
-    with ending_at_once():
+def _run(ended: ShutdownRequest) -> None:
+    with exiting_on_signal():
         warm_up.main()  # compile before the first sample
     node = TwinNode()
     spare_pauses()

@@ -54,7 +54,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class PositionSample:
     """Latest sample of the tracker: x1 and x2 in m, NaN if not visible, and its stamp in ns."""
 
     rear_position: float = math.nan
@@ -68,7 +68,7 @@ class Sighting:
 
 
 def scene(
-    twin: StateRecord, robot: Sighting, parameters: Parameters, direction: int = FORWARD
+    twin: StateRecord, robot: PositionSample, parameters: Parameters, direction: int = FORWARD
 ) -> list[Shape]:
     """Return all shapes; the robot is missing if the tracker does not see both modules or is silent."""
     shapes = [ridges(twin, parameters)]

@@ -93,7 +93,7 @@ def _console(options: argparse.Namespace) -> int:
     file = str(Path(options.parameters).resolve()) if options.parameters else ""
     secret = _secret(options)
     _check_control_timeout(options.control_timeout)
-    _refuse_taken_port(options.listen, options.port)
+    _reject_port_in_use(options.listen, options.port)
     say = ProgressLog("console")
     notices = new_notices()
 
@@ -188,7 +188,7 @@ def _address(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def _refuse_taken_port(host: str, port: int) -> None:
+def _reject_port_in_use(host: str, port: int) -> None:
     """Raise `InputError` if the address or the port is not available."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:

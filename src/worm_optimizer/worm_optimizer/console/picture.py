@@ -6,7 +6,7 @@ from __future__ import annotations
 from worm_model.gait import FORWARD
 from worm_model.parameters import Parameters
 from worm_model.twin.records import StateRecord
-from worm_model.twin.scene import PIPE_RADIUS, Kind, Shape, Sighting, scene
+from worm_model.twin.scene import PIPE_RADIUS, Kind, PositionSample, Shape, scene
 
 BEFORE, BEHIND = 0.12, 0.12  # m of pipe shown before and behind the robot
 _WALL = 0.006  # m
@@ -15,7 +15,10 @@ _NAMES = {"twin": "ghost", "robot": "robot", "pipe": "pipe", "rear": "fins", "fr
 
 
 def picture(
-    twin: StateRecord | None, robot: Sighting, parameters: Parameters, direction: int = FORWARD
+    twin: StateRecord | None,
+    robot: PositionSample,
+    parameters: Parameters,
+    direction: int = FORWARD,
 ) -> str:
     """An SVG element, its user unit 1 mm; without a twin, the empty pipe and a note.
 

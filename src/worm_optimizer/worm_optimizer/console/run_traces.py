@@ -25,7 +25,7 @@ from worm_model.parameters import Parameters, load_parameters
 from worm_model.run import Run, seconds
 from worm_model.twin.offline_replay import Replay, replay_run
 from worm_model.twin.records import NANOSECONDS, StateRecord
-from worm_model.twin.scene import Sighting
+from worm_model.twin.scene import PositionSample
 from worm_optimizer.console.picture import picture
 
 POINTS = 3000  # largest number of points of a trace
@@ -92,12 +92,15 @@ class RunTraces:
         row = self.row_at(time_s)
         state = {name: float(values[row]) for name, values in self.twin.items()}
         if not all(map(math.isfinite, state.values())):
-            return picture(None, Sighting(), self.parameters)
+            return picture(None, PositionSample(), self.parameters)
         zeros: dict[str, Any] = {field.name: 0 for field in fields(StateRecord)}
         rear, front = (float(self.traces[name][row]) for name in ("x1", "x2"))
         direction = int(self.direction[row]) or FORWARD
         return picture(
-            StateRecord(**{**zeros, **state}), Sighting(rear, front), self.parameters, direction
+            StateRecord(**{**zeros, **state}),
+            PositionSample(rear, front),
+            self.parameters,
+            direction,
         )
 
 

@@ -32,7 +32,7 @@ from worm_model.twin.records import Activity
 from worm_msgs import network
 from worm_msgs.msg import ControlRequest, Heartbeat
 from worm_msgs.qos import LATCHED
-from worm_msgs.ros_process import words_of
+from worm_msgs.ros_process import one_line_of
 from worm_msgs.srv import InjectFault, RequestGait
 from worm_optimizer.nodes.action_goal import ActionGoal
 from worm_optimizer.nodes.gait_run import GaitRun
@@ -103,7 +103,7 @@ def operator(
             context.init(args=[])
             node = OperatorNode(namespace, check, context, name)
         except (network.NetworkError, RuntimeError) as error:  # rcl's own have no public name
-            raise OperatorError(f"ROS: {words_of(error)}") from None
+            raise OperatorError(f"ROS: {one_line_of(error)}") from None
         stack.callback(node.destroy_node)
         yield node
 

@@ -19,7 +19,7 @@ from worm_model.parameters import ParameterError, ParameterFile, load_parameter_
 from worm_model.simulation.simulator import SimulationError
 from worm_msgs.action import OptimizeGaits, ScanMargin
 from worm_msgs.node_command import declare, run_node
-from worm_msgs.ros_process import Ending, spin
+from worm_msgs.ros_process import ShutdownRequest, spin
 from worm_msgs.srv import RequestGait
 from worm_optimizer.nodes import optimizer_messages, optimizer_parameters
 from worm_optimizer.nodes.rejecting_server import RejectingServer
@@ -62,7 +62,7 @@ class OptimizerNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(1.0, self._publish_diagnostics)
         self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self._take_parameters)
+        self.add_post_set_parameters_callback(self._apply_parameters)
         self.create_service(RequestGait, "request_gait", self._request_gait)
         self._serve(
             OptimizeGaits, "optimize_gaits", self._optimize, optimizer_messages.settings_of_goal
@@ -112,7 +112,7 @@ class OptimizerNode(Node):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _take_parameters(self, parameters: Sequence[Parameter]) -> None:
+    def _apply_parameters(self, parameters: Sequence[Parameter]) -> None:
         changes = {parameter.name: parameter.value for parameter in parameters}
         if optimizer_parameters.PARAMETER_FILE in changes:
             self._content = load_parameter_file(changes[optimizer_parameters.PARAMETER_FILE])
@@ -254,7 +254,7 @@ def main() -> int:
     )
 
 
-def _run(ended: Ending) -> None:
+def _run(ended: ShutdownRequest) -> None:
     node = OptimizerNode()
     try:
         spin(node, ended)

@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 
 from worm_model.nodes.twin_messages import nanoseconds
 from worm_model.twin.records import Activity, Health, LengthSource, ResidualRecord, StateRecord
-from worm_model.twin.scene import Sighting
+from worm_model.twin.scene import PositionSample
 from worm_model.twin.watch_view import STALE_S
 from worm_msgs.msg import (
     BodyLength,
@@ -174,13 +174,15 @@ def _residuals_of(message: Any, kept: Mapping[str, tuple[float, Any]]) -> Residu
     return value_of(ResidualRecord, message, **known, **values)
 
 
-def _robot_at(twin: Any, sightings: list[Any]) -> Sighting:
+def _robot_at(twin: Any, sightings: list[Any]) -> PositionSample:
     """Return the sighting nearest to the stamp of a twin message; without a twin message, the newest."""
     in_time = [
-        Sighting(message.rear_position, message.front_position, nanoseconds(message.header.stamp))
+        PositionSample(
+            message.rear_position, message.front_position, nanoseconds(message.header.stamp)
+        )
         for message in (sightings if twin is not None else sightings[-1:])
     ]
     if twin is None or not in_time:
-        return in_time[-1] if in_time else Sighting()
+        return in_time[-1] if in_time else PositionSample()
     stamp = nanoseconds(twin.header.stamp)
     return min(in_time, key=lambda sighting: abs(sighting.stamp_ns - stamp))

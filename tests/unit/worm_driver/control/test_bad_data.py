@@ -413,7 +413,7 @@ def test_a_return_to_rest_keeps_to_its_speed_after_late_cycles(late):
     rig = running()
     rig.robot.stop(rig.clock.now, "stop")
     rig.run(0.5)
-    rig.robot.begin_release(rig.clock.now, "over")
+    rig.robot.ramp_to_rest(rig.clock.now, "over")
     rig.positions.clear()
     while not rig.robot.released:
         rig.run(0.1)

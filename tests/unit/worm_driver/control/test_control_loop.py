@@ -47,7 +47,7 @@ class NotingRobot:
     def is_closed(self, now: float) -> bool:
         return bool(self.releasing) and self.until_rest <= 0
 
-    def leave(self) -> list[str]:
+    def shutdown(self) -> list[str]:
         return ["the torque stays on"] if self.springs_back else self.release()
 
     def release(self) -> list[str]:
@@ -72,7 +72,7 @@ def loop(robot):
     loop = ControlLoop(robot, lambda _: None)
     loop.start()
     yield loop
-    loop.leave("the test is over")
+    loop.shutdown("the test is over")
     loop.join(PATIENCE)
 
 
@@ -81,7 +81,7 @@ def test_every_cycle_is_handed_over_in_order_and_one_thread_owns_the_robot(robot
     loop = ControlLoop(robot, seen.append)
     loop.start()
     wait_for(lambda: robot.cycles >= 50)
-    loop.leave("over")
+    loop.shutdown("over")
     assert loop.join(PATIENCE)
     assert len(seen) == robot.cycles
     assert seen == sorted(seen)
@@ -106,7 +106,7 @@ def test_a_commands_exception_goes_to_who_asked_and_not_into_the_loop(loop):
 
 def test_a_stale_command_is_refused_and_not_carried_out(loop):
     done: list[float] = []
-    late = loop.submit(done.append, patience=-1.0)
+    late = loop.submit(done.append, lifetime=-1.0)
     with pytest.raises(LimitError, match="stale"):
         late.result(PATIENCE)
     assert done == []
@@ -115,7 +115,7 @@ def test_a_stale_command_is_refused_and_not_carried_out(loop):
 def test_a_loop_that_does_not_respond_is_said_so(robot):
     silent = ControlLoop(robot, lambda _: None)
     with pytest.raises(DriverError, match=r"did not respond within 0\.01 s"):
-        silent.ask(lambda _: 1, timeout=0.01)
+        silent.run(lambda _: 1, timeout=0.01)
 
 
 class Slow:
@@ -140,7 +140,7 @@ class Slow:
 def test_an_activation_that_takes_too_long_is_taken_back_when_it_ends(robot, loop):
     slow = Slow(robot)
     with pytest.raises(DriverError, match="did not respond"):
-        loop.ask(slow.activate, timeout=0.05, undo=slow.release)
+        loop.run(slow.activate, timeout=0.05, undo=slow.release)
     after = loop.submit(lambda _: slow.active)
     slow.may_end.set()
     assert after.result(PATIENCE) is False  # whatever is asked later finds it released
@@ -152,7 +152,7 @@ def test_a_command_that_was_given_up_in_the_queue_is_not_carried_out(robot, loop
     first = loop.submit(slow.activate)
     assert slow.begun.wait(PATIENCE)
     with pytest.raises(DriverError, match="did not respond"):
-        loop.ask(done.append, timeout=0.01, undo=done.append)
+        loop.run(done.append, timeout=0.01, undo=done.append)
     slow.may_end.set()
     first.result(PATIENCE)
     loop.submit(lambda _: None).result(PATIENCE)
@@ -164,14 +164,14 @@ def test_what_is_insisted_on_is_carried_out_however_late(robot, loop):
     loop.submit(slow.activate)
     assert slow.begun.wait(PATIENCE)
     with pytest.raises(DriverError, match="did not respond"):
-        loop.insist(done.append, timeout=0.01)
+        loop.run_without_deadline(done.append, timeout=0.01)
     slow.may_end.set()
     wait_for(lambda: len(done) == 1)
 
 
 def test_leaving_brings_the_robot_to_rest_and_releases_it_once(robot, loop):
     wait_for(lambda: robot.cycles > 3)
-    loop.leave("over")
+    loop.shutdown("over")
     assert loop.join(PATIENCE)
     assert robot.releasing == "over"
     assert robot.until_rest <= 0
@@ -183,7 +183,7 @@ def test_a_robot_that_does_not_come_to_rest_keeps_its_torque(robot):
     robot.until_rest, robot.springs_back = 10**9, True
     loop = ControlLoop(robot, lambda _: None)
     loop.start()
-    loop.leave("over")
+    loop.shutdown("over")
     assert loop.join(0.05)
     assert robot.releases == 0
     assert loop.release_problems == ["the torque stays on"]
@@ -191,9 +191,9 @@ def test_a_robot_that_does_not_come_to_rest_keeps_its_torque(robot):
 
 def test_leaving_twice_does_not_begin_a_second_return(robot, loop):
     robot.until_rest = 10**9
-    loop.leave("the signal")
+    loop.shutdown("the signal")
     wait_for(lambda: robot.releasing)
-    loop.leave("the end of the node")
+    loop.shutdown("the end of the node")
     done = robot.cycles
     wait_for(lambda: robot.cycles > done + 5)
     assert robot.releasing == "the signal"
@@ -202,7 +202,7 @@ def test_leaving_twice_does_not_begin_a_second_return(robot, loop):
 
 def test_a_person_who_lets_go_does_not_wait_for_rest(robot, loop):
     robot.until_rest, robot.springs_back = 10**9, True
-    loop.leave("over")
+    loop.shutdown("over")
     loop.release_at_once()
     assert loop.join(PATIENCE)
     assert robot.releases == 1
@@ -216,7 +216,7 @@ def test_an_exception_in_the_cycle_releases_the_robot_and_is_kept(robot, loop):
     with pytest.raises(DriverError, match="has ended: RuntimeError"):
         loop.check()
     with pytest.raises(DriverError, match="has ended: RuntimeError"):
-        loop.ask(lambda _: 1, timeout=0.01)
+        loop.run(lambda _: 1, timeout=0.01)
 
 
 def test_an_exception_in_the_hand_over_releases_the_robot(robot):
@@ -231,7 +231,7 @@ def test_an_exception_in_the_hand_over_releases_the_robot(robot):
 
 def test_a_command_after_the_end_is_answered(robot, loop):
     answers = [loop.submit(lambda _: 1) for _ in range(3)]
-    loop.leave("over")
+    loop.shutdown("over")
     loop.join(PATIENCE)
     for answer in answers:
         assert answer.result(PATIENCE) == 1 or answer.exception(PATIENCE)
@@ -240,7 +240,7 @@ def test_a_command_after_the_end_is_answered(robot, loop):
 def test_waiting_for_the_end_leaves_time_for_something_else(robot, loop):
     calls: list[int] = []
     robot.until_rest = 50
-    loop.leave("over")
+    loop.shutdown("over")
     assert loop.join(PATIENCE, lambda: calls.append(1))
     assert len(calls) > 3
 
@@ -286,7 +286,7 @@ def test_only_setting_up_and_letting_go_may_take_more_than_a_cycle(robot, active
     def end_in_time(_: object) -> None:
         """Before the report's window has moved on: nothing holds a stepped clock back."""
         if robot.cycles >= 100:
-            loop.ask_to_end()
+            loop.request_end()
 
     loop = ControlLoop(robot, end_in_time, clock)
 
@@ -294,7 +294,7 @@ def test_only_setting_up_and_letting_go_may_take_more_than_a_cycle(robot, active
         clock.now += 0.095
         robot.active = after
 
-    loop.submit(long, patience=PATIENCE)
+    loop.submit(long, lifetime=PATIENCE)
     loop.start()
     assert loop.join(PATIENCE)
     assert loop.report().missed == missed

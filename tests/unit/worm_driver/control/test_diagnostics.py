@@ -6,7 +6,7 @@ import pytest
 
 from worm_driver.control import diagnostics
 from worm_driver.control.diagnostics import Level
-from worm_driver.control.real_time import NOT_ASKED
+from worm_driver.control.real_time import NOT_REQUESTED
 from worm_driver.control.telemetry import SILENT, ServoState
 from worm_driver.control.timing import TimingReport
 from worm_driver.errors import PortError
@@ -64,18 +64,18 @@ def test_a_slow_latency_timer_is_named_with_the_remedy():
 
 def test_timing_warns_from_two_milliseconds_on():
     good = TimingReport(0.01, 0.0019, 0.02, 0.0015, 0.006, 1, 1000)
-    assert diagnostics.timing_report(good, 0.01, NOT_ASKED).level is Level.OK
-    late = diagnostics.timing_report(replace(good, p99_error=0.0021), 0.01, NOT_ASKED)
+    assert diagnostics.timing_report(good, 0.01, NOT_REQUESTED).level is Level.OK
+    late = diagnostics.timing_report(replace(good, p99_error=0.0021), 0.01, NOT_REQUESTED)
     assert late.level is Level.WARN
     assert "2.10 ms" in late.message
     assert "wakes the thread 1.50 ms late" in late.message
     long = diagnostics.timing_report(
-        replace(good, p99_error=0.01, p99_cycle=0.014), 0.01, NOT_ASKED
+        replace(good, p99_error=0.01, p99_cycle=0.014), 0.01, NOT_REQUESTED
     )
     assert "a cycle takes 14.0 ms (p99) of 10" in long.message
     assert "free the machine" not in long.message
     starting = TimingReport(*[math.nan] * 5, 0, 1)
-    assert diagnostics.timing_report(starting, 0.01, NOT_ASKED).level is Level.OK
+    assert diagnostics.timing_report(starting, 0.01, NOT_REQUESTED).level is Level.OK
 
 
 @pytest.mark.parametrize(

@@ -185,7 +185,7 @@ class Life(RuleBasedStateMachine):
         """Also with goals that wait: none of them is played after the stop."""
         loop, robot = self.rig.loop, self.rig.robot
         goals = [loop.submit(lambda now: robot.start(now, gait, 1)) for _ in range(queued)]
-        loop.submit(lambda now: robot.stop(now, "stop"), patience=math.inf)
+        loop.submit(lambda now: robot.stop(now, "stop"), lifetime=math.inf)
         self.time_passes(1)
         self.goals += [goal.result() for goal in goals if goal.exception() is None]
         for _ in range(patience):
@@ -198,13 +198,13 @@ class Life(RuleBasedStateMachine):
     def signal(self, stop_after: int | None, again: int) -> None:
         """The process is asked to end, in any state; a stop may come at any moment of it, or a second Ctrl-C."""
         robot, stopped = self.rig.robot, False
-        self.rig.loop.leave("the driver ends")
+        self.rig.loop.shutdown("the driver ends")
         end = self.clock.now + PATIENT
         passed = 0
         while not self.rig.ended and self.clock.now < end:
             if passed == stop_after:
                 stopped = robot.active
-                self.rig.loop.submit(lambda now: robot.stop(now, "stop"), patience=math.inf)
+                self.rig.loop.submit(lambda now: robot.stop(now, "stop"), lifetime=math.inf)
             self.time_passes(1)
             assert robot.player.active_run is None or not stopped
             passed += 1
@@ -252,7 +252,7 @@ class Life(RuleBasedStateMachine):
     def bring_to_rest(self, patience: float) -> None:
         robot = self.rig.robot
         in_fault = robot.player.phase is GaitPhase.FAULT
-        robot.begin_release(self.clock.now, "deactivated")
+        robot.ramp_to_rest(self.clock.now, "deactivated")
         end = self.clock.now + patience
         while not robot.released and self.clock.now < end:
             self.time_passes(1)

@@ -14,7 +14,7 @@ def closing(passed: float) -> Rig:
     """A driver that was asked to end in the middle of a stroke, and returns to rest for a time (s)."""
     rig = Rig()
     rig.run_into_motion()
-    rig.loop.leave("the driver ends")
+    rig.loop.shutdown("the driver ends")
     if passed:
         rig.run(passed)
     return rig
@@ -35,7 +35,7 @@ def contraction(rig: Rig) -> float:
 
 
 def stop(rig: Rig) -> None:
-    rig.loop.submit(lambda now: rig.robot.stop(now, "stop"), patience=math.inf)
+    rig.loop.submit(lambda now: rig.robot.stop(now, "stop"), lifetime=math.inf)
 
 
 @pytest.mark.parametrize("passed", [0.0, 0.05, 0.3, 0.6, 0.8])
@@ -60,7 +60,7 @@ def test_the_next_driver_brings_a_robot_to_rest_that_was_left_so():
     again.run(0.1)
     assert "the torque is on" in again.run(0.02).player.message
     again.robot.activate(again.clock.now)
-    again.robot.begin_release(again.clock.now, "deactivated")
+    again.robot.ramp_to_rest(again.clock.now, "deactivated")
     while not again.robot.released:
         again.run(0.01)
     assert again.robot.release() == []
@@ -90,7 +90,7 @@ def test_a_robot_that_was_stopped_before_is_brought_to_rest():
     rig.run_into_motion()
     rig.robot.stop(rig.clock.now, "stop")
     rig.run(0.5)
-    rig.loop.leave("the driver ends")
+    rig.loop.shutdown("the driver ends")
     assert ended(rig) == []
     assert rig.cable.memory["torque_enable"] == 0
 
@@ -107,7 +107,7 @@ def test_while_nothing_may_start_it_is_not_brought_to_rest_either():
     rig = Rig()
     rig.run_into_motion()
     held = contraction(latched(rig))
-    rig.loop.leave("the driver ends")
+    rig.loop.shutdown("the driver ends")
     assert ended(rig) != []
     assert contraction(rig) == pytest.approx(held, abs=1e-3)
     assert rig.cable.memory["torque_enable"] == 1
@@ -119,12 +119,12 @@ def test_no_deactivation_moves_a_robot_before_its_emergency_stop_is_reset():
     held = contraction(latched(rig))
     assert held > 0.01
     with pytest.raises(StoppedError, match="the emergency stop is on"):
-        rig.robot.begin_release(rig.clock.now, "deactivated")
+        rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.run(0.5)
     assert not rig.robot.released
     assert contraction(rig) == pytest.approx(held, abs=1e-4)
     rig.robot._why_not_start = lambda: ""
-    rig.robot.begin_release(rig.clock.now, "deactivated")
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.run(10.0, until=lambda _: rig.robot.released)
     assert contraction(rig) == pytest.approx(0.0, abs=1e-3)
 
@@ -134,7 +134,7 @@ def test_during_an_emergency_stop_a_robot_that_is_not_contracted_is_released_wit
     rig.activate()
     latched(rig)
     rig.goals.clear()
-    rig.robot.begin_release(rig.clock.now, "deactivated")
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     assert rig.robot.released
     assert rig.goals == []
     assert rig.robot.release() == []
@@ -147,7 +147,7 @@ def test_in_fault_a_person_releases_the_torque_also_during_an_emergency_stop():
     rig.inject("no_answer", target=11, duration=1e6)
     rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
     latched(rig)
-    rig.robot.begin_release(rig.clock.now, "deactivated")
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     assert rig.robot.released
 
 
@@ -163,20 +163,20 @@ def test_a_fault_on_the_way_to_rest_of_a_deactivation_releases_no_torque():
     """Only a deactivation that is requested in FAULT may let a contracted robot spring back."""
     rig = Rig()
     rig.run_into_motion()
-    rig.robot.begin_release(rig.clock.now, "deactivated")
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.run(0.2)
     rig.inject("no_answer", target=11, duration=1e6)
     rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
     assert contraction(rig) > 0.01
     assert (rig.robot.released, rig.robot.holding) == (False, True)
-    rig.robot.begin_release(rig.clock.now, "deactivated again")
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated again")
     assert rig.robot.released
 
 
 def test_a_deactivation_of_a_robot_that_would_not_spring_back_needs_no_second_one():
     rig = Rig()
     rig.activate()
-    rig.robot.begin_release(rig.clock.now, "deactivated")
+    rig.robot.ramp_to_rest(rig.clock.now, "deactivated")
     rig.inject("no_answer", duration=1e6)
     rig.run(1.0, until=lambda s: s.player.phase is Phase.FAULT)
     assert rig.robot.released
@@ -185,7 +185,7 @@ def test_a_deactivation_of_a_robot_that_would_not_spring_back_needs_no_second_on
 def test_no_torque_is_switched_on_while_it_shuts_down():
     rig = Rig()
     rig.run(0.1)
-    rig.loop.leave("the driver ends")
+    rig.loop.shutdown("the driver ends")
     activation = rig.loop.submit(lambda now: rig.robot.activate(now))
     rig.run(rig.settings.period)
     with pytest.raises(LimitError, match="shuts down"):
@@ -212,7 +212,7 @@ def test_a_person_lets_it_go_at_once():
 def test_an_idle_driver_ends_at_once():
     rig = Rig()
     rig.run(0.1)
-    rig.loop.leave("the driver ends")
+    rig.loop.shutdown("the driver ends")
     rig.run(rig.settings.period)
     assert rig.ended
     assert rig.end() == []

@@ -21,8 +21,8 @@ from worm_driver.servos import serial_port
 from worm_driver.servos.servo_bus import BusPort
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import load_settings
-from worm_driver.virtual_robot.wire.endpoints import Endpoints
 from worm_driver.virtual_robot.wire.faults import make_fault
+from worm_driver.virtual_robot.wire.robot_server import RobotServer
 
 PATIENCE = 20.0  # s, only a failure waits for so long
 
@@ -37,14 +37,14 @@ def wait_for(condition) -> None:
 @pytest.fixture
 def robot(tmp_path) -> Iterator[VirtualRobot]:
     virtual = VirtualRobot(load_settings(None))
-    endpoints = Endpoints(virtual, tmp_path / "robot", lambda _: None)
-    endpoints.open()
-    thread = threading.Thread(target=endpoints.run, name="virtual robot")
+    server = RobotServer(virtual, tmp_path / "robot", lambda _: None)
+    server.open()
+    thread = threading.Thread(target=server.run, name="virtual robot")
     thread.start()
     yield virtual
-    endpoints.stop()
+    server.stop()
     thread.join()
-    endpoints.close()
+    server.close()
 
 
 @pytest.fixture
@@ -74,10 +74,10 @@ def test_no_snapshot_and_no_sample_is_ever_dropped(hardware):
 
 
 def test_a_robot_that_nobody_listens_to_is_held(hardware, monkeypatch):
-    monkeypatch.setattr(hardware_module, "_UNHEARD", 0.3)
+    monkeypatch.setattr(hardware_module, "_LISTENING_TIMEOUT", 0.3)
     hardware.snapshots.clear()
-    hardware.loop.ask(hardware.robot.activate)
-    hardware.loop.ask(lambda now: hardware.robot.start(now, Gait(0.05, 0.2), 5))
+    hardware.loop.run(hardware.robot.activate)
+    hardware.loop.run(lambda now: hardware.robot.start(now, Gait(0.05, 0.2), 5))
     wait_for(lambda: hardware.robot.player.phase is Phase.FAULT)
     assert "has not listened" in hardware.robot.player.message
 
@@ -175,12 +175,12 @@ def test_a_release_that_no_servo_acknowledges_is_reported_until_one_does(hardwar
     def released() -> list[str]:
         return [r.message for r in hardware.report(hardware.snapshots[-1]) if "release" in r.name]
 
-    hardware.loop.ask(hardware.robot.activate)
+    hardware.loop.run(hardware.robot.activate)
     robot.board.add(make_fault("no_answer", duration=1e6))
-    hardware.loop.ask(lambda _: hardware.robot.release(), timeout=PATIENCE)
+    hardware.loop.run(lambda _: hardware.robot.release(), timeout=PATIENCE)
     assert "torque may still be on: servo 1 does not answer" in released()[0]
     robot.board.clear()
-    hardware.loop.ask(lambda _: hardware.robot.release(), timeout=PATIENCE)
+    hardware.loop.run(lambda _: hardware.robot.release(), timeout=PATIENCE)
     assert released() == []
 
 

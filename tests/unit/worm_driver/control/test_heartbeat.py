@@ -3,28 +3,30 @@
 
 import math
 
-from worm_driver.control.heartbeat import PERIOD, Owner, patience_of
+from worm_driver.control.heartbeat import PERIOD, HeartbeatMonitor, shorter_timeout
 
 
 def test_an_owner_that_is_heard_is_not_silent():
-    owner = Owner(1.0, 0.0)
+    owner = HeartbeatMonitor(1.0, 0.0)
     for look in range(100):
         if look % 3 == 0:
-            owner.hear()
+            owner.record()
         assert not owner.is_silent(look * PERIOD)
 
 
 def test_an_owner_that_falls_silent_is_missed_after_its_patience():
-    owner = Owner(1.0, 0.0)
+    owner = HeartbeatMonitor(1.0, 0.0)
     silent = [owner.is_silent(look * PERIOD) for look in range(1, 15)]
     assert silent == [look * PERIOD > 1.0 + 1e-9 for look in range(1, 15)]
 
 
 def test_the_drivers_own_pause_is_not_its_owners_silence():
-    owner = Owner(1.0, 0.0)
+    owner = HeartbeatMonitor(1.0, 0.0)
     assert not owner.is_silent(30.0)
 
 
 def test_the_shorter_patience_holds():
-    assert patience_of(2.0, 0.0) == patience_of(0.0, 2.0) == patience_of(2.0, 3.0) == 2.0
-    assert patience_of(0.0, 0.0) == math.inf
+    assert (
+        shorter_timeout(2.0, 0.0) == shorter_timeout(0.0, 2.0) == shorter_timeout(2.0, 3.0) == 2.0
+    )
+    assert shorter_timeout(0.0, 0.0) == math.inf

@@ -11,9 +11,9 @@ import pytest
 from worm_driver.control.control_loop import PeriodicThread
 from worm_driver.control.diagnostics import Level, timing_report
 from worm_driver.control.real_time import (
-    NOT_ASKED,
-    Urgency,
-    ask_for_urgency,
+    NOT_REQUESTED,
+    Scheduling,
+    request_scheduling,
     return_to_normal,
 )
 from worm_driver.control.timing import TimingReport
@@ -29,25 +29,25 @@ def refused(*_: int) -> None:
 
 def test_the_calling_thread_gets_what_was_asked_for():
     asked: list[int] = []
-    urgency = ask_for_urgency(40, asked.append, lambda: asked.append(-1))
+    scheduling = request_scheduling(40, asked.append, lambda: asked.append(-1))
     assert asked == [40, -1]
-    assert urgency == Urgency(granted=True, words="SCHED_FIFO 40, memory locked")
+    assert scheduling == Scheduling(granted=True, words="SCHED_FIFO 40, memory locked")
 
 
 def test_what_is_refused_is_named_with_a_remedy_and_the_rest_is_kept():
-    urgency = ask_for_urgency(40, refused, lambda: None)
-    assert not urgency.granted
-    assert urgency.words.startswith("no SCHED_FIFO 40 (Operation not permitted): grant it")
-    assert "locked memory" not in urgency.words
-    both = ask_for_urgency(40, refused, refused)
+    scheduling = request_scheduling(40, refused, lambda: None)
+    assert not scheduling.granted
+    assert scheduling.words.startswith("no SCHED_FIFO 40 (Operation not permitted): grant it")
+    assert "locked memory" not in scheduling.words
+    both = request_scheduling(40, refused, refused)
     assert "no SCHED_FIFO 40" in both.words
     assert "no locked memory" in both.words
-    memory = ask_for_urgency(7, granted, refused)
+    memory = request_scheduling(7, granted, refused)
     assert memory.words.startswith("no locked memory")
 
 
 def test_it_may_be_turned_off():
-    assert ask_for_urgency(0, refused, refused) is NOT_ASKED
+    assert request_scheduling(0, refused, refused) is NOT_REQUESTED
 
 
 def test_who_shares_the_interpreter_gets_half_until_it_is_given_back():
@@ -56,13 +56,13 @@ def test_who_shares_the_interpreter_gets_half_until_it_is_given_back():
         return os.sched_getparam(0).sched_priority, os.sched_getparam(main).sched_priority
 
     def servo_thread() -> None:
-        urgencies.append(ask_for_urgency(10, lock_memory=lambda: None))
+        urgencies.append(request_scheduling(10, lock_memory=lambda: None))
         found.append(priorities())
         return_to_normal()
         found.append(priorities())
 
     found: list[tuple[int, int]] = []
-    urgencies: list[Urgency] = []
+    urgencies: list[Scheduling] = []
     thread = threading.Thread(target=servo_thread)
     thread.start()
     thread.join()
@@ -92,10 +92,10 @@ def test_it_is_asked_for_by_the_thread_itself_before_its_first_step():
 
 
 def test_the_diagnostics_tell_it_and_blame_it_only_for_a_late_loop():
-    missing = ask_for_urgency(40, refused, refused)
+    missing = request_scheduling(40, refused, refused)
     fine = TimingReport(0.01, 0.0005, 0.001, 0.0005, 0.004, 0, 1000)
     late = TimingReport(0.01, 0.004, 0.02, 0.003, 0.006, 7, 1000)
     assert timing_report(fine, 0.01, missing).level is Level.OK
     assert ("real_time_priority", missing.words) in timing_report(fine, 0.01, missing).values
     assert missing.words in timing_report(late, 0.01, missing).message
-    assert "grant" not in timing_report(late, 0.01, Urgency(granted=True, words="x")).message
+    assert "grant" not in timing_report(late, 0.01, Scheduling(granted=True, words="x")).message

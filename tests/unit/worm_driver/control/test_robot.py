@@ -120,7 +120,7 @@ def test_an_activation_that_fails_halfway_takes_the_torque_off_again(rig):
 
 def test_release_brings_the_cable_to_rest_before_the_torque_goes():
     rig = moving()
-    rig.robot.begin_release(rig.clock.now, "over")
+    rig.robot.ramp_to_rest(rig.clock.now, "over")
     while not rig.robot.released:
         rig.run(0.01)
     assert rig.cable_speed < 0.01
@@ -735,7 +735,7 @@ def test_deactivation_at_the_pretension_pays_it_out_before_the_torque_goes():
     rig.activate()
     rig.start(0.06, 0.4, 1, **SHAPED)
     rig.run(10.0, until=lambda s: s.player.phase is Phase.RESTING)
-    rig.robot.begin_release(rig.clock.now, "over")
+    rig.robot.ramp_to_rest(rig.clock.now, "over")
     assert not rig.robot.released
     rig.run(5.0, until=lambda s: s.player.phase is Phase.IDLE)
     assert rig.robot.released
@@ -748,7 +748,9 @@ def test_a_lower_limit_ends_a_gait_whose_pretension_and_stroke_exceed_it():
     rig.activate()
     rig.start(0.06, 0.4, 5, **SHAPED)
     rig.run(10.0, until=lambda s: s.player.phase is Phase.RUNNING)
-    assert "run 1 ends" in rig.robot.take(rig.clock.now, replace(rig.settings, max_stroke=0.07))
+    assert "run 1 ends" in rig.robot.apply_settings(
+        rig.clock.now, replace(rig.settings, max_stroke=0.07)
+    )
     rig.run(10.0, until=lambda s: s.player.phase is Phase.IDLE)
     assert rig.robot.player.run.ending is Ending.CANCELLED
     with pytest.raises(LimitError, match="contract the body by"):

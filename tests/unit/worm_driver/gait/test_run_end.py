@@ -10,7 +10,7 @@ from worm_driver.gait import gait_player
 from worm_driver.gait.gait_limits import Gait, GaitLimits
 from worm_driver.gait.gait_metrics import RunRecord
 from worm_driver.gait.gait_player import Phase, PlayerState, Run
-from worm_driver.gait.run_end import RunEnd, is_in_vain, is_late, unseen_cycle
+from worm_driver.gait.run_end import RunEnd, is_late, makes_no_progress, unseen_cycle
 
 PITCH, ONSET = 0.0173, 10.0
 GAIT = Gait(0.07, 0.2)
@@ -74,9 +74,9 @@ def test_a_cycle_whose_end_the_tracker_missed_is_named_once_its_word_is_late():
 
 
 def test_three_cycles_without_a_groove_are_in_vain():
-    assert not is_in_vain(RUN, seen(2.99, 0.0), PITCH)
-    assert is_in_vain(RUN, seen(3.99, 0.0), PITCH)
-    assert not is_in_vain(RUN, seen(3.99), PITCH)
+    assert not makes_no_progress(RUN, seen(2.99, 0.0), PITCH)
+    assert makes_no_progress(RUN, seen(3.99, 0.0), PITCH)
+    assert not makes_no_progress(RUN, seen(3.99), PITCH)
 
 
 def test_a_run_that_is_finished_ends_as_completed_with_its_cycle():

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from worm_driver.errors import LimitError
 from worm_driver.servos.goal_gate import Bound, GoalGate
-from worm_driver.servos.position_track import PositionTrack, Sighting
+from worm_driver.servos.position_track import PositionSample, PositionTrack
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
@@ -28,7 +28,7 @@ class Gated:
         )
         self.bus = ServoBus(SimulatedPort(wire, self.clock))
         self.track = PositionTrack({CABLE: 4.8})
-        self.track.begin({CABLE: Sighting(0, 0.0)})
+        self.track.begin({CABLE: PositionSample(0, 0.0)})
         self.gate = GoalGate(self.bus, self.track)
         self.gate.bounds = {CABLE: bound}
 

@@ -38,7 +38,7 @@ def test_other_openers_are_admitted_again():
     master, slave = os.openpty()
     fcntl.ioctl(slave, 0x540C)  # TIOCEXCL
     assert _exclusive(slave)
-    serial_port.admit_other_openers(slave)
+    serial_port.end_exclusive_use(slave)
     assert not _exclusive(slave)
     os.close(master)
     os.close(slave)
@@ -46,7 +46,7 @@ def test_other_openers_are_admitted_again():
 
 def test_a_pseudo_terminal_is_not_marked():
     master, slave = os.openpty()
-    serial_port.refuse_other_openers(slave)
+    serial_port.open_exclusively(slave)
     assert not _exclusive(slave)
     os.close(master)
     os.close(slave)

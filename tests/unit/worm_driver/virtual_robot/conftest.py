@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A virtual robot that serves its doors in a thread, without ROS."""
+"""A virtual robot that serves its ports in a thread, without ROS."""
 
 import threading
 from collections.abc import Iterator
@@ -11,25 +11,25 @@ import pytest
 from worm_driver.virtual_robot.camera import TrackerSample
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.virtual_settings import RobotSettings, load_settings
-from worm_driver.virtual_robot.wire.endpoints import I2C_NAME, SERIAL_NAME, Endpoints
+from worm_driver.virtual_robot.wire.robot_server import I2C_NAME, SERIAL_NAME, RobotServer
 
 
 @dataclass
 class Served:
-    """A robot with its doors; samples grows with what the camera sees."""
+    """A robot with its ports; samples grows with what the camera sees."""
 
     robot: VirtualRobot
     directory: Path
-    endpoints: Endpoints
+    server: RobotServer
     thread: threading.Thread
     samples: list[TrackerSample] = field(default_factory=list)
 
     def end(self) -> None:
         """What the process does when it ends."""
         if self.thread.is_alive():
-            self.endpoints.stop()
+            self.server.stop()
             self.thread.join()
-            self.endpoints.close()
+            self.server.close()
 
     @property
     def port(self) -> str:
@@ -51,10 +51,10 @@ def served(settings: RobotSettings, tmp_path: Path) -> Iterator[Served]:
     """A robot behind a pseudo-terminal and a socket."""
     robot = VirtualRobot(settings)
     samples: list[TrackerSample] = []
-    endpoints = Endpoints(robot, tmp_path, samples.extend)
-    endpoints.open()
-    thread = threading.Thread(target=endpoints.run)
+    server = RobotServer(robot, tmp_path, samples.extend)
+    server.open()
+    thread = threading.Thread(target=server.run)
     thread.start()
-    served = Served(robot, tmp_path, endpoints, thread, samples)
+    served = Served(robot, tmp_path, server, thread, samples)
     yield served
     served.end()

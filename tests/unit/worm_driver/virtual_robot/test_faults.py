@@ -67,12 +67,12 @@ def test_a_fault_strikes_its_target_in_its_time():
 
 def test_a_count_is_used_up():
     board = FaultBoard([make_fault("no_answer", count=2)])
-    assert [bool(board.take("no_answer", 0.0, 1)) for _ in range(3)] == [True, True, False]
+    assert [bool(board.consume("no_answer", 0.0, 1)) for _ in range(3)] == [True, True, False]
 
 
 def test_a_duration_is_not():
     board = FaultBoard([make_fault("no_answer", duration=1.0)])
-    assert all(board.take("no_answer", time, 1) for time in (0.0, 0.5, 1.0))
+    assert all(board.consume("no_answer", time, 1) for time in (0.0, 0.5, 1.0))
 
 
 def test_past_faults_are_forgotten_and_all_can_be_cleared():

@@ -64,15 +64,15 @@ def wait_until(condition, what):
 
 
 def wait_for_boot(served):
-    cable, now = served.robot.servos[0], served.endpoints.now
+    cable, now = served.robot.servos[0], served.server.now
     wait_until(lambda: cable.answers(now()), "servo after its boot")
 
 
 def inject(served, name, **options):
     """Asks for a fault and waits until the serving thread has taken the order."""
     fault = make_fault(name, **options)
-    served.endpoints.inject(fault)
-    board, now = served.robot.board, served.endpoints.now
+    served.server.inject(fault)
+    board, now = served.robot.board, served.server.now
     wait_until(lambda: board.active(name, now(), fault.target), f"fault {name}")
 
 

@@ -48,7 +48,7 @@ def test_a_wrong_address_is_a_nack(bus):
 
 
 def test_a_hanging_bus_is_a_timeout(bus, served):
-    served.endpoints.inject(make_fault(faults.I2C_TIMEOUT, value=0.05))
+    served.server.inject(make_fault(faults.I2C_TIMEOUT, value=0.05))
     seen = []
     while not seen:
         try:

@@ -12,8 +12,8 @@ from worm_driver.clock import MachineClock
 from worm_driver.servos.registers import COMMON
 from worm_driver.servos.servo_bus import ServoBus
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.wire.endpoints import Endpoints
 from worm_driver.virtual_robot.wire.faults import make_fault
+from worm_driver.virtual_robot.wire.robot_server import RobotServer
 from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, VirtualClock, clock_of
 
 
@@ -21,17 +21,15 @@ class _Robot:
     def __init__(self, settings, directory: Path, rate: float | None):
         self.directory = directory
         self.robot = VirtualRobot(settings)
-        self.endpoints = Endpoints(
-            self.robot, directory, lambda _: None, rate=rate, epoch_ns=10**18
-        )
-        self.endpoints.open()
-        self.thread = threading.Thread(target=self.endpoints.run)
+        self.server = RobotServer(self.robot, directory, lambda _: None, rate=rate, epoch_ns=10**18)
+        self.server.open()
+        self.thread = threading.Thread(target=self.server.run)
         self.thread.start()
 
     def end(self) -> None:
-        self.endpoints.stop()
+        self.server.stop()
         self.thread.join()
-        self.endpoints.close()
+        self.server.close()
 
 
 @pytest.fixture
@@ -92,7 +90,7 @@ def test_a_missing_answer_takes_its_timeout_and_no_more(fast):
     bus, clock = open_bus(fast)
     bus.retries = 0
     bus.read(1, COMMON["present_position"])
-    fast.endpoints.inject(make_fault("no_answer", target=1))
+    fast.server.inject(make_fault("no_answer", target=1))
     clock.sleep_until(clock() + 0.1)
     begin = clock()
     with pytest.raises(Exception, match="does not answer"):

@@ -13,7 +13,7 @@ from worm_model.parameters import PAPER
 from worm_model.simulation.simulator import simulate
 from worm_model.twin.forecast import ForecastError, forecast
 from worm_model.twin.records import Activity, Health, LengthSource, Severity, StateRecord
-from worm_model.twin.scene import FREE, HOLDING, YIELDING, Sighting, engagement, scene
+from worm_model.twin.scene import FREE, HOLDING, YIELDING, PositionSample, engagement, scene
 from worm_model.twin.twin import Twin
 from worm_model.twin.twin_status import report
 
@@ -66,7 +66,7 @@ def record(**changes) -> StateRecord:
 
 
 def test_the_scene_shows_robot_and_ghost_on_the_pipes_lattice():
-    shapes = {s.name: s for s in scene(record(), Sighting(0.01, 0.31, 1), PAPER)}
+    shapes = {s.name: s for s in scene(record(), PositionSample(0.01, 0.31, 1), PAPER)}
     assert shapes["robot rear module"].position[0] == 0.01
     assert shapes["twin front module"].position[0] == 0.3
     ridges = sorted({x for x, _, _ in shapes["pipe ridges"].points})
@@ -77,10 +77,10 @@ def test_the_scene_shows_robot_and_ghost_on_the_pipes_lattice():
 @pytest.mark.parametrize(
     "sighting",
     [
-        Sighting(),
-        Sighting(0.01, math.nan, ONSET),
-        Sighting(0.01, 0.31, ONSET - 1_100_000_000),
-        Sighting(0.01, 0.31, ONSET + 1_100_000_000),
+        PositionSample(),
+        PositionSample(0.01, math.nan, ONSET),
+        PositionSample(0.01, 0.31, ONSET - 1_100_000_000),
+        PositionSample(0.01, 0.31, ONSET + 1_100_000_000),
     ],
 )
 def test_a_robot_that_is_not_seen_is_not_drawn(sighting):

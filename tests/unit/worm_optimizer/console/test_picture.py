@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 from worm_model.parameters import PAPER
 from worm_model.twin.records import LengthSource, StateRecord
-from worm_model.twin.scene import MODULE, PIPE_RADIUS, Sighting
+from worm_model.twin.scene import MODULE, PIPE_RADIUS, PositionSample
 from worm_optimizer.console.picture import picture
 
 TWIN = StateRecord(0, LengthSource.MEASURED, *(0.3, 0.0, 0.3, 0.0, 0.10, 0.40, 0.0, 0.0, 0.09, 0.39),
@@ -24,7 +24,7 @@ def number(element: ElementTree.Element, name: str) -> float:
 
 
 def test_modules_stand_where_they_are_in_mm():
-    text = picture(TWIN, Sighting(0.11, 0.41, 0), PAPER)
+    text = picture(TWIN, PositionSample(0.11, 0.41, 0), PAPER)
     for kind, places in (("ghost", (0.10, 0.40)), ("robot", (0.11, 0.41))):
         shown = boxes(text, kind)
         assert len(shown) == 2
@@ -34,35 +34,35 @@ def test_modules_stand_where_they_are_in_mm():
 
 
 def test_the_pipe_is_as_wide_as_it_is():
-    walls = [box for box in boxes(picture(TWIN, Sighting(), PAPER), "pipe")
+    walls = [box for box in boxes(picture(TWIN, PositionSample(), PAPER), "pipe")
              if number(box, "width") > 100.0]  # fmt: skip
     upper, lower = sorted(number(box, "y") for box in walls)
     assert math.isclose(lower - (upper + number(walls[0], "height")), 2e3 * PIPE_RADIUS)
 
 
 def test_a_robot_that_is_not_seen_is_not_drawn():
-    text = picture(TWIN, Sighting(), PAPER)
+    text = picture(TWIN, PositionSample(), PAPER)
     assert boxes(text, "robot") == []
     assert "not seen" in text
 
 
 def test_fins_change_their_colour_with_what_they_do():
-    held = boxes(picture(TWIN, Sighting(), PAPER), "fins")
+    held = boxes(picture(TWIN, PositionSample(), PAPER), "fins")
     pushed = replace(TWIN, rear_anchor=0.11, front_anchor=0.41)
-    yielding = boxes(picture(pushed, Sighting(), PAPER), "fins")
+    yielding = boxes(picture(pushed, PositionSample(), PAPER), "fins")
     assert {box.get("style") for box in held}.isdisjoint(box.get("style") for box in yielding)
-    reverse = boxes(picture(pushed, Sighting(), PAPER, -1), "fins")
+    reverse = boxes(picture(pushed, PositionSample(), PAPER, -1), "fins")
     assert {box.get("style") for box in reverse} == {box.get("style") for box in held}
 
 
 def test_without_a_twin_there_is_a_note():
-    assert "no data of the twin" in picture(None, Sighting(), PAPER)
+    assert "no data of the twin" in picture(None, PositionSample(), PAPER)
 
 
 def test_the_view_rests_while_the_robot_moves_a_little():
     def view(shift: float) -> str | None:
         moved = replace(TWIN, rear_position=0.1 + shift, front_position=0.4 + shift)
-        return ElementTree.fromstring(picture(moved, Sighting(), PAPER)).get("viewBox")
+        return ElementTree.fromstring(picture(moved, PositionSample(), PAPER)).get("viewBox")
 
     assert view(0.0) == view(0.02)
     assert view(0.0) != view(0.2)

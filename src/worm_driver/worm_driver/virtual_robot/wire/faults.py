@@ -197,7 +197,7 @@ class FaultBoard:
                 return fault
         return None
 
-    def take(self, name: str, time: float, target: int | None = None) -> Fault | None:
+    def consume(self, name: str, time: float, target: int | None = None) -> Fault | None:
         """Like active(), and uses one of the fault's count up."""
         fault = self.active(name, time, target)
         if fault is not None:

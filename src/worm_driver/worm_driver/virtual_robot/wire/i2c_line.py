@@ -22,9 +22,9 @@ class I2cLine:
 
     def transact(self, request: Request, time: float) -> Answer:
         """Execute a transaction at a time (s)."""
-        if hang := self._board.take(faults.I2C_TIMEOUT, time):
+        if hang := self._board.consume(faults.I2C_TIMEOUT, time):
             return Answer(errno.ETIMEDOUT, delay=hang.value)
-        if request.address != self._address or self._board.take(faults.I2C_NACK, time):
+        if request.address != self._address or self._board.consume(faults.I2C_NACK, time):
             return Answer(errno.EREMOTEIO)
         if request.operation == frames.WRITE:
             # The chip accepts exactly two bytes per register, most significant byte first.

@@ -111,7 +111,7 @@ class ServoBus:
         return [
             replace(answer, data=_offset(answer.data, begin, end, int(fault.value)))
             if answer.data
-            and (fault := self._board.take(faults.WRONG_POSITION, time, answer.servo_id))
+            and (fault := self._board.consume(faults.WRONG_POSITION, time, answer.servo_id))
             else answer
             for answer in answers
         ]
@@ -129,7 +129,7 @@ class ServoBus:
     ) -> list[Transmission]:
         parts = []
         for answer in answers:
-            if self._board.take(faults.NO_ANSWER, time, answer.servo_id):
+            if self._board.consume(faults.NO_ANSWER, time, answer.servo_id):
                 break  # the next servo waits for the one before it
             parts.append((answer.error, answer.servo_id, answer.data))
         if not parts:
@@ -140,7 +140,7 @@ class ServoBus:
         """A status packet, or what the faults of the wire leave of it."""
 
         def take(name: str) -> faults.Fault | None:
-            return self._board.take(name, due, answer.servo_id)
+            return self._board.consume(name, due, answer.servo_id)
 
         if take(faults.NO_ANSWER):
             return []

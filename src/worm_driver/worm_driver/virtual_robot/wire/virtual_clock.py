@@ -101,15 +101,15 @@ class VirtualClock:
 
     Args:
         directory: the robot's directory.
-        door: the interface that the thread uses, SERIAL or I2C.
+        port: the interface that the thread uses, SERIAL or I2C.
 
     Raises:
         OSError: The directory has no clock.
     """
 
-    patience = _PATIENCE
+    least_timeout = _PATIENCE
 
-    def __init__(self, directory: Path, door: bytes) -> None:
+    def __init__(self, directory: Path, port: bytes) -> None:
         self.traffic = Traffic()
         self._page = Page(directory / PAGE_NAME)
         self.epoch_ns: int | None = self._page.epoch_ns
@@ -118,7 +118,7 @@ class VirtualClock:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._socket.connect(str(directory / SOCKET_NAME))
-            self._socket.sendall(door)
+            self._socket.sendall(port)
             self._await_number(0)
         except OSError:
             self._socket.close()
@@ -185,11 +185,11 @@ class VirtualClock:
         return bool(select.select([] if descriptor is None else [descriptor], [], [], left)[0])
 
 
-def clock_of(device: str, door: bytes) -> Clock:
+def clock_of(device: str, port: bytes) -> Clock:
     """Return the clock for a device: the virtual robot's if the device belongs to one, else the machine's."""
     directory = Path(device).parent
     if not device or not (directory / SOCKET_NAME).is_socket():
         return MachineClock()
     with contextlib.suppress(OSError):
-        return VirtualClock(directory, door)
+        return VirtualClock(directory, port)
     return MachineClock()

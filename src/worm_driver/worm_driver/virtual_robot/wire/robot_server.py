@@ -27,8 +27,8 @@ from worm_driver.virtual_robot.servo.control_table import BAUD_RATES
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
 from worm_driver.virtual_robot.wire import faults
 from worm_driver.virtual_robot.wire import smbus_frames as frames
+from worm_driver.virtual_robot.wire.clock_server import ClockClient, ClockServer
 from worm_driver.virtual_robot.wire.faults import Fault
-from worm_driver.virtual_robot.wire.timekeeper import Party, Timekeeper
 from worm_driver.virtual_robot.wire.virtual_clock import (
     I2C,
     PAGE_NAME,
@@ -57,7 +57,7 @@ class DirectoryError(Exception):
     """Unusable directory; the message contains reason and remedy."""
 
 
-class SerialDoor:
+class PtyPort:
     """Pseudo-terminal with a symbolic link to its client side."""
 
     def __init__(self, link: Path) -> None:
@@ -87,7 +87,7 @@ class SerialDoor:
         os.close(self._slave)
 
 
-Door = SerialDoor | socket.socket
+Port = PtyPort | socket.socket
 
 
 @dataclass(order=True)
@@ -97,10 +97,10 @@ class _Pending:
     time: float
     order: int
     data: bytes = field(compare=False)
-    door: Door = field(compare=False)
+    port: Port = field(compare=False)
 
 
-class Endpoints:
+class RobotServer:
     """Server of a robot in a directory: open(), run() in a thread, stop() from any other thread, close().
 
     Args:
@@ -129,36 +129,36 @@ class Endpoints:
         self._clock = time.monotonic
         self.epoch_ns = epoch_ns
         self.shares_time = rate is not None
-        self.time = Timekeeper(1.0 if rate is None else rate)
+        self.time = ClockServer(1.0 if rate is None else rate)
         self.time.begin(self._clock())
         self._page: Page | None = None
-        self._parties: dict[socket.socket, Party] = {}  # clients of the clock
+        self._clients: dict[socket.socket, ClockClient] = {}  # clients of the clock
         # over the serial line since a client connected; infinite when the counts no longer matter
         self._bytes_sent = self._bytes_received = 0.0
         self._selector = selectors.SelectSelector()  # epoll would round timeouts up to 1 ms
-        self._serial: SerialDoor | None = None
+        self._serial: PtyPort | None = None
         self._opened = False
         self._pending: list[_Pending] = []
         self._sent = 0
-        self._orders: deque[Callable[[float], None]] = deque()
+        self._commands: deque[Callable[[float], None]] = deque()
         self._stopped = False
-        self._last_heard = -math.inf  # machine's clock, s
+        self._last_received = -math.inf  # machine's clock, s
         self._wake_reader, self._wake_writer = socket.socketpair()
 
     def now(self) -> float:
         """Return the time (s) on the robot's clock."""
-        return self.time.now if self._parties else self.time.alone(self._clock())
+        return self.time.now if self._clients else self.time.alone(self._clock())
 
     @property
     def waits(self) -> bool:
         """True if the robot's clock has clients and waits for them."""
-        return bool(self._parties)
+        return bool(self._clients)
 
     # --- life ---------------------------------------------------------------------------------
 
     def open(self) -> None:
         """Lock the directory and create the devices. Raises DirectoryError."""
-        self._lock = _take(self._directory)
+        self._lock = _lock_directory(self._directory)
         try:
             for name in (SERIAL_NAME, I2C_NAME, SOCKET_NAME):
                 _remove_leftover(self._directory / name)
@@ -167,7 +167,7 @@ class Endpoints:
                 self._page = Page.make(self._directory / PAGE_NAME, self.epoch_ns)
                 self._listen(SOCKET_NAME, self._on_clock)
         except DirectoryError:
-            self._give_back()
+            self._unlock()
             raise
         self._opened = True
         self._plug_in()
@@ -177,9 +177,9 @@ class Endpoints:
     def run(self) -> None:
         """Serve until stop()."""
         while not self._stopped:
-            for key, _ in self._selector.select(self._patience()):
+            for key, _ in self._selector.select(self._time_to_update()):
                 key.data()
-            self._robot.advance(self._go_on())
+            self._robot.advance(self._advance_time())
             self._follow_plug()
             self._send_due()
             self._on_time(self.now())
@@ -195,15 +195,15 @@ class Endpoints:
 
     def quiet_for(self, duration: float) -> bool:
         """Return True if the servo bus was silent for a duration (s of machine time); from any thread."""
-        return self._clock() - self._last_heard > duration
+        return self._clock() - self._last_received > duration
 
     def inject(self, fault: Fault) -> None:
         """Inject a fault whose start is relative to now; from any thread."""
-        self._order(lambda now: self._robot.board.add(fault.delayed(now)))
+        self._submit(lambda now: self._robot.board.add(fault.delayed(now)))
 
     def clear_faults(self) -> None:
         """End all faults; from any thread."""
-        self._order(lambda _: self._robot.board.clear())
+        self._submit(lambda _: self._robot.board.clear())
 
     def close(self) -> None:
         """Remove what open() created, after run() has ended; repeated calls have no effect."""
@@ -220,21 +220,21 @@ class Endpoints:
         self._serial = None
         for name in (I2C_NAME, SOCKET_NAME, PAGE_NAME):
             (self._directory / name).unlink(missing_ok=True)
-        self._give_back()
+        self._unlock()
 
-    def _give_back(self) -> None:
+    def _unlock(self) -> None:
         (self._directory / _LOCK_NAME).unlink(missing_ok=True)
         os.close(self._lock)
 
     # --- events -------------------------------------------------------------------------------
 
-    def _go_on(self) -> float:
+    def _advance_time(self) -> float:
         """Advance simulated time as far as allowed and return it."""
-        machine, parties = self._clock(), self._parties.values()
-        if any(party.has_lost(machine) for party in parties):
+        machine, clients = self._clock(), self._clients.values()
+        if any(client.has_lost_bytes(machine) for client in clients):
             self._cut_line()
-        if parties:
-            waiting = (p.waits(self._bytes_sent, self._bytes_received) for p in parties)
+        if clients:
+            waiting = (p.waits(self._bytes_sent, self._bytes_received) for p in clients)
             now = self.time.together(machine, waiting, self._next_event())
         else:
             now = self.time.alone(machine)
@@ -247,39 +247,39 @@ class Endpoints:
 
     def _next_event(self) -> float:
         """Return the time (s) of the next event, which must not be skipped."""
-        dues = [party.wait.until for party in self._parties.values() if party.wait is not None]
+        dues = [client.wait.until for client in self._clients.values() if client.wait is not None]
         dues += [item.time for item in self._pending[:1]]
         return min([*dues, self.time.now + _WAKE_UP])
 
-    def _patience(self) -> float:
+    def _time_to_update(self) -> float:
         """Return the time (s of machine time) until the next update, if no data arrives."""
-        machine, parties = self._clock(), self._parties.values()
-        if not parties:
+        machine, clients = self._clock(), self._clients.values()
+        if not clients:
             wait = _WAKE_UP
             if self._pending:
                 wait = min(wait, self._pending[0].time - self.now())
             return max(wait, 0.0)
-        if all(p.waits(self._bytes_sent, self._bytes_received) for p in parties):
+        if all(p.waits(self._bytes_sent, self._bytes_received) for p in clients):
             return max(self.time.machine_time(self._next_event()) - machine, 0.0)
         return _LOOK
 
     def _wake_due(self) -> None:
         """End the waits that are due."""
         now = self.time.now
-        for connection, party in self._parties.items():
-            if party.wait is None or party.wait.until > now:
+        for connection, client in self._clients.items():
+            if client.wait is None or client.wait.until > now:
                 continue
-            if party.waits(self._bytes_sent, self._bytes_received):
-                number, party.wait = party.wait.number, None
+            if client.waits(self._bytes_sent, self._bytes_received):
+                number, client.wait = client.wait.number, None
                 _send(connection, WAKE.pack(number))
 
     def _on_wake(self) -> None:
         self._wake_reader.recv(_CHUNK)
-        while self._orders:
-            self._orders.popleft()(self.now())
+        while self._commands:
+            self._commands.popleft()(self.now())
 
-    def _order(self, order: Callable[[float], None]) -> None:
-        self._orders.append(order)
+    def _submit(self, command: Callable[[float], None]) -> None:
+        self._commands.append(command)
         self._wake_writer.send(b"x")
 
     def _on_serial(self) -> None:
@@ -287,7 +287,7 @@ class Endpoints:
             return
         rate, data = self._serial.baud_rate(), self._serial.read()
         self._bytes_received += len(data)
-        self._last_heard = self._clock()
+        self._last_received = self._clock()
         for answer in self._robot.receive(data, self.now(), rate):
             self._send(answer.data, answer.time, self._serial)
 
@@ -295,36 +295,36 @@ class Endpoints:
         try:
             request = frames.unpack_request(_received(connection))
         except (ConnectionError, struct.error):
-            self._let_go(connection)
+            self._disconnect(connection)
             return
         now = self.now()
         answer = self._robot.transact(request, now)
         if answer.delay > 0.0:
-            self._let_wait(I2C)
+            self._await_delayed_answer(I2C)
         self._send(frames.pack_answer(answer), now + answer.delay, connection)
 
-    def _send(self, data: bytes, due: float, door: Door) -> None:
+    def _send(self, data: bytes, due: float, port: Port) -> None:
         if due <= self.now():
-            self._write(data, door)
+            self._write(data, port)
             return
         self._sent += 1
-        heapq.heappush(self._pending, _Pending(due, self._sent, data, door))
+        heapq.heappush(self._pending, _Pending(due, self._sent, data, port))
 
     def _send_due(self) -> None:
         now = self.now()
         while self._pending and self._pending[0].time <= now:
             item = heapq.heappop(self._pending)
-            self._write(item.data, item.door)
+            self._write(item.data, item.port)
 
-    def _write(self, data: bytes, door: Door) -> None:
+    def _write(self, data: bytes, port: Port) -> None:
         """Send bytes and end the waits of the clients that expect them."""
-        _send(door, data)
-        is_serial = isinstance(door, SerialDoor)
+        _send(port, data)
+        is_serial = isinstance(port, PtyPort)
         self._bytes_sent += len(data) if is_serial else 0
-        for party in self._parties.values():
-            at_door = party.door == (SERIAL if is_serial else I2C)
-            if at_door and party.wait is not None and party.wait.listening:
-                party.wait = None
+        for client in self._clients.values():
+            at_port = client.port == (SERIAL if is_serial else I2C)
+            if at_port and client.wait is not None and client.wait.listening:
+                client.wait = None
 
     # --- the time -----------------------------------------------------------------------------
 
@@ -332,18 +332,18 @@ class Endpoints:
         """Process a packet of a clock client: first its interface, then each wait."""
         try:
             packet = _received(connection)
-            party = self._parties.get(connection)
-            if party is not None:
-                party.wait, party.since = Wait.unpack(packet), self._clock()
+            client = self._clients.get(connection)
+            if client is not None:
+                client.wait, client.since = Wait.unpack(packet), self._clock()
                 return
         except (ConnectionError, struct.error):
-            self._parties.pop(connection, None)
-            self._let_go(connection)
-            if not self._parties:
+            self._clients.pop(connection, None)
+            self._disconnect(connection)
+            if not self._clients:
                 self.time.begin(self._clock())
             return
         self._show(self.now())  # the client reads the time at once
-        self._parties[connection] = Party(packet)
+        self._clients[connection] = ClockClient(packet)
         _send(connection, WAKE.pack(0))
         if packet == SERIAL:
             self._begin_line()
@@ -351,20 +351,20 @@ class Endpoints:
     def _begin_line(self) -> None:
         """Reset the byte counts and drop bytes in transit to an earlier client."""
         self._bytes_sent = self._bytes_received = 0.0
-        self._pending = [item for item in self._pending if item.door is not self._serial]
+        self._pending = [item for item in self._pending if item.port is not self._serial]
         heapq.heapify(self._pending)
 
     def _cut_line(self) -> None:
         """Stop counting: bytes that no client will receive must not stop the time."""
         self._bytes_sent, self._bytes_received = -math.inf, math.inf
 
-    def _let_wait(self, door: bytes) -> None:
+    def _await_delayed_answer(self, port: bytes) -> None:
         """Mark the clients of an interface as waiting for its delayed answer."""
-        for party in self._parties.values():
-            if party.door == door:
-                party.wait, party.since = Wait(-1, math.inf, True, 0, 0), self._clock()
+        for client in self._clients.values():
+            if client.port == port:
+                client.wait, client.since = Wait(-1, math.inf, True, 0, 0), self._clock()
 
-    # --- doors --------------------------------------------------------------------------------
+    # --- ports --------------------------------------------------------------------------------
 
     def _listen(self, name: str, serve: Callable[[socket.socket], None]) -> None:
         """Accept clients on a socket. Raises DirectoryError."""
@@ -376,12 +376,12 @@ class Endpoints:
 
         self._selector.register(listener, selectors.EVENT_READ, accept)
 
-    def _let_go(self, connection: socket.socket) -> None:
+    def _disconnect(self, connection: socket.socket) -> None:
         self._selector.unregister(connection)
         connection.close()
 
     def _plug_in(self) -> None:
-        self._serial = SerialDoor(self._directory / SERIAL_NAME)
+        self._serial = PtyPort(self._directory / SERIAL_NAME)
         self._selector.register(self._serial.master, selectors.EVENT_READ, self._on_serial)
 
     def _follow_plug(self) -> None:
@@ -389,7 +389,7 @@ class Endpoints:
         unplugged = self._robot.board.active(faults.UNPLUGGED, self.now()) is not None
         if unplugged and self._serial is not None:
             self._selector.unregister(self._serial.master)
-            self._pending = [item for item in self._pending if item.door is not self._serial]
+            self._pending = [item for item in self._pending if item.port is not self._serial]
             heapq.heapify(self._pending)
             self._serial.close()
             self._serial = None
@@ -398,7 +398,7 @@ class Endpoints:
             self._plug_in()
 
 
-def _take(directory: Path) -> int:
+def _lock_directory(directory: Path) -> int:
     """Lock a directory, creating it if necessary; the lock ends with the process."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -426,10 +426,10 @@ def _received(connection: socket.socket) -> bytes:
     return packet
 
 
-def _send(door: Door, data: bytes) -> None:
+def _send(port: Port, data: bytes) -> None:
     """Send bytes; they are lost if the client's buffer is full, as on a bus, or if it has disconnected."""
     with contextlib.suppress(OSError):
-        door.send(data)
+        port.send(data)
 
 
 def _listening(path: Path) -> socket.socket:

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worm_driver.virtual_robot.wire.timekeeper import Party, Timekeeper
+from worm_driver.virtual_robot.wire.clock_server import ClockClient, ClockServer
 from worm_driver.virtual_robot.wire.virtual_clock import I2C, SERIAL, Wait
 
 
-def keeper(rate: float = 1.0) -> Timekeeper:
-    made = Timekeeper(rate)
+def keeper(rate: float = 1.0) -> ClockServer:
+    made = ClockServer(rate)
     made.begin(100.0)
     return made
 
@@ -71,12 +71,14 @@ def test_whatever_the_machine_does_no_event_is_passed_and_time_never_goes_back(s
 
 
 def test_bytes_on_their_way_keep_the_time():
-    party = Party(SERIAL, Wait(1, 0.1, True, written=14, read=60), since=5.0)
-    assert party.waits(sent=60, received=14)
-    assert not party.waits(sent=60, received=13)  # a question that has not come through
-    assert not party.waits(sent=61, received=14)  # an answer that has not
-    assert Party(SERIAL, Wait(1, 0.1, False, 14, 60)).waits(sent=61, received=14)  # nor is wanted
-    assert not Party(SERIAL).waits(0, 0)
-    assert Party(I2C, Wait(1, 0.1, False, 0, 0)).waits(sent=61, received=14)
-    assert not party.has_lost(5.1)
-    assert party.has_lost(60.0)
+    client = ClockClient(SERIAL, Wait(1, 0.1, True, written=14, read=60), since=5.0)
+    assert client.waits(sent=60, received=14)
+    assert not client.waits(sent=60, received=13)  # a question that has not come through
+    assert not client.waits(sent=61, received=14)  # an answer that has not
+    assert ClockClient(SERIAL, Wait(1, 0.1, False, 14, 60)).waits(
+        sent=61, received=14
+    )  # nor is wanted
+    assert not ClockClient(SERIAL).waits(0, 0)
+    assert ClockClient(I2C, Wait(1, 0.1, False, 0, 0)).waits(sent=61, received=14)
+    assert not client.has_lost_bytes(5.1)
+    assert client.has_lost_bytes(60.0)

@@ -7,7 +7,7 @@ import stat
 import pytest
 
 from worm_driver.virtual_robot.virtual_robot import VirtualRobot
-from worm_driver.virtual_robot.wire.endpoints import DirectoryError, Endpoints
+from worm_driver.virtual_robot.wire.robot_server import DirectoryError, RobotServer
 
 
 @pytest.fixture
@@ -15,22 +15,22 @@ def make(settings):
     made = []
 
     def build(directory):
-        endpoints = Endpoints(VirtualRobot(settings), directory, lambda samples: None)
-        made.append(endpoints)
-        return endpoints
+        server = RobotServer(VirtualRobot(settings), directory, lambda samples: None)
+        made.append(server)
+        return server
 
     yield build
-    for endpoints in made:
-        endpoints.close()
+    for server in made:
+        server.close()
 
 
 def test_what_stands_there_and_that_it_goes(make, tmp_path):
     directory = tmp_path / "deep" / "robot"
-    endpoints = make(directory)
-    endpoints.open()
+    server = make(directory)
+    server.open()
     assert os.ttyname(os.open(directory / "servo_bus", os.O_RDWR | os.O_NOCTTY)).startswith("/dev")
     assert stat.S_ISSOCK((directory / "i2c.sock").stat().st_mode)
-    endpoints.close()
+    server.close()
     assert list(directory.iterdir()) == []
 
 

@@ -17,33 +17,33 @@ _LOST = 2.0
 
 
 @dataclass
-class Party:
+class ClockClient:
     """Client of the simulated clock.
 
     Attributes:
-        door: interface that the client uses (virtual_clock.SERIAL or I2C).
+        port: interface that the client uses (virtual_clock.SERIAL or I2C).
         wait: event that the client waits for; None while it computes.
         since: machine time at which the wait started, s.
     """
 
-    door: bytes
+    port: bytes
     wait: Wait | None = None
     since: float = 0.0
 
     def waits(self, sent: float, received: float) -> bool:
         """Return True if the client is idle, given the bytes sent to it and received from it over the serial line."""
-        if self.wait is None or self.door != SERIAL:
+        if self.wait is None or self.port != SERIAL:
             return self.wait is not None
-        heard = not self.wait.listening or self.wait.read >= sent
-        return heard and received >= self.wait.written
+        all_read = not self.wait.listening or self.wait.read >= sent
+        return all_read and received >= self.wait.written
 
-    def has_lost(self, machine: float) -> bool:
+    def has_lost_bytes(self, machine: float) -> bool:
         """Return True if bytes to or from the client have been in transit for too long at a machine time (s)."""
-        return self.wait is not None and self.door == SERIAL and machine - self.since > _LOST
+        return self.wait is not None and self.port == SERIAL and machine - self.since > _LOST
 
 
 @dataclass
-class Timekeeper:
+class ClockServer:
     """Simulated time and its rate.
 
     Attributes:
@@ -72,9 +72,9 @@ class Timekeeper:
         self._machine = machine
         return self.now
 
-    def together(self, machine: float, parties: Iterable[bool], until: float) -> float:
+    def together(self, machine: float, clients: Iterable[bool], until: float) -> float:
         """Return the simulated time with clients, each idle or not, bounded by the next event (s)."""
-        waiting = all(parties)
+        waiting = all(clients)
         self._machine = machine
         if waiting:
             due = until if math.isinf(self.rate) else (machine - self._start) * self.rate
