@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from worm_model.errors import InputError
-from worm_model.parameters import STANDARD_GRAVITY, Parameters
+from worm_model.parameters import STANDARD_GRAVITY, ParameterFile, Parameters
 
 WATER_DENSITY = 998.2  # kg/m³ at 20 °C
 
@@ -66,6 +66,15 @@ class Conditions:
                     f"{given}: {getattr(self, given):g} has no effect without {missing}; give both"
                 )
 
+    def __str__(self) -> str:
+        """Return the values that are not zero in words, such as ``slope 20 deg, tether 2 N``, or ``level ground``."""
+        words = ", ".join(
+            f"{row['option'].strip('-').replace('-', ' ')} {value:g} {row['unit']}"
+            for name, row in CONDITION_ROWS.items()
+            if (value := getattr(self, name))
+        )
+        return words or "level ground"
+
     @property
     def tether(self) -> float:
         """Force of the tether at ``distance_m``, N."""
@@ -76,6 +85,8 @@ LEVEL = Conditions()
 CONDITION_ROWS: Mapping[str, Mapping[str, Any]] = {
     row.name: row.metadata for row in dataclasses.fields(Conditions)
 }
+#: field of `Conditions` by the ROS parameter, setting of system.yaml and key of a recording's manifest that states it
+CONDITION_PARAMETERS: Mapping[str, str] = {name.lower(): name for name in CONDITION_ROWS}
 
 
 def conditions_of(source: Any) -> Conditions:
@@ -103,3 +114,19 @@ def under(conditions: Conditions, parameters: Parameters) -> Parameters:
         front_load=parameters.front_load + parameters.front_mass * weight + resting,
         viscous_friction=parameters.viscous_friction + drag,
     )
+
+
+def content_under(conditions: Conditions, content: ParameterFile) -> ParameterFile:
+    """Return a parameter file under conditions; the intervals move with their values.
+
+    Raises `ParameterError` if a load is outside of its range.
+    """
+    if conditions == LEVEL:
+        return content
+    parameters = under(conditions, content.parameters)
+    before, after = content.parameters.as_dict(), parameters.as_dict()
+    intervals = {
+        key: (low + after[key] - before[key], high + after[key] - before[key])
+        for key, (low, high) in content.intervals.items()
+    }
+    return dataclasses.replace(content, parameters=parameters, intervals=intervals)

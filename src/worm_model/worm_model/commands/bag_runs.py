@@ -24,16 +24,20 @@ from worm_model.analysis.run_metrics import (
     early_end,
     mean_rate,
 )
-from worm_model.bags.bag import Bag
 from worm_model.bags.finding import METADATA_FILE
 from worm_model.bags.formats.bag_metadata import read_metadata
 from worm_model.bags.opening import are_sound, is_unfinished, open_bag
-from worm_model.bags.recording.run_manifest import RUN_RECORD, recorded_parameters
+from worm_model.bags.recording.run_manifest import (
+    RUN_RECORD,
+    recorded_conditions,
+    recorded_robot,
+)
 from worm_model.bags.recovery.recovery import storage_files
 from worm_model.bags.run_reader import read_run
 from worm_model.bags.worm_topics import REPLAY_INPUTS
 from worm_model.commands.bag_table import CLOSED, COLUMNS, DAMAGED, OPEN
-from worm_model.parameters import Parameters, load_parameters
+from worm_model.conditions import Conditions
+from worm_model.parameters import Parameters
 from worm_model.run import Run, utc_of
 from worm_model.simulation.simulator import cost_of_transport
 from worm_model.twin.offline_replay import Replay, replay_run
@@ -58,7 +62,7 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
     remarks: list[str] = []
     with open_bag(path, remarks.append) as bag:
         run = read_run(bag, names=REPLAY_INPUTS)
-        values = load_parameters(parameters) if parameters else _own_parameters(bag)
+        values, conditions = recorded_robot(bag, parameters).parameters, recorded_conditions(bag)
         record = bag.metadata.get(RUN_RECORD, {})
         span = (bag.end - bag.start) * 1e-9
         start = bag.start
@@ -68,13 +72,9 @@ def rows_of_bag(path: Path, parameters: str) -> list[dict[str, Any]]:
     if not reports:
         said = "; ".join(["no gait was run", *notes, *remarks])
         return [{"start": utc_of(start), "duration_s": span, "notes": said}]
-    figures = [RunFigures(run, replay, report, values, [*notes, *remarks]) for report in reports]
+    remarks = [*notes, *remarks]
+    figures = [RunFigures(run, replay, r, values, conditions, remarks) for r in reports]
     return [{column.key: column.value(f) for column in COLUMNS} for f in figures]
-
-
-def _own_parameters(bag: Bag) -> Parameters:
-    content = recorded_parameters(bag)
-    return Parameters() if content is None else content.parameters
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,7 @@ class RunFigures:
     replay: Replay
     report: RunReport
     parameters: Parameters
+    conditions: Conditions
     remarks: Sequence[str]
 
     @property

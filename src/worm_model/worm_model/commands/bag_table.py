@@ -9,11 +9,12 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from worm_model.bags.finding import bags_below, mark_of, name_below
+from worm_model.conditions import LEVEL, Conditions
 from worm_model.errors import InputError
 from worm_model.gait import named_values
 
@@ -21,7 +22,7 @@ Row = dict[str, Any]
 
 CLOSED, OPEN, DAMAGED = "closed", "not closed", "damaged"
 MISSING = "–"
-FIGURES_VERSION = 4  # raise it where a figure is computed otherwise
+FIGURES_VERSION = 5  # raise it where a figure is computed otherwise
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,12 @@ COLUMNS = (
     Column("start", "start", lambda run: run.start, lambda start: str(start)[:19]),
     Column("duration_s", "s", lambda run: run.duration_s, _number(1.0, 1)),
     Column("gait", "gait", lambda run: named_values(run.played.gait), gait_text),
+    Column(
+        "conditions",
+        "conditions",
+        lambda run: asdict(run.conditions),
+        lambda values: "" if (stated := Conditions(**values)) == LEVEL else str(stated),
+    ),
     Column("cycles", "cycles", lambda run: run.cycles, _number(1.0, 0)),
     Column("groove_phase", "φ mm", lambda run: run.groove_phase, _number(1e3, 2)),
     Column("grooves_per_cycle", "grooves", lambda run: run.grooves_per_cycle, _number(1.0, 2)),
@@ -134,6 +141,13 @@ def _read(bag: Path, parameters: str) -> list[Row]:
         return [{**empty, STATE: state, "notes": " ".join(str(error).split())}]
 
 
+def _without_empty(lines: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return a table without the columns that have a title alone, such as the conditions on level ground."""
+    columns = zip(*lines, strict=True)
+    filled = [column for column in columns if set(column[1:]) - {"", MISSING}]
+    return [list(row) for row in zip(*filled, strict=True)]
+
+
 def describe(rows: Sequence[Row], folder: Path) -> str:
     """The table for people."""
     shown = [column for column in COLUMNS if column.title]
@@ -146,6 +160,7 @@ def describe(rows: Sequence[Row], folder: Path) -> str:
         lines.append([name, *cells])
         if row["notes"]:
             notes.append(f"{name}: {row['notes']}")
+    lines = _without_empty(lines)
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     table = [
         "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip()

@@ -28,6 +28,7 @@ from worm_model.bags.formats.cdr import ColumnBuilder
 from worm_model.bags.formats.message_block import Message, Topic, messages_of
 from worm_model.bags.formats.message_types import parse_ahead, topic_of
 from worm_model.bags.opening import open_bag
+from worm_model.bags.recording.run_manifest import recorded_conditions
 from worm_model.bags.run_reader import RunReader, namespace_of, stamps_of
 from worm_model.bags.run_writer import stamped_messages, write_extended
 from worm_model.bags.worm_topics import (
@@ -45,6 +46,7 @@ from worm_model.commands.command_line import (
     notifier,
     print_result,
 )
+from worm_model.conditions import under
 from worm_model.parameters import load_parameters
 from worm_model.run import Stamps
 from worm_model.simulation import warm_up
@@ -303,6 +305,7 @@ def _replay(options: argparse.Namespace) -> None:
     with open_bag(options.bag, _notify, options.definitions) as bag:
         reader = RunReader(bag, options.namespace, REPLAY_INPUTS)
         _check_drive(bag, options.namespace)
+        parameters = under(recorded_conditions(bag), parameters)
         replay = OfflineReplay(reader.parts, parameters)
         reporter = replay.feed(
             lambda: ReplayReporter(replay.samples, parameters.pitch, replay.resumed_ns)

@@ -33,6 +33,7 @@ from worm_model.commands.command_line import (
     print_json,
     run_command,
 )
+from worm_model.conditions import conditions_of
 from worm_model.nodes.raw_subscriptions import RecordNode
 from worm_msgs import readiness
 from worm_msgs.ros_process import ShutdownRequest, own_arguments, ros_process
@@ -88,6 +89,7 @@ def _parser() -> Parser:
         metavar="FILE",
         help="parameter file of the run, kept inside",
     )
+    parser.add_conditions()
     parser.add_argument("--seed", type=int, help="seed of the run")
     parser.add_argument(
         "--note", action="append", default=[], metavar="KEY=VALUE", help="a line for the manifest"
@@ -246,9 +248,17 @@ class _Recording:
 def _session_options(
     arguments: argparse.Namespace, command: Sequence[str], cleaner: Cleaner | None
 ) -> SessionOptions:
+    conditions = conditions_of(arguments)
+
     def manifest() -> Manifest:
-        now = time.time_ns()
-        content = run_manifest(arguments.parameters, arguments.seed, arguments.note, command, now)
+        content = run_manifest(
+            arguments.parameters,
+            arguments.seed,
+            arguments.note,
+            command,
+            time.time_ns(),
+            conditions,
+        )
         return cleaner.manifest(content) if cleaner else content
 
     manifest()  # what is wrong with it is told before anything is made

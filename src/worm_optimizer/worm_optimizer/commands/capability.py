@@ -15,6 +15,7 @@ from worm_model.commands.command_line import (
     print_result,
     run_command,
 )
+from worm_model.conditions import content_under
 from worm_model.gait import Gait
 from worm_model.parameters import load_parameter_file
 from worm_optimizer.commands.search_options import add_front_options, chosen_settings
@@ -27,7 +28,6 @@ from worm_optimizer.search.capability import (
     strongest,
 )
 from worm_optimizer.search.front import make_front, task_of
-from worm_optimizer.search.pipe_conditions import content_under
 
 
 def _parser() -> Parser:

@@ -16,10 +16,9 @@ from worm_model.commands.command_line import (
     print_result,
     run_command,
 )
-from worm_model.conditions import conditions_of
+from worm_model.conditions import conditions_of, content_under
 from worm_model.gait import Gait
 from worm_model.parameters import SYMBOLS, UNITS, load_parameter_file
-from worm_optimizer.search.pipe_conditions import content_under
 from worm_optimizer.study.sensitivity import Sensitivity, sensitivity
 from worm_optimizer.study.sensitivity_figure import sensitivity_figure
 from worm_optimizer.study.sobol import index_text, warnings_of

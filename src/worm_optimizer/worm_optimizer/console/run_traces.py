@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from worm_model.arrays import Array, Stamps
 from worm_model.bags.opening import open_bag
-from worm_model.bags.recording.run_manifest import recorded_parameters
+from worm_model.bags.recording.run_manifest import recorded_robot
 from worm_model.bags.run_reader import read_run
 from worm_model.commands.command_line import FAILED, InputError, notifier
 from worm_model.gait import FORWARD
-from worm_model.parameters import Parameters, load_parameters
+from worm_model.parameters import Parameters
 from worm_model.run import Run, seconds
 from worm_model.twin.offline_replay import Replay, replay_run
 from worm_model.twin.records import NANOSECONDS, StateRecord
@@ -161,9 +161,8 @@ def main() -> int:
     notify = notifier("traces")
     try:
         with open_bag(options.bag, notify) as bag:
-            run, recorded = read_run(bag), recorded_parameters(bag)
-        own = Parameters() if recorded is None else recorded.parameters
-        parameters = load_parameters(options.parameters) if options.parameters else own
+            run, robot = read_run(bag), recorded_robot(bag, options.parameters)
+        parameters = robot.parameters
         traces = traces_of(run, replay_run(run, parameters), parameters, str(options.bag))
     except InputError as error:
         notify(str(error))

@@ -14,17 +14,22 @@ from worm_model.bags.bag import Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.finding import METADATA_FILE
 from worm_model.bags.opening import open_bag
-from worm_model.bags.recording.run_manifest import recorded_parameters
+from worm_model.bags.recording.run_manifest import (
+    RUN_RECORD,
+    recorded_conditions,
+    recorded_parameters,
+    recorded_robot,
+)
 from worm_model.bags.run_reader import read_run
 from worm_model.errors import InputError
-from worm_model.parameters import ParameterFile, load_parameter_file
+from worm_model.parameters import ParameterFile
 from worm_model.run import Run
 from worm_model.twin.offline_replay import Replay, Series, replay_run
 from worm_optimizer.report.events import events_of
 from worm_optimizer.report.recorded_gait import RecordedGait, recorded_gait
 
-_MANIFEST = "worm_run"
 _PAPER = "the paper's values"
+_INSIDE = "the parameter file inside the recording"
 _CHUNK = 1 << 20
 
 
@@ -153,26 +158,24 @@ def _named_apart(gaits: Sequence[RecordedGait]) -> list[RecordedGait]:
 
 
 def _parameters_of(bag: Bag, file: str) -> tuple[ParameterFile, str]:
-    content, source = _given(bag, file)
+    content = recorded_robot(bag, file)
     form = " (a cable that cannot push)" if content.parameters.one_sided_cable else ""
-    return content, source + form
-
-
-def _given(bag: Bag, file: str) -> tuple[ParameterFile, str]:
-    if file:
-        return load_parameter_file(file), file
-    content = recorded_parameters(bag)
-    if content is not None:
-        return content, "the parameter file inside the recording"
-    return ParameterFile(), _PAPER
+    inside = _PAPER if recorded_parameters(bag) is None else _INSIDE
+    return content, (file or inside) + form
 
 
 def _provenance(bag: Bag, path: Path, source: str) -> dict[str, str]:
     """Return the manifest of the recording, the hashes of its files, and the origin of the parameters."""
     files = [path] if path.is_file() else sorted(f for f in path.iterdir() if f.is_file())
     hashes = {f"sha256 of {file.name}": _sha256(file) for file in files}
-    manifest = {key: value for key, value in bag.metadata.get(_MANIFEST, {}).items() if value}
-    return {"recording": str(path), **hashes, "compared with": source, **manifest}
+    manifest = {key: value for key, value in bag.metadata.get(RUN_RECORD, {}).items() if value}
+    return {
+        "recording": str(path),
+        **hashes,
+        "compared with": source,
+        "conditions": str(recorded_conditions(bag)),
+        **manifest,
+    }
 
 
 def _sha256(path: Path) -> str:

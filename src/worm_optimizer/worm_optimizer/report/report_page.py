@@ -15,6 +15,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from worm_model.analysis.plot_style import save_figure
+from worm_model.conditions import LEVEL
 from worm_model.identification.identification_figures import bellows_figure, fin_figure
 from worm_model.parameters import KEYS, PAPER, SYMBOLS, UNITS
 from worm_optimizer.report.agreement import (
@@ -44,6 +45,7 @@ _TEMPLATE = "report.html.jinja"
 _FACTS = {  # keys of a recording's manifest for each entry at the top of the page; the first available key counts
     "date": ("recorded_at",),
     "robot": ("note.robot", "imported_from", "host"),
+    "conditions": ("conditions",),
     "seed": ("seed",),
 }
 
@@ -150,6 +152,8 @@ def _facts(gaits: Sequence[RecordedGait]) -> dict[str, str]:
         ]
         facts[name] = ", ".join(dict.fromkeys(value for value in values if value))
     facts["date"] = _span_of_dates(facts["date"])
+    if facts["conditions"] == str(LEVEL):
+        facts.pop("conditions")
     facts["parameters"] = ", ".join(dict.fromkeys(gait.parameter_source for gait in gaits))
     return {name: text or "not recorded" for name, text in facts.items()} if gaits else {}
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from worm_model.conditions import content_under
 from worm_model.gait import Gait
 from worm_model.parameters import ParameterFile, Parameters
 from worm_model.simulation.simulator import LoadError, cost_of_transport, evaluate_gait
@@ -18,7 +19,6 @@ from worm_optimizer.robustness.uncertainty import every_phase, phase_guard, phas
 from worm_optimizer.search.actuator_limits import NO_LIMITS, describe_limit
 from worm_optimizer.search.exact import ExactFront, Resolution, Zoom, exact_front
 from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.pipe_conditions import content_under, margin_of_force
 from worm_optimizer.search.price_of_robustness import PriceOfRobustness, price_of_robustness
 from worm_optimizer.search.search_settings import Robustness, Settings, Waveform
 from worm_optimizer.search.shaped import ShapedTask
@@ -206,8 +206,9 @@ def given_margin(parameters: Parameters, settings: Settings) -> tuple[float, str
         return settings.margin, "given"
     if settings.margin_force is None:
         return None
-    margin = margin_of_force(parameters, settings.margin_force)
-    return margin, f"it allows for a load of {settings.margin_force:g} N"
+    # In the slow limit a load Q deflects the engaged fin so that a switch needs Q/(k_eng + k_dis) more of margin.
+    stiffness = parameters.engaged_stiffness + parameters.disengaged_stiffness
+    return settings.margin_force / stiffness, f"it allows for a load of {settings.margin_force:g} N"
 
 
 def any_phase_task(nominal: MarginTask) -> PromiseTask:

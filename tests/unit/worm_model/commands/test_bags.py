@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
 from worm_model.commands import bag_runs, bag_table, bags
 from worm_model.gait import Gait, named_values
@@ -46,6 +47,18 @@ def test_the_table_tells_every_run_and_why_a_bag_has_none(run):
     assert rows["killed"]["gait"] is None
     assert "recover" in rows["killed"]["notes"]
     assert sorted(SAMPLES.rglob("*")) == before  # nothing is recovered by looking
+
+
+def test_the_table_names_the_conditions_of_runs_that_have_some(run, tmp_path):
+    assert "conditions" not in run(SAMPLES)[1]
+    with open_bag(SAMPLES / "forward") as bag, new_bag(tmp_path / "bags" / "steep") as writer:
+        writer.add_metadata("worm_run", {"slope_deg": "20.0"})
+        for channel in bag.channels:
+            writer.add_topic(channel)
+        writer.write_all(bag.messages())
+    assert "slope 20 deg" in run(tmp_path / "bags")[1]
+    (row,) = json.loads(run(tmp_path / "bags", "--json")[1])["runs"]
+    assert row["conditions"]["slope_deg"] == 20.0
 
 
 def test_what_was_read_once_is_not_read_again(run, monkeypatch):

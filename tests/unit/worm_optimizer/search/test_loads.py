@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gaits_for_tests import COARSE, QUICK, coarse_front
 
-from worm_model.conditions import Conditions, under
+from worm_model.conditions import Conditions, content_under, under
 from worm_model.gait import Gait
 from worm_model.parameters import PAPER, ParameterFile
 from worm_model.simulation.closed_form import cliff_margin, largest_load
@@ -18,7 +18,6 @@ from worm_optimizer.search.capability import capabilities, curve, strongest
 from worm_optimizer.search.exact import Zoom, exact_front
 from worm_optimizer.search.front import make_front
 from worm_optimizer.search.optimizer_errors import OptimizerError
-from worm_optimizer.search.pipe_conditions import content_under, margin_of_force
 from worm_optimizer.search.price_of_robustness import price_of_robustness
 from worm_optimizer.search.search_settings import Settings, settings_of
 from worm_optimizer.search.task import Bounds, MarginTask
@@ -67,7 +66,6 @@ def test_a_margin_may_be_stated_as_a_force():
     settings = dataclasses.replace(QUICK, margin_force=5.0)
     front = make_front(ParameterFile(), settings, 1)
     assert front.margin == pytest.approx(5.0 / (1833.1 + 442.0))
-    assert front.margin == margin_of_force(PAPER, 5.0)
 
 
 @pytest.mark.parametrize("values", [{"margin_n": -1.0}, {"margin_n": 5.0, "margin_m": 0.001}])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data of a run that a bag stores in addition to the messages: parameters, seed, versions, notes."""
+"""Data of a run that a bag stores in addition to the messages: parameters, conditions, seed, versions, notes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,20 @@ import yaml
 from worm_model.bags.bag import AttachedFile, Bag
 from worm_model.bags.bag_errors import BagError
 from worm_model.bags.recording.recorder import Manifest
+from worm_model.conditions import (
+    CONDITION_PARAMETERS,
+    LEVEL,
+    Conditions,
+    ConditionsError,
+    content_under,
+)
 from worm_model.errors import printable
-from worm_model.parameters import ParameterError, ParameterFile, parse_parameter_file
+from worm_model.parameters import (
+    ParameterError,
+    ParameterFile,
+    load_parameter_file,
+    parse_parameter_file,
+)
 
 RUN_RECORD = "worm_run"
 HOST = "host"  # key of the computer's name
@@ -45,6 +57,7 @@ def run_manifest(
     notes: Sequence[str],
     command: Sequence[str],
     now_ns: int,
+    conditions: Conditions = LEVEL,
 ) -> Manifest:
     """Return the manifest of a run that begins now.
 
@@ -54,6 +67,7 @@ def run_manifest(
         notes: further entries as ``key=value``.
         command: the command line of the recorder.
         now_ns: the time, ns since the epoch.
+        conditions: conditions in the pipe; those that are not zero are stored.
 
     Raises:
         ManifestError: A note is not ``key=value``, or the parameter file cannot be read.
@@ -68,6 +82,7 @@ def run_manifest(
         "seed": "" if seed is None else str(seed),
         "parameter_file": "",
         "parameter_sha256": "",
+        **_stored(conditions),
         **_versions(),
         **_notes(notes),
     }
@@ -77,6 +92,56 @@ def run_manifest(
         record["parameter_file"] = printable(str(parameter_file))
         record["parameter_sha256"] = hashlib.sha256(data).hexdigest()
     return Manifest({RUN_RECORD: record}, attachments)
+
+
+def _stored(conditions: Conditions) -> Mapping[str, str]:
+    values = {key: getattr(conditions, name) for key, name in CONDITION_PARAMETERS.items()}
+    return {key: repr(value) for key, value in values.items() if value}
+
+
+def recorded_conditions(bag: Bag) -> Conditions:
+    """Return the conditions under which a bag was recorded; level ground if it does not store any.
+
+    Raises:
+        ManifestError: They cannot be used, or there are several different ones, as in merged bags.
+    """
+    records = [dict(record.values) for record in bag.records if record.name == RUN_RECORD]
+    try:
+        found = {
+            Conditions(
+                **{
+                    name: float(record[key])
+                    for key, name in CONDITION_PARAMETERS.items()
+                    if key in record
+                }
+            )
+            for record in records
+        }
+    except (ValueError, ConditionsError) as error:
+        raise ManifestError(f"{bag.path}: its conditions cannot be used ({error})") from None
+    if len(found) > 1:
+        raise ManifestError(
+            f"{bag.path}: its runs were recorded under different conditions; use their own bags"
+        )
+    return found.pop() if found else LEVEL
+
+
+def recorded_robot(bag: Bag, parameter_file: str = "") -> ParameterFile:
+    """Return the parameters with which to judge the runs of a bag, under the conditions of their recording.
+
+    Args:
+        bag: an open bag.
+        parameter_file: a parameter file; empty: the one inside the bag, the paper's values if it has none.
+
+    Raises:
+        ManifestError: see `recorded_parameters` and `recorded_conditions`.
+        ParameterError: The file is invalid, or a load is outside of its range.
+    """
+    if parameter_file:
+        content = load_parameter_file(parameter_file)
+    else:
+        content = recorded_parameters(bag) or ParameterFile()
+    return content_under(recorded_conditions(bag), content)
 
 
 def recorded_parameters(bag: Bag) -> ParameterFile | None:

@@ -10,13 +10,17 @@ from recorded_run import simulated_run
 from worm_model.bags.bag import AttachedFile
 from worm_model.bags.formats.bag_writer import new_bag
 from worm_model.bags.opening import open_bag
+from worm_model.bags.operations.cutting import merge
 from worm_model.bags.recording.run_manifest import (
     PARAMETER_ATTACHMENT,
     ManifestError,
+    recorded_conditions,
     recorded_parameters,
+    recorded_robot,
     run_manifest,
 )
 from worm_model.bags.run_writer import write_run
+from worm_model.conditions import LEVEL, Conditions, under
 from worm_model.parameters import PAPER, ParameterFile
 
 NOW = 1_800_000_000_000_000_000
@@ -49,6 +53,56 @@ def test_runs_of_different_parameter_files_are_not_judged_by_one_of_them(tmp_pat
         pytest.raises(ManifestError, match="give --parameters FILE for all"),
     ):
         recorded_parameters(bag)
+
+
+STEEP = Conditions(slope_deg=20.0, tether_N=2.0, tether_N_per_m=0.5, distance_m=3.0)
+
+
+def _bag_under(path: Path, conditions: Conditions, file: Path | None = None) -> Path:
+    with new_bag(path) as writer:
+        manifest = run_manifest(file, None, [], ["record"], NOW, conditions)
+        for name, values in manifest.metadata.items():
+            writer.add_metadata(name, values)
+        for attached in manifest.attachments:
+            writer.add_attachment(attached)
+        write_run(writer, simulated_run(1))
+    return path
+
+
+@pytest.mark.parametrize("conditions", [LEVEL, STEEP, Conditions(slope_deg=-1 / 3)])
+def test_the_conditions_of_a_recording_are_those_it_was_made_under(tmp_path: Path, conditions):
+    with open_bag(_bag_under(tmp_path / "bag", conditions)) as bag:
+        assert recorded_conditions(bag) == conditions
+        assert recorded_robot(bag).parameters == under(conditions, PAPER)
+
+
+def test_a_recorded_robot_has_the_loads_with_its_own_and_with_any_other_parameter_file(
+    tmp_path: Path,
+):
+    own, other = tmp_path / "own.yaml", tmp_path / "other.yaml"
+    own.write_text("gain: 0.9\nrear_load: 1.0\n")
+    other.write_text("gain: 0.8\n")
+    with open_bag(_bag_under(tmp_path / "bag", STEEP, own)) as bag:
+        loaded = under(STEEP, PAPER.replace(gain=0.9, rear_load=1.0))
+        assert recorded_robot(bag).parameters == loaded
+        assert recorded_robot(bag, str(other)).parameters == under(STEEP, PAPER.replace(gain=0.8))
+        assert recorded_parameters(bag) == ParameterFile(PAPER.replace(gain=0.9, rear_load=1.0))
+
+
+def test_runs_of_different_conditions_are_not_judged_by_one_of_them(tmp_path: Path):
+    paths = [_bag_under(tmp_path / "level", LEVEL), _bag_under(tmp_path / "steep", STEEP)]
+    with open_bag(paths[0]) as level, open_bag(paths[1]) as steep:
+        merge([level, steep], tmp_path / "both")
+    with open_bag(tmp_path / "both") as bag, pytest.raises(ManifestError, match="conditions"):
+        recorded_robot(bag)
+
+
+def test_stored_conditions_that_cannot_be_used_are_reported(tmp_path: Path):
+    with new_bag(tmp_path / "bag") as writer:
+        writer.add_metadata("worm_run", {"slope_deg": "steep"})
+        write_run(writer, simulated_run(1))
+    with open_bag(tmp_path / "bag") as bag, pytest.raises(ManifestError, match="steep"):
+        recorded_robot(bag)
 
 
 def test_without_a_parameter_file_none_is_claimed():
